@@ -11,7 +11,7 @@ import numpy as np
 from drivers.timebase import NS_PER_S, Duration, Instant
 from drivers.wire.adapters import parse_bus_spec
 from hil.commissioning.commission import commission
-from hil.commissioning.dialog import EmergencyStop, Silent
+from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.outcome import StepOutcome
 from hil.commissioning.report import Commissioned
 from hil.commissioning.request import CommissionRequest, Nameplate
@@ -227,7 +227,7 @@ def unknown_world(
     plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, fault_plan, seed)
     with open_world(plan, [cast(SimulatedNode, spy) if spied else servo]) as world:
         world.faults.start(world.clock.now())
-        result = commission(request, world, Silent(tell), EmergencyStop(), steps=steps)
+        result = commission(request, world, Dialog(tell), EmergencyStop(), steps=steps)
     return truth, result, spy
 
 

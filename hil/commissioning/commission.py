@@ -1,27 +1,90 @@
-"""A whole commissioning: from the first frame to the files, and back to how the drive was found."""
+"""Commissioning from the command line to the files, and back to how the drive was found; ``hil restore``."""
 
+import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects import RemoteObjects
 from drivers.canopen.objects301 import Cia301
-from drivers.errors import BenchError, PeerFault
-from drivers.sheets.dictionary import LoadedDictionary
+from drivers.cia402.drive_setup import read_identity
+from drivers.errors import BadInput, BenchError, PeerFault
+from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
-from hil.commissioning.dialog import Dialog, EmergencyStop
+from drivers.wire.adapters import parse_bus_spec
+from hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
 from hil.commissioning.files import set_objects, write_files
+from hil.commissioning.outcome import StepVerdict
 from hil.commissioning.recording import SessionLog
-from hil.commissioning.report import Commissioned, write_report
-from hil.commissioning.request import CommissionRequest
+from hil.commissioning.rehearsal import rehearsed_drive
+from hil.commissioning.report import HTML_FILE, Commissioned, as_json, write_report
+from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.sequence import Step, run_sequence
 from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
-from hil.execution.world import World
-from hil.restoring.journaled import JournaledNetwork
-from hil.restoring.restore import restore
+from hil.execution.world import World, WorldPlan, open_world
+from hil.machine.realtime import timing_conditions
+from hil.machine.stopping import stop_signals
+from hil.restoring.journal import DriveMark, JournaledNetwork, append_restored, read_journal
+from hil.restoring.restore import await_answer, restore
 from hil.rows.run_files import COMMISSIONING_RECORDING
+from virtual_bus.hosting.faulty_device import SimulatedNode
 
 SAVE: bytes = b"save"
 """Signature that 1010h wants (CiA 301 7.5.2.13)."""
 _STORE_LIMIT = Duration(2 * NS_PER_S)
+"""A drive answers 1010h once its memory is written (CiA 301 7.5.2.13), long after any other download."""
+_ANSWER_LIMIT = Duration(5 * NS_PER_S)
+"""A drive that was just switched on boots in a second or two."""
+
+
+def run_command(
+    request: CommissionRequest,
+    *,
+    yes: bool,
+    rehearse: int | None,
+    rehearse_eds: Path | None,
+    plate_given: bool,
+) -> tuple[int, dict[str, Any]]:
+    """``hil commission``: its exit status, and its figures."""
+    if rehearse is not None and rehearse_eds is not None:
+        raise BadInput("--rehearse-eds", "", str(rehearse_eds), "either it or --rehearse SEED")
+    rehearsed = rehearse is not None or rehearse_eds is not None
+    spec = parse_bus_spec(request.bus, "--bus")
+    devices: Sequence[SimulatedNode] = ()
+    if spec.simulated != rehearsed:
+        expected = "--rehearse SEED or --rehearse-eds FILE with --bus simulated, and only with it"
+        raise BadInput("--bus", "", request.bus, expected)
+    if rehearsed:
+        servo, plate = rehearsed_drive(rehearse or 0, rehearse_eds, request.node, request.bitrate_bit_s, say)
+        devices = [servo]
+        request = replace(request, eds=request.eds or rehearse_eds)
+        if not plate_given:
+            request = replace(request, nameplate=Nameplate.model_validate(plate), trust_nameplate=True)
+            say("no --motor: the rehearsed drive's own nameplate is taken, and trusted against the drive")
+    if not yes and not request.dry_run and not sys.stdin.isatty():
+        raise BadInput("--yes", "", "no terminal to ask at", "--yes, or a terminal as standard input")
+    sheet = None
+    if request.eds is not None:
+        sheet = load_dictionary(request.eds, request.node)
+        if sheet.repairs:
+            say(f"{request.eds}: {len(sheet.repairs)} repairs, see hil eds")
+    dialog = Dialog(say) if yes or request.dry_run else Terminal(sys.stdin, say)
+    plan = WorldPlan(spec, request.bitrate_bit_s, False, None, rehearse or 0)
+    with stop_signals() as signals, open_world(plan, devices) as world:
+        stop = EmergencyStop(signals, sys.stdin)
+        with timing_conditions(world.real_time):
+            result = commission(request, world, dialog, stop, sheet)
+    done = sum(record.verdict is StepVerdict.DONE for record in result.records)
+    faults = sum(len(record.outcome.faults) for record in result.records)
+    say(f"{done} of {len(result.records)} steps done, {faults} faults found; see {request.out / HTML_FILE}")
+    figures = as_json(request, result)
+    if result.error is not None:
+        say(f"hil: error: {result.error}")
+        return result.error.exit_status, figures
+    return (0 if result.passed else 1), figures
 
 
 def commission(
@@ -44,23 +107,18 @@ def commission(
     result = Commissioned(findings=session.found)
     chosen = list((steps or all_steps)())
     try:
-        try:
-            run_sequence(session, chosen, result.records)
-        except BenchError as error:
-            result.error = error
-            log.event("CRITICAL", str(error))
-            raise
-        finally:
-            try:
-                _finish(session, result)
-            finally:
-                _end_log(session, result)
+        run_sequence(session, chosen, result.records)
     except BenchError as error:
-        if error is not result.error:
-            raise
+        result.error = error
+        log.event("CRITICAL", str(error))
+    finally:
+        try:
+            _finish(session, result)
+        finally:
+            _end_log(session, result)
     if not request.dry_run:
         write_files(session)
-    write_report(session, result)
+    write_report(request, result)
     return result
 
 
@@ -129,3 +187,48 @@ def _store(session: Session, result: Commissioned) -> None:
     finally:
         network.sdo_timeout_s = before
     network.pump(network.deadline_after(Duration(50 * NS_PER_MS)))
+
+
+def run_restore(bus: str, node: int, journal: Path, bitrate_bit_s: int) -> dict[str, Any]:
+    """``hil restore``: what came of it.
+
+    Raises BadInput for a journal of another drive or node, NoAnswer or BusDown if it cannot be reached.
+    """
+    contents = read_journal(journal)
+    if contents.head.node != node:
+        raise BadInput("--node", "", node, f"{contents.head.node}, whose journal {journal} is")
+    spec = parse_bus_spec(bus, "--bus")
+    if spec.simulated:
+        raise BadInput("--bus", "", bus, "a bus on which the drive still is")
+    plan = WorldPlan(spec, bitrate_bit_s, False, None, 0)
+    with stop_signals(), open_world(plan, ()) as world:
+        network = CanopenNetwork(world.link, world.clock)
+        await_answer(network, node, _ANSWER_LIMIT)
+        check_mark(RemoteObjects(network, node), contents.head.mark)
+        result = restore(network, contents, say)
+    text = [f"{result.objects} objects, {result.written} had to be written"]
+    if result.complete:
+        append_restored(journal)
+        text.append("everything is as it was, byte for byte")
+    else:
+        text += [f"still different: {failure}" for failure in result.failures]
+    return {
+        "objects": result.objects,
+        "written": result.written,
+        "complete": result.complete,
+        "failures": result.failures,
+        "text": text,
+    }
+
+
+def check_mark(objects: RemoteObjects, mark: DriveMark) -> None:
+    """Raises PeerFault if the node is another drive than the one of the journal."""
+    identity = read_identity(objects)
+    here = DriveMark(identity.vendor, identity.product, identity.serial)
+    if here != mark:
+        raise PeerFault(
+            f"node {objects.node_id} is not the drive of the journal",
+            f"vendor, product and serial number are {here.vendor:X}h, {here.product:X}h, {here.serial}; "
+            f"the journal is of {mark.vendor:X}h, {mark.product:X}h, {mark.serial}",
+            "connect the drive whose journal it is",
+        )

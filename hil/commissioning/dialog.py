@@ -11,7 +11,7 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from enum import Enum
-from typing import IO, Any, Protocol
+from typing import IO, Any
 
 from hil.machine.stopping import StopRequest
 
@@ -28,55 +28,36 @@ class Choice(Enum):
     QUIT = "quit"
 
 
-class Dialog(Protocol):
-    """What the sequence needs."""
-
-    def tell(self, text: str) -> None:
-        """Say something."""
-        ...
-
-    def choose(self, question: str, choices: tuple[Choice, ...], idle: Idle) -> Choice:
-        """Have one of ``choices`` taken."""
-        ...
-
-    def line(self, question: str, idle: Idle) -> str:
-        """Have a line written; empty if nobody is there."""
-        ...
-
-    @property
-    def attended(self) -> bool:
-        """Somebody is there."""
-        ...
-
-
-class Silent:
-    """Nobody is asked: every step is done, and one that fails is not repeated."""
+class Dialog:
+    """With nobody (``--yes``): every step is done, and one that fails is not repeated."""
 
     attended = False
+    """Somebody is there."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
+        """``tell``: says something."""
         self.tell = tell
 
     def choose(self, _question: str, choices: tuple[Choice, ...], _idle: Idle) -> Choice:
-        """The first choice."""
+        """Have one of ``choices`` taken: the first."""
         return choices[0]
 
     def line(self, _question: str, _idle: Idle) -> str:
-        """Nothing."""
+        """Have a line written: an empty one."""
         return ""
 
 
 _KEYS = {Choice.GO: "Enter", Choice.REPEAT: "r", Choice.SKIP: "s", Choice.QUIT: "q"}
 
 
-class Terminal:
-    """Questions and answers by line."""
+class Terminal(Dialog):
+    """With somebody: questions and answers by line."""
 
     attended = True
 
     def __init__(self, source: IO[str], tell: Callable[[str], None]) -> None:
+        super().__init__(tell)
         self._source = source
-        self.tell = tell
 
     def choose(self, question: str, choices: tuple[Choice, ...], idle: Idle) -> Choice:
         """Ask until one of the keys comes; the end of the input means to quit."""

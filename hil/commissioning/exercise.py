@@ -1,7 +1,7 @@
 """One stretch of motion: the bench's own loop around a drive, under host limits, recorded in memory."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -32,6 +32,7 @@ from hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
 from hil.loop.scenario import Quantity, ReferenceProfile, Segment
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
+from hil.reviewing.network_meter import runs_of
 
 Array = NDArray[np.float64]
 
@@ -67,11 +68,6 @@ class Recording:
     def speed(self) -> Array:
         """Smoothed derivative of the position."""
         return smooth_speed(self.time, self.position)
-
-
-def motions(recordings: Sequence[Recording]) -> list[tuple[Array, Array, Array]]:
-    """Time, position and torque of each, as :func:`.identify_mechanics` takes them."""
-    return [(each.time, each.position, each.torque) for each in recordings]
 
 
 def smooth_speed(time: Array, position: Array, half: int = 4) -> Array:
@@ -346,19 +342,5 @@ def recording_of(records: list[CycleRecord]) -> Recording:
         sync_to_reading_us=np.array(delays_us, dtype=float),
         cycles=len(records),
         lost=lost,
-        losses_in_a_row=runs_of(missing),
+        losses_in_a_row=runs_of(np.array(missing, dtype=bool)),
     )
-
-
-def runs_of(missing: list[bool]) -> tuple[int, ...]:
-    """How often exactly 1, 2, ... were missing in a row."""
-    counts: list[int] = []
-    length = 0
-    for gone in [*missing, False]:
-        if gone:
-            length += 1
-        elif length:
-            counts += [0] * (length - len(counts))
-            counts[length - 1] += 1
-            length = 0
-    return tuple(counts)

@@ -1,20 +1,24 @@
 """What commissioning leaves for ``hil run`` and ``hil design``: drive, motor, network, a bench, and a DCF."""
 
 import math
+from collections.abc import Iterable
 from typing import Any, Final
 
+from canopen.objectdictionary import ObjectDictionary, ODVariable
+
+from drivers.canopen.data_types import SIGNED_BITS, DataType
+from drivers.canopen.objects301 import MANDATORY, MANUFACTURER
+from drivers.cia402.drive_setup import Identity
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import QuickStopOption
 from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
-from hil.commissioning.dcf import dcf_text
 from hil.commissioning.findings import Findings
 from hil.commissioning.outcome import LOSSES_MAX
 from hil.commissioning.session import Session
-from hil.commissioning.steps_design import rounded, suggestion
+from hil.commissioning.steps_design import rounded, suggested_limits
 from hil.configuration.network_file import network_text
 from hil.configuration.toml_text import toml_text
-from hil.restoring.journal import ObjectKey
-from hil.restoring.journaled import SET_POINTS
+from hil.restoring.journal import SET_POINTS, ObjectKey
 from hil.restoring.restore import pdo_of
 from hil.rows.run_files import COMMISSIONED_FILE
 
@@ -29,6 +33,11 @@ _ERROR_SHARE: Final = 0.25
 """Of the reference, rms: what a sign or a unit that is wrong breaks, and a busy machine does not."""
 _SETTINGS: Final = (Object.POLARITY,)
 """What a run needs of it beside what it writes itself."""
+
+_UNSIGNED: Final = {
+    1: DataType.UNSIGNED8, 2: DataType.UNSIGNED16, 4: DataType.UNSIGNED32, 8: DataType.UNSIGNED64
+}  # fmt: skip
+"""By their bytes: what an object is taken for of which no data sheet tells."""
 
 
 def write_files(session: Session) -> None:
@@ -112,7 +121,7 @@ def drive_tables(session: Session) -> dict[str, Any]:
     ]
     if objects:
         tables["object"] = objects
-    limits = suggestion(session)
+    limits = suggested_limits(session)
     if limits:
         tables["limits"] = limits
     if findings.controller:
@@ -184,15 +193,15 @@ def _by_word(findings: Findings) -> list[str]:
     if findings.torque_constant_nm_a is None:
         words["torque constant"] = "torque_constant_nm_a"
     stated = {name: findings.stated[key] for name, key in words.items() if key in findings.stated}
-    told = {name: each.by for name, each in stated.items() if each.told}
-    named = [name for name in stated if name not in told]
+    by_drive = {name: each.by for name, each in stated.items() if each.told}
+    named = [name for name in stated if name not in by_drive]
     notes = [f"Not measurable over CiA 402, by the nameplate: {', '.join(named)}."] if named else []
-    return notes + [f"Not measured: {name}, {by}." for name, by in told.items()]
+    return notes + [f"Not measured: {name}, {by}." for name, by in by_drive.items()]
 
 
 def _bench_tables(session: Session) -> dict[str, Any]:
     findings = session.found
-    limits = suggestion(session)
+    limits = suggested_limits(session)
     rpm = float(round(0.4 * session.limits.speed_rad_s * RPM_PER_RAD_S))
     drive: dict[str, Any] = {
         "node": session.request.node,
@@ -228,3 +237,99 @@ def _heartbeats(session: Session) -> dict[str, int]:
 
 def _headed(text: str, tables: dict[str, Any]) -> str:
     return f"# {text}\n\n{toml_text(tables)}"
+
+
+def dcf_text(
+    values: dict[ObjectKey, bytes],
+    defaults: dict[ObjectKey, bytes],
+    dictionary: ObjectDictionary | None,
+    node: int,
+    bitrate_bit_s: int,
+    identity: Identity | None,
+) -> str:
+    """A device configuration file (CiA 306-1).
+
+    ``values`` as ParameterValue and what was there before as DefaultValue; ``defaults`` of mandatory objects
+    are written even if they were not set.
+    """
+    shown: dict[ObjectKey, bytes | None] = {key: None for key in defaults if key.index in MANDATORY}
+    shown |= values
+    indices = sorted({key.index for key in shown})
+    lines = [
+        *_section("FileInfo", {"FileName": "drive.dcf", "FileVersion": 1, "EDSVersion": "4.0"}),
+        *_section("DeviceInfo", _device(identity)),
+        *_section(
+            "DeviceComissioning", {"NodeID": node, "Baudrate": bitrate_bit_s // 1000, "NodeName": "drive"}
+        ),
+    ]
+    for title, members in (
+        ("MandatoryObjects", [index for index in indices if index in MANDATORY]),
+        ("OptionalObjects", [i for i in indices if i not in MANDATORY and i not in MANUFACTURER]),
+        ("ManufacturerObjects", [index for index in indices if index in MANUFACTURER]),
+    ):
+        listed = {str(number): f"0x{index:04X}" for number, index in enumerate(members, start=1)}
+        lines += _section(title, {"SupportedObjects": len(members), **listed})
+    for index in indices:
+        own = {key: value for key, value in shown.items() if key.index == index}
+        lines += _object(index, own, defaults, dictionary)
+    return "\n".join(lines) + "\n"
+
+
+def _device(identity: Identity | None) -> dict[str, Any]:
+    if identity is None:
+        return {}
+    return {
+        "ProductName": identity.device_name,
+        "VendorNumber": f"0x{identity.vendor:08X}",
+        "ProductNumber": f"0x{identity.product:08X}",
+        "RevisionNumber": f"0x{identity.revision:08X}",
+    }
+
+
+def _object(
+    index: int,
+    values: dict[ObjectKey, bytes | None],
+    defaults: dict[ObjectKey, bytes],
+    dictionary: ObjectDictionary | None,
+) -> Iterable[str]:
+    entry: Any = dictionary.get(index) if dictionary is not None else None
+    plain = isinstance(entry, ODVariable) or (entry is None and all(key.sub == 0 for key in values))
+    if plain:
+        key = ObjectKey(index, 0)
+        yield from _variable(f"{index:04X}", f"Object {index:04X}h", values[key], defaults.get(key), entry)
+        return
+    name = getattr(entry, "name", f"Object {index:04X}h")
+    yield from _section(
+        f"{index:04X}", {"ParameterName": name, "ObjectType": "0x9", "SubNumber": len(values)}
+    )
+    for key, value in sorted(values.items()):
+        member = entry.subindices.get(key.sub) if entry is not None else None
+        title = f"{index:04X}sub{key.sub:X}"
+        yield from _variable(title, f"Sub-index {key.sub}", value, defaults.get(key), member)
+
+
+def _variable(title: str, name: str, value: bytes | None, default: bytes | None, entry: Any) -> list[str]:
+    width = len(value if value is not None else default or b"")
+    data_type = getattr(entry, "data_type", None) or _UNSIGNED.get(width, DataType.OCTET_STRING)
+    entries: dict[str, Any] = {
+        "ParameterName": getattr(entry, "name", name),
+        "ObjectType": "0x7",
+        "DataType": f"0x{data_type:04X}",
+        "AccessType": getattr(entry, "access_type", "rw" if value is not None else "ro"),
+        "DefaultValue": "" if default is None else _text(default, data_type),
+    }
+    if value is not None:
+        entries["ParameterValue"] = _text(value, data_type)
+    return _section(title, {**entries, "PDOMapping": 0})
+
+
+def _text(value: bytes, data_type: int) -> str:
+    if data_type == DataType.OCTET_STRING:
+        return value.hex()
+    signed = data_type in SIGNED_BITS
+    number = int.from_bytes(value, "little", signed=signed)
+    return str(number) if signed else f"0x{number:X}"
+
+
+def _section(title: str, entries: dict[str, Any]) -> list[str]:
+    return [f"[{title}]", *(f"{key}={value}" for key, value in entries.items()), ""]

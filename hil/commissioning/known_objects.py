@@ -15,21 +15,19 @@ Dump = dict[tuple[int, int], bytes]
 
 _COMMUNICATION: Final = (
     *range(0x1000, 0x101A),
-    *range(0x1029, 0x102A),
-    *range(0x1200, 0x1201),
-    *range(0x1400, 0x1408),
-    *range(0x1600, 0x1608),
-    *range(0x1800, 0x1808),
-    *range(0x1A00, 0x1A08),
+    0x1029,
+    0x1200,
+    *(first + number for first in (0x1400, 0x1600, 0x1800, 0x1A00) for number in range(8)),
 )
 _RECORDS: Final = (
-    *range(0x1010, 0x1012),
     0x1003,
+    0x1010,
+    0x1011,
     0x1014,
     0x1016,
     0x1018,
     0x1029,
-    *range(0x1200, 0x1201),
+    0x1200,
     *range(0x1400, 0x1B00),
     0x607D,
     0x608F,
@@ -69,14 +67,9 @@ def _readable(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
 def variables(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
     """Every variable of a data sheet, in order of index and sub-index."""
     for index, entry in sorted(dictionary.items()):
-        if index < FIRST_OBJECT:
-            continue
-        if isinstance(entry, ODVariable):
-            yield entry
-            continue
-        members: dict[int, Any] = dict(entry.subindices)
-        for _sub, member in sorted(members.items()):
-            yield member
+        if index >= FIRST_OBJECT:
+            members: dict[int, Any] = {0: entry} if isinstance(entry, ODVariable) else entry.subindices
+            yield from (member for _sub, member in sorted(members.items()))
 
 
 def _usual(network: CanopenNetwork, node: int) -> Iterator[tuple[int, int]]:

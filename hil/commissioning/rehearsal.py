@@ -7,7 +7,7 @@ real-time bus: the unknown one by ``hil rehearse``, the one of a data sheet by `
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from drivers.errors import BadInput
 from hil.configuration.motor_file import LING2012
@@ -21,31 +21,17 @@ from virtual_bus.drive.unknown_drive import Truth, nameplate_of, unknown_drive
 from virtual_bus.hosting.injection import Faults
 
 
-class Rehearsed(NamedTuple):
-    """Who is commissioned in simulated time."""
-
-    seed: int | None = None
-    """Of a drive that nobody has described."""
-    eds: Path | None = None
-    """The data sheet that a drive is made from."""
-
-    @classmethod
-    def asked_for(cls, seed: int | None, eds: Path | None) -> "Rehearsed | None":
-        """By the options; None if neither is there. Raises BadInput if both are."""
-        if seed is not None and eds is not None:
-            raise BadInput("--rehearse-eds", "", str(eds), "either it or --rehearse SEED")
-        return None if seed is None and eds is None else cls(seed, eds)
-
-
 def rehearsed_drive(
-    wish: Rehearsed, node: int, bitrate_bit_s: int, announce: Callable[[str], None]
+    seed: int, eds: Path | None, node: int, bitrate_bit_s: int, announce: Callable[[str], None]
 ) -> tuple[SimulatedServo, dict[str, Any]]:
-    """The drive, and what is printed on its motor, as tables of a nameplate file. Raises BadInput."""
-    if wish.eds is None:
-        servo, truth = unknown_drive(wish.seed or 0, node)
+    """The drive of the data sheet ``eds`` if there is one, else that of ``seed``; and what is printed on its
+    motor, as tables of a nameplate file. Raises BadInput.
+    """
+    if eds is None:
+        servo, truth = unknown_drive(seed, node)
         return servo, truth.nameplate
     motor = LING2012.parameters
-    files = DeviceFiles(eds=wish.eds)
+    files = DeviceFiles(eds=eds)
     vendor, drive = files.vendor(announce, [node], bitrate_bit_s, motor), files.drive(DriveParameters())
     return SimulatedServo(node, motor, drive, vendor=vendor), nameplate_of(motor)
 

@@ -1,24 +1,31 @@
 """The report of a commissioning: Markdown with pictures beside it, HTML with them inside, JSON."""
 
+import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from html import escape
 from importlib.metadata import version
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 from drivers.errors import BenchError
 from drivers.vendors.motor_objects import QUANTITIES
 from hil.commissioning.findings import Findings
 from hil.commissioning.outcome import StepRecord, StepVerdict
-from hil.commissioning.report_html import html_report
 from hil.commissioning.request import CommissionRequest
-from hil.commissioning.session import Session
 from hil.restoring.restore import Restoration
 from hil.rows.run_files import COMMISSIONING_FIGURES
 
 REPORT_FILE = "report.md"
 HTML_FILE = "report.html"
+_STYLE: Final = """
+body{font:15px/1.45 sans-serif;color:#1c2733;max-width:60em;margin:2em auto;padding:0 1em}
+table{border-collapse:collapse;margin:.6em 0}th,td{border:1px solid #ccd3da;padding:.2em .6em;text-align:left}
+th{background:#f2f4f7}img{max-width:100%}.failed{color:#b3261e;font-weight:bold}h2{margin-top:1.6em}
+@media print{h2{break-after:avoid}img{break-inside:avoid}}
+"""
 
 
 @dataclass(slots=True)
@@ -44,28 +51,14 @@ class Commissioned:
         return self.error is None and not failed and put_back and not self.not_stored
 
 
-def write_report(session: Session, result: Commissioned) -> None:
-    """Write report.md and figures.json into the folder."""
-    request, identity, records = session.request, session.found.identity, result.records
-    lines = [f"# Commissioning of node {request.node} on {request.bus}", ""]
-    if identity is not None:
-        lines += [f"{identity}, revision {identity.revision:08X}h.", ""]
-    if request.dry_run:
-        lines += ["A dry run: nothing was written, and nothing moved.", ""]
-    if result.error is not None:
-        lines += [f"**Ended early:** {result.error}", ""]
-    lines += _header(request, result)
-    lines += _summary(records)
-    lines += _faults(records)
-    lines += _missing(records)
-    lines += ["## How the drive was left", "", _left(request, result), ""]
-    for number, record in enumerate(records, start=1):
-        lines += _step(number, record)
-    request.out.mkdir(parents=True, exist_ok=True)
-    (request.out / REPORT_FILE).write_text("\n".join(lines), encoding="utf-8")
+def write_report(request: CommissionRequest, result: Commissioned) -> None:
+    """Write report.md, report.html and figures.json into the folder."""
+    out = request.out
     figures = as_json(request, result)
-    (request.out / COMMISSIONING_FIGURES).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-    (request.out / HTML_FILE).write_text(html_report(figures, request.out), encoding="utf-8")
+    out.mkdir(parents=True, exist_ok=True)
+    (out / REPORT_FILE).write_text(_markdown(request, result, figures), encoding="utf-8")
+    (out / COMMISSIONING_FIGURES).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    (out / HTML_FILE).write_text(_html(figures, out), encoding="utf-8")
 
 
 def header_of(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
@@ -103,15 +96,6 @@ def _stated(findings: Findings) -> str | dict[str, str]:
         for name, each in findings.stated.items()
         if name != "torque_constant_nm_a" or findings.torque_constant_nm_a is None
     }
-
-
-def _header(request: CommissionRequest, result: Commissioned) -> list[str]:
-    rows = ["| | |", "|---|---|"]
-    for name, value in header_of(request, result).items():
-        told = _in_words(value)
-        if told:
-            rows.append(f"| {name} | {_cell(told)} |")
-    return [*rows, ""]
 
 
 def _in_words(value: Any) -> str:
@@ -163,26 +147,45 @@ def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
     }
 
 
-def _summary(records: Sequence[StepRecord]) -> list[str]:
-    rows = ["| step | result | |", "|---|---|---|"]
-    for record in records:
-        outcome = record.outcome
-        note = record.reason or outcome.headline or (outcome.lines[0] if outcome.lines else "")
-        rows.append(f"| {record.title} | {record.verdict.value} | {_cell(note)} |")
-    return [*rows, ""]
+def _title(figures: Mapping[str, Any]) -> str:
+    return f"Commissioning of node {figures['node']} on {figures['bus']}"
 
 
-def _faults(records: Sequence[StepRecord]) -> list[str]:
-    faults = [f"- {fault}" for record in records for fault in record.outcome.faults] or ["None was found."]
-    return ["## Faults in the drive's settings", "", *faults, ""]
+def _results(figures: Mapping[str, Any]) -> list[list[str]]:
+    """Title, verdict and one sentence of each step."""
+    return [[step["title"], step["verdict"], step["reason"] or step["headline"]] for step in figures["steps"]]
 
 
-def _missing(records: Sequence[StepRecord]) -> list[str]:
-    absent = [record for record in records if record.verdict not in (StepVerdict.DONE, StepVerdict.FAILED)]
-    if not absent:
-        return []
-    listed = (f"- {record.title}: {record.verdict.value}, {record.reason}" for record in absent)
-    return ["## Left out", "", *listed, ""]
+def _faults(figures: Mapping[str, Any]) -> list[str]:
+    return [fault for step in figures["steps"] for fault in step["faults"]] or ["None was found."]
+
+
+def _markdown(request: CommissionRequest, result: Commissioned, figures: Mapping[str, Any]) -> str:
+    identity = result.findings.identity
+    lines = [f"# {_title(figures)}", ""]
+    if identity is not None:
+        lines += [f"{identity}, revision {identity.revision:08X}h.", ""]
+    if request.dry_run:
+        lines += ["A dry run: nothing was written, and nothing moved.", ""]
+    if result.error is not None:
+        lines += [f"**Ended early:** {result.error}", ""]
+    header = ((name, _in_words(value)) for name, value in figures["header"].items())
+    lines += ["| | |", "|---|---|", *(_row(name, told) for name, told in header if told), ""]
+    lines += ["| step | result | |", "|---|---|---|", *(_row(*row) for row in _results(figures)), ""]
+    lines += ["## Faults in the drive's settings", "", *(f"- {fault}" for fault in _faults(figures)), ""]
+    absent = [step for step in figures["steps"] if step["verdict"] not in ("done", "failed")]
+    if absent:
+        listed = (f"- {step['title']}: {step['verdict']}, {step['reason']}" for step in absent)
+        lines += ["## Left out", "", *listed, ""]
+    lines += ["## How the drive was left", "", _left(request, result), ""]
+    for number, step in enumerate(figures["steps"], start=1):
+        lines += _markdown_step(number, step)
+    return "\n".join(lines)
+
+
+def _row(*cells: str) -> str:
+    escaped = (cell.replace("|", "\\|").replace("\n", " ") for cell in cells)
+    return f"| {' | '.join(escaped)} |"
 
 
 def _left(request: CommissionRequest, result: Commissioned) -> str:
@@ -206,23 +209,92 @@ def _left(request: CommissionRequest, result: Commissioned) -> str:
     )
 
 
-def _step(number: int, record: StepRecord) -> list[str]:
-    lines = [f"## {number}. {record.title}", ""]
-    if record.plan:
-        lines += [f"*{record.plan[0].upper()}{record.plan[1:]}.*", ""]
-    if record.limit:
-        lines += [f"It fails if {record.limit}.", ""]
-    if record.verdict is not StepVerdict.DONE:
-        lines += [f"**{record.verdict.value}**: {record.reason}", ""]
-    for line in record.outcome.lines:
-        lines.append(line if line.startswith("- ") else f"- {line}")
-    lines += [f"- **found**: {fault}" for fault in record.outcome.faults]
-    if record.outcome.lines or record.outcome.faults:
-        lines.append("")
-    for picture in record.outcome.pictures:
-        lines += [f"![{record.title}]({picture})", ""]
+def _markdown_step(number: int, step: Mapping[str, Any]) -> list[str]:
+    lines = [f"## {number}. {step['title']}", ""]
+    if step["plan"]:
+        lines += [f"*{step['plan'][0].upper()}{step['plan'][1:]}.*", ""]
+    if step["limit"]:
+        lines += [f"It fails if {step['limit']}.", ""]
+    if step["verdict"] != "done":
+        lines += [f"**{step['verdict']}**: {step['reason']}", ""]
+    said = [line if line.startswith("- ") else f"- {line}" for line in step["lines"]]
+    said += [f"- **found**: {fault}" for fault in step["faults"]]
+    lines += [*said, ""] if said else []
+    for picture in step["pictures"]:
+        lines += [f"![{step['title']}]({picture})", ""]
     return lines
 
 
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
+def _html(figures: Mapping[str, Any], folder: Path) -> str:
+    """As a lab files it: one file, with the pictures, read from ``folder``, inside."""
+    body = [f"<h1>{_text(_title(figures))}</h1>", _pairs(figures["header"])]
+    if figures["error"]:
+        body.append(f"<p class='failed'>Ended early: {_text(figures['error'])}</p>")
+    body += ["<h2>Result</h2>", _table(["step", "result", ""], _results(figures))]
+    body += ["<h2>Faults in the drive's settings</h2>", _list(_faults(figures))]
+    body += _written(figures)
+    for number, step in enumerate(figures["steps"], start=1):
+        body += _html_step(number, step, folder)
+    return (
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
+        f"<title>{_text(_title(figures))}</title>"
+        f"<style>{_STYLE}</style></head><body>{''.join(body)}</body></html>\n"
+    )
+
+
+def _written(figures: Mapping[str, Any]) -> list[str]:
+    rows = [[each["object"], each["before"], each["set"]] for each in figures["written"]]
+    left = "They are stored in the drive." if figures["stored"] else "All were put back at the end."
+    if figures["not_restored"]:
+        left = f"Not put back: {'; '.join(figures['not_restored'])}."
+    if not rows:
+        return ["<h2>Written to the drive</h2>", "<p>Nothing.</p>"]
+    undo = f"<p>{_text(left)} To undo: <code>{_text(figures['undo'])}</code></p>"
+    return ["<h2>Written to the drive</h2>", _table(["object", "before, hex", "set, hex"], rows), undo]
+
+
+def _html_step(number: int, step: Mapping[str, Any], folder: Path) -> list[str]:
+    lines = [f"<h2>{number}. {_text(step['title'])}</h2>"]
+    if step["plan"]:
+        lines.append(f"<p><em>{_text(step['plan'])}</em></p>")
+    if step["limit"]:
+        lines.append(f"<p>It fails if {_text(step['limit'])}.</p>")
+    if step["verdict"] != "done":
+        lines.append(f"<p class='failed'>{_text(step['verdict'])}: {_text(step['reason'])}</p>")
+    if step["quantities"]:
+        rows = [
+            [each["name"], _figure(each["value"]), _figure(each["uncertainty"]), each["unit"]]
+            for each in step["quantities"]
+        ]
+        lines.append(_table(["quantity", "value", "uncertainty, k = 2", "unit"], rows))
+    lines.append(_list([line.removeprefix("- ") for line in step["lines"]]))
+    for picture in step["pictures"]:
+        data = base64.b64encode((folder / picture).read_bytes()).decode("ascii")
+        lines.append(f"<p><img alt='{_text(step['title'])}' src='data:image/png;base64,{data}'></p>")
+    return lines
+
+
+def _pairs(values: Mapping[str, Any]) -> str:
+    return _table([], [[name, value] for name, value in values.items() if value not in (None, "", {})])
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    titles = "".join(f"<th>{_text(name)}</th>" for name in head)
+    lines = "".join("<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<table>{f'<tr>{titles}</tr>' if titles else ''}{lines}</table>"
+
+
+def _cell(value: Any) -> str:
+    return _pairs(value) if isinstance(value, Mapping) else _text(value)
+
+
+def _list(lines: Sequence[str]) -> str:
+    return "<ul>" + "".join(f"<li>{_text(line)}</li>" for line in lines) + "</ul>" if lines else ""
+
+
+def _figure(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"
+
+
+def _text(value: Any) -> str:
+    return escape(str(value), quote=True)

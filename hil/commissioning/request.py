@@ -146,19 +146,19 @@ class MotionLimits:
 
 def motion_limits(plate: Nameplate, rated_torque_nm: float, drive_speed_rpm: float | None) -> MotionLimits:
     """From the nameplate, and where it is silent from what the drive tells."""
-    wanted = plate.limits
+    given = plate.limits
     rated_rpm = plate.rating.speed_rpm or drive_speed_rpm or 1000.0
-    speed = (wanted.speed_max_rpm or 0.5 * rated_rpm) * RAD_S_PER_RPM
-    torque = wanted.torque_max_percent / 100.0 * rated_torque_nm
-    power = wanted.power_max_w or rated_torque_nm * speed
+    speed = (given.speed_max_rpm or 0.5 * rated_rpm) * RAD_S_PER_RPM
+    torque = given.torque_max_percent / 100.0 * rated_torque_nm
+    power = given.power_max_w or rated_torque_nm * speed
     return MotionLimits(
         torque_nm=torque,
         torque_slew_nm_s=rated_torque_nm / 0.02,
         speed_rad_s=speed,
         power_w=power,
-        energy_j=wanted.energy_max_j or 3.0 * power,
-        travel_rad=math.inf if wanted.turns_max is None else wanted.turns_max * math.tau,
-        following_rad=wanted.following_error_max_turns * math.tau,
+        energy_j=given.energy_max_j or 3.0 * power,
+        travel_rad=math.inf if given.turns_max is None else given.turns_max * math.tau,
+        following_rad=given.following_error_max_turns * math.tau,
     )
 
 

@@ -21,9 +21,9 @@ class Step(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of steps that must have been done."""
     writes: ClassVar[bool] = False
-    """It changes objects of the drive."""
+    """It changes objects of a drive at rest."""
     moves: ClassVar[bool] = False
-    """The shaft may turn."""
+    """The shaft may turn; for that it writes, too."""
     essential: ClassVar[bool] = False
     """What follows is not safe without it: it cannot be skipped."""
 
@@ -89,8 +89,8 @@ def _why_not(session: Session, step: Step, done: set[str]) -> str | None:
 
 
 def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
-    choices = (Choice.GO, Choice.QUIT) if step.essential else (Choice.GO, Choice.SKIP, Choice.QUIT)
-    choice = session.dialog.choose("    do it?", choices, session.idle)
+    otherwise = (Choice.QUIT,) if step.essential else (Choice.SKIP, Choice.QUIT)
+    choice = session.dialog.choose("    do it?", (Choice.GO, *otherwise), session.idle)
     while True:
         if choice is Choice.QUIT:
             raise Abandoned("ended on request", f"at the step '{step.title}'")
@@ -115,9 +115,7 @@ def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
             if step.essential:
                 raise Abandoned(f"the step '{step.title}' failed", str(failure)) from failure
             return
-        choices = (Choice.REPEAT, Choice.QUIT) if step.essential else (
-            Choice.REPEAT, Choice.SKIP, Choice.QUIT)  # fmt: skip
-        choice = session.dialog.choose("    what now?", choices, session.idle)
+        choice = session.dialog.choose("    what now?", (Choice.REPEAT, *otherwise), session.idle)
         record.attempts += 1
 
 

@@ -37,7 +37,7 @@ from hil.execution.world import World
 from hil.loop.loop import LoopTiming
 from hil.loop.scenario import Quantity
 from hil.machine.stopping import Interrupted
-from hil.restoring.journaled import JournaledNetwork
+from hil.restoring.journal import JournaledNetwork
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -45,11 +45,11 @@ T = TypeVar("T")
 ENABLE_LIMIT_S: Final = 3.0
 """A drive that charges its DC link or releases a brake takes a second or two."""
 STOP_LIMIT: Final = Duration(5 * NS_PER_S)
+"""More than the longest stop that is let pass, 2 s from the limit of speed."""
 PERIODS_US: Final = (1000, 2000, 4000, 5000, 10_000, 20_000)
+"""The longer ones are for a bus that has no room for the PDOs of 1 ms."""
 SETTLE: Final = Duration(20 * NS_PER_MS)
 """Between the SYNCs by which a drive's clock is learnt: no late reading may pass for a later answer."""
-_FRAMES_TO_ACT: Final = 5.8
-"""From a SYNC until the torque of its cycle acts, in frames of a command, as long as it was not measured."""
 _SERVED_S: Final = 0.01
 """How soon the end of a fit is seen."""
 BUS_LOAD_MAX_PERCENT: Final = 70.0
@@ -216,17 +216,12 @@ class Session:
 
     def torque_mode(self) -> Mode | None:
         """A mode in which torque is commanded; None if the drive has none."""
-        return self._mode_for((Quantity.TORQUE,))
+        mode = self.motion_mode()
+        return mode if mode is not None and QUANTITY_OF_MODE[mode] is Quantity.TORQUE else None
 
     def motion_mode(self) -> Mode | None:
         """The mode for exercises: torque if there is one, else speed, else position."""
-        return self._mode_for(tuple(Quantity))
-
-    def _mode_for(self, quantities: tuple[Quantity, ...]) -> Mode | None:
-        for mode, quantity in QUANTITY_OF_MODE.items():
-            if quantity in quantities and mode in self.found.modes:
-                return mode
-        return None
+        return next((mode for mode in QUANTITY_OF_MODE if mode in self.found.modes), None)
 
     def configure(self, mode: Mode | None = None, plan: PdoPlan | None = None) -> list[str]:
         """Write set-up, limits and PDO plan; the drive must be disabled. Notes on what it did not take.
@@ -359,35 +354,3 @@ class Session:
         folder.mkdir(parents=True, exist_ok=True)
         self.meanwhile(draw, folder / f"{name}.png", *figures, **options)
         outcome.pictures.append(f"plots/{name}.png")
-
-
-def nameplate_wins(session: Session, key: str, plate: str, drive: str) -> bool:
-    """Whether the nameplate is right where the drive says something else by far, and nothing measured tells.
-
-    A misread plate passes for a wrong drive as easily as the other way round: somebody has to look. Raises
-    StepFailed if nobody is there, unless the nameplate is to be trusted, or if the answer is neither.
-    """
-    if session.request.trust_nameplate:
-        return True
-    contradiction = f"{key}: the nameplate says {plate}, the drive {drive}"
-    if not session.dialog.attended:
-        raise StepFailed(
-            contradiction,
-            "nothing measured tells which is right",
-            "mend the nameplate file or the drive's setting, or give --trust-nameplate",
-        )
-    question = f"    {contradiction}. Which is right? [n = nameplate, d = drive]"
-    answer = session.dialog.line(question, session.idle).lower()
-    if answer not in ("n", "d"):
-        raise StepFailed(contradiction, f"{answer!r} is no answer", "look at the motor's plate, and repeat")
-    return answer == "n"
-
-
-def held_s(session: Session) -> float | None:
-    """How long after a SYNC the torque of the cycle acts; None where torque is not what is commanded."""
-    if session.torque_mode() is None:
-        return None
-    findings = session.found
-    if findings.reading_delay_us is not None and findings.effect_delay_us is not None:
-        return 1e-6 * (findings.reading_delay_us + findings.effect_delay_us)
-    return _FRAMES_TO_ACT * session.timing().command_latency / NS_PER_S

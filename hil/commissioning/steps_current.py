@@ -15,17 +15,13 @@ from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
 from drivers.errors import TransferAborted
 from drivers.timebase import Instant
 from hil.commissioning.excitation import TimedTorque
-from hil.commissioning.identify import (
-    COVERAGE_FACTOR,
-    slope_error,
-)
+from hil.commissioning.identify import COVERAGE_FACTOR, slope_error
+from hil.commissioning.nameplate import compare_constant, rated_current
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
-from hil.commissioning.plate_check import rated_current
 from hil.commissioning.plots import draw_current
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
 from hil.commissioning.steps_mechanics import guide_mechanics, tells_torque
-from hil.commissioning.winding import compare_constant
 
 _CURRENT_S: Final = 1.5
 """Three swings at the slowest, of 2 Hz."""
@@ -40,7 +36,6 @@ class TorqueConstant(Step):
     title = "Torque constant against current"
     limit = "the current does not follow the torque"
     needs = ("motion_units",)
-    writes = True
     moves = True
 
     def left_out(self, session: Session) -> str | None:
@@ -115,11 +110,11 @@ class TorqueConstant(Step):
         if slope < 0.0:
             outcome.faults.append("current 6078h and torque 6077h have opposite signs")
         if rating.torque_nm and rating.current_a:
-            wanted = rating.torque_nm / rating.current_a
-            outcome.say(f"the nameplate's ratings make {wanted:.5g} N m/A")
-            outcome.figures["nameplate_nm_a"] = wanted
-            if abs(abs(slope) / wanted - 1.0) > _CONSTANT_TOLERANCE:
-                by = abs(slope) / wanted
+            plate_nm_a = rating.torque_nm / rating.current_a
+            outcome.say(f"the nameplate's ratings make {plate_nm_a:.5g} N m/A")
+            outcome.figures["nameplate_nm_a"] = plate_nm_a
+            if abs(abs(slope) / plate_nm_a - 1.0) > _CONSTANT_TOLERANCE:
+                by = abs(slope) / plate_nm_a
                 slip = likely_slip(by, TORQUE_SLIPS, tolerance=0.03)
                 outcome.faults.append(
                     f"torque and current contradict the nameplate by {by:.4g}: "

@@ -1,7 +1,7 @@
 """Steps that make something of the figures: limits, period, controller, and a run with them."""
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -86,7 +86,7 @@ class Suggest(Step):
             "integral_nm_rad": integral,
             "feedforward_nm_s_rad": rounded(mechanics.viscous_friction_nm_s),
         }
-        period_us, limits = _period_us(session), _suggested_limits(session)
+        period_us, limits = _period_us(session), suggested_limits(session)
         crossing = proportional / mechanics.inertia_kg_m2
         outcome.say(
             f"PI: {proportional:.4g} N m s/rad and {integral:.4g} N m/rad, crossing at {crossing:.0f} rad/s; "
@@ -145,7 +145,10 @@ def _period_us(session: Session) -> int:
     return PERIODS_US[-1]
 
 
-def _suggested_limits(session: Session) -> dict[str, float]:
+def suggested_limits(session: Session) -> dict[str, float]:
+    """Without a drive that was set up there are none."""
+    if not session.configured:
+        return {}
     rating, rated_nm = session.request.nameplate.rating, session.drive.rated_torque_nm
     peak = 2.0
     if rating.current_max_a and rating.current_a:
@@ -165,7 +168,6 @@ class Verify(Step):
     limit = "the speed is off by more than 2 % rms on a plateau"
     needs = ("suggest",)
     moves = True
-    writes = True
 
     def plan(self, session: Session, /) -> str:
         speed = self._speed(session) / RAD_S_PER_RPM
@@ -189,9 +191,9 @@ class Verify(Step):
         with session.exercising() as exerciser:
             recording = exerciser.run(Pid(PidGains(**gains), exerciser.period_s), time, reference)
         refuse_losses(recording.lost, recording.cycles)
-        wanted = ReferenceProfile(reference)
+        profile = ReferenceProfile(reference)
         at = recording.time
-        asked = np.array([wanted.value(float(t)) for t in at])
+        asked = np.array([profile.value(float(t)) for t in at])
         errors = asked - recording.speed
         settled = [errors[(at >= low) & (at < high)] for low, high, target in plateaus if target]
         rms = max(float(np.sqrt(np.mean(part**2))) for part in settled)
@@ -204,8 +206,3 @@ class Verify(Step):
         session.picture(outcome, "verify", draw_verification, recording, at, asked)
         if rms > _ERROR_MAX * speed + _UNITS_MAX * session.velocity_rad_s or math.isnan(rms):
             raise StepFailed("the suggested controller does not hold the speed", outcome.lines[0])
-
-
-def suggestion(session: Session) -> dict[str, Any]:
-    """Limits for the files; without a drive that was set up there are none."""
-    return _suggested_limits(session) if session.configured else {}

@@ -11,7 +11,6 @@ from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.commissioning.command_probe import CommandProbe, switches
 from hil.commissioning.excitation import SpeedGuide, multisine
-from hil.commissioning.exercise import runs_of
 from hil.commissioning.frequency import FrequencyResponse, StepLag, frequency_response, lines_hz, step_lag
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.plots import draw_delays, draw_response
@@ -21,6 +20,7 @@ from hil.commissioning.session import Session
 from hil.commissioning.steps_mechanics import tells_torque
 from hil.configuration.network_file import DelayFigures, Network
 from hil.loop.scenario import Ramp
+from hil.reviewing.network_meter import runs_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -65,7 +65,6 @@ class Response(Step):
     )
     needs = ("mechanics",)
     moves = True
-    writes = True
 
     def left_out(self, session: Session) -> str | None:
         if session.torque_mode() is None:
@@ -159,7 +158,6 @@ class Delays(Step):
     limit = "more than 10 % of the readings are lost, or the torque does not follow"
     needs = ("motion_units",)
     moves = True
-    writes = True
 
     def plan(self, session: Session, /) -> str:
         if session.torque_mode() is None or not tells_torque(session):
@@ -197,7 +195,7 @@ class Delays(Step):
         probe.judge_commands(lag)
         findings.effect_delay_us, findings.torque_lag_us = lag.half_us, lag.lag_us
         lost, commands_lost = sum(probe.missing), probe.commands_lost
-        in_a_row = runs_of(probe.missing)
+        in_a_row = runs_of(np.array(probe.missing, dtype=bool))
         _keep_readings(session, outcome, readings, in_a_row, lost, probe.cycles, lag.half_us, commands_lost)
         outcome.measured("delay of a command", lag.half_us, "us")
         outcome.say(

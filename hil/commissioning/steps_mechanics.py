@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,18 +13,13 @@ from drivers.cia402.profile import Mode
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S
 from hil.commissioning.excitation import SpeedGuide
-from hil.commissioning.exercise import Exerciser, Recording, motions
-from hil.commissioning.identify import (
-    COVERAGE_FACTOR,
-    Mechanics,
-    NotIdentifiable,
-    identify_mechanics,
-)
+from hil.commissioning.exercise import Exerciser, Recording
+from hil.commissioning.identify import COVERAGE_FACTOR, Mechanics, NotIdentifiable, identify_mechanics
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.plots import draw_angle, draw_mechanics
 from hil.commissioning.ripple import torque_by_angle
 from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session, held_s
+from hil.commissioning.session import Session
 from hil.loop.scenario import LevelStep, Quantity, Ramp, Segment
 
 _SPEED_SHARE: Final = 0.9
@@ -52,6 +47,8 @@ _UNCERTAIN: Final = 0.05
 _COMMANDED: Final = 0.05
 """Relative standard uncertainty of a torque that is only commanded: a drive turns it into a current by a
 torque constant that it does not measure; magnets lose 0.1 to 0.2 % per kelvin, and are rated to 5 or 10 %."""
+_FRAMES_TO_ACT: Final = 5.8
+"""From a SYNC until the torque of its cycle acts, in frames of a command, as long as it was not measured."""
 _SLOW_START_RPM: Final = 20.0
 """A top speed below shows little but friction at the start."""
 
@@ -67,7 +64,6 @@ class MechanicsStep(Step):
     )
     needs = ("motion_units",)
     moves = True
-    writes = True
 
     def left_out(self, session: Session) -> str | None:
         if session.torque_mode() is None and not tells_torque(session):
@@ -87,19 +83,15 @@ class MechanicsStep(Step):
         if session.torque_mode() is not None:
             recordings += _coasts(session, speed)
         refuse_losses(sum(each.lost for each in recordings), sum(each.cycles for each in recordings))
-        try:
-            window_s = max(_WINDOW_S, _WINDOW_PERIODS * session.found.period / NS_PER_S)
-            mechanics = session.meanwhile(
-                identify_mechanics,
-                motions(recordings),
-                window_s,
-                _SLOWEST * speed,
-                held_s=held_s(session),
-                with_shift=True,
-                torque_unit_nm=session.rated_torque_nm / 1000.0,
-            )
-        except NotIdentifiable as error:
-            raise StepFailed("inertia and friction cannot be told from this motion", str(error)) from error
+        mechanics = identified(
+            session,
+            recordings,
+            max(_WINDOW_S, _WINDOW_PERIODS * session.found.period / NS_PER_S),
+            "inertia and friction cannot be told from this motion",
+            speed_min_rad_s=_SLOWEST * speed,
+            with_shift=True,
+            torque_unit_nm=session.rated_torque_nm / 1000.0,
+        )
         if session.torque_mode() is None and mechanics.inertia_kg_m2 < 0.0:
             mechanics = _turned_round(session, mechanics, outcome)
         if not tells_torque(session):
@@ -120,6 +112,27 @@ class MechanicsStep(Step):
                 f"a point of it is uncertain by {by_angle.error_nm:.2g} N m (k = 1)"
             )
             session.picture(outcome, "angle", draw_angle, by_angle)
+
+
+def identified(
+    session: Session, recordings: list[Recording], window_s: float, failure: str, **options: Any
+) -> Mechanics:
+    """By :func:`.identify_mechanics`, with ``options`` of it. Raises StepFailed, as ``failure``."""
+    records = [(each.time, each.position, each.torque) for each in recordings]
+    try:
+        return session.meanwhile(identify_mechanics, records, window_s, held_s=_held_s(session), **options)
+    except NotIdentifiable as error:
+        raise StepFailed(failure, str(error)) from error
+
+
+def _held_s(session: Session) -> float | None:
+    """How long after a SYNC the torque of the cycle acts; None where torque is not what is commanded."""
+    if session.torque_mode() is None:
+        return None
+    findings = session.found
+    if findings.reading_delay_us is not None and findings.effect_delay_us is not None:
+        return 1e-6 * (findings.reading_delay_us + findings.effect_delay_us)
+    return _FRAMES_TO_ACT * session.timing().command_latency / NS_PER_S
 
 
 def _speed_noise(recordings: list[Recording]) -> float:
@@ -246,7 +259,7 @@ def _by_command(session: Session, mechanics: Mechanics, outcome: StepOutcome) ->
         "the drive tells no torque (6077h, 6078h): the commanded one is taken, in units of 6076h, with "
         f"{100.0 * COVERAGE_FACTOR * _COMMANDED:g} % (k = 2) for what the drive makes of it"
     )
-    session.found.command_to_torque_s = (held_s(session) or 0.0) + mechanics.torque_shift_s
+    session.found.command_to_torque_s = (_held_s(session) or 0.0) + mechanics.torque_shift_s
 
     def wider(error: float, value: float) -> float:
         return math.hypot(error, COVERAGE_FACTOR * _COMMANDED * value)

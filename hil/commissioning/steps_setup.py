@@ -199,11 +199,11 @@ def _silence(session: Session, timeout_ms: int) -> tuple[float | None, State | N
             state = state_of(reading.statusword)
             if state is not State.OPERATION_ENABLED:
                 return (heard_at - last_at) / NS_PER_MS, state
-        told = network.emergencies_seen != emergencies
-        if told or session.clock_now - heard_at > _SILENT_PERIODS * period:
+        emergency = network.emergencies_seen != emergencies
+        if emergency or session.clock_now - heard_at > _SILENT_PERIODS * period:
             state = drive.control.read_state()
             if state is not State.OPERATION_ENABLED:
-                at = network.emergencies[-1].at if told else session.clock_now
+                at = network.emergencies[-1].at if emergency else session.clock_now
                 return (at - last_at) / NS_PER_MS, state
             emergencies, heard_at = network.emergencies_seen, session.clock_now
         network.send_sync()
@@ -228,7 +228,6 @@ class EnableAtZero(Step):
     title = "Enable at zero torque"
     limit = "the shaft turns by more than 0.01 turns"
     needs = ("watchdog",)
-    writes = True
     moves = True
     essential = True
 

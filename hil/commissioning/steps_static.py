@@ -14,19 +14,21 @@ from drivers.rotation import RAD_S_PER_RPM
 from drivers.sheets.identity import told_identity
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.commissioning.known_objects import differing, dump, missing
+from hil.commissioning.nameplate import compare_ratings, keeps_motor, read_motor, settle_winding
 from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.plate_check import compare_ratings
 from hil.commissioning.request import motion_limits
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
-from hil.commissioning.winding import keeps_motor, read_motor, settle_winding
 from hil.restoring.journal import Journal
 from hil.restoring.restore import head_of
 
 CONNECT_LIMIT_S = 5.0
+"""A drive that was just switched on boots in a second or two."""
 LISTEN_S = 0.5
 ROUND_TRIPS = 20
+"""Their median does not move where the host is busy for a moment."""
 _SHOWN = 40
+"""Of the settings that differ; parameters.txt holds them all."""
 _REMEDIES = {
     "torque": "6076h tells none: give rating.torque_nm in the nameplate (--motor)",
     "position": "608Fh, 6092h and 60A8h tell none: give encoder.counts_per_revolution, the position units in "

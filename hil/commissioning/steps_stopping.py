@@ -105,18 +105,18 @@ def _ramp(session: Session, index: Object) -> tuple[float | None, str]:
     if held and speed / (held * unit) <= _STOP_MAX_S:
         return speed / (held * unit), ""
     fault = f"{name} is {held}" + (f", {speed / (held * unit):.3g} s from the limit" if held else "")
-    wanted = max(1, math.ceil(speed / _STOP_S / unit))
-    if wanted > 0xFFFF_FFFF:
+    needed = max(1, math.ceil(speed / _STOP_S / unit))
+    if needed > 0xFFFF_FFFF:
         return (
             None,
-            f"{fault}, and the unit that it tells, {unit:.3g} rad/s^2, makes {wanted} of {_STOP_S:g} s",
+            f"{fault}, and the unit that it tells, {unit:.3g} rad/s^2, makes {needed} of {_STOP_S:g} s",
         )
-    notes = write_optional(session.objects, index, "I", wanted, "deceleration")
+    notes = write_optional(session.objects, index, "I", needed, "deceleration")
     if notes:
         return None, f"{fault}, and {'; '.join(notes)}"
     if index is Object.QUICK_STOP_DECELERATION:
-        session.found.quick_stop_rad_s2 = wanted * unit
-    return speed / (wanted * unit), ""
+        session.found.quick_stop_rad_s2 = needed * unit
+    return speed / (needed * unit), ""
 
 
 def _tell(session: Session, outcome: StepOutcome, time_s: float | None, option: QuickStopOption) -> None:
@@ -126,10 +126,10 @@ def _tell(session: Session, outcome: StepOutcome, time_s: float | None, option: 
         outcome.say(f"605Ah = {int(option)}; how long a stop takes the drive does not tell: it is measured")
         return
     raw = session.objects.read_if_there(Object.QUICK_STOP_DECELERATION, 0, "I")
-    told = "" if raw is None else f", 6085h = {raw} of {session.acceleration_rad_s2:.4g} rad/s^2"
+    held = "" if raw is None else f", 6085h = {raw} of {session.acceleration_rad_s2:.4g} rad/s^2"
     least = "; less than any motor takes, so the torque decides" if time_s < _SHORTEST_S else ""
     outcome.say(
-        f"605Ah = {int(option)}{told}: a stop from {rpm:.0f} r/min takes {1e3 * time_s:.0f} ms{least}"
+        f"605Ah = {int(option)}{held}: a stop from {rpm:.0f} r/min takes {1e3 * time_s:.0f} ms{least}"
     )
 
 
@@ -153,7 +153,6 @@ class StopProof(Step):
     name = "stop_proof"
     title = "A slow stop"
     needs = ("stop", "motion_units")
-    writes = True
     moves = True
     essential = True
 

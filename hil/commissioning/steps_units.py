@@ -12,17 +12,13 @@ from drivers.cia402.scaling import Scaling
 from drivers.cia402.unit_factors import likely_slip
 from drivers.timebase import NS_PER_S
 from hil.commissioning.excitation import Pulse
-from hil.commissioning.exercise import Exerciser, Recording, motions
-from hil.commissioning.identify import (
-    NotIdentifiable,
-    SpeedRatio,
-    identify_mechanics,
-    plain_ratio,
-    ratio_of,
-)
+from hil.commissioning.exercise import Exerciser, Recording
+from hil.commissioning.identify import SpeedRatio, plain_ratio, ratio_of
+from hil.commissioning.nameplate import nameplate_wins
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session, held_s, nameplate_wins
+from hil.commissioning.session import Session
+from hil.commissioning.steps_mechanics import identified
 from hil.commissioning.turn import can_home, hand_turn, index_turn
 from hil.loop.scenario import Quantity, Ramp, Segment
 
@@ -70,7 +66,6 @@ class Polarity(Step):
     title = "Direction and polarity"
     limit = "the shaft does not turn, or turns the same way for both signs"
     needs = ("enable",)
-    writes = True
     moves = True
     essential = True
 
@@ -106,13 +101,13 @@ class Polarity(Step):
         held = session.objects.read_if_there(Object.POLARITY, 0, "B")
         if held is None:
             return False
-        wanted = held ^ wrong
-        if write_optional(session.objects, Object.POLARITY, "B", wanted, "polarity"):
+        turned = held ^ wrong
+        if write_optional(session.objects, Object.POLARITY, "B", turned, "polarity"):
             return False
         session.configure()
         if _signs(session, StepOutcome()) == (1, 1):
-            outcome.faults[-1] += f"; 607Eh was {held:02X}h and is {wanted:02X}h now"
-            outcome.figures["polarity"] = wanted
+            outcome.faults[-1] += f"; 607Eh was {held:02X}h and is {turned:02X}h now"
+            outcome.figures["polarity"] = turned
             return True
         session.objects.write(Object.POLARITY, 0, "B", held)
         return False
@@ -202,7 +197,6 @@ class MotionUnits(Step):
     title = "Velocity against position"
     limit = "the velocity does not follow the position, or scatters by more than 10 % of it"
     needs = ("polarity",)
-    writes = True
     moves = True
     essential = True
 
@@ -238,18 +232,10 @@ class MotionUnits(Step):
             self._rough(session, recordings, outcome)
 
     def _rough(self, session: Session, recordings: list[Recording], outcome: StepOutcome) -> None:
-        try:
-            window_s = max(_ROUGH_WINDOW_S, _ROUGH_PERIODS * session.found.period / NS_PER_S)
-            session.found.rough = rough = session.meanwhile(
-                identify_mechanics,
-                motions(recordings),
-                window_s,
-                with_viscous=False,
-                with_offset=False,
-                held_s=held_s(session),
-            )
-        except NotIdentifiable as error:
-            raise StepFailed("the pulses tell nothing of the inertia", str(error)) from error
+        window_s = max(_ROUGH_WINDOW_S, _ROUGH_PERIODS * session.found.period / NS_PER_S)
+        failure = "the pulses tell nothing of the inertia"
+        rough = identified(session, recordings, window_s, failure, with_viscous=False, with_offset=False)
+        session.found.rough = rough
         if rough.inertia_kg_m2 <= 0.0:
             raise StepFailed("the pulses give no positive inertia", f"{rough.inertia_kg_m2:.3g} kg m^2")
         outcome.say(
@@ -265,7 +251,6 @@ class Turn(Step):
     title = "Encoder counts by a turn"
     limit = "no turn can be measured and nothing else tells it"
     needs = ("motion_units",)
-    writes = True
     moves = True
 
     def left_out(self, session: Session) -> str | None:

@@ -11,19 +11,20 @@ the other. Where the limit of speed comes first, K_e is below U_dc / (sqrt(3) om
 
 import itertools
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from drivers.cia402.objects402 import Object
 from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_S, Instant
+from drivers.timebase import NS_PER_S
 from hil.commissioning.exercise import Recording
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
 from hil.loop.axis_roles import Controller
 from hil.loop.context import Context, SetPoint, TorqueSetPoint
+from hil.loop.samples import StateEstimate
 
 TORQUE_PER_VOLTAGE: Final = 1.5 * math.sqrt(2.0)
 """N m per A rms over V s/rad, of three phases."""
@@ -121,7 +122,7 @@ class RunUp(Controller):
         self._speed = speed_rad_s
         self._slow = slow
         self._torque = 0.0
-        self._looks: list[_Look] = []
+        self._looks: list[StateEstimate] = []
         self._fast = False
         self.stalled = False
         """It was pushed on and gained no speed."""
@@ -132,32 +133,27 @@ class RunUp(Controller):
         estimate = context.estimate
         if estimate.sequence:
             self._fast = self._fast or abs(estimate.velocity_rad_s) >= self._speed
-            self._look(_Look(estimate.valid_at, estimate.position_rad))
+            self._look(estimate)
         return TorqueSetPoint(self._torque)
 
     def done(self) -> bool:
         """Nothing more is to be seen."""
         return self._fast or self.stalled
 
-    def _look(self, look: "_Look") -> None:
+    def _look(self, look: StateEstimate) -> None:
         looks = self._looks
-        if looks and (look.at - looks[-1].at) < _LOOK_S * NS_PER_S:
+        if looks and (look.valid_at - looks[-1].valid_at) < _LOOK_S * NS_PER_S:
             return
         looks.append(look)
         if len(looks) < 4 or self._torque < self._push_nm:
             return
         speeds = [
-            (after.position_rad - before.position_rad) / ((after.at - before.at) / NS_PER_S)
+            (after.position_rad - before.position_rad) / ((after.valid_at - before.valid_at) / NS_PER_S)
             for before, after in zip(looks[-4:-1], looks[-3:], strict=True)
         ]
         self.stalled = not self._fast and all(
             abs(after - before) < self._slow * _LOOK_S for before, after in itertools.pairwise(speeds)
         )
-
-
-class _Look(NamedTuple):
-    at: Instant
-    position_rad: float
 
 
 def _push_nm(session: Session) -> float:
@@ -182,17 +178,17 @@ def _path_rad(session: Session) -> float:
 
 def dc_link_v(session: Session) -> float:
     """Raises StepFailed for a voltage that cannot be."""
-    told = (session.objects.read_if_there(Object.DC_LINK_CIRCUIT_VOLTAGE) or 0) / 1000.0
+    link_v = (session.objects.read_if_there(Object.DC_LINK_CIRCUIT_VOLTAGE) or 0) / 1000.0
     printed = session.request.nameplate.rating.dc_bus_voltage_v
     low, high = _VOLTAGE_V if printed is None else (printed / _PLATE_RATIO, printed * _PLATE_RATIO)
-    if not low <= told <= high:
+    if not low <= link_v <= high:
         raise StepFailed(
-            f"6079h tells {told:g} V of DC link",
+            f"6079h tells {link_v:g} V of DC link",
             f"{'a motor needs' if printed is None else f'the nameplate says {printed:g} V; within'} "
             f"{low:.4g} to {high:.4g} V",
             "measure the DC link: 6079h is in mV, or the nameplate's dc_bus_voltage_v is wrong",
         )
-    return told
+    return link_v
 
 
 def _ending_rad_s(recording: Recording, window_s: float) -> float:

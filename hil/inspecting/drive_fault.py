@@ -12,9 +12,11 @@ from drivers.cia402.state_control import FAULTY
 from drivers.timebase import NS_PER_S, Duration
 
 _CONNECT_NS = Duration(2 * NS_PER_S)
+"""Somebody waits at the terminal, and a drive that is on answers at once."""
 _RESET_NS = Duration(2 * NS_PER_S)
 _LISTEN_NS = Duration(NS_PER_S // 10)
 _HISTORY_MAX = 16
+"""1003h has up to 254 entries, the newest first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,13 +51,13 @@ class DriveDiagnosis:
 
     def lines(self) -> list[str]:
         """For the terminal."""
-        told = [f"node {self.node}: {self.device}", f"state: {self.state}"]
+        lines = [f"node {self.node}: {self.device}", f"state: {self.state}"]
         if self.error_code is not None:
-            told.append(f"error code {self.error_code:04X}h: {self.error}")
+            lines.append(f"error code {self.error_code:04X}h: {self.error}")
         if self.register is not None:
-            told.append(f"error register {self.register:02X}h: {register_text(self.register)}")
-        told += [f"before: {entry:08X}h: {text}" for entry, text in self.history]
-        return told
+            lines.append(f"error register {self.register:02X}h: {register_text(self.register)}")
+        lines += [f"before: {entry:08X}h: {text}" for entry, text in self.history]
+        return [*lines, "the fault was reset"] if self.was_reset else lines
 
 
 def look_at_fault(network: CanopenNetwork, node: int, reset: bool) -> DriveDiagnosis:

@@ -91,13 +91,8 @@ def find_adapters() -> Adapters:
     """Look at this machine; no adapter is opened and nothing is sent."""
     from hil.machine.doctor_bus import detected_adapters
 
-    return Adapters(
-        tuple(can_links()), tuple(serial_adapters()), tuple(detected_adapters()), tuple(_running_hubs())
-    )
-
-
-def _running_hubs() -> list[str]:
-    return [name for name in known_hubs() if HubPlace(name).serving]
+    hubs = tuple(name for name in known_hubs() if HubPlace(name).serving)
+    return Adapters(tuple(can_links()), tuple(serial_adapters()), tuple(detected_adapters()), hubs)
 
 
 class OpenedBus(NamedTuple):
@@ -182,26 +177,26 @@ def _look_for_unconfigured(
 
 def open_to_look(plan: ScanPlan, say: Callable[[str], None]) -> OpenedBus:
     """The bus of ``plan``, its bit rate found out where it can be heard. Raises as :func:`scan_bus` does."""
-    spec, wanted = plan.spec, plan.bitrate_bit_s
+    spec, bitrate = plan.spec, plan.bitrate_bit_s
     if spec.simulated:
         raise BadInput("--bus", "", str(spec), "a bus that other processes can join", "use hub:NAME")
     if spec.interface == HUB:
         try:
-            bus = HubBus(spec.channel, bitrate=wanted)
+            bus = HubBus(spec.channel, bitrate=bitrate)
         except can.CanError as error:
             raise BusDown(f"cannot join {spec}", str(error), "leave --bitrate out") from error
-        return OpenedBus(OpenBus(bus, StampSource.MONOTONIC, str(spec)), bus.bitrate_bit_s, wanted is None)
+        return OpenedBus(OpenBus(bus, StampSource.MONOTONIC, str(spec)), bus.bitrate_bit_s, bitrate is None)
     if spec.interface == SOCKETCAN:
         rates = [link.bitrate_bit_s for link in can_links() if link.spec == str(spec)]
         rate = rates[0] if rates else None
-        return OpenedBus(open_bus(spec, wanted or rate or 1_000_000), rate, False)
-    detected = wanted is None
-    if wanted is None:
-        wanted = _detect(spec, say)
+        return OpenedBus(open_bus(spec, bitrate or rate or 1_000_000), rate, False)
+    detected = bitrate is None
+    if bitrate is None:
+        bitrate = _detect(spec, say)
     if plan.passive and can_listen_only(spec):
-        bus_that_listens = open_listening(spec, wanted)
-        return OpenedBus(OpenBus(bus_that_listens, StampSource.RECEIPT, str(spec)), wanted, detected)
-    return OpenedBus(open_bus(spec, wanted), wanted, detected)
+        bus_that_listens = open_listening(spec, bitrate)
+        return OpenedBus(OpenBus(bus_that_listens, StampSource.RECEIPT, str(spec)), bitrate, detected)
+    return OpenedBus(open_bus(spec, bitrate), bitrate, detected)
 
 
 def _detect(spec: BusSpec, say: Callable[[str], None]) -> int:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from typing import NamedTuple
 
 
 class CapabilityStatus(StrEnum):
@@ -15,6 +16,15 @@ class CapabilityStatus(StrEnum):
     LACK = "lack"
 
 
+class Look(NamedTuple):
+    """What one check found."""
+
+    detail: str
+    """In a few words."""
+    remedy: str = ""
+    """The command that mends a lack, or what to do instead; empty if nothing is lacking."""
+
+
 @dataclass(frozen=True, slots=True)
 class Capability:
     """One thing that the machine can or cannot do."""
@@ -22,11 +32,9 @@ class Capability:
     name: str
     status: CapabilityStatus
     detail: str
-    """What was found, in a few words."""
     needed_for: str
     """What of the bench depends on it."""
     remedy: str = ""
-    """The command that mends a lack, or what to do instead; empty if there is none to mend."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,13 +84,3 @@ class Machine:
 def _soft_limits() -> dict[int, int]:
     kinds = (resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK)
     return {kind: resource.getrlimit(kind)[0] for kind in kinds}
-
-
-def capable(name: str, detail: str, needed_for: str) -> Capability:
-    """The machine can do it."""
-    return Capability(name, CapabilityStatus.OK, detail, needed_for)
-
-
-def lacking(name: str, detail: str, needed_for: str, remedy: str) -> Capability:
-    """The machine cannot, and ``remedy`` mends it."""
-    return Capability(name, CapabilityStatus.LACK, detail, needed_for, remedy)

@@ -8,7 +8,7 @@ import can
 from serial.tools import list_ports
 
 from drivers.wire.adapters import link_up_command, socketcan_links
-from hil.machine.capability import Capability, Machine, capable, lacking
+from hil.machine.capability import Look, Machine
 
 CAP_NET_ADMIN = 12
 
@@ -23,15 +23,14 @@ NOT_HARDWARE = frozenset(
 INSTEAD = "use --bus hub:NAME, which needs no SocketCAN"
 
 
-def socketcan(machine: Machine) -> Capability:
+def socketcan(machine: Machine) -> Look:
     """Whether the kernel gives CAN sockets."""
-    name, needed_for = "SocketCAN", "--bus socketcan:..."
     if kernel_has_can():
-        return capable(name, f"kernel {machine.release}", needed_for)
+        return Look(f"kernel {machine.release}")
     if _module_exists(machine, "can-raw"):
-        return lacking(name, "built as a module, not loaded", needed_for, "sudo modprobe can-raw")
+        return Look("built as a module, not loaded", "sudo modprobe can-raw")
     detail = f"kernel {machine.release} has none"
-    return lacking(name, detail, needed_for, f"{INSTEAD}, or .ci/uml/run -- COMMAND")
+    return Look(detail, f"{INSTEAD}, or .ci/uml/run -- COMMAND")
 
 
 def kernel_has_can() -> bool:
@@ -43,43 +42,39 @@ def kernel_has_can() -> bool:
     return True
 
 
-def vcan_module(machine: Machine) -> Capability:
+def vcan_module(machine: Machine) -> Look:
     """Whether the kernel can make virtual CAN interfaces."""
-    name, needed_for = "vcan driver", "--bus socketcan:vcan0"
     if machine.path("sys", "module", "vcan").exists():
-        return capable(name, "loaded", needed_for)
+        return Look("loaded")
     if _module_exists(machine, "vcan"):
-        return lacking(name, "there, not loaded", needed_for, "sudo modprobe vcan")
-    return lacking(name, "this kernel has none", needed_for, INSTEAD)
+        return Look("there, not loaded", "sudo modprobe vcan")
+    return Look("this kernel has none", INSTEAD)
 
 
-def vcan_interface(machine: Machine) -> Capability:
+def vcan_interface(machine: Machine) -> Look:
     """Whether vcan0 is there and up."""
-    name, needed_for = "vcan0", "--bus socketcan:vcan0"
     interfaces = can_interfaces(machine)
     if interfaces.get("vcan0"):
-        return capable(name, "up", needed_for)
+        return Look("up")
     if "vcan0" in interfaces:
-        return lacking(name, "down", needed_for, "sudo ip link set vcan0 up")
+        return Look("down", "sudo ip link set vcan0 up")
     if not _has_vcan(machine):
-        return lacking(name, "this kernel cannot make it", needed_for, INSTEAD)
+        return Look("this kernel cannot make it", INSTEAD)
     make = "sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 up"
-    return lacking(name, "not there", needed_for, make)
+    return Look("not there", make)
 
 
-def real_interfaces(machine: Machine) -> Capability:
+def real_interfaces(machine: Machine) -> Look:
     """The CAN interfaces of the kernel that are not virtual."""
-    name, needed_for = "CAN interfaces", "--bus socketcan:can0"
     interfaces = {
         key: up for key, up in can_interfaces(machine).items() if not key.startswith(("vcan", "vxcan"))
     }
     down = [key for key, up in interfaces.items() if not up]
     if down:
-        remedy = f"sudo {link_up_command(down[0])}"
-        return lacking(name, f"{', '.join(down)} down", needed_for, remedy)
+        return Look(f"{', '.join(down)} down", f"sudo {link_up_command(down[0])}")
     if interfaces:
-        return capable(name, f"{', '.join(interfaces)} up", needed_for)
-    return lacking(name, "none", needed_for, "plug in an adapter that the kernel drives (lsusb, dmesg)")
+        return Look(f"{', '.join(interfaces)} up")
+    return Look("none", "plug in an adapter that the kernel drives (lsusb, dmesg)")
 
 
 def can_interfaces(machine: Machine) -> dict[str, bool]:
@@ -88,22 +83,19 @@ def can_interfaces(machine: Machine) -> dict[str, bool]:
     return {link.spec.removeprefix("socketcan:"): link.usable for link in links}
 
 
-def net_admin(machine: Machine) -> Capability:
+def net_admin(machine: Machine) -> Look:
     """Whether this process may make and set CAN interfaces; using one needs no privilege."""
-    name, needed_for = "CAP_NET_ADMIN", "making and setting CAN interfaces"
     if machine.has_privilege(CAP_NET_ADMIN):
-        return capable(name, "granted", needed_for)
-    return lacking(name, "not granted", needed_for, "put sudo before the ip link commands")
+        return Look("granted")
+    return Look("not granted", "put sudo before the ip link commands")
 
 
-def adapters(_machine: Machine) -> Capability:
+def adapters(_machine: Machine) -> Look:
     """The adapters that python-can finds by itself, through the vendors' libraries."""
-    name, needed_for = "python-can adapters", "--bus pcan:..., kvaser:..., gs_usb:..., ..."
     detected = detected_adapters()
     if detected:
-        return capable(name, ", ".join(detected), needed_for)
-    remedy = "plug in the adapter and install its vendor's library, then hil doctor again"
-    return lacking(name, "none found", needed_for, remedy)
+        return Look(", ".join(detected))
+    return Look("none found", "plug in the adapter and install its vendor's library, then hil doctor again")
 
 
 def detected_adapters() -> list[str]:
@@ -118,27 +110,25 @@ def detected_adapters() -> list[str]:
     return [f"{config['interface']}:{config['channel']}" for config in configs]
 
 
-def serial_ports(_machine: Machine) -> Capability:
+def serial_ports(_machine: Machine) -> Look:
     """The serial ports with something behind them, for slcan adapters and load machines."""
-    name, needed_for = "serial ports", "--bus slcan:/dev/..."
     ports = sorted(port.device for port in list_ports.comports() if port.vid is not None)
     closed = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
     if closed:
-        remedy = 'sudo usermod -aG dialout "$USER", then log in again'
-        return lacking(name, f"no permission for {', '.join(closed)}", needed_for, remedy)
+        return Look(
+            f"no permission for {', '.join(closed)}", 'sudo usermod -aG dialout "$USER", then log in again'
+        )
     if ports:
-        return capable(name, ", ".join(ports), needed_for)
-    return lacking(name, "no USB serial adapter", needed_for, "plug in the adapter")
+        return Look(", ".join(ports))
+    return Look("no USB serial adapter", "plug in the adapter")
 
 
-def user_mode_linux(machine: Machine) -> Capability:
+def user_mode_linux(machine: Machine) -> Look:
     """Whether a kernel with SocketCAN can be started as a process, for the tests."""
-    name, needed_for = "User Mode Linux", "make test-vcan where the kernel has no SocketCAN"
     kernel = machine.program("linux.uml")
     if kernel is not None:
-        return capable(name, str(kernel), needed_for)
-    remedy = "sudo apt-get install user-mode-linux kmod iproute2 gcc libc6-dev"
-    return lacking(name, "not installed", needed_for, remedy)
+        return Look(str(kernel))
+    return Look("not installed", "sudo apt-get install user-mode-linux kmod iproute2 gcc libc6-dev")
 
 
 def _has_vcan(machine: Machine) -> bool:
@@ -149,15 +139,3 @@ def _module_exists(machine: Machine, module: str) -> bool:
     folder = ("lib", "modules", machine.release)
     listed = machine.text(*folder, "modules.dep") + machine.text(*folder, "modules.builtin")
     return f"/{module}.ko" in listed
-
-
-CHECKS = (
-    socketcan,
-    vcan_module,
-    vcan_interface,
-    real_interfaces,
-    net_admin,
-    adapters,
-    serial_ports,
-    user_mode_linux,
-)

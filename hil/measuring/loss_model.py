@@ -20,6 +20,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from hil.measuring.bounds import Interval, clopper_pearson
+from hil.reviewing.network_meter import runs_of
 
 CAME: Final = 0
 LOST: Final = 1
@@ -99,16 +100,11 @@ class Losses:
     why_none: str = ""
     """Why there is no model."""
 
-    @property
-    def rate(self) -> float | None:
-        """Share of the known that was lost."""
-        return self.lost / self.known if self.known else None
-
 
 def losses_of(outcomes: Outcomes) -> Losses:
     """Counts, rate and model of a sequence."""
     known, lost = int((outcomes != UNKNOWN).sum()), int((outcomes == LOST).sum())
-    runs = runs_of(outcomes)
+    runs = runs_of(outcomes == LOST)
     if not known:
         return Losses(0, 0, runs, None, None, "not measured")
     count = sum(runs)
@@ -121,18 +117,11 @@ def losses_of(outcomes: Outcomes) -> Losses:
     return Losses(known, lost, runs, clopper_pearson(lost, known, inflation), model)
 
 
-def runs_of(outcomes: Outcomes) -> tuple[int, ...]:
-    """How often exactly 1, 2, ... were lost in a row; an unknown fate ends a run."""
-    edges = np.diff(np.concatenate([[0], (outcomes == LOST).astype(np.int8), [0]]))
-    lengths = np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)
-    return tuple(np.bincount(lengths)[1:].tolist()) if lengths.size else ()
-
-
 def fit(outcomes: Outcomes) -> LossModel:
     """The likeliest model; ``outcomes`` with at least one loss and one frame that came."""
     known, lost = int((outcomes != UNKNOWN).sum()), int((outcomes == LOST).sum())
     rate = lost / known
-    runs = _Runs(outcomes)
+    runs = Runs(outcomes)
     best = LossModel(True, Parameters(0.0, 1.0, 1.0, rate), {"probability": clopper_pearson(lost, known)})
     penalty = np.log(known)
     least = -2.0 * (lost * np.log(rate) + (known - lost) * np.log1p(-rate)) + penalty
@@ -148,12 +137,7 @@ def fit(outcomes: Outcomes) -> LossModel:
     return best
 
 
-def log_likelihood(outcomes: Outcomes, parameters: Parameters) -> float:
-    """Logarithm of the probability of the sequence, of a chain that has been going for long."""
-    return _Runs(outcomes).log_likelihood(parameters)
-
-
-class _Runs:
+class Runs:
     """A sequence as stretches of equal outcomes: a likelihood costs as much as there are stretches."""
 
     def __init__(self, outcomes: Outcomes) -> None:
@@ -224,7 +208,7 @@ def _markov_chain(outcomes: Outcomes) -> Parameters:
 
 
 def _likeliest(
-    runs: _Runs, start: Parameters, free: int
+    runs: Runs, start: Parameters, free: int
 ) -> tuple[Parameters, dict[str, Interval], float] | None:
     """The first ``free`` parameters of the largest likelihood, their intervals, and the likelihood's
     logarithm; None where the data leave one of them open.

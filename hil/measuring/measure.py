@@ -29,14 +29,11 @@ from hil.machine.progress import Progress
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.measuring import stages
-from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive
+from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive, network_of
 from hil.measuring.loss_model import Outcomes, losses_of
-from hil.measuring.network import network_of
 from hil.measuring.probe import TimedDemandChange, acting
-from hil.measuring.request import MeasureRequest
-from hil.measuring.subject import Subject, affordable, timing_of
-from hil.restoring.journal import Journal
-from hil.restoring.journaled import JournaledNetwork
+from hil.measuring.subject import MeasureRequest, Subject, affordable, timing_of
+from hil.restoring.journal import Journal, JournaledNetwork
 from hil.restoring.restore import head_of, restore
 from hil.rows.records import Rows
 from virtual_bus.drive.servo import SimulatedServo
@@ -52,8 +49,7 @@ Say = Callable[[str], None]
 def run_measurement(request: MeasureRequest, say: Say, progress: Progress) -> Measured:
     """Measure on the bus of the request; the drives of a simulated one are made here.
 
-    Raises BadInput for a request that does not fit the bus, otherwise as
-    :func:`measure`.
+    Raises BadInput for a request that does not fit the bus, otherwise as :meth:`Measurement.to_the_end`.
     """
     spec = parse_bus_spec(request.bus, "--bus")
     if request.motor is not None and not spec.simulated:
@@ -71,22 +67,10 @@ def run_measurement(request: MeasureRequest, say: Say, progress: Progress) -> Me
     ):
         for wish in refused:
             say(f"not granted by the kernel: {wish}")
-        return measure(request, world, stop, folder, say, progress)
+        return Measurement(request, world, stop, folder, say, progress).to_the_end()
 
 
-def measure(
-    request: MeasureRequest, world: World, stop: StopRequest, folder: Path, say: Say, progress: Progress
-) -> Measured:
-    """Measure. Whatever happens, the drives are brought to rest and put back before this returns.
-
-    ``folder``: for the journals, which are gone once all is put back; ``say``: takes what a user should know.
-    Raises BadInput for what the drives cannot do, PeerFault if bus or drives failed or are not as they
-    were, Interrupted for an end before the first cycle.
-    """
-    return _Measurement(request, world, stop, folder, say, progress).to_the_end()
-
-
-class _Measurement:
+class Measurement:
     """One of them, in its world."""
 
     def __init__(
@@ -98,6 +82,7 @@ class _Measurement:
         say: Say,
         progress: Progress,
     ) -> None:
+        """``folder``: of the journals, which are gone once all is put back; ``say``: tells the user."""
         self._request = request
         self._world = world
         self._stop = stop
@@ -114,6 +99,11 @@ class _Measurement:
         self._timing = timing_of(request)
 
     def to_the_end(self) -> Measured:
+        """Measure. Whatever happens, the drives are brought to rest and put back before this returns.
+
+        Raises BadInput for what the drives cannot do, PeerFault if bus or drives failed or are not as they
+        were, Interrupted for an end before the first cycle.
+        """
         try:
             outcome, syncs = self._run()
         except BaseException:
@@ -268,10 +258,8 @@ class _Measurement:
         return MeasuredDrive(
             node=subject.drive.node_id,
             identity=subject.identity,
-            speed_cob_id=speed.cob_id,
-            speed_bytes=speed.bits // 8,
-            command_cob_id=command.cob_id,
-            command_bytes=command.bits // 8,
+            speed=speed,
+            command=command,
             stages=[
                 *stages.reading_stages(rows, probe.to_user_code_ns),
                 *stages.command_stages(rows, probe.sent, changes, probe.computation_ns, echoes, why_not),

@@ -97,7 +97,7 @@ def acting(sent: Sequence[SentCommand], changes: Sequence[TimedDemandChange]) ->
     """By cycle: when its command began to act.
 
     A change belongs to the newest command of its value that was on its way then. Values come again only
-    after many cycles, see :class:`hil.measuring.excitation.Excitation`; a command late by as many is
+    after many cycles, see :class:`hil.measuring.subject.Excitation`; a command late by as many is
     taken for the later one. A value told twice for one command counts the first time.
     """
     by_value: dict[int, list[SentCommand]] = {}

@@ -165,8 +165,8 @@ def ways(rows: Rows, echoes: EchoBasis, *, acting: bool) -> dict[str, Outcomes]:
     sent, there = rows["command_handed_at"] != NOTHING, rows["command_on_bus_at"] != NOTHING
     reading = _outcomes(rows["fate"] != _MISSED, rows["fate"] == _LOST)
     fate = rows["command_fate"]
-    told = (fate == _ACTING) | (fate == _COMMAND_LOST)
-    command = _outcomes(told & acting, fate == _COMMAND_LOST)
+    identified = (fate == _ACTING) | (fate == _COMMAND_LOST)
+    command = _outcomes(identified & acting, fate == _COMMAND_LOST)
     behind, of_reading = command.copy(), reading.copy()
     if echoed:
         behind[~there] = UNKNOWN
@@ -178,7 +178,7 @@ def ways(rows: Rows, echoes: EchoBasis, *, acting: bool) -> dict[str, Outcomes]:
         "command_before_bus": _outcomes(sent & echoed, ~there),
         "command_behind_bus": behind,
         "readings": reading,
-        "commands": command if acting else _outcomes(np.zeros(rows.size, bool), told),
+        "commands": command if acting else _outcomes(np.zeros(rows.size, bool), identified),
     }
 
 

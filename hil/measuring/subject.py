@@ -1,12 +1,18 @@
-"""One drive under measurement: how it is set up, and its axis in the loop."""
+"""One drive under measurement: how it is set up, the torques that it is given, and its axis in the loop.
+
+Torques are small and alternate in sign; every command can be told from its neighbours.
+"""
 
 import math
+import random
+from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from design.motor import PmsmParameters
 from drivers.canopen.objects import SettingRefused
 from drivers.canopen.pdo import PdoPlan
 from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, budget_of
@@ -18,12 +24,15 @@ from drivers.cia402.profile import CONTROLWORDS, DriveCommand, Mode
 from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import BadInput, TransferAborted
+from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, Duration
 from hil.execution.assembly import command_duration, shortest_transit
 from hil.execution.segments import timing_without_bench
 from hil.loop.axis import Axis, AxisParts
+from hil.loop.axis_roles import Controller
 from hil.loop.clock_map import ClockMap
 from hil.loop.command_meter import CommandMeter
+from hil.loop.context import Context, SetPoint, TorqueSetPoint
 from hil.loop.delay import DelayMeter
 from hil.loop.loop import LoopTiming
 from hil.loop.order_attribution import OrderAttribution
@@ -32,10 +41,9 @@ from hil.loop.samples import CycleRecord
 from hil.loop.scenario import Quantity, ReferenceProfile
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
-from hil.measuring.excitation import Excitation, steps_of
 from hil.measuring.probe import ProbedDrive
-from hil.measuring.request import MeasureRequest
 from hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
+from virtual_bus.hosting.injection import Faults
 
 HORIZON: Final = 50
 """Cycles after which a reading or a command is lost: more than the 20 of a bench, so that a slow gateway is
@@ -54,6 +62,38 @@ POSITION_EVERY: Final = (1, 4, 10)
 """With how many SYNCs position and torque demand travel: the first that the bus bears. Of an enabled drive
 the demand is wanted with every one, or a lost command would be seen less often than one that acts."""
 _MODE: Final = Mode.CYCLIC_SYNCHRONOUS_TORQUE
+TORQUE_SHARE: Final = 0.03
+"""Of the rated torque: thirty steps of 6071h, hardly more than the friction of most motors."""
+STEPS_MIN: Final = 8
+"""Distinct magnitudes: with fewer, commands that are four cycles apart may be equal."""
+CALM_SHARE: Final = 0.25
+"""Of the speed limit: beyond it torques only brake, instead of changing their sign."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureRequest:
+    """A checked command line."""
+
+    bus: str
+    nodes: tuple[int, ...]
+    cycles: int
+    period_us: int
+    bitrate_bit_s: int
+    enable: bool
+    """Enable the drives and have them follow small torques."""
+    speed_max_rad_s: float
+    """An enabled drive that turns faster is stopped."""
+    torque_max_nm: float | None = None
+    """Largest torque; None: :data:`TORQUE_SHARE` of the rated one."""
+    motor: PmsmParameters | None = None
+    """Of the drives of a simulated bus."""
+    faults: Faults | None = None
+    seed: int = 0
+
+    @property
+    def period(self) -> Duration:
+        """Between two SYNCs."""
+        return Duration(self.period_us * NS_PER_US)
 
 
 def timing_of(request: MeasureRequest) -> LoopTiming:
@@ -76,6 +116,63 @@ def affordable(request: MeasureRequest) -> tuple[bool, int]:
     shortest_us = -(-budget.busy_ns * 100.0 // (LOAD_LIMIT_PERCENT * NS_PER_US))
     expected = f"at least {shortest_us:.0f}, so that the PDOs take {LOAD_LIMIT_PERCENT:g} % of the bus"
     raise BadInput("--period-us", "", request.period_us, expected, "or fewer nodes at a time")
+
+
+def steps_of(torque_max_nm: float | None, rated_torque_nm: float) -> int:
+    """How many steps of 6071h, thousandths of the rated torque, a command may have.
+
+    Raises BadInput for a bound that leaves fewer than :data:`STEPS_MIN`, or is beyond the rated torque.
+    """
+    if torque_max_nm is None:
+        return round(1000.0 * TORQUE_SHARE)
+    unit_nm = rated_torque_nm / 1000.0
+    steps = int(torque_max_nm / unit_nm + 1e-9)
+    if not STEPS_MIN <= steps <= 1000:
+        raise BadInput(
+            "--torque-max-nm",
+            "",
+            torque_max_nm,
+            f"from {STEPS_MIN * unit_nm:g} N m, {STEPS_MIN} steps of the drive's torque, to the rated"
+            f" {rated_torque_nm:g} N m",
+        )
+    return steps
+
+
+class Excitation(Controller):
+    """Torques of 1 to ``steps`` units, no magnitude twice within half as many cycles.
+
+    The sign alternates, so that the speed stays where it was; where it has wandered off by more than
+    :data:`CALM_SHARE` of its limit the torque brakes.
+    """
+
+    def __init__(self, steps: int, unit_nm: float, speed_max_rad_s: float, seed: int) -> None:
+        self._unit_nm = unit_nm
+        self._calm_rad_s = CALM_SHARE * speed_max_rad_s
+        self._random = random.Random(seed)
+        self._rested = list(range(1, steps + 1))
+        self._recent: deque[int] = deque()
+        self._kept_away = steps // 2
+        self._sign = 1.0
+        self._magnitude = 0
+        self._draw()
+
+    def output(self, context: Context) -> SetPoint:
+        """The torque of this cycle."""
+        sign, speed_rad_s = self._sign, context.estimate.velocity_rad_s
+        if abs(speed_rad_s) > self._calm_rad_s:
+            sign = -math.copysign(1.0, speed_rad_s)
+        return TorqueSetPoint(sign * self._magnitude * self._unit_nm)
+
+    def update(self, context: Context, command: Command) -> None:  # noqa: ARG002
+        """Draw the next."""
+        self._sign = -math.copysign(1.0, command.torque_nm)
+        self._draw()
+
+    def _draw(self) -> None:
+        self._magnitude = self._rested.pop(self._random.randrange(len(self._rested)))
+        self._recent.append(self._magnitude)
+        if len(self._recent) > self._kept_away:
+            self._rested.append(self._recent.popleft())
 
 
 class Subject:

@@ -7,6 +7,7 @@ changes, so that what the watch over the host rests on goes last. Then the NMT s
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -22,6 +23,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.restoring.journal import DriveMark, JournalContents, JournalHead, ObjectKey
 
 REST_LIMIT: Final = Duration(5 * NS_PER_S)
+"""A drive with a ramp of its own takes seconds."""
 _REST_COUNTS: Final = 3
 """Readings in a row without a change of position, 20 ms apart, that count as rest."""
 _BEATS_HEARD: Final = 2.5
@@ -172,9 +174,9 @@ def _put_back_pdos(objects: RemoteObjects, originals: dict[ObjectKey, bytes], re
             _put_back(network, node, key, own[key], result)
     for pdo in sorted(differing):
         key = ObjectKey(pdo, 1)
-        wanted = originals.get(key, alive.get(key))
-        if wanted is not None:
-            _put_back(network, node, key, wanted, result)
+        held = originals.get(key, alive.get(key))
+        if held is not None:
+            _put_back(network, node, key, held, result)
 
 
 def _put_back(network: CanopenNetwork, node: int, key: ObjectKey, value: bytes, result: Restoration) -> None:
@@ -185,10 +187,8 @@ def _put_back(network: CanopenNetwork, node: int, key: ObjectKey, value: bytes, 
 
 def _attempt(network: CanopenNetwork, node: int, key: ObjectKey, value: bytes) -> None:
     """Write; a refusal shows in the comparison at the end."""
-    try:
+    with suppress(TransferAborted):
         network.download(node, key.index, key.sub, value)
-    except TransferAborted:
-        return
 
 
 def _held(network: CanopenNetwork, node: int, key: ObjectKey) -> bytes | None:

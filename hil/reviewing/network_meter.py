@@ -116,6 +116,13 @@ class NetworkMeter:
         )
 
 
+def runs_of(lost: NDArray[np.bool_]) -> tuple[int, ...]:
+    """How often exactly 1, 2, ... were lost in a row."""
+    edges = np.diff(lost.astype(np.int8), prepend=0, append=0)
+    lengths = np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)
+    return tuple(np.bincount(lengths)[1:].tolist()) if lengths.size else ()
+
+
 def _count_runs(runs: NDArray[np.int64], still_open: list[int], axis: int, lost: NDArray[np.bool_]) -> None:
     """Take the runs of ``lost`` into ``runs``; what has not ended stays in ``still_open``, by axis."""
     if not lost.size:

@@ -109,11 +109,11 @@ def commission(
             heartbeat_timeout_ms=heartbeat_timeout_ms,
             unwatched=unwatched,
         )
-        from hil.commissioning.command import run_command
-        from hil.commissioning.rehearsal import Rehearsed
+        from hil.commissioning.commission import run_command
 
-        who = Rehearsed.asked_for(rehearse, rehearse_eds)
-        result, figures = run_command(request, yes=yes, rehearsed=who, plate_given=motor is not None)
+        result, figures = run_command(
+            request, yes=yes, rehearse=rehearse, rehearse_eds=rehearse_eds, plate_given=motor is not None
+        )
         put(figures, as_json, lambda _figures: None)
         raise typer.Exit(result)
 
@@ -129,7 +129,7 @@ def restore(
 ) -> None:
     """Put back every object that a commissioning or a measurement changed, after a crash or a lost bus."""
     with reported_errors():
-        from hil.commissioning.command import run_restore
+        from hil.commissioning.commission import run_restore
 
         outcome: dict[str, Any] = run_restore(bus, node, journal, bitrate)
         put(outcome, as_json, lambda _figures: say("\n".join(outcome["text"])))

@@ -1,12 +1,12 @@
 """``hil fault``: what a drive says of its faults, and their reset on the user's word."""
 
-import json
 from typing import Annotated
 
 import typer
 
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import BitrateOption, DriveBusOption, DriveNodeOption, JsonOption, flag
+from hil.terminal.output import put
 from hil.verdict.verdict import ExitStatus
 
 
@@ -32,12 +32,6 @@ def fault(
         if spec.simulated:
             raise BadInput("--bus", "", bus, "a bus with a drive on it", "use hub:NAME and `hil simulate`")
         with open_world(WorldPlan(spec, bitrate, False, None, 0), ()) as world:
-            told = look_at_fault(CanopenNetwork(world.link, world.clock), node, reset)
-        if as_json:
-            typer.echo(json.dumps(told.as_json()))
-        else:
-            for line in told.lines():
-                typer.echo(line)
-            if told.was_reset:
-                typer.echo("the fault was reset")
-        raise typer.Exit(ExitStatus.FAILED if told.in_fault else ExitStatus.PASSED)
+            diagnosis = look_at_fault(CanopenNetwork(world.link, world.clock), node, reset)
+        put(diagnosis.as_json(), as_json, lambda _figures: typer.echo("\n".join(diagnosis.lines())))
+        raise typer.Exit(ExitStatus.FAILED if diagnosis.in_fault else ExitStatus.PASSED)

@@ -26,7 +26,7 @@ from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
     from hil.measuring.figures import Measured
-    from hil.measuring.request import MeasureRequest
+    from hil.measuring.subject import MeasureRequest
 
 PICTURES = (".png", ".svg", ".pdf")
 CYCLES_MAX = 1_000_000
@@ -83,7 +83,7 @@ def measure(
     """
     with reported_errors():
         from drivers.rotation import RAD_S_PER_RPM
-        from hil.measuring.request import MeasureRequest
+        from hil.measuring.subject import MeasureRequest
         from hil.terminal.measure_report import print_measured
         from hil.terminal.node_list import drive_ids
 
@@ -136,7 +136,7 @@ def _write_files(
 ) -> None:
     """Write what is asked for. Raises BadInput for a file that cannot be written."""
     from hil.configuration.network_file import network_text
-    from hil.measuring.network import fault_plan_text
+    from hil.measuring.figures import fault_plan_text
     from hil.measuring.picture import draw_stages
 
     try:

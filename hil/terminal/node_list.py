@@ -7,6 +7,7 @@ from drivers.errors import MISSING, BadInput
 
 SERIAL_MAX = 0xFFFF_FFFF
 SERIAL_DIGITS_MAX = 12
+"""32 bits are ten digits, and as many with 0x."""
 
 
 def node_ids(texts: Sequence[str], option: str = "--node") -> list[int]:

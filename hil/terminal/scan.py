@@ -44,11 +44,11 @@ def scan(
 
         plan = None
         if bus is not None:
-            wanted = node_ids(assign, "--assign") if assign else []
-            if UNCONFIGURED in wanted:
+            nodes = node_ids(assign, "--assign") if assign else []
+            if UNCONFIGURED in nodes:
                 raise BadInput("--assign", "", UNCONFIGURED, "a node-ID 1..127")
             spec = parse_bus_spec(bus)
-            plan = ScanPlan(spec, bitrate, duration_s(listen), passive, tuple(wanted), store)
+            plan = ScanPlan(spec, bitrate, duration_s(listen), passive, tuple(nodes), store)
         elif assign or passive or bitrate is not None:
             raise BadInput("--bus", "", None, "the bus to look at")
         if plan is None:

@@ -30,7 +30,7 @@ def view(run: RunArgument) -> None:
 
 def missing_display() -> bool:
     """No window can be opened here."""
-    from hil.machine.capability import CapabilityStatus, Machine
+    from hil.machine.capability import Machine
     from hil.machine.doctor_machine import display
 
-    return display(Machine()).status is not CapabilityStatus.OK
+    return bool(display(Machine()).remedy)

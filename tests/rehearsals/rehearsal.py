@@ -97,7 +97,7 @@ def rehearsed(
     ]
     out = folder / "out"
     with (
-        mock.patch("hil.commissioning.command.rehearsed_drive", kept),
+        mock.patch("hil.commissioning.commission.rehearsed_drive", kept),
         mock.patch("hil.commissioning.commission.all_steps", few),
     ):
         done = CliRunner().invoke(app, [*asked, "--out", str(out), *options])

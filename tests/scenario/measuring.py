@@ -15,8 +15,8 @@ from hil.execution.world import World, WorldPlan, open_world
 from hil.machine.progress import Progress, no_progress
 from hil.machine.stopping import StopRequest
 from hil.measuring.figures import Measured
-from hil.measuring.measure import measure
-from hil.measuring.request import MeasureRequest
+from hil.measuring.measure import Measurement
+from hil.measuring.subject import MeasureRequest
 from tests.motors import LING
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
@@ -53,7 +53,10 @@ class Rig:
     ) -> Measured:
         """``wish``: what differs from REQUEST."""
         request = replace(REQUEST, nodes=tuple(servo.node_id for servo in self.servos), **wish)
-        return measure(request, self.world, stop or StopRequest(), self.folder, self.said.append, progress)
+        measurement = Measurement(
+            request, self.world, stop or StopRequest(), self.folder, self.said.append, progress
+        )
+        return measurement.to_the_end()
 
     def memory(self) -> dict[tuple[int, int, int], bytes]:
         """By node, index and sub-index: all that a master could have changed."""

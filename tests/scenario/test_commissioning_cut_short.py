@@ -22,9 +22,8 @@ from drivers.timebase import NS_PER_S, Instant
 from drivers.wire.adapters import parse_bus_spec
 from drivers.wire.frame_port import FramePort, WireFrame
 from drivers.wire.link import BusLink, StampSource
-from hil.commissioning.command import check_mark
-from hil.commissioning.commission import commission
-from hil.commissioning.dialog import EmergencyStop, Silent
+from hil.commissioning.commission import check_mark, commission
+from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.outcome import StepOutcome, StepVerdict
 from hil.commissioning.report import Commissioned
 from hil.commissioning.request import CommissionRequest, Nameplate
@@ -44,7 +43,7 @@ SEED = 9
 PERIOD_US = 5000
 CLOCK = 0x1013
 """Goes on by itself."""
-WRITING = [step.name for step in all_steps() if step.writes]
+WRITING = [step.name for step in all_steps() if step.writes or step.moves]
 FIRST_READING = ["bus", "identity", "dump", "units"]
 
 
@@ -166,7 +165,7 @@ class Rig:
                 for step in all_steps()
             ]
 
-        return commission(self.request, self.world, Silent(lambda _text: None), self.stop, steps=steps)
+        return commission(self.request, self.world, Dialog(lambda _text: None), self.stop, steps=steps)
 
     def restore(self) -> None:
         """What ``hil restore`` does, as a process of its own."""

@@ -19,7 +19,7 @@ import pytest
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
 from drivers.wire.adapters import open_bus, parse_bus_spec
 from hil.commissioning.commission import commission
-from hil.commissioning.dialog import Choice, EmergencyStop, Idle, Silent
+from hil.commissioning.dialog import Choice, Dialog, EmergencyStop, Idle
 from hil.commissioning.outcome import StepOutcome, StepVerdict
 from hil.commissioning.recording import SessionLog
 from hil.commissioning.report import Commissioned
@@ -28,7 +28,7 @@ from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
 from hil.execution.world import World, WorldPlan, open_world
-from hil.restoring.journaled import JournaledNetwork
+from hil.restoring.journal import JournaledNetwork
 from tests.commissioning import WrappedStep
 from tests.motors import LING
 from tests.scenario.processes import hub_name, in_background
@@ -109,7 +109,7 @@ class Halting(WrappedStep):
             self._begin("")
 
 
-class Slow(Silent):
+class Slow(Dialog):
     """Somebody who takes his time: at each prompt ``wait`` is called with what lets time pass. He gives up at
     the first step that fails."""
 
@@ -144,7 +144,7 @@ def commissioned(
     )  # fmt: skip
     with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, SEED), [servo]) as world:
         still = Standstill(world, servo, at_frame)
-        dialog = Silent(print) if wait is None else Slow(lambda idle: wait(world, still, idle))
+        dialog = Dialog(print) if wait is None else Slow(lambda idle: wait(world, still, idle))
 
         def steps() -> list[Step]:
             return [Halting(step, still.begin) for step in all_steps()]
@@ -284,7 +284,7 @@ def test_a_fit_that_takes_long_keeps_the_host_s_heartbeat(tmp_path: Path) -> Non
         network = JournaledNetwork(world.link, world.clock)
         log = SessionLog(tmp_path / "recording", world, bus, "a fit")
         session = Session(
-            CommissionRequest(bus, 1, tmp_path), world, network, Silent(print), EmergencyStop(), None, log
+            CommissionRequest(bus, 1, tmp_path), world, network, Dialog(print), EmergencyStop(), None, log
         )
         network.produce_heartbeat(Duration(10_000_000))
         assert session.meanwhile(fit, 10) == 10

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hil.commissioning.exercise import Recording, runs_of, smooth_speed
+from hil.commissioning.exercise import Recording, smooth_speed
 from hil.commissioning.frequency import frequency_response, lines_hz, step_lag
 from hil.commissioning.identify import (
     Mechanics,
@@ -21,6 +21,7 @@ from hil.commissioning.identify import (
 )
 from hil.commissioning.outcome import ReadingsLost, refuse_losses
 from hil.commissioning.ripple import torque_by_angle
+from hil.reviewing.network_meter import runs_of
 
 Array = NDArray[Any]
 J, B, T_C, T_0 = 8e-4, 2e-3, 0.05, 0.01
@@ -235,8 +236,9 @@ def test_the_smoothed_speed_of_a_ramp_is_exact() -> None:
 
 def test_runs_of_what_is_missing() -> None:
     gone = [True, False, True, True, False, False, True, True, False, True, True, True]
-    assert runs_of(gone) == (1, 2, 1)
-    assert runs_of([False, False]) == ()
+    assert runs_of(np.array(gone)) == (1, 2, 1)
+    assert runs_of(np.zeros(2, dtype=bool)) == ()
+    assert runs_of(np.zeros(0, dtype=bool)) == ()
 
 
 def test_a_frequency_response_is_exact_on_its_lines() -> None:

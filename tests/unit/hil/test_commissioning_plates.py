@@ -10,10 +10,10 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.scaling import FACTOR_OBJECTS, scaling_from
 from drivers.errors import PeerFault
 from hil.commissioning.findings import Findings
+from hil.commissioning.nameplate import confirm_pole_pairs, nameplate_wins
 from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.plate_check import confirm_pole_pairs
 from hil.commissioning.request import Nameplate
-from hil.commissioning.session import Session, nameplate_wins
+from hil.commissioning.session import Session
 from hil.commissioning.steps_static import _plausible
 
 

@@ -11,7 +11,7 @@ from typing import IO, Any, cast
 import pytest
 
 from drivers.errors import BusDown, LimitExceeded
-from hil.commissioning.dialog import Choice, EmergencyStop, Idle, Silent, Terminal
+from hil.commissioning.dialog import Choice, Dialog, EmergencyStop, Idle, Terminal
 from hil.commissioning.outcome import ReadingsLost, StepFailed, StepOutcome, StepRecord, StepVerdict
 from hil.commissioning.sequence import Abandoned, Step, run_sequence
 from hil.commissioning.session import Session
@@ -148,7 +148,7 @@ def test_quitting_leaves_the_rest_undone() -> None:
 
 
 def test_nobody_there_goes_on_after_a_failure_unless_it_is_essential() -> None:
-    silent = Silent(lambda _text: None)
+    silent = Dialog(lambda _text: None)
     records = play(silent, [Played("one", failures=9), Played("two", needs=("one",)), Played("three")])
     assert verdicts(records) == [StepVerdict.FAILED, StepVerdict.LEFT_OUT, StepVerdict.DONE]
     with pytest.raises(Abandoned, match="it went wrong"):
@@ -156,7 +156,7 @@ def test_nobody_there_goes_on_after_a_failure_unless_it_is_essential() -> None:
 
 
 def test_nobody_there_repeats_what_was_disturbed_but_not_what_was_judged() -> None:
-    silent = Silent(lambda _text: None)
+    silent = Dialog(lambda _text: None)
     disturbed, judged = Played("one", error=LimitExceeded("no reading")), Played("two", failures=9)
     blind = Played("three", error=ReadingsLost("14 of 80 readings were lost"))
     records = play(silent, [disturbed, judged, blind])
@@ -165,13 +165,13 @@ def test_nobody_there_repeats_what_was_disturbed_but_not_what_was_judged() -> No
 
 
 def test_what_a_drive_cannot_do_is_left_out_with_the_reason() -> None:
-    records = play(Silent(lambda _text: None), [Played("one", without="no torque mode")])
+    records = play(Dialog(lambda _text: None), [Played("one", without="no torque mode")])
     assert (records[0].verdict, records[0].reason) == (StepVerdict.LEFT_OUT, "no torque mode")
 
 
 def test_a_dry_run_tells_of_what_writes_and_of_what_rests_on_it() -> None:
     writer, follower, reader = Played("one", writes=True), Played("two", needs=("one",)), Played("three")
-    records = play(Silent(lambda _text: None), [writer, follower, reader], dry_run=True)
+    records = play(Dialog(lambda _text: None), [writer, follower, reader], dry_run=True)
     assert verdicts(records) == [StepVerdict.NOT_DONE, StepVerdict.NOT_DONE, StepVerdict.DONE]
     assert (writer.runs, follower.runs, reader.runs) == (0, 0, 1)
 
@@ -179,7 +179,7 @@ def test_a_dry_run_tells_of_what_writes_and_of_what_rests_on_it() -> None:
 @pytest.mark.parametrize("error", [BusDown("gone"), Interrupted("ended by SIGINT")])
 def test_a_lost_bus_and_a_stop_signal_end_it(error: Exception) -> None:
     with pytest.raises(type(error)):
-        play(Silent(lambda _text: None), [Played("one", error=error), Played("two")])
+        play(Dialog(lambda _text: None), [Played("one", error=error), Played("two")])
 
 
 # ---- the terminal -----------------------------------------------------------------------------------------

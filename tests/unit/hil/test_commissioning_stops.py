@@ -8,7 +8,7 @@ import pytest
 from drivers.cia402.objects402 import Object
 from drivers.wire.adapters import parse_bus_spec
 from hil.commissioning.commission import commission
-from hil.commissioning.dialog import EmergencyStop, Silent
+from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.outcome import StepRecord
 from hil.commissioning.report import Commissioned
 from hil.commissioning.request import CommissionRequest, Nameplate
@@ -85,7 +85,7 @@ def tried(folder: Path, *traits: Trait) -> tuple[Commissioned, Standstill]:
             last = names.index("stop_proof") + 1
             return [Halting(step, watching.begin) for step in all_steps()[:last]]
 
-        return commission(request, world, Silent(print), EmergencyStop(), steps=steps), watching
+        return commission(request, world, Dialog(print), EmergencyStop(), steps=steps), watching
 
 
 def record(result: Commissioned, name: str) -> StepRecord:

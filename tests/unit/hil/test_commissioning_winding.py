@@ -8,11 +8,10 @@ import pytest
 from drivers.cia402.told_motor import ToldFigure, ToldMotor
 from hil.commissioning.files import _by_word
 from hil.commissioning.findings import Findings
+from hil.commissioning.nameplate import compare_constant, compare_ratings, rated_current, settle_winding
 from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.plate_check import compare_ratings, rated_current
 from hil.commissioning.request import Nameplate
 from hil.commissioning.session import Session
-from hil.commissioning.winding import compare_constant, settle_winding
 
 PLATE = {
     "motor": {"resistance_ohm": 0.5, "inductance_d_h": 1e-3, "inductance_q_h": 1e-3, "pole_pairs": 5},

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.wire.adapters import parse_bus_spec
 from hil.commissioning.commission import commission
-from hil.commissioning.dialog import EmergencyStop, Silent
+from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.steps import all_steps
 from hil.execution.world import WorldPlan, open_world
@@ -49,7 +49,7 @@ def commissioned(folder: Path, *strangers: ForeignNode) -> list[str]:
     told: list[str] = []
     with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, 3), [servo]) as world:
         put_on_the_bus(world, *strangers)
-        commission(request, world, Silent(told.append), EmergencyStop(), steps=lambda: all_steps()[:STEPS])
+        commission(request, world, Dialog(told.append), EmergencyStop(), steps=lambda: all_steps()[:STEPS])
     assert not any("failed" in text for text in told), told
     return [
         text.strip() for text in told if "did not send" in text or "started" in text or "1016h of" in text

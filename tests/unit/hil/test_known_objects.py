@@ -1,4 +1,4 @@
-"""Which objects of a drive are read, and what is said of them beside its data sheet."""
+"""Which objects of a drive are read, what is said of them beside its data sheet, and how a DCF holds them."""
 
 from typing import Any
 
@@ -6,7 +6,9 @@ import pytest
 from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable
 
 from drivers.errors import TransferAborted
+from hil.commissioning.files import dcf_text
 from hil.commissioning.known_objects import differing, dump, missing, variables
+from hil.restoring.journal import ObjectKey
 
 
 class Node:
@@ -133,3 +135,11 @@ def test_settings_that_differ_are_told_with_both_values() -> None:
         "6065h:00 object 6065: 300, default 100",
         "6068h:00 object 6068: -3, default -2",
     ]
+
+
+def test_a_setting_of_three_bytes_keeps_its_sign_in_a_dcf() -> None:
+    trim, integer24 = ObjectKey(0x2000, 0), 0x10
+    held, before = (value.to_bytes(3, "little", signed=True) for value in (-2, 7))
+    described = sheet(variable(trim.index, trim.sub, kind=integer24))
+    text = dcf_text({trim: held}, {trim: before}, described, 1, 500_000, None)
+    assert "DefaultValue=7\nParameterValue=-2\n" in text

@@ -11,10 +11,9 @@ from hil.measuring.loss_model import (
     UNKNOWN,
     Outcomes,
     Parameters,
+    Runs,
     fit,
-    log_likelihood,
     losses_of,
-    runs_of,
 )
 
 
@@ -58,7 +57,7 @@ def over_all_paths(outcomes: list[int], truth: Parameters) -> float:
 )
 @pytest.mark.parametrize("truth", [Parameters(0.1, 0.4, 0.9, 0.05), Parameters(0.02, 0.3)])
 def test_the_likelihood_is_the_sum_over_all_paths(outcomes: list[int], truth: Parameters) -> None:
-    found = log_likelihood(np.array(outcomes, np.int8), truth)
+    found = Runs(np.array(outcomes, np.int8)).log_likelihood(truth)
     assert np.exp(found) == pytest.approx(over_all_paths(outcomes, truth), rel=1e-12)
 
 
@@ -153,10 +152,10 @@ def test_of_too_few_losses_nothing_is_said_but_a_bound() -> None:
 
 def test_nothing_known_is_not_measured() -> None:
     found = losses_of(np.full(100, UNKNOWN, np.int8))
-    assert (found.known, found.rate, found.interval, found.why_none) == (0, None, None, "not measured")
+    assert (found.known, found.lost, found.interval, found.why_none) == (0, 0, None, "not measured")
 
 
 def test_runs_end_where_the_fate_is_unknown() -> None:
     outcomes = np.array([LOST, CAME, LOST, LOST, UNKNOWN, LOST, CAME, LOST], np.int8)
-    assert runs_of(outcomes) == (3, 1)
-    assert runs_of(np.zeros(3, np.int8)) == ()
+    assert losses_of(outcomes).runs == (3, 1)
+    assert losses_of(np.zeros(3, np.int8)).runs == ()

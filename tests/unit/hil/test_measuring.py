@@ -13,11 +13,11 @@ from drivers.timebase import Instant
 from drivers.wire.frame_port import EchoBasis
 from hil.configuration.network_file import load_network, network_text
 from hil.loop.samples import AT_REST, CommandFate
-from hil.measuring.excitation import Excitation, steps_of
+from hil.measuring.figures import network_of
 from hil.measuring.loss_model import CAME, LOST, UNKNOWN
-from hil.measuring.network import network_of
 from hil.measuring.probe import TimedDemandChange, acting
 from hil.measuring.stages import Stage, command_stages, host_stages, reading_stages, refined, ways
+from hil.measuring.subject import Excitation, steps_of
 from hil.rows.records import COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
 from tests.unit.hil.cycles import advance, torque_of
 

@@ -1,0 +1,257 @@
+"""What the nameplate says against what the drive tells, and whose word is taken for what nothing measures.
+
+CiA 402 has no object for pole pairs, resistance and inductance. A maker's objects (drivers/vendors) tell what
+somebody told the drive, the nameplate file what somebody read off the motor: neither is measured. Where both
+are there and contradict each other by far, it is asked which.
+"""
+
+import math
+from typing import Final
+
+from drivers.cia402.objects402 import Object
+from drivers.cia402.told_motor import ToldFigure, ToldMotor, read_told_motor
+from drivers.cia402.unit_factors import WINDING_SLIPS, likely_slip
+from drivers.vendors.families import motor_objects_for
+from drivers.vendors.motor_objects import QUANTITIES
+from hil.commissioning.findings import BY_NAMEPLATE, Stated
+from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.request import POLE_PAIRS_MAX
+from hil.commissioning.session import Session
+
+_RATING_TOLERANCE: Final = 0.03
+"""Plates are printed with three digits, and 6075h and 6076h hold whole mA and mN m."""
+_RATING_SLIP: Final = 1.5
+"""Between two words for one rating, as stall and continuous torque: more is a slip of plate or drive."""
+_CONSTANT: Final = "torque_constant_nm_a"
+_CONSTANT_TOLERANCE: Final = 0.1
+"""Between the torque constant that was told and the measured one: magnets differ by percents."""
+_SLIP_TOLERANCE: Final = 0.05
+"""Slips lie a fifth and more apart, and a plate is good to some percent."""
+_ALIKE: Final = 0.02
+"""Raw values are rounded."""
+
+
+def nameplate_wins(session: Session, key: str, plate: str, drive: str) -> bool:
+    """Whether the nameplate is right where the drive says something else by far, and nothing measured tells.
+
+    A misread plate passes for a wrong drive as easily as the other way round: somebody has to look. Raises
+    StepFailed if nobody is there, unless the nameplate is to be trusted, or if the answer is neither.
+    """
+    if session.request.trust_nameplate:
+        return True
+    contradiction = f"{key}: the nameplate says {plate}, the drive {drive}"
+    if not session.dialog.attended:
+        raise StepFailed(
+            contradiction,
+            "nothing measured tells which is right",
+            "mend the nameplate file or the drive's setting, or give --trust-nameplate",
+        )
+    question = f"    {contradiction}. Which is right? [n = nameplate, d = drive]"
+    answer = session.dialog.line(question, session.idle).lower()
+    if answer not in ("n", "d"):
+        raise StepFailed(contradiction, f"{answer!r} is no answer", "look at the motor's plate, and repeat")
+    return answer == "n"
+
+
+def compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) -> None:
+    """6076h and 6075h against the nameplate; the nameplate is believed for the torque, unless one of the two
+    must be a slip: then it is asked which."""
+    rating = session.request.nameplate.rating
+    if rating.torque_nm is None:
+        outcome.say("no nameplate: the rated torque 6076h cannot be checked, and every torque rests on it")
+    elif _is_slip(torque_nm, rating.torque_nm) and not nameplate_wins(
+        session, "rated torque", f"{rating.torque_nm:g} N m", f"{torque_nm:g} N m (6076h)"
+    ):
+        outcome.faults.append(
+            f"nameplate: rating.torque_nm {rating.torque_nm:g} is not believed, 6076h says {torque_nm:g} N m"
+        )
+    elif abs(torque_nm / rating.torque_nm - 1.0) > _RATING_TOLERANCE:
+        outcome.faults.append(
+            f"torque unit: 6076h says {torque_nm:g} N m, the nameplate {rating.torque_nm:g} N m; "
+            "the nameplate is taken"
+        )
+        session.overridden(rated_torque_nm=rating.torque_nm)
+        outcome.figures["torque_fault"] = torque_nm / rating.torque_nm
+    current_a, source = rated_current(session)
+    if rating.current_a and current_a and not _is_rated(session, current_a / rating.current_a):
+        outcome.faults.append(
+            f"current unit: {source} says {current_a:g} A, the nameplate {rating.current_a:g} A rms"
+        )
+        outcome.figures["current_fault"] = current_a / rating.current_a
+
+
+def _is_rated(session: Session, ratio: float) -> bool:
+    """Told over printed rms is one, or the peak's where nobody knows which ampere is the drive's."""
+    figure = session.found.motor.figures.get("rated_current_a")
+    alike = (1.0, math.sqrt(2.0)) if figure is not None and figure.convention == "own" else (1.0,)
+    return any(abs(ratio / each - 1.0) <= _RATING_TOLERANCE for each in alike)
+
+
+def rated_current(session: Session) -> tuple[float | None, str]:
+    """A rms, and the object that tells it: the maker's own, whose convention is known, before 6075h."""
+    figure = session.found.motor.figures.get("rated_current_a")
+    if figure is not None:
+        return figure.value, figure.object
+    told_ma = session.objects.read_if_there(Object.MOTOR_RATED_CURRENT)
+    return (told_ma / 1e3 if told_ma else None), "6075h"
+
+
+def _is_slip(told: float, printed: float) -> bool:
+    """One of the two must be misread, or set wrongly."""
+    return abs(math.log(told / printed)) > math.log(_RATING_SLIP)
+
+
+def confirm_pole_pairs(session: Session, outcome: StepOutcome) -> None:
+    """Have the number of pole pairs said a second time: CiA 402 has no object for it, and none of torque,
+    current, speed and position depends on it. With nobody there it is told to be the nameplate's word alone.
+    """
+    printed = session.request.nameplate.motor.pole_pairs
+    if printed is None:
+        return
+    session.found.stated["pole_pairs"] = Stated(printed, BY_NAMEPLATE)
+    outcome.figures["pole_pairs_confirmed"] = session.dialog.attended
+    if not session.dialog.attended:
+        outcome.say(f"pole pairs: not measurable over CiA 402; {printed}, by the nameplate file alone")
+        return
+    answer = session.dialog.line(
+        "    pole pairs: not measurable over CiA 402. How many has the motor, by plate or data sheet?",
+        session.idle,
+    )
+    if not answer.isdecimal() or not 0 < int(answer) <= POLE_PAIRS_MAX:
+        raise StepFailed(
+            f"pole pairs: the nameplate file says {printed}, and {answer!r} is no number of them",
+            "not measurable over CiA 402",
+            "look at the motor's plate, and repeat; or take motor.pole_pairs out of the nameplate file",
+        )
+    session.found.stated["pole_pairs"] = Stated(int(answer), "as said at the motor")
+    outcome.say(f"pole pairs: not measurable over CiA 402; {answer}, as it was said at the motor")
+    if int(answer) != printed:
+        outcome.faults.append(
+            f"nameplate: motor.pole_pairs {printed} is not believed, {answer} was said at the motor"
+        )
+
+
+def keeps_motor(session: Session) -> bool:
+    """It is known where the drive's maker keeps the motor."""
+    identity = session.found.identity
+    return identity is not None and bool(
+        motor_objects_for(identity.vendor, identity.product, identity.device_name)
+    )
+
+
+def read_motor(session: Session, outcome: StepOutcome) -> None:
+    """What the drive was told of its motor."""
+    identity = session.found.identity
+    assert identity is not None, "the step 'identity' comes first"
+    told = read_told_motor(session.objects, identity.vendor, identity.product, identity.device_name)
+    session.found.motor = told
+    outcome.lines += told.not_told
+    if told.figures:
+        outcome.figures["told_by_drive"] = {
+            name: {
+                "value": figure.value,
+                "object": figure.object,
+                "raw": figure.raw,
+                "convention": figure.convention,
+                "by": figure.family,
+            }
+            for name, figure in told.figures.items()
+        }
+
+
+def settle_winding(session: Session, outcome: StepOutcome) -> None:
+    """Take the drive's word or the nameplate's for each quantity. Raises StepFailed if they contradict each
+    other by far, and nobody says which is right."""
+    session.found.stated.clear()  # of an attempt that failed
+    plate, told = session.request.nameplate, session.found.motor
+    rating, winding = plate.rating, plate.motor
+    constant = rating.torque_nm / rating.current_a if rating.torque_nm and rating.current_a else None
+    for name, printed in (
+        ("resistance_ohm", winding.resistance_ohm),
+        ("inductance_d_h", winding.inductance_d_h),
+        ("inductance_q_h", winding.inductance_q_h),
+        (_CONSTANT, constant),
+    ):
+        _settle(session, outcome, name, printed)
+    current, poles = told.figures.get("rated_current_a"), told.figures.get("pole_pairs")
+    if current is not None:
+        title, unit = _named(current)
+        outcome.say(f"{title} {current.value:.4g} {unit}, {current}")
+    if poles is None:
+        confirm_pole_pairs(session, outcome)
+    else:
+        _settle_pole_pairs(session, outcome, poles)
+
+
+def _settle(session: Session, outcome: StepOutcome, name: str, printed: float | None) -> None:
+    figure, stated = session.found.motor.figures.get(name), session.found.stated
+    if printed is not None:
+        stated[name] = Stated(printed, BY_NAMEPLATE)
+    if figure is None:
+        return
+    title, unit = _named(figure)
+    line = f"{title} {figure.value:.4g} {unit}, {figure}"
+    if printed is None:
+        stated[name] = Stated(figure.value, str(figure), told=True)
+        outcome.say(f"{line}, and by nobody else; not measured")
+        return
+    if not _is_slip(figure.value, printed):
+        alike = abs(figure.value / printed - 1.0) <= _ALIKE
+        outcome.say(
+            f"{line}, and {BY_NAMEPLATE}" if alike else f"{line}; the nameplate's {printed:.4g} is taken"
+        )
+        return
+    drive = _by_drive(figure, f"{figure.value:.4g} {unit}", printed)
+    if nameplate_wins(session, title, f"{printed:.4g} {unit}", drive):
+        outcome.faults.append(f"{line}, is not believed: the nameplate says {printed:.4g} {unit}")
+    else:
+        stated[name] = Stated(figure.value, str(figure), told=True)
+        outcome.faults.append(f"nameplate: {title} {printed:.4g} {unit} is not believed; {drive}")
+
+
+def _settle_pole_pairs(session: Session, outcome: StepOutcome, figure: ToldFigure) -> None:
+    told, printed = int(figure.value), session.request.nameplate.motor.pole_pairs
+    session.found.stated["pole_pairs"] = Stated(told, str(figure), told=True)
+    outcome.figures["pole_pairs_confirmed"] = printed == told
+    if printed is None:
+        outcome.say(f"pole pairs: {told}, {figure}, and by nobody else; not measurable over CiA 402")
+    elif printed == told:
+        outcome.say(f"pole pairs: {told}, {figure}, and {BY_NAMEPLATE}; not measurable over CiA 402")
+    else:
+        drive = _by_drive(figure, str(told), printed)
+        if nameplate_wins(session, "pole pairs", str(printed), drive):
+            session.found.stated["pole_pairs"] = Stated(printed, BY_NAMEPLATE)
+            outcome.faults.append(
+                f"pole pairs: {told}, {figure}, is not believed: the nameplate says {printed}"
+            )
+        else:
+            outcome.faults.append(
+                f"nameplate: motor.pole_pairs {printed} is not believed, the drive says {drive}"
+            )
+
+
+def _by_drive(figure: ToldFigure, value: str, printed: float) -> str:
+    """The drive's word beside the nameplate's, with the slip that would explain it."""
+    slip = likely_slip(figure.value / printed, WINDING_SLIPS, tolerance=_SLIP_TOLERANCE)
+    return f"{value} ({figure.object}{f'; {slip}' if slip else ''})"
+
+
+def compare_constant(told: ToldMotor, measured: float, outcome: StepOutcome) -> None:
+    """The torque constant that was told against the measured one, N m/A."""
+    figure = told.figures.get(_CONSTANT)
+    if figure is None:
+        return
+    ratio = measured / figure.value
+    outcome.figures["told_nm_a"] = figure.value
+    outcome.say(f"{figure.value:.5g} N m/A, {figure}")
+    if abs(ratio - 1.0) > _CONSTANT_TOLERANCE:
+        outcome.faults.append(
+            f"torque and current contradict the torque constant {figure.value:.4g} N m/A, {figure}, by "
+            f"{ratio:.4g}: 6076h, the rated current or {figure.object} is wrong"
+        )
+
+
+def _named(figure: ToldFigure) -> tuple[str, str]:
+    quantity = QUANTITIES[figure.quantity]
+    own = figure.convention == "own"
+    return quantity.title, quantity.unit.replace("A rms", "A of the drive") if own else quantity.unit
