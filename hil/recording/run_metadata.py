@@ -11,8 +11,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from drivers.timebase import Instant
-from hil.rows.record_columns import FORMAT
 from hil.rows.recording_plan import RecordingPlan
+from hil.rows.run_files import FORMAT
 
 FIRST_CYCLE = "first_cycle_bench_ns"
 """Key of the first cycle's instant on the bench clock, from which all times count."""

@@ -13,8 +13,7 @@ from typing import Any, Final
 from drivers.bounded_file import parse_json, read_text, read_toml
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S
-from hil.rows.record_columns import refuse_later_format
-from hil.rows.records_file import RECORDS_FILE, is_whole, read_metadata
+from hil.rows.records_file import RECORDS_FILE, is_whole, read_metadata, refuse_later_format
 from hil.rows.run_files import BENCH_FILE, EVENTS_FILE, RESERVE_FILE, SUMMARY_FILE
 
 _DEPTH_MAX: Final = 6

@@ -1,4 +1,9 @@
-"""What the files in a run's folder are called."""
+"""What the files in a run's folder are called, and which format they have."""
+
+from typing import Final
+
+FORMAT: Final = "2"
+"""Version of the run's folder as docs/recording.md describes it; counts up when a reader must know."""
 
 BENCH_FILE = "bench.toml"
 """The bench as it was run."""

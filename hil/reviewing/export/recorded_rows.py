@@ -8,8 +8,7 @@ from typing import Final, NamedTuple
 import pyarrow as pa
 
 from drivers.errors import BadInput
-from hil.rows.record_columns import refuse_later_format
-from hil.rows.records_file import RECORDS_FILE, is_whole
+from hil.rows.records_file import RECORDS_FILE, is_whole, refuse_later_format
 
 CHUNK_ROWS: Final = 1 << 17
 """Rows that are held at once: some 40 MB with all columns, and enough for a row group of Parquet."""
