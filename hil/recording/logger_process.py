@@ -3,10 +3,10 @@
 import json
 import signal
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock
@@ -183,10 +183,8 @@ def last_line(log: Path | None) -> str:
     return lines[-1] if lines else ""
 
 
-def salvage(
-    plan: RecordingPlan, descriptors: Sequence[int], outcome: RunOutcome, trouble: str
-) -> Mapping[str, Any]:
-    """Finish the recording of a dead logger in a process of its own; the summary as plain values.
+def salvage(plan: RecordingPlan, descriptors: Sequence[int], outcome: RunOutcome, trouble: str) -> Summary:
+    """Finish the recording of a dead logger in a process of its own.
 
     The rings still hold what the logger had not taken. Error: RecordingFailed.
     """
@@ -202,5 +200,4 @@ def salvage(
         answer = ""
     if not answer:
         raise RecordingFailed(f"{trouble}; {plan.folder} holds what was written: hil recover {plan.folder}")
-    report: dict[str, Any] = json.loads(answer)
-    return report
+    return from_plain(Summary, json.loads(answer))

@@ -51,7 +51,7 @@ began = time.monotonic()
 for number, record in enumerate(synthetic_records(int(sys.argv[3]))):
     time.sleep(max(0.0, began + number * float(sys.argv[4]) - time.monotonic()))
     recorder.record(record)
-    recorder.frame("tx", 0x80, b"", False, False, record.due_at)
+    recorder.tap().frame("tx", 0x80, b"", False, False, record.due_at)
 os.kill(recorder.logger_process_id, signal.SIGKILL)
 os.kill(os.getpid(), signal.SIGKILL)
 """
