@@ -93,6 +93,14 @@ def _field(column: Column, kind: pa.DataType) -> pa.Field:
     return pa.field(column.name, kind, metadata=told)
 
 
+def column_of(field: pa.Field) -> Column:
+    """What the field of a file tells of its column."""
+    told = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
+    codes: dict[str, str] = json.loads(told.get("codes", "{}"))
+    in_order = tuple(codes[number] for number in sorted(codes, key=int))
+    return Column(field.name, str(field.type), told.get("unit", ""), told.get("meaning", ""), in_order)
+
+
 def records_table(rows: Rows, metadata: Mapping[str, str], zero: Instant) -> pa.Table:
     """The content of a file: (n,) of ROW_DTYPE on the bench clock; ``metadata``: of the run."""
     return pa.Table.from_batches([_batch(rows, records_schema(metadata), zero)])

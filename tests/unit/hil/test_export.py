@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 
 from drivers.timebase import Instant
 from hil.cli import app
-from hil.reviewing.export.recorded_rows import CHUNK_ROWS, RecordedRows
+from hil.reviewing.export import CHUNK_ROWS, RecordedRows
 from hil.rows.records import COLUMNS, ROW_DTYPE
 from hil.rows.records_file import RECORDS_FILE, RecordsWriter
 from tests.unit.hil.row_tools import rows_of
