@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from hil.recording.append_file import AppendFile
-from hil.recording.candump import DIRECTION_BYTES
 from hil.recording.faults_file import FaultEntries, FaultsKeeper
 from hil.recording.log_files import EventsKeeper, FramesKeeper
 from hil.recording.rerun_anew import write_rerun_anew
@@ -31,7 +30,7 @@ from hil.rows.records_file import (
     RECORDS_FILE,
     read_records,
 )
-from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
+from hil.rows.run_files import DIRECTION_BYTES, DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
 from hil.rows.side_rows import (
     FRAME_DTYPE,
     BeginEvent,

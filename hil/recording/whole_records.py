@@ -10,7 +10,7 @@ from pyarrow import ArrowInvalid
 from drivers.timebase import Instant
 from hil.recording.faults_file import BLOCK_DTYPE
 from hil.recording.ring import RingReader
-from hil.recording.run_metadata import FIRST_CYCLE, run_metadata
+from hil.recording.run_metadata import run_metadata
 from hil.recording.tail import TAIL_FILE, read_tail
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
@@ -21,6 +21,7 @@ from hil.rows.records_file import (
     read_metadata,
     read_records,
 )
+from hil.rows.run_files import FIRST_CYCLE
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, IdentityEvent, events_of
 
