@@ -20,9 +20,8 @@ import rerun as rr
 
 from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries, FaultsKeeper
-from hil.recording.line_reader import LineReader
 from hil.recording.log_files import LIVE_VIEW, Keeper, open_keepers
-from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED
+from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED, LineReader
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import Reserve, write_summary
 from hil.recording.whole_records import whole_records
@@ -80,7 +79,7 @@ class Logger:
         self._until = plan.started_at
         """What happened up to here is known, on the bench's clock."""
         self._fault_blocks = RingReader(faults, BLOCK_DTYPE)
-        self._fault_entries = FaultEntries(self._fault_blocks, plan.started_at)
+        self._fault_entries = FaultEntries(plan.started_at)
         if plan.faults and plan.folder is not None:
             self._keepers.append(FaultsKeeper(plan.folder, self._fault_entries))
         self._clock = MonotonicClock()
@@ -124,7 +123,8 @@ class Logger:
     def _told_by(self, rows: Rows, at_end: bool) -> list[RunEvent]:
         """What nobody says, but the rows of the cycles and the entries of the fault log show."""
         told: list[RunEvent] = [*self._set_points.take(rows, self._zero.at)]
-        told += self._injected.take(self._fault_entries.take(self._zero, at_end), self._zero.at)
+        entries = self._fault_entries.take(self._fault_blocks.drain(), self._zero, at_end)
+        told += self._injected.take(entries, self._zero.at)
         told += self._injected.ended(self._until)
         if at_end:
             told += self._injected.finish()

@@ -62,7 +62,7 @@ class MemoryRecorder(RunRecorder):
         self._rows = bytearray()
         self._kept: list[bytes] = []
         self._taps: list[_FrameKeeper] = []
-        self._blocks = _Blocks()
+        self._blocks = bytearray()
         self._zero = RunZero(plan.started_at)
 
     def tap(self, segment: int = 0) -> FrameTap:  # noqa: ARG002
@@ -86,7 +86,7 @@ class MemoryRecorder(RunRecorder):
     def fault_block(self, length: int, block: bytes) -> None:
         """Entries of injected faults."""
         if self._keep_all:
-            self._blocks.packed += BLOCK.pack(length, block)
+            self._blocks += BLOCK.pack(length, block)
 
     def confirm(self, wait: Callable[[], None]) -> None:
         """Memory holds it."""
@@ -126,7 +126,8 @@ class MemoryRecorder(RunRecorder):
         """What nobody says, but rows and entries of the fault log show."""
         yield from SetPointTeller(self._plan.set_points).take(self.rows(), self._zero.at)
         injected = InjectedFaults()
-        entries = FaultEntries(self._blocks, self._plan.started_at).take(self._zero, at_end=True)
+        blocks = np.frombuffer(bytes(self._blocks), BLOCK_DTYPE)
+        entries = FaultEntries(self._plan.started_at).take(blocks, self._zero, at_end=True)
         yield from injected.take(entries, self._zero.at)
         yield from injected.ended(max([event.at for event in self.events], default=self._zero.at))
         yield from injected.finish()
@@ -138,13 +139,3 @@ class MemoryRecorder(RunRecorder):
         self.events += self._review.take_events()
         if self._keep_all:
             self._kept.append(filled)
-
-
-class _Blocks:
-    """In place of a ring of faults."""
-
-    def __init__(self) -> None:
-        self.packed = bytearray()
-
-    def drain(self) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-        return np.frombuffer(bytes(self.packed), BLOCK_DTYPE)

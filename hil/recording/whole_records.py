@@ -32,16 +32,13 @@ class Rings:
     def __init__(self, rows: int, frames: int, events: int, faults: int) -> None:
         """Descriptors."""
         rows_ring, frames_ring = RingReader(rows, ROW_DTYPE), RingReader(frames, FRAME_DTYPE)
-        events_ring = RingReader(events, EVENT_DTYPE)
+        events_ring, faults_ring = RingReader(events, EVENT_DTYPE), RingReader(faults, BLOCK_DTYPE)
         self.rows_before = rows_ring.released
         """Rows of the run before :attr:`rows`."""
-        self.rows, self.frames, self.events = (
-            rows_ring.drain(),
-            frames_ring.drain(),
-            events_of(events_ring.drain()),
-        )
-        self.fault_blocks = RingReader(faults, BLOCK_DTYPE)
-        self.refused = sum(ring.refused for ring in (rows_ring, frames_ring, events_ring, self.fault_blocks))
+        self.rows, self.frames = rows_ring.drain(), frames_ring.drain()
+        self.events = events_of(events_ring.drain())
+        self.fault_blocks = faults_ring.drain()
+        self.refused = sum(ring.refused for ring in (rows_ring, frames_ring, events_ring, faults_ring))
 
 
 def first_cycle(plan: RecordingPlan, records: Path, rings: Rings | None) -> RunZero:

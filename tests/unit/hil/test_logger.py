@@ -12,8 +12,8 @@ import pytest
 
 from drivers.record import replaced
 from drivers.timebase import Instant
-from hil.recording.line_reader import LineReader
 from hil.recording.logger import Logger
+from hil.recording.logger_process import LineReader
 from hil.recording.ring import RingWriter
 from hil.rows.records import ROW, row_of
 from hil.rows.side_rows import EVENT, FRAME, TextEvent, event_row, frame_row
