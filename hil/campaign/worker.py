@@ -17,7 +17,7 @@ from hil.execution.bench import run_bench
 from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted, StopRequest
 from hil.recording.memory_recorder import MemoryRecorder
-from hil.recording.recorder_choice import recorder_of
+from hil.recording.recorder import recorder_of
 from hil.recording.run_recorder import RunRecorder
 from hil.reviewing.certificate_meter import CertificateState
 from hil.rows.recording_plan import RecordingPlan

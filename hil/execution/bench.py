@@ -47,7 +47,7 @@ from hil.machine.progress import Progress
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.recording.fault_report import write_fault_report
-from hil.recording.recorder_choice import recorder_of
+from hil.recording.recorder import recorder_of
 from hil.recording.run_recorder import RunRecorder
 from hil.recording.watch import RecordingWatch
 from hil.rows.recording_plan import RecordingPlan

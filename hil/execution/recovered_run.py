@@ -11,11 +11,10 @@ from hil.execution.network_guard import certified_plans
 from hil.loop.loop import planned_cycles
 from hil.recording.logger_process import RecordingFailed
 from hil.recording.recovery import recover
-from hil.recording.run_metadata import BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH
+from hil.recording.run_folder import read_summary
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records_file import RECORDS_FILE, read_metadata
-from hil.rows.run_files import BENCH_FILE
-from hil.rows.summary_file import read_summary
+from hil.rows.run_files import BENCH_FILE, BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunOutcome
 

@@ -20,13 +20,13 @@ from hil.configuration.config_files import Section, load_file
 from hil.recorded.recorded_run import RecordedRun
 from hil.recorded.run_signals import RunSignals
 from hil.reviewing.review import Review
-from hil.rows.records import DIGESTED_BYTES, FATE_SAMPLE, LAYOUT, ROW_DTYPE, Rows
+from hil.rows.records import DIGESTED_BYTES, FATE_SAMPLE, NAMES, ROW_DTYPE, Rows
 from hil.verdict.summary import Figures
 
 _SIGNALS: Final = ("velocity_rad_s", "torque_nm", "command_torque_nm", "reference_rad_s", "load_torque_nm")
 _COMPARED: Final = [
     place
-    for place, (name, _) in enumerate(LAYOUT[: DIGESTED_BYTES // 8])
+    for place, name in enumerate(NAMES[: DIGESTED_BYTES // 8])
     if name not in ("axis", "clock_offset_ns", "device_time_ns")
 ]
 """Places of the columns; every one has eight bytes."""
@@ -223,7 +223,7 @@ def _look_for_divergence(beside: Against, name: str, base: Rows, own: Rows) -> N
     place = int(places[0])
     at = int(own["due_at"][place])
     if beside.divergence is None or at < beside.divergence.at_ns:
-        columns = tuple(LAYOUT[_COMPARED[column]][0] for column in np.flatnonzero(differs[place]))
+        columns = tuple(NAMES[_COMPARED[column]] for column in np.flatnonzero(differs[place]))
         beside.divergence = Divergence(name, int(own["sequence"][place]), at, columns)
 
 

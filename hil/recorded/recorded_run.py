@@ -13,13 +13,11 @@ from hil.configuration.config import BenchConfig
 from hil.execution import assembly
 from hil.execution.network_guard import certified_plans
 from hil.loop.loop import planned_cycles
-from hil.recording.run_metadata import FIRST_CYCLE
-from hil.rows.record_columns import FORMAT
+from hil.recording.run_folder import read_summary
 from hil.rows.recording_plan import ReviewPlan
 from hil.rows.records import Rows
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
-from hil.rows.run_files import BENCH_FILE, SUMMARY_FILE
-from hil.rows.summary_file import read_summary
+from hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, SUMMARY_FILE
 from hil.verdict.summary import Summary
 
 

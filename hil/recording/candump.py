@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_US
+from hil.rows.run_files import DIRECTION_BYTES
 from hil.rows.side_rows import EXTENDED_FLAG, REMOTE_FLAG
 
 _HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
@@ -63,10 +64,6 @@ def candump_lines(
     letters = np.concatenate([part for part, _ in parts], 1)
     lines: bytes = letters[np.concatenate([kept for _, kept in parts], 1)].tobytes()
     return lines
-
-
-DIRECTION_BYTES = 2
-"""Of a line of :func:`direction_lines`."""
 
 
 def direction_lines(rows: NDArray[np.void]) -> bytes:

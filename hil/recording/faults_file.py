@@ -6,7 +6,6 @@ power-on of the drive, which in simulated time is the beginning. Entries wait un
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,28 +31,19 @@ assert BLOCK_DTYPE.itemsize == BLOCK.size
 _SINCE_POWER_ON = frozenset({KIND_CODES["late"], KIND_CODES["boot"]})
 
 
-class BlockSource(Protocol):
-    """A ring of blocks, or what stands for it."""
-
-    def drain(self) -> NDArray[np.void]:
-        """What came since the last call: (n,) of BLOCK_DTYPE."""
-        ...
-
-
 class FaultEntries:
     """The entries of a run in run time, as its ring brings them."""
 
-    def __init__(self, blocks: BlockSource, started_at: Instant) -> None:
+    def __init__(self, started_at: Instant) -> None:
         """``started_at``: when the drives were switched on."""
         self.fresh: list[FaultEntry] = []
         """Those of the last :meth:`take`."""
-        self._blocks = blocks
         self._started_at = started_at
         self._early: list[FaultEntry] = []
 
-    def take(self, zero: RunZero, at_end: bool = False) -> list[FaultEntry]:
-        """What came since the last call; nothing before the first cycle is told, unless it never will be."""
-        for row in self._blocks.drain():
+    def take(self, blocks: NDArray[np.void], zero: RunZero, at_end: bool = False) -> list[FaultEntry]:
+        """Those in ``blocks``: (n,) of BLOCK_DTYPE. They wait for the first cycle, unless it never comes."""
+        for row in blocks:
             self._early += entries_of(row["block"].tobytes()[: int(row["length"])])
         self.fresh = []
         if zero.told or at_end:

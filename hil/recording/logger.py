@@ -20,9 +20,8 @@ import rerun as rr
 
 from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries, FaultsKeeper
-from hil.recording.line_reader import LineReader
 from hil.recording.log_files import LIVE_VIEW, Keeper, open_keepers
-from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED
+from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED, LineReader
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import Reserve, write_summary
 from hil.recording.whole_records import whole_records
@@ -55,7 +54,7 @@ class Logger:
         rows: int,
         frames: int,
         events: int,
-        faults: int | None = None,
+        faults: int,
         *,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
@@ -79,13 +78,10 @@ class Logger:
         self._injected = InjectedFaults()
         self._until = plan.started_at
         """What happened up to here is known, on the bench's clock."""
-        self._fault_entries: FaultEntries | None = None
-        self._fault_blocks: RingReader | None = None
-        if faults is not None:
-            self._fault_blocks = RingReader(faults, BLOCK_DTYPE)
-            self._fault_entries = FaultEntries(self._fault_blocks, plan.started_at)
-            if plan.faults and plan.folder is not None:
-                self._keepers.append(FaultsKeeper(plan.folder, self._fault_entries))
+        self._fault_blocks = RingReader(faults, BLOCK_DTYPE)
+        self._fault_entries = FaultEntries(plan.started_at)
+        if plan.faults and plan.folder is not None:
+            self._keepers.append(FaultsKeeper(plan.folder, self._fault_entries))
         self._clock = MonotonicClock()
         self._flushed_at = self._clock.now()
 
@@ -120,46 +116,37 @@ class Logger:
         self._until = max([self._until, *instants])
         told = [*events, *self._told_by(rows, at_end), *self._review.take_events()]
         events = sorted(told, key=lambda event: event.at)
-        for keeper in list(self._keepers):
-            try:
-                keeper.take(rows, frames, events)
-            except OSError as error:
-                self._give_up(keeper, error)
+        self._for_each(lambda keeper: keeper.take(rows, frames, events))
         self._rows.release()
         return rows.size
 
     def _told_by(self, rows: Rows, at_end: bool) -> list[RunEvent]:
         """What nobody says, but the rows of the cycles and the entries of the fault log show."""
         told: list[RunEvent] = [*self._set_points.take(rows, self._zero.at)]
-        if self._fault_entries is not None:
-            told += self._injected.take(self._fault_entries.take(self._zero, at_end), self._zero.at)
-            told += self._injected.ended(self._until)
+        entries = self._fault_entries.take(self._fault_blocks.drain(), self._zero, at_end)
+        told += self._injected.take(entries, self._zero.at)
+        told += self._injected.ended(self._until)
         if at_end:
             told += self._injected.finish()
         return told
 
     def _flush(self) -> None:
         self._flushed_at = self._clock.now()
-        for keeper in list(self._keepers):
-            try:
-                keeper.flush()
-            except OSError as error:
-                self._give_up(keeper, error)
+        self._for_each(lambda keeper: keeper.flush())
 
     def _finish(self, outcome: RunOutcome) -> Summary:
-        self._note_refused("cycle record", self._rows.refused)
-        self._note_refused("frame", self._frames.refused)
-        self._note_refused("event", self._events.refused)
-        if self._fault_blocks is not None:
-            self._note_refused("block of injected faults", self._fault_blocks.refused)
+        for what, ring in (
+            ("cycle record", self._rows),
+            ("frame", self._frames),
+            ("event", self._events),
+            ("block of injected faults", self._fault_blocks),
+        ):
+            if count := ring.refused:
+                self._note(f"{count} {what}{'s' if count > 1 else ''} lost, the logger was too slow")
         self._flush()  # who waits for room on a full disk must not take what is kept for the end
         if self._plan.folder is not None:
             self._end_records(self._plan.folder)
-        for keeper in list(self._keepers):
-            try:
-                keeper.finish(self._summary(outcome))
-            except OSError as error:
-                self._give_up(keeper, error)
+        self._for_each(lambda keeper: keeper.finish(self._summary(outcome)))
         if self._plan.folder is not None:
             self._end_summary(self._plan.folder, outcome)
         return self._summary(outcome)
@@ -191,16 +178,16 @@ class Logger:
             tuple(self._faults),
         )
 
-    def _note_refused(self, what: str, count: int) -> None:
-        if count:
-            self._note(f"{count} {what}{'s' if count > 1 else ''} lost, the logger was too slow")
-
-    def _give_up(self, keeper: Keeper, error: OSError) -> None:
-        """One file that cannot be written does not end the others."""
-        self._keepers.remove(keeper)
-        self._given_up.append(keeper)
-        if keeper.name != LIVE_VIEW:
-            self._note(f"{keeper.name} is incomplete: {error}")
+    def _for_each(self, act: Callable[[Keeper], None]) -> None:
+        """One file that cannot be written does not end the others; its keeper is given up."""
+        for keeper in list(self._keepers):
+            try:
+                act(keeper)
+            except OSError as error:
+                self._keepers.remove(keeper)
+                self._given_up.append(keeper)
+                if keeper.name != LIVE_VIEW:
+                    self._note(f"{keeper.name} is incomplete: {error}")
 
     def _note(self, fault: str) -> None:
         self._faults.append(fault)

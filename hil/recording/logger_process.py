@@ -1,16 +1,17 @@
 """The process of the logger as the loop's process sees it: started, asked, watched, and told the outcome."""
 
 import json
+import os
+import select
 import signal
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock
-from hil.recording.line_reader import LineReader
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.run_files import LOGGER_LOG
 from hil.verdict.plain_values import from_plain
@@ -41,6 +42,35 @@ class RecordingFailed(BenchError):
     def __init__(self, trouble: str) -> None:
         super().__init__(f"not recorded: {trouble}")
         self.trouble = trouble
+
+
+class LineReader:
+    """The reading end of a pipe, by lines, without waiting for them.
+
+    A buffer of the interpreter's would hide what has come.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._held = b""
+        self.ended = False
+        """Nobody writes any more."""
+
+    def line(self, timeout_s: float) -> str | None:
+        """The next whole line; None if it has not come in time, or never will."""
+        if (
+            b"\n" not in self._held
+            and not self.ended
+            and select.select([self._descriptor], [], [], timeout_s)[0]
+        ):
+            read = os.read(self._descriptor, 1 << 16)
+            self.ended = not read
+            self._held += read
+        line, separator, rest = self._held.partition(b"\n")
+        if not separator:
+            return None
+        self._held = rest
+        return line.decode()
 
 
 class LoggerProcess:
@@ -183,10 +213,8 @@ def last_line(log: Path | None) -> str:
     return lines[-1] if lines else ""
 
 
-def salvage(
-    plan: RecordingPlan, descriptors: Sequence[int], outcome: RunOutcome, trouble: str
-) -> Mapping[str, Any]:
-    """Finish the recording of a dead logger in a process of its own; the summary as plain values.
+def salvage(plan: RecordingPlan, descriptors: Sequence[int], outcome: RunOutcome, trouble: str) -> Summary:
+    """Finish the recording of a dead logger in a process of its own.
 
     The rings still hold what the logger had not taken. Error: RecordingFailed.
     """
@@ -202,5 +230,4 @@ def salvage(
         answer = ""
     if not answer:
         raise RecordingFailed(f"{trouble}; {plan.folder} holds what was written: hil recover {plan.folder}")
-    report: dict[str, Any] = json.loads(answer)
-    return report
+    return from_plain(Summary, json.loads(answer))

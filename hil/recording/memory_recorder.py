@@ -10,13 +10,14 @@ from drivers.wire.frame_port import FrameTap
 from hil.loop.samples import CycleRecord
 from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
 from hil.recording.run_metadata import run_metadata
+from hil.recording.run_recorder import RunRecorder
 from hil.reviewing.review import Review
 from hil.rows.injected_faults import InjectedFaults
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
 from hil.rows.run_zero import RunZero
 from hil.rows.set_points import SetPointTeller
-from hil.rows.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from hil.rows.side_rows import IdentityEvent, RunEvent
 from hil.verdict.summary import Summary, summarise
 from hil.verdict.verdict import RunOutcome
 from virtual_bus.faults.fault_log import BLOCK
@@ -49,8 +50,8 @@ class _FrameKeeper(FrameTap):
         self.frames.append(KeptFrame(direction, can_id, bytes(data), extended, remote, at))
 
 
-class MemoryRecorder:
-    """As :class:`hil.recording.recorder.Recorder`: in bounded memory, unless all is kept."""
+class MemoryRecorder(RunRecorder):
+    """In bounded memory, unless all is kept."""
 
     def __init__(self, plan: RecordingPlan, *, keep_all: bool = False) -> None:
         """``keep_all``: for :meth:`rows`, :meth:`table`, :meth:`frames` and :meth:`told`."""
@@ -61,7 +62,7 @@ class MemoryRecorder:
         self._rows = bytearray()
         self._kept: list[bytes] = []
         self._taps: list[_FrameKeeper] = []
-        self._blocks = _Blocks()
+        self._blocks = bytearray()
         self._zero = RunZero(plan.started_at)
 
     def tap(self, segment: int = 0) -> FrameTap:  # noqa: ARG002
@@ -71,37 +72,21 @@ class MemoryRecorder:
         self._taps.append(_FrameKeeper())
         return self._taps[-1]
 
-    def begin(self, at: Instant) -> None:
-        """See :class:`hil.recording.recorder.Recorder`, as of the methods below."""
-        self.events.append(BeginEvent(at))
-        self._zero.look(self.events[-1:])
+    def tell(self, event: RunEvent) -> None:
+        """See :class:`hil.recording.run_recorder.RunRecorder`, as of the methods below."""
+        self.events.append(event)
+        self._zero.look([event])
 
     def record(self, record: CycleRecord) -> None:
-        """One complete cycle of one axis."""
+        """A row; it is reviewed with others."""
         self._rows += row_of(record)
         if len(self._rows) == _REVIEWED_BYTES:
             self._review_filled()
 
-    def event(self, at: Instant, level: str, text: str) -> None:
-        """Something worth reading."""
-        self.events.append(TextEvent(at, level, text))
-
-    def state(self, at: Instant, track: str, label: str) -> None:
-        """``track`` is in state ``label``."""
-        self.events.append(StateEvent(at, track, label))
-
-    def identity(self, at: Instant, axis: str, text: str) -> None:
-        """Who the drive of an axis is."""
-        self.events.append(IdentityEvent(at, axis, text))
-
-    def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
-        """What a load machine measured."""
-        self.events.append(LoadEvent(at, axis, torque_nm, speed_rad_s))
-
     def fault_block(self, length: int, block: bytes) -> None:
         """Entries of injected faults."""
         if self._keep_all:
-            self._blocks.packed += BLOCK.pack(length, block)
+            self._blocks += BLOCK.pack(length, block)
 
     def confirm(self, wait: Callable[[], None]) -> None:
         """Memory holds it."""
@@ -141,7 +126,8 @@ class MemoryRecorder:
         """What nobody says, but rows and entries of the fault log show."""
         yield from SetPointTeller(self._plan.set_points).take(self.rows(), self._zero.at)
         injected = InjectedFaults()
-        entries = FaultEntries(self._blocks, self._plan.started_at).take(self._zero, at_end=True)
+        blocks = np.frombuffer(bytes(self._blocks), BLOCK_DTYPE)
+        entries = FaultEntries(self._plan.started_at).take(blocks, self._zero, at_end=True)
         yield from injected.take(entries, self._zero.at)
         yield from injected.ended(max([event.at for event in self.events], default=self._zero.at))
         yield from injected.finish()
@@ -153,13 +139,3 @@ class MemoryRecorder:
         self.events += self._review.take_events()
         if self._keep_all:
             self._kept.append(filled)
-
-
-class _Blocks:
-    """In place of a ring of faults."""
-
-    def __init__(self) -> None:
-        self.packed = bytearray()
-
-    def drain(self) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-        return np.frombuffer(bytes(self.packed), BLOCK_DTYPE)

@@ -9,25 +9,15 @@ from pathlib import Path
 
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
-from drivers.wire.frame_port import FrameTap
-from hil.loop.samples import CycleRecord
 from hil.recording.logger_process import LoggerProcess, RecordingFailed, salvage
+from hil.recording.memory_recorder import MemoryRecorder
 from hil.recording.ring import RingWriter, refuse
 from hil.recording.row_writer import RowWriter
+from hil.recording.run_recorder import RunRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW
 from hil.rows.run_files import BENCH_FILE
-from hil.rows.side_rows import (
-    EVENT,
-    FRAME,
-    BeginEvent,
-    IdentityEvent,
-    LoadEvent,
-    StateEvent,
-    TextEvent,
-    event_row,
-)
-from hil.verdict.plain_values import from_plain
+from hil.rows.side_rows import EVENT, FRAME, RunEvent, event_row
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunOutcome
 from virtual_bus.faults.fault_log import BLOCK
@@ -45,7 +35,7 @@ _STALL_MAX_NS = 60 * NS_PER_S
 _DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 
 
-class Recorder:
+class Recorder(RunRecorder):
     """What a loop may do with a recording: four rings, and the process that drains them into files.
 
     No call waits in real time, except ``close``.
@@ -62,43 +52,19 @@ class Recorder:
         self._events = RingWriter(EVENT, EVENTS_CAPACITY, on_full)
         self._faults = RingWriter(BLOCK, FAULTS_CAPACITY, on_full)
         self._keep_frames = plan.frames and plan.folder is not None
-        writer = RowWriter(self._rows, self._frames, self._keep_frames)
-        self.record: Callable[[CycleRecord], None] = writer.record
-        """One complete cycle of one axis; each axis in order of sequence."""
-        self.frame: Callable[[str, int, bytes, bool, bool, Instant], None] = writer.frame
-        """One raw frame as the bench's link saw it; fits ``BusLink.tap``. ``direction``: "tx" or "rx"."""
+        self.record = self.tap().record
         self._logger = LoggerProcess(plan, [ring.descriptor for ring in self._rings])
 
-    def tap(self, segment: int = 0) -> FrameTap:
-        """What takes the raw frames of the link to a segment, the first or another one."""
+    def tap(self, segment: int = 0) -> RowWriter:
+        """See :class:`RunRecorder`, as of the methods below; ``direction`` of a frame: "tx" or "rx"."""
         return RowWriter(self._rows, self._frames, self._keep_frames, segment)
 
-    def begin(self, at: Instant) -> None:
-        """The run's time zero: the instant of the first cycle. Events before it get negative times."""
-        self._events.push(event_row(BeginEvent(at)))
-
-    def event(self, at: Instant, level: str, text: str) -> None:
-        """Something worth reading. ``level``: "INFO", "WARN", "ERROR" or "CRITICAL"."""
-        self._events.push(event_row(TextEvent(at, level, text)))
-
-    def state(self, at: Instant, track: str, label: str) -> None:
-        """``track`` (e.g. "phase") is in state ``label`` from ``at`` on.
-
-        The tracks "AXIS drive" and "AXIS link" follow from the records by themselves while the
-        loop runs; before and after it they are the caller's.
-        """
-        self._events.push(event_row(StateEvent(at, track, label)))
-
-    def identity(self, at: Instant, axis: str, text: str) -> None:
-        """Who the drive of an axis is, as it told."""
-        self._events.push(event_row(IdentityEvent(at, axis, text)))
-
-    def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
-        """What the load machine of an axis measured; a few dozen times a second at most."""
-        self._events.push(event_row(LoadEvent(at, axis, torque_nm, speed_rad_s)))
+    def tell(self, event: RunEvent) -> None:
+        """A row."""
+        self._events.push(event_row(event))
 
     def fault_block(self, length: int, block: bytes) -> None:
-        """A block of entries, of which ``length`` bytes are filled; fits ``FaultLog.send_to``."""
+        """A row."""
         self._faults.push(BLOCK.pack(length, block))
 
     @property
@@ -111,14 +77,11 @@ class Recorder:
         self._logger.wait_ready()
 
     def confirm(self, wait: Callable[[], None]) -> None:
-        """Return when all that was recorded until now is stored; ``wait`` lets a little time pass.
-
-        Error: RecordingFailed.
-        """
+        """The logger says so."""
         self._logger.confirm(wait)
 
     def trouble(self) -> str:
-        """Why the run is not wholly recorded, as far as is known; empty if it is. Does not wait."""
+        """By the logger, or by the rings."""
         refused = sum(ring.refused for ring in self._rings)
         told = self._logger.trouble()
         if told or not refused:
@@ -126,22 +89,18 @@ class Recorder:
         return f"{refused} rows lost, the logger was too slow"
 
     def close(self, outcome: RunOutcome) -> Summary:
-        """End the recording and return its summary. Error: RecordingFailed if there is none."""
+        """By the logger, or by a process that does what it did not live to do."""
         summary = self._logger.finish(outcome)
         try:
             if summary is None:
-                summary = self._salvaged(outcome)
+                trouble = self._logger.trouble()
+                if self._plan.folder is None:
+                    raise RecordingFailed(trouble)
+                summary = salvage(self._plan, [ring.descriptor for ring in self._rings], outcome, trouble)
         finally:
             for ring in self._rings:
                 ring.close()
         return summary
-
-    def _salvaged(self, outcome: RunOutcome) -> Summary:
-        trouble = self._logger.trouble()
-        if self._plan.folder is None:
-            raise RecordingFailed(trouble)
-        descriptors = [ring.descriptor for ring in self._rings]
-        return from_plain(Summary, salvage(self._plan, descriptors, outcome, trouble))
 
     @property
     def _rings(self) -> tuple[RingWriter, ...]:
@@ -158,6 +117,13 @@ class Recorder:
             return False
         clock.sleep_until(Instant(now + _POLL_NS))
         return True
+
+
+def recorder_of(plan: RecordingPlan) -> RunRecorder:
+    """Files are another process's business, and in real time the figures, too, which the loop would feel."""
+    if plan.folder is None and not plan.view and not plan.real_time:
+        return MemoryRecorder(plan)
+    return start_recording(plan)
 
 
 def start_recording(plan: RecordingPlan) -> Recorder:

@@ -8,39 +8,45 @@ plan, the outcome of the run, and what ended the logger. Printed is the summary,
 
 import json
 import os
+import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Final
+from uuid import uuid4
 
 import numpy as np
+import rerun as rr
 
+from drivers.bounded_file import parse_json
+from drivers.errors import BadInput
+from drivers.printable import printable
+from drivers.timebase import Instant
 from hil.recording.append_file import AppendFile
-from hil.recording.candump import DIRECTION_BYTES
 from hil.recording.faults_file import FaultEntries, FaultsKeeper
 from hil.recording.log_files import EventsKeeper, FramesKeeper
-from hil.recording.rerun_anew import write_rerun_anew
 from hil.recording.run_folder import Reserve, write_summary
 from hil.recording.tail import FRAMES_TAIL_FILE, read_tail
-from hil.recording.telemetry import RERUN_FILE
+from hil.recording.telemetry import RERUN_FILE, Telemetry
 from hil.recording.whole_records import Rings, first_cycle, whole_records
 from hil.reviewing.network_meter import NetworkKeeper
 from hil.reviewing.review import Review
+from hil.reviewing.trace.run_trace import RecordedBus
 from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW_DTYPE
-from hil.rows.records_file import (
-    RECORDS_FILE,
-    read_records,
-)
-from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
-from hil.rows.side_rows import (
-    FRAME_DTYPE,
-    BeginEvent,
-    RunEvent,
-)
+from hil.rows.records import ROW, ROW_DTYPE
+from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
+from hil.rows.run_files import DIRECTION_BYTES, DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
+from hil.rows.side_rows import FRAME_DTYPE, BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary, summarise
 from hil.verdict.verdict import RunOutcome
 from virtual_bus.faults.fault_log import FAULTS_FILE
+
+ROOM_BYTES: Final = 4 << 20
+"""On the disk, for layout, verdict and events of run.rrd; rows take less than they do in memory."""
+
+_INSTANT_MAX: Final = 1 << 62
 
 
 def recover(
@@ -87,7 +93,7 @@ def recover(
     if network is not None:
         network.finish(summed_up())
     try:
-        write_rerun_anew(plan, summed_up(), review)
+        _write_rerun_anew(plan, summed_up(), review)
     except OSError as error:
         told.append(f"{RERUN_FILE} has no verdict and may lack the last seconds: {error}")
     reserve.close()
@@ -116,8 +122,8 @@ def _keep_events(plan: RecordingPlan, folder: Path, rings: Rings | None) -> list
 def _keep_faults(plan: RecordingPlan, folder: Path, rings: Rings) -> list[str]:
     """What was injected and the logger had not taken; why some of it is missing."""
     told = [f"{rings.refused} rows lost after the logger had ended"] if rings.refused else []
-    entries = FaultEntries(rings.fault_blocks, plan.started_at)
-    entries.take(first_cycle(plan, folder / RECORDS_FILE, rings), at_end=True)
+    entries = FaultEntries(plan.started_at)
+    entries.take(rings.fault_blocks, first_cycle(plan, folder / RECORDS_FILE, rings), at_end=True)
     try:
         if plan.faults:
             keeper = FaultsKeeper(folder, entries, fresh=False)
@@ -155,6 +161,68 @@ def _as_many_directions(folder: Path) -> None:
 
 def _counts_from_the_first_cycle(events: Path) -> bool:
     return events.exists() and b'"begin": true' in events.read_bytes()
+
+
+def _write_rerun_anew(plan: RecordingPlan, summary: Summary, review: Review) -> None:
+    """run.rrd in the place of the one that is there; all files beside it are whole.
+
+    It is not begun on a disk that it could fill: Rerun would wait there for ever. Error: OSError.
+    """
+    folder = plan.folder
+    assert folder is not None
+    needed = ROOM_BYTES + ROW.size * summary.cycles * len(plan.review.axes)
+    if shutil.disk_usage(folder).free < needed:
+        raise OSError(f"less than {needed >> 20} MB are free")
+    part = folder / f"{RERUN_FILE}.part"
+    try:
+        _send(plan, folder, Telemetry(plan, uuid4().hex, rr.FileSink(part)), summary, review)
+        part.replace(folder / RERUN_FILE)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _send(plan: RecordingPlan, folder: Path, telemetry: Telemetry, summary: Summary, review: Review) -> None:
+    """As a logger sends it: what was before the first cycle, the cycles, what came after."""
+    telemetry.metadata = read_metadata(folder / RECORDS_FILE)
+    told = [*_told_in(folder / EVENTS_FILE, _event), *_told_in(folder / LOAD_FILE, _load)]
+    telemetry.take_events([event for event in told if event.at <= 0])
+    if plan.observed and plan.frames:
+        for frames in RecordedBus(folder).arrays(plan.segments):
+            telemetry.observed.take(frames)
+    for rows in read_records(folder / RECORDS_FILE):
+        telemetry.take_rows(rows)
+    telemetry.take_events([event for event in told if event.at > 0])
+    telemetry.finish(summary, review)
+
+
+def _told_in(path: Path, event_of: Callable[[str], RunEvent]) -> Iterator[RunEvent]:
+    """The events in the lines of a file; a line that is none, such as a head, is passed over."""
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else ():
+        with suppress(BadInput, ValueError, KeyError, TypeError):
+            yield event_of(line)
+
+
+def _event(line: str) -> RunEvent:
+    fields = parse_json(line, EVENTS_FILE, "an event")
+    at = _instant(fields["at_ns"])
+    if "begin" in fields:
+        return BeginEvent(at)
+    if "track" in fields:
+        return StateEvent(at, printable(str(fields["track"])), printable(str(fields["state"])))
+    return TextEvent(at, printable(str(fields["level"])), printable(str(fields["text"])))
+
+
+def _load(line: str) -> RunEvent:
+    at, axis, torque_nm, speed_rad_s = line.split(",")
+    return LoadEvent(_instant(int(at)), printable(axis), float(torque_nm), float(speed_rad_s))
+
+
+def _instant(value: int) -> Instant:
+    """Raises ValueError for what no clock shows."""
+    if not isinstance(value, int) or abs(value) > _INSTANT_MAX:
+        raise ValueError(value)
+    return Instant(value)
 
 
 def main() -> int:

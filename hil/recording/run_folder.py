@@ -5,13 +5,17 @@ import json
 import os
 from pathlib import Path
 
+from drivers.bounded_file import parse_json, read_text
+from drivers.errors import BadInput
 from hil.rows.run_files import RESERVE_FILE, SUMMARY_FILE
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 
 _RESERVE_BYTES = 256 * 1024
 """Given back at the end: network.toml has 5 kB, fault.txt 30, the end of records.arrow 86 for each hour."""
 _SUMMARY_BYTES = 32 * 1024
 """summary.json has 3 kB, and a kilobyte for each step of a load machine."""
+_WHOLE = "a whole summary"
 
 
 class Reserve:
@@ -51,3 +55,13 @@ def write_summary(folder: Path, summary: Summary) -> None:
     except OSError:
         part.unlink(missing_ok=True)
         raise
+
+
+def read_summary(folder: Path) -> Summary:
+    """Of the run in ``folder``. Raises BadInput, and of it NoSuchFile."""
+    path = folder / SUMMARY_FILE
+    plain = parse_json(read_text(path, "summary"), str(path), _WHOLE)
+    try:
+        return from_plain(Summary, plain)
+    except ValueError as error:
+        raise BadInput(str(path), "", str(error), _WHOLE) from None

@@ -11,15 +11,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from drivers.timebase import Instant
-from hil.rows.record_columns import FORMAT
 from hil.rows.recording_plan import RecordingPlan
+from hil.rows.run_files import BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH, FORMAT
 
-FIRST_CYCLE = "first_cycle_bench_ns"
-"""Key of the first cycle's instant on the bench clock, from which all times count."""
-BENCH_START = "bench_start_ns"
-"""Start of the recording in run time."""
-FIRST_CYCLE_EPOCH = "first_cycle_epoch_ns"
-"""The same as ns since 1970: what frames.log counts from."""
 _ROOT = Path(__file__).parents[2]
 _GIT_MAX_S = 5.0
 

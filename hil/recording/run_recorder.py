@@ -1,59 +1,69 @@
 """What a run asks of whatever records it."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
 
 from drivers.timebase import Instant
 from drivers.wire.frame_port import FrameTap
 from hil.loop.samples import CycleRecord
+from hil.rows.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunOutcome
 
 
-class RunRecorder(Protocol):
-    """:class:`hil.recording.recorder.Recorder`, which says what each does, or one in memory."""
+class RunRecorder(ABC):
+    """Files by another process (:mod:`hil.recording.recorder`), or memory."""
 
-    @property
-    def record(self) -> Callable[[CycleRecord], None]:
-        """Takes one complete cycle of one axis."""
-        ...
+    record: Callable[[CycleRecord], None]
+    """Takes one complete cycle of one axis; each axis in order of sequence."""
 
+    @abstractmethod
     def tap(self, segment: int = 0) -> FrameTap:
-        """What takes the raw frames of a segment."""
-        ...
+        """What takes the raw frames of the link to a segment, the first or another one."""
+
+    @abstractmethod
+    def tell(self, event: RunEvent) -> None:
+        """Take what the methods below say."""
 
     def begin(self, at: Instant) -> None:
-        """The first cycle."""
-        ...
+        """The run's time zero: the instant of the first cycle. Events before it get negative times."""
+        self.tell(BeginEvent(at))
 
     def event(self, at: Instant, level: str, text: str) -> None:
-        """Something worth reading."""
-        ...
+        """Something worth reading. ``level``: "INFO", "WARN", "ERROR" or "CRITICAL"."""
+        self.tell(TextEvent(at, level, text))
 
     def state(self, at: Instant, track: str, label: str) -> None:
-        """A track enters a state."""
-        ...
+        """``track`` (e.g. "phase") is in state ``label`` from ``at`` on.
+
+        The tracks "AXIS drive" and "AXIS link" follow from the records by themselves while the
+        loop runs; before and after it they are the caller's.
+        """
+        self.tell(StateEvent(at, track, label))
 
     def identity(self, at: Instant, axis: str, text: str) -> None:
-        """Who a drive is."""
-        ...
+        """Who the drive of an axis is, as it told."""
+        self.tell(IdentityEvent(at, axis, text))
 
     def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
-        """What a load machine measured."""
-        ...
+        """What the load machine of an axis measured; a few dozen times a second at most."""
+        self.tell(LoadEvent(at, axis, torque_nm, speed_rad_s))
 
+    @abstractmethod
     def fault_block(self, length: int, block: bytes) -> None:
-        """Entries of the fault log."""
-        ...
+        """A block of entries, of which ``length`` bytes are filled; fits ``FaultLog.send_to``."""
 
+    @abstractmethod
     def confirm(self, wait: Callable[[], None]) -> None:
-        """Return when all until now is stored."""
-        ...
+        """Return when all that was recorded until now is stored; ``wait`` lets a little time pass.
 
+        Error: RecordingFailed.
+        """
+
+    @abstractmethod
     def trouble(self) -> str:
-        """Why the run is not wholly recorded."""
-        ...
+        """Why the run is not wholly recorded, as far as is known; empty if it is. Does not wait."""
 
+    @abstractmethod
     def close(self, outcome: RunOutcome) -> Summary:
-        """End the recording."""
-        ...
+        """End the recording and return its summary. Error: RecordingFailed if there is none."""

@@ -7,8 +7,8 @@ from textwrap import wrap
 from typing import Final
 
 from drivers.timebase import NS_PER_S
-from hil.recording.run_metadata import FIRST_CYCLE_EPOCH
 from hil.rows.recording_plan import RecordingPlan
+from hil.rows.run_files import FIRST_CYCLE_EPOCH
 from hil.verdict.summary import Figures, Percentiles, Summary, metric_title
 from hil.verdict.summary_text import certificate_rows, timing_lines
 from hil.verdict.verdict import Check, LimitResult, verdict_title

@@ -10,7 +10,7 @@ from pyarrow import ArrowInvalid
 from drivers.timebase import Instant
 from hil.recording.faults_file import BLOCK_DTYPE
 from hil.recording.ring import RingReader
-from hil.recording.run_metadata import FIRST_CYCLE, run_metadata
+from hil.recording.run_metadata import run_metadata
 from hil.recording.tail import TAIL_FILE, read_tail
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
@@ -21,6 +21,7 @@ from hil.rows.records_file import (
     read_metadata,
     read_records,
 )
+from hil.rows.run_files import FIRST_CYCLE
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, IdentityEvent, events_of
 
@@ -31,16 +32,13 @@ class Rings:
     def __init__(self, rows: int, frames: int, events: int, faults: int) -> None:
         """Descriptors."""
         rows_ring, frames_ring = RingReader(rows, ROW_DTYPE), RingReader(frames, FRAME_DTYPE)
-        events_ring = RingReader(events, EVENT_DTYPE)
+        events_ring, faults_ring = RingReader(events, EVENT_DTYPE), RingReader(faults, BLOCK_DTYPE)
         self.rows_before = rows_ring.released
         """Rows of the run before :attr:`rows`."""
-        self.rows, self.frames, self.events = (
-            rows_ring.drain(),
-            frames_ring.drain(),
-            events_of(events_ring.drain()),
-        )
-        self.fault_blocks = RingReader(faults, BLOCK_DTYPE)
-        self.refused = sum(ring.refused for ring in (rows_ring, frames_ring, events_ring, self.fault_blocks))
+        self.rows, self.frames = rows_ring.drain(), frames_ring.drain()
+        self.events = events_of(events_ring.drain())
+        self.fault_blocks = faults_ring.drain()
+        self.refused = sum(ring.refused for ring in (rows_ring, frames_ring, events_ring, faults_ring))
 
 
 def first_cycle(plan: RecordingPlan, records: Path, rings: Rings | None) -> RunZero:

@@ -109,16 +109,3 @@ class PositionErrorMeter:
             if errors.size:
                 self._following_peak = max(self._following_peak or 0.0, float(errors.max()))
         self._reached_at, self._set_points = reached_at[-_KEPT:], set_points[-_KEPT:]
-
-
-def worst_position(figures: list[PositionError]) -> PositionError:
-    """The largest of each figure over the axes; None: not measured on any."""
-
-    def largest(values: list[float | None]) -> float | None:
-        return max((value for value in values if value is not None), default=None)
-
-    return PositionError(
-        largest([f.peak_rad for f in figures]),
-        largest([f.rms_rad for f in figures]),
-        largest([f.following_peak_rad for f in figures]),
-    )

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from drivers.timebase import NS_PER_US, Instant
 from hil.reviewing.certificate_meter import CertificateMeter
 from hil.reviewing.histogram import TimeHistogram, merged
-from hil.reviewing.position_error import PositionErrorMeter, worst_position
+from hil.reviewing.position_error import PositionErrorMeter
 from hil.reviewing.speed_error import SpeedErrorMeter, largest, worst
 from hil.reviewing.step_response import LossRun, StepMeter, worst_steps
 from hil.reviewing.torque_swing import TorqueSwingMeter
 from hil.rows.recording_plan import ReviewPlan
 from hil.rows.records import CAUSES, DIGESTED_BYTES, NOTHING, ROW_DTYPE, Rows
 from hil.rows.side_rows import TextEvent
-from hil.verdict.summary import DropoutCounts, Figures, Percentiles
+from hil.verdict.summary import DropoutCounts, Figures, Percentiles, PositionError, SpeedError
 from hil.verdict.verdict import WorstPlace
 
 DIGEST_BYTES = 16
@@ -140,11 +140,11 @@ class Review:
             dense=min(self._dense, default=0),
             dropouts=DropoutCounts(**{cause.value: number for cause, number in count.items()}),
             delay_us=_percentiles_us(merged(self.delays)),
-            speed_error=worst([meter.figures() for meter in self.errors]),
+            speed_error=worst(SpeedError, [meter.figures() for meter in self.errors]),
             lateness_us=_percentiles_us(self._lateness),
             compute_us=_percentiles_us(self._compute),
             digest=self._digest.hexdigest(),
-            position_error=worst_position([meter.figures() for meter in self.positions]),
+            position_error=worst(PositionError, [meter.figures() for meter in self.positions]),
             torque_rms_nm=largest(meter.rms_nm for meter in self._swings),
             step_response=worst_steps(self._steps),
             losses_in_a_row=max((run.most for run in self._runs), default=0),

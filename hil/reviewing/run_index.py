@@ -13,9 +13,8 @@ from typing import Any, Final
 from drivers.bounded_file import parse_json, read_text, read_toml
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S
-from hil.rows.record_columns import refuse_later_format
-from hil.rows.records_file import RECORDS_FILE, is_whole, read_metadata
-from hil.rows.run_files import BENCH_FILE, EVENTS_FILE, RESERVE_FILE, SUMMARY_FILE
+from hil.rows.records_file import RECORDS_FILE, is_whole, read_metadata, refuse_later_format
+from hil.rows.run_files import BENCH_FILE, EVENTS_FILE, FIRST_CYCLE_EPOCH, RESERVE_FILE, SUMMARY_FILE
 
 _DEPTH_MAX: Final = 6
 """Folders below the one that is asked for; runs lie in one, or in one for each day or bench."""
@@ -168,7 +167,7 @@ def _is_recorded(folder: Path) -> bool:
 
 
 def _at(folder: Path, metadata: Mapping[str, str]) -> datetime:
-    epoch = metadata.get("first_cycle_epoch_ns", "")
+    epoch = metadata.get(FIRST_CYCLE_EPOCH, "")
     if metadata.get("time") == "real" and epoch.isdigit():
         return datetime.fromtimestamp(int(epoch) / NS_PER_S, UTC)
     return datetime.fromtimestamp((folder / BENCH_FILE).stat().st_mtime, UTC)

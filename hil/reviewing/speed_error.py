@@ -16,7 +16,9 @@ reference changes.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,20 +27,42 @@ from drivers.timebase import NS_PER_S
 from hil.reviewing.envelope import Envelope
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, Rows
-from hil.verdict.summary import SpeedError
+from hil.verdict.summary import PositionError, SpeedError, StepResponse
 
 _NEVER = -(2**62)
 _ROUNDING = 1.0 + 1e-9
+AnyFigures = TypeVar("AnyFigures", SpeedError, PositionError, StepResponse)
+
+
+class AskedChanges:
+    """By how much reference and load of one axis change from row to row, from one call to the next."""
+
+    def __init__(self, acceleration_max_rad_s2: float) -> None:
+        self._acceleration_max = acceleration_max_rad_s2
+        self._last: tuple[float, float, int] | None = None
+
+    def take(self, rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+        """(n,) each: changes of the reference and of the load, and where the reference steps.
+
+        ``rows``: (n,), at least one.
+        """
+        reference, load, due_at = rows["reference_rad_s"], rows["load_torque_nm"], rows["due_at"]
+        if self._last is None:  # the axis starts at rest; its first load is no change
+            self._last = 0.0, float(load[0]), int(due_at[0])
+        change = np.diff(reference, prepend=self._last[0])
+        load_change = np.diff(load, prepend=self._last[1])
+        elapsed_s = np.diff(due_at, prepend=self._last[2]) / NS_PER_S
+        self._last = float(reference[-1]), float(load[-1]), int(due_at[-1])
+        return change, load_change, np.abs(change) > self._acceleration_max * elapsed_s * _ROUNDING
 
 
 class SpeedErrorMeter:
     """Streaming; any division of the rows into chunks gives the same figures, bit by bit."""
 
     def __init__(self, axis: AxisPlan, settling_ns: int) -> None:
-        self._acceleration_max = axis.acceleration_max_rad_s2
         self._settling_ns = settling_ns
+        self._asked = AskedChanges(axis.acceleration_max_rad_s2)
         self._rows = 0
-        self._last_reference, self._last_load, self._last_due_at = 0.0, 0.0, 0
         self._step_at = _NEVER
         self._reference_changed_row = self._load_changed_row = -1
         self._counted = 0
@@ -97,23 +121,15 @@ class SpeedErrorMeter:
 
     def _windows(self, rows: Rows) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which rows count, and which lie after a change of load under an unchanged reference."""
-        reference, load, due_at = rows["reference_rad_s"], rows["load_torque_nm"], rows["due_at"]
-        if self._rows == 0:
-            # The axis starts at rest; its first load is no change.
-            self._last_load, self._last_due_at = float(load[0]), int(due_at[0])
-        reference_change = np.diff(reference, prepend=self._last_reference)
-        elapsed_s = np.diff(due_at, prepend=self._last_due_at) / NS_PER_S
-        stepped = np.abs(reference_change) > self._acceleration_max * elapsed_s * _ROUNDING
+        due_at = rows["due_at"]
+        reference_change, load_change, stepped = self._asked.take(rows)
         note_settling(self.settling, due_at[stepped], self._settling_ns)
         step_at = np.maximum.accumulate(np.where(stepped, due_at, self._step_at))
         numbers = np.arange(self._rows, self._rows + rows.size)
         reference_row = _last_marked(reference_change != 0.0, numbers, self._reference_changed_row)
-        load_row = _last_marked(
-            np.diff(load, prepend=self._last_load) != 0.0, numbers, self._load_changed_row
-        )
+        load_row = _last_marked(load_change != 0.0, numbers, self._load_changed_row)
         self._rows += rows.size
-        self._last_reference, self._last_load = float(reference[-1]), float(load[-1])
-        self._last_due_at, self._step_at = int(due_at[-1]), int(step_at[-1])
+        self._step_at = int(step_at[-1])
         self._reference_changed_row, self._load_changed_row = int(reference_row[-1]), int(load_row[-1])
         counts = (rows["fate"] == FATE_SAMPLE) & (due_at - step_at >= self._settling_ns)
         return counts, load_row > reference_row
@@ -133,14 +149,10 @@ def _last_marked(marks: NDArray[np.bool_], numbers: NDArray[np.int64], before: i
     return np.maximum.accumulate(np.where(marks, numbers, before))
 
 
-def worst(figures: list[SpeedError]) -> SpeedError:
-    """The largest of each figure over the axes."""
-    return SpeedError(
-        largest(f.peak_rad_s for f in figures),
-        largest(f.peak_percent for f in figures),
-        largest(f.rms_rad_s for f in figures),
-        largest(f.after_load_percent for f in figures),
-    )
+def worst(kind: type[AnyFigures], figures: Sequence[AnyFigures]) -> AnyFigures:
+    """The largest of each figure of a ``kind`` over the axes; None: it was measured on none."""
+    names = [each.name for each in fields(kind)]
+    return kind(**{name: largest(getattr(one, name) for one in figures) for name in names})
 
 
 def largest(values: Iterable[float | None]) -> float | None:

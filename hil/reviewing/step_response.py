@@ -13,18 +13,17 @@ time: then none is told, for a time that is not known is not the largest of thos
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_MS, NS_PER_S
-from hil.reviewing.speed_error import largest
+from drivers.timebase import NS_PER_MS
+from hil.reviewing.speed_error import AskedChanges, worst
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, Rows
 from hil.verdict.summary import StepResponse
-
-_ROUNDING = 1.0 + 1e-9
 
 
 class _Step(NamedTuple):
@@ -52,9 +51,8 @@ class StepMeter:
 
     def __init__(self, axis: AxisPlan, band_percent: float) -> None:
         """``band_percent``: of the step, or of the reference: within it the speed has settled."""
-        self._acceleration_max = axis.acceleration_max_rad_s2
         self._band = band_percent / 100.0
-        self._last: tuple[float, float, int] | None = None
+        self._asked = AskedChanges(axis.acceleration_max_rad_s2)
         self._open: _Step | None = None
         self._outside_at = self._seen_at = 0
         self._overshoot_rad_s = 0.0
@@ -68,13 +66,8 @@ class StepMeter:
         """Take in rows: (n,) of ROW_DTYPE."""
         if not rows.size:
             return
-        reference, load, due_at = rows["reference_rad_s"], rows["load_torque_nm"], rows["due_at"]
-        if self._last is None:
-            self._last = 0.0, float(load[0]), int(due_at[0])
-        step = np.diff(reference, prepend=self._last[0])
-        load_step = np.diff(load, prepend=self._last[1])
-        elapsed_s = np.diff(due_at, prepend=self._last[2]) / NS_PER_S
-        stepped = np.abs(step) > self._acceleration_max * elapsed_s * _ROUNDING
+        reference, due_at = rows["reference_rad_s"], rows["due_at"]
+        step, load_step, stepped = self._asked.take(rows)
         loaded = (step == 0.0) & (load_step != 0.0) & (reference != 0.0)
         changes = np.append(np.flatnonzero((step != 0.0) | (load_step != 0.0)), rows.size)
         self._take(rows[: changes[0]])
@@ -93,7 +86,6 @@ class StepMeter:
             self._take(rows[start:end])
             if end < rows.size:
                 self._close()
-        self._last = float(reference[-1]), float(load[-1]), int(due_at[-1])
 
     def figures(self) -> StepResponse:
         """Of all steps so far, with the one that goes on."""
@@ -147,12 +139,12 @@ class StepMeter:
 
 def worst_steps(meters: Sequence[StepMeter]) -> StepResponse:
     """The largest of each figure over the axes; None where a step of any axis did not settle."""
-    figures = [meter.figures() for meter in meters]
     settled, recovered = (not any(meter.unsettled[of_load] for meter in meters) for of_load in (False, True))
-    return StepResponse(
-        largest(each.settling_time_ms for each in figures) if settled else None,
-        largest(each.overshoot_percent for each in figures),
-        largest(each.recovery_time_ms for each in figures) if recovered else None,
+    response = worst(StepResponse, [meter.figures() for meter in meters])
+    return replace(
+        response,
+        settling_time_ms=response.settling_time_ms if settled else None,
+        recovery_time_ms=response.recovery_time_ms if recovered else None,
     )
 
 

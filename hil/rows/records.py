@@ -1,18 +1,20 @@
 """The packed form of a :class:`CycleRecord`: one row of fixed size, little endian, on every machine.
 
-This is the one place that knows the layout. The ring carries these rows, the digest
-hashes them, the summary is computed from them, and ``records.arrow`` holds them by column.
+This is the one place that knows the layout. :data:`COLUMNS` tells each field with its type and meaning; the
+rows of the ring, the columns of ``records.arrow`` and the table of docs/recording.md follow from it. A new
+field is a line there, and one at the same place of :func:`row_of`.
 """
 
 import math
 import struct
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from librt.strings import BytesWriter, write_f64_le, write_i64_le
 from numpy.typing import NDArray
 
+from drivers.cia402.readings import NEVER_TOLD
 from drivers.exchange import Command, PositionCommand, SpeedCommand
 from hil.loop.context import CHANNELS_MAX
 from hil.loop.samples import (
@@ -24,79 +26,6 @@ from hil.loop.samples import (
     Sending,
     StateEstimate,
 )
-
-LAYOUT: tuple[tuple[str, str], ...] = (
-    # CycleRecord
-    ("sequence", "q"),
-    ("axis", "q"),
-    ("due_at", "q"),
-    ("woke_at", "q"),
-    ("sync_handed_at", "q"),
-    ("sync_on_bus_at", "q"),
-    # its observation
-    ("fate", "q"),
-    ("certain", "q"),
-    ("sampled_at", "q"),
-    ("sampled_at_error_ns", "q"),
-    # the reading of a Sample
-    ("velocity_rad_s", "d"),
-    ("device_time_ns", "q"),
-    ("received_at", "q"),
-    ("position_rad", "d"),
-    ("position_told_at", "q"),
-    ("torque_nm", "d"),
-    ("torque_told_at", "q"),
-    ("statusword", "q"),
-    ("status_told_at", "q"),
-    # CycleRecord
-    ("delay_ns", "q"),
-    # its estimate
-    ("estimate_position_rad", "d"),
-    ("estimate_velocity_rad_s", "d"),
-    ("estimate_torque_nm", "d"),
-    ("estimate_valid_at", "q"),
-    ("estimate_sequence", "q"),
-    # CycleRecord
-    ("reference_rad_s", "d"),
-    ("load_torque_nm", "d"),
-    # its command
-    ("command_torque_nm", "d"),
-    ("command_effective_at", "q"),
-    ("command_expires_at", "q"),
-    # the way of it
-    ("command_raw", "q"),
-    ("command_handed_at", "q"),
-    ("command_on_bus_at", "q"),
-    ("command_fate", "q"),
-    ("command_acts_after", "q"),
-    ("command_acts_by", "q"),
-    # CycleRecord
-    ("clock_offset_ns", "q"),
-    ("clock_error_ns", "q"),
-    ("compute_ns", "q"),
-    # of its channels
-    *((f"channel_{number}", "d") for number in range(CHANNELS_MAX)),
-    # CycleRecord, of a reference that is no speed
-    ("reference_position_rad", "d"),
-    ("reference_torque_nm", "d"),
-    # its command, where that is no torque
-    ("command_speed_rad_s", "d"),
-    ("command_position_rad", "d"),
-)
-"""Name and struct code of each field, in the order in which the records nest."""
-
-DIGESTED_BYTES: Final = 8 * [name for name, _ in LAYOUT].index("compute_ns")
-"""Of each row, from its beginning: in simulated time that follows from the bench file and the seed. A
-reference or a command that is no speed and no torque lies behind, but what of it came to the drive and back,
-``command_raw`` and the reading, lies within."""
-
-ROW: Final = struct.Struct("<" + "".join(code for _, code in LAYOUT))
-_NUMPY: Final = {"q": "<i8", "d": "<f8"}
-ROW_DTYPE: Final = np.dtype([(name, _NUMPY[code]) for name, code in LAYOUT])
-"""The same row for numpy. A real number that there is none of is NaN, a whole number :data:`NOTHING`."""
-
-Rows = NDArray[np.void]
-"""(n,) of ROW_DTYPE."""
 
 NOTHING: Final = -(2**63)
 """Stands for None: no instant of any clock, no delay and no count is that."""
@@ -117,6 +46,143 @@ COMMAND_FATES: tuple[CommandFate, ...] = (
     CommandFate.NOT_IDENTIFIABLE,
 )
 """``command_fate`` is the fate's place here; :data:`NOTHING` for a command that was not sent."""
+
+RUN_TIME: Final = "ns since the first cycle"
+
+
+class Column(NamedTuple):
+    """One field of a row, and of ``records.arrow``."""
+
+    name: str
+    kind: str
+    """Arrow's name of its type. In a packed row each field has eight bytes, a real or a whole number."""
+    unit: str
+    """Empty for a plain number."""
+    meaning: str
+    codes: tuple[str, ...] = ()
+    """What its numbers stand for, from 0 on."""
+    none: int = NOTHING
+    """What stands for nothing in a packed row, beside NOTHING."""
+
+    @property
+    def is_instant(self) -> bool:
+        """It counts from the first cycle, and in a packed row from the bench clock's origin."""
+        return self.unit == RUN_TIME
+
+    @property
+    def is_real(self) -> bool:
+        """It is a real number, and in a packed row NaN where there is none."""
+        return self.kind == "float64"
+
+
+def _instant(name: str, meaning: str, none: int = NOTHING) -> Column:
+    return Column(name, "int64", RUN_TIME, meaning, none=none)
+
+
+def _number(name: str, unit: str, meaning: str) -> Column:
+    return Column(name, "float64", unit, meaning)
+
+
+COLUMNS: tuple[Column, ...] = (
+    # CycleRecord
+    Column("sequence", "int64", "", "number of the planned cycle, from 1"),
+    Column("axis", "int16", "", "place of the axis in the list 'axes' of the file's metadata"),
+    _instant("due_at", "the tick of the cycle"),
+    _instant("woke_at", "when the host came for it; null if it did not"),
+    _instant("sync_handed_at", "when its SYNC was handed to the bus; null without SYNC"),
+    _instant("sync_on_bus_at", "end of its SYNC on the bus; null if it is not known to have come there"),
+    # its observation
+    Column(
+        "fate",
+        "int8",
+        "",
+        "what came of its reading",
+        ("sample", *[cause.value for cause in CAUSES]),
+    ),
+    Column("certain", "bool", "", "whether the data decide which SYNC the reading answers"),
+    _instant("sampled_at", "end of that SYNC at the drive; null for a dropout, as all of the reading"),
+    Column("sampled_at_error_ns", "int64", "ns", "half the width of the interval that holds sampled_at"),
+    # the reading of a Sample
+    _number("velocity_rad_s", "rad/s", "measured speed"),
+    Column("device_time_ns", "int64", "ns on the drive's clock", "the drive's own stamp of the sample"),
+    _instant("received_at", "bus stamp of the frame that carries the speed"),
+    _number("position_rad", "rad", "position, carried on by the speed since it was told"),
+    _instant("position_told_at", "bus stamp of the frame that told the position", NEVER_TOLD),
+    _number("torque_nm", "N m", "measured torque as last told"),
+    _instant("torque_told_at", "bus stamp of the frame that told the torque", NEVER_TOLD),
+    Column("statusword", "int64", "", "object 6041h as last told", none=NEVER_TOLD),
+    _instant("status_told_at", "bus stamp of the frame that told the statusword", NEVER_TOLD),
+    # CycleRecord
+    Column("delay_ns", "int64", "ns", "sampled to received, of late readings too; null if none came"),
+    # its estimate
+    _number("estimate_position_rad", "rad", "the state that the controller was given"),
+    _number("estimate_velocity_rad_s", "rad/s", "the state that the controller was given"),
+    _number("estimate_torque_nm", "N m", "the state that the controller was given"),
+    _instant("estimate_valid_at", "for when that state holds"),
+    Column("estimate_sequence", "int64", "", "cycle of the sample that it rests on; 0 before the first"),
+    # CycleRecord
+    _number("reference_rad_s", "rad/s", "speed that was asked for; of a position its rate, null of a torque"),
+    _number("load_torque_nm", "N m", "load that was asked for; positive opposes positive speed"),
+    # its command
+    _number("command_torque_nm", "N m", "torque set-point, after the limits"),
+    _instant("command_effective_at", "when it was meant to act"),
+    _instant("command_expires_at", "when it was worth nothing any more"),
+    # the way of it
+    Column("command_raw", "int64", "the unit of 6071h, 60FFh or 607Ah", "the set-point as it was sent"),
+    _instant("command_handed_at", "when it was handed to the bus; null if it was not sent"),
+    _instant("command_on_bus_at", "end of its frame on the bus; null if that is not known"),
+    Column(
+        "command_fate",
+        "int8",
+        "",
+        "what became of the command behind the bus",
+        tuple(fate.value for fate in COMMAND_FATES),
+    ),
+    _instant("command_acts_after", "the latest instant known at which it did not act yet"),
+    _instant("command_acts_by", "the earliest instant known at which it acted"),
+    # CycleRecord
+    _instant("clock_offset_ns", "run time minus the drive's clock, by the map of that clock"),
+    Column("clock_error_ns", "int64", "ns", "error of an instant that this map places"),
+    Column("compute_ns", "int64", "ns", "what compensator and controller took, by the host's own clock"),
+    # of its channels
+    *(
+        _number(f"channel_{number}", "", f"what the controller told as number {number} of its channels")
+        for number in range(CHANNELS_MAX)
+    ),
+    # CycleRecord, of a reference that is no speed
+    _number("reference_position_rad", "rad", "position that was asked for; null of another reference"),
+    _number("reference_torque_nm", "N m", "torque that was asked for; null of another reference"),
+    # its command, where that is no torque
+    _number("command_speed_rad_s", "rad/s", "speed set-point, after the limits; null of another command"),
+    _number("command_position_rad", "rad", "position set-point, after the limits; null of another command"),
+)
+"""In the order in which the records nest."""
+
+NAMES: tuple[str, ...] = tuple([column.name for column in COLUMNS])
+DIGESTED_BYTES: Final = 8 * NAMES.index("compute_ns")
+"""Of each row, from its beginning: in simulated time that follows from the bench file and the seed. A
+reference or a command that is no speed and no torque lies behind, but what of it came to the drive and back,
+``command_raw`` and the reading, lies within."""
+
+ROW: Final = struct.Struct("<" + "".join(["d" if column.is_real else "q" for column in COLUMNS]))
+ROW_DTYPE: Final = np.dtype([(column.name, "<f8" if column.is_real else "<i8") for column in COLUMNS])
+"""The same row for numpy. A real number that there is none of is NaN, a whole number :data:`NOTHING`."""
+
+Rows = NDArray[np.void]
+"""(n,) of ROW_DTYPE."""
+
+_NOTHINGS: Final = ROW.pack(*[math.nan if column.is_real else NOTHING for column in COLUMNS])
+
+
+def _nothing(first: str, last: str) -> bytes:
+    """The fields from ``first`` to ``last`` where there is nothing for them."""
+    return _NOTHINGS[8 * NAMES.index(first) : 8 * NAMES.index(last) + 8]
+
+
+_NO_SAMPLE: Final = _nothing("sampled_at", "status_told_at")
+_NO_ESTIMATE: Final = _nothing("estimate_position_rad", "estimate_sequence")
+_NO_COMMAND: Final = _nothing("command_torque_nm", "command_expires_at")
+_NO_SENDING: Final = _nothing("command_raw", "command_acts_by")
 
 
 def row_of(record: CycleRecord) -> bytes:
@@ -153,7 +219,7 @@ def _write_observation(row: BytesWriter, observed: Observation) -> None:
     if isinstance(observed, Dropout):
         write_i64_le(row, _fate_of(observed.cause))
         write_i64_le(row, int(observed.certain))
-        _write_none(row, "qqdqqdqdqqq")
+        row.write(_NO_SAMPLE)
         return
     reading = observed.reading
     write_i64_le(row, FATE_SAMPLE)
@@ -173,7 +239,7 @@ def _write_observation(row: BytesWriter, observed: Observation) -> None:
 
 def _write_estimate(row: BytesWriter, estimate: StateEstimate | None) -> None:
     if estimate is None:
-        _write_none(row, "dddqq")
+        row.write(_NO_ESTIMATE)
         return
     write_f64_le(row, estimate.position_rad)
     write_f64_le(row, estimate.velocity_rad_s)
@@ -184,7 +250,7 @@ def _write_estimate(row: BytesWriter, estimate: StateEstimate | None) -> None:
 
 def _write_command(row: BytesWriter, command: Command | None) -> None:
     if command is None:
-        _write_none(row, "dqq")
+        row.write(_NO_COMMAND)
         return
     write_f64_le(row, command.torque_nm)
     write_i64_le(row, command.effective_at)
@@ -199,7 +265,7 @@ def _write_other_command(row: BytesWriter, command: Command | None) -> None:
 
 def _write_sending(row: BytesWriter, sending: Sending | None) -> None:
     if sending is None:
-        _write_none(row, "qqqqqq")
+        row.write(_NO_SENDING)
         return
     write_i64_le(row, sending.raw)
     write_i64_le(row, sending.handed_at)
@@ -213,15 +279,6 @@ def _write_channels(row: BytesWriter, channels: Sequence[float]) -> None:
     told = len(channels)
     for place in range(CHANNELS_MAX):
         write_f64_le(row, channels[place] if place < told else math.nan)
-
-
-def _write_none(row: BytesWriter, codes: str) -> None:
-    """Fields that there is nothing for."""
-    for code in codes:
-        if code == "d":
-            write_f64_le(row, math.nan)
-        else:
-            write_i64_le(row, NOTHING)
 
 
 def _fate_of(cause: DropoutCause) -> int:

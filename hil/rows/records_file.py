@@ -7,23 +7,39 @@ first eight bytes, by which a file that was cut off is read, and finished (:func
 Instants are in run time, ns since the first cycle; what is not known is null.
 """
 
+import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from drivers.errors import BadInput
 from drivers.timebase import Instant
-from hil.rows.record_columns import COLUMNS, FORMAT, PHASE_COLUMN, PHASES, RUN, Column
-from hil.rows.records import FATE_SAMPLE, NOTHING, ROW_DTYPE, Rows
+from hil.rows.records import COLUMNS, FATE_SAMPLE, NOTHING, ROW_DTYPE, Column, Rows
+from hil.rows.run_files import FORMAT
 
 RECORDS_FILE = "records.arrow"
 MAGIC = b"ARROW1\0\0"
 _MAGIC_END = b"ARROW1"
 _OPTIONS = pa.ipc.IpcWriteOptions(compression="zstd")
+
+RUN: Final = "run"
+PHASES: Final = ("calibrating", RUN, "stopping")
+PHASE_COLUMN: Final = Column("phase", "string", "", "in which phase of the bench the row was taken", PHASES)
+
+
+def refuse_later_format(metadata: Mapping[str, str], source: Path) -> None:
+    """Raises BadInput for a recording whose format counts higher than FORMAT; earlier ones are read."""
+    told = metadata.get("format", FORMAT)
+    if not told.isdigit() or int(told) > int(FORMAT):
+        expected = f"a recording of format {FORMAT} or earlier"
+        raise BadInput(
+            str(source), "format", told, expected, "read it with the servobench that wrote it, or later"
+        )
 
 
 class RecordsWriter:
@@ -61,10 +77,28 @@ class RecordsWriter:
 def records_schema(metadata: Mapping[str, str]) -> pa.Schema:
     """Columns with their units and codes; ``metadata``: of the run."""
     fields = [
-        *[pa.field(each.name, pa.type_for_alias(each.kind), metadata=each.metadata) for each in COLUMNS],
-        pa.field(PHASE_COLUMN.name, pa.dictionary(pa.int8(), pa.string()), metadata=PHASE_COLUMN.metadata),
+        *[_field(column, pa.type_for_alias(column.kind)) for column in COLUMNS],
+        _field(PHASE_COLUMN, pa.dictionary(pa.int8(), pa.string())),
     ]
     return pa.schema(fields, metadata={"format": FORMAT, **metadata})
+
+
+def _field(column: Column, kind: pa.DataType) -> pa.Field:
+    """With what is said of the column."""
+    told = {"meaning": column.meaning}
+    if column.unit:
+        told["unit"] = column.unit
+    if column.codes:
+        told["codes"] = json.dumps(dict(enumerate(column.codes)))
+    return pa.field(column.name, kind, metadata=told)
+
+
+def column_of(field: pa.Field) -> Column:
+    """What the field of a file tells of its column."""
+    told = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
+    codes: dict[str, str] = json.loads(told.get("codes", "{}"))
+    in_order = tuple(codes[number] for number in sorted(codes, key=int))
+    return Column(field.name, str(field.type), told.get("unit", ""), told.get("meaning", ""), in_order)
 
 
 def records_table(rows: Rows, metadata: Mapping[str, str], zero: Instant) -> pa.Table:
@@ -161,7 +195,7 @@ def _batch(rows: Rows, schema: pa.Schema, zero: Instant) -> pa.RecordBatch:
 
 def _column(values: NDArray[Any], column: Column, zero: Instant) -> pa.Array:
     """Of one batch, with nulls and in run time."""
-    if column.kind == "float64":
+    if column.is_real:
         return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
     nothing = (values == NOTHING) | (values == column.none)
     moved = values - zero if column.is_instant else values
@@ -172,10 +206,10 @@ def _rows_of(batch: pa.RecordBatch, first_cycle: int) -> Rows:
     rows = np.empty(batch.num_rows, ROW_DTYPE)
     for column in COLUMNS:
         if column.name not in batch.schema.names:  # of a later format than the file
-            rows[column.name] = np.nan if column.kind == "float64" else NOTHING
+            rows[column.name] = np.nan if column.is_real else NOTHING
             continue
         stored = batch.column(column.name)
-        if column.kind != "float64":
+        if not column.is_real:
             stored = stored.cast("int64").fill_null(NOTHING)
         values = stored.to_numpy(zero_copy_only=False)
         if column.is_instant and first_cycle:

@@ -1,6 +1,7 @@
 """States that follow from the records alone: the drive's from its statusword, the link's from dropouts, the
 host's from the cycles that went without SYNC."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,6 @@ from hil.rows.records import FATE_MISSED, FATE_SAMPLE, Rows
 LINK_WINDOW_CYCLES = 20
 LINK_DEGRADED_DROPOUTS = 5
 LINK_OK, LINK_DEGRADED, LINK_DOWN = "OK", "DEGRADED", "DOWN"
-_LINK_LABELS = (LINK_OK, LINK_DEGRADED, LINK_DOWN)
 HOST_IN_TIME, HOST_MISSED = "In time", "MISSED"
 
 _STATE_BITS = 0x6F
@@ -27,32 +27,42 @@ class LabelChange(NamedTuple):
     label: str
 
 
-class DriveStates:
-    """Changes of one axis' CiA 402 state, as its readings tell them."""
+class _Codes:
+    """Codes of rows, from one call to the next: told is where one differs from that before it."""
 
     def __init__(self) -> None:
         self._last = -1
+
+    def _changes(
+        self, codes: NDArray[np.int64], instants: NDArray[np.int64], label: Callable[[int], str]
+    ) -> list[LabelChange]:
+        """``codes``, ``instants``: (n,) of rows in order."""
+        changed = np.flatnonzero(np.diff(codes, prepend=self._last))
+        if codes.size:
+            self._last = int(codes[-1])
+        return [LabelChange(int(instants[place]), label(int(codes[place]))) for place in changed]
+
+
+class DriveStates(_Codes):
+    """Changes of one axis' CiA 402 state, as its readings tell them."""
 
     def changes(self, rows: Rows) -> list[LabelChange]:
         """In rows of one axis, in order."""
         read = rows[rows["fate"] == FATE_SAMPLE]
         words = (read["statusword"] & _STATE_BITS).astype(np.int64)
-        changed = np.flatnonzero(np.diff(words, prepend=self._last))
-        if words.size:
-            self._last = int(words[-1])
         told_at = np.where(read["status_told_at"] == NEVER_TOLD, read["due_at"], read["status_told_at"])
-        return [LabelChange(int(told_at[place]), drive_label(int(words[place]))) for place in changed]
+        return self._changes(words, told_at, drive_label)
 
 
-class LinkStates:
+class LinkStates(_Codes):
     """Quality of one axis' link: DOWN when a whole window was dropped, DEGRADED when a quarter of it was.
 
     A cycle without SYNC says nothing of the link.
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self._window: NDArray[np.int64] = np.zeros(LINK_WINDOW_CYCLES, np.int64)
-        self._last = -1
 
     def changes(self, rows: Rows) -> list[LabelChange]:
         """In rows of one axis, in order."""
@@ -62,28 +72,16 @@ class LinkStates:
         total = np.cumsum(dropped)
         in_window = total[LINK_WINDOW_CYCLES:] - total[:-LINK_WINDOW_CYCLES]
         levels = (in_window >= LINK_DEGRADED_DROPOUTS).astype(np.int64) + (in_window >= LINK_WINDOW_CYCLES)
-        changed = np.flatnonzero(np.diff(levels, prepend=self._last))
-        if levels.size:
-            self._last = int(levels[-1])
-        return [
-            LabelChange(int(rows["due_at"][place]), _LINK_LABELS[int(levels[place])]) for place in changed
-        ]
+        return self._changes(levels, rows["due_at"], (LINK_OK, LINK_DEGRADED, LINK_DOWN).__getitem__)
 
 
-class HostStates:
+class HostStates(_Codes):
     """Whether the host sent its SYNCs: changes from one cycle to the next."""
-
-    def __init__(self) -> None:
-        self._last = -1
 
     def changes(self, rows: Rows) -> list[LabelChange]:
         """In rows of one axis, in order."""
         missed = (rows["fate"] == FATE_MISSED).astype(np.int64)
-        changed = np.flatnonzero(np.diff(missed, prepend=self._last))
-        if missed.size:
-            self._last = int(missed[-1])
-        labels = (HOST_IN_TIME, HOST_MISSED)
-        return [LabelChange(int(rows["due_at"][place]), labels[int(missed[place])]) for place in changed]
+        return self._changes(missed, rows["due_at"], (HOST_IN_TIME, HOST_MISSED).__getitem__)
 
 
 def drive_label(statusword: int) -> str:

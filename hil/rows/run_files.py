@@ -1,4 +1,16 @@
-"""What the files in a run's folder are called."""
+"""What the files in a run's folder are called, which format they have, and from when they count."""
+
+from typing import Final
+
+FORMAT: Final = "2"
+"""Version of the run's folder as docs/recording.md describes it; counts up when a reader must know."""
+
+FIRST_CYCLE = "first_cycle_bench_ns"
+"""Key of the first cycle's instant on the bench clock, from which all times count."""
+BENCH_START = "bench_start_ns"
+"""Start of the recording in run time."""
+FIRST_CYCLE_EPOCH = "first_cycle_epoch_ns"
+"""The same as ns since 1970: what frames.log counts from."""
 
 BENCH_FILE = "bench.toml"
 """The bench as it was run."""
@@ -6,6 +18,8 @@ FRAMES_FILE = "frames.log"
 """Every frame, in candump's format and in order of time."""
 DIRECTIONS_FILE = "frames.directions"
 """A line for each of frames.log: T was sent by the bench, R was received by it."""
+DIRECTION_BYTES = 2
+"""Of such a line."""
 EVENTS_FILE = "events.jsonl"
 LOAD_FILE = "load.csv"
 """What a load machine measured."""

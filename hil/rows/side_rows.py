@@ -1,7 +1,6 @@
 """Rows of the two small rings beside the cycle records: raw frames, and events with their text."""
 
 import struct
-from enum import IntEnum
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -36,21 +35,6 @@ def frame_row(at: Instant, can_id: int, sent: int, data: bytes) -> bytes:
     for _ in range(8 - len(data)):
         row.append(0)
     return row.getvalue()
-
-
-class EventKind(IntEnum):
-    """What a row of the event ring is about."""
-
-    TEXT = 0
-    """Its text is for the reader; its level is an index into LEVELS."""
-    STATE = 1
-    """Its text is a track and the state that the track is in from now on."""
-    BEGIN = 2
-    """Its instant is the run's time zero."""
-    LOAD = 3
-    """Its text is an axis and what its load machine measured."""
-    IDENTITY = 4
-    """Its text is an axis and who its drive is."""
 
 
 LEVELS: tuple[str, ...] = ("INFO", "WARN", "ERROR", "CRITICAL")
@@ -104,23 +88,18 @@ class IdentityEvent(NamedTuple):
 
 
 RunEvent = TextEvent | StateEvent | BeginEvent | LoadEvent | IdentityEvent
+EVENTS: tuple[type[RunEvent], ...] = (TextEvent, StateEvent, BeginEvent, LoadEvent, IdentityEvent)
+"""A row's kind is the place of its event's class here."""
 
 
 def event_row(event: RunEvent) -> bytes:
     """A row of EVENT. A text beyond TEXT_BYTES is cut at a whole character."""
     if isinstance(event, TextEvent):
-        kind, level, text = EventKind.TEXT, LEVELS.index(event.level), event.text
-    elif isinstance(event, StateEvent):
-        kind, level, text = EventKind.STATE, 0, event.track + _SEPARATOR + event.label
-    elif isinstance(event, LoadEvent):
-        values = f"{event.torque_nm!r}{_SEPARATOR}{event.speed_rad_s!r}"
-        kind, level, text = EventKind.LOAD, 0, f"{event.axis}{_SEPARATOR}{values}"
-    elif isinstance(event, IdentityEvent):
-        kind, level, text = EventKind.IDENTITY, 0, event.axis + _SEPARATOR + event.text
+        level, text = LEVELS.index(event.level), event.text
     else:
-        kind, level, text = EventKind.BEGIN, 0, ""
+        level, text = 0, _SEPARATOR.join([str(field) for field in event[1:]])
     encoded = text.encode("utf-8", "replace")[:TEXT_BYTES].decode("utf-8", "ignore").encode()
-    return EVENT.pack(event.at, kind, level, len(encoded), encoded)
+    return EVENT.pack(event.at, EVENTS.index(type(event)), level, len(encoded), encoded)
 
 
 def events_of(rows: NDArray[np.void]) -> list[RunEvent]:
@@ -129,17 +108,14 @@ def events_of(rows: NDArray[np.void]) -> list[RunEvent]:
 
 
 def _event_of(row: np.void) -> RunEvent:
-    at, kind = Instant(int(row["at"])), EventKind(int(row["kind"]))
+    at, kind = Instant(int(row["at"])), EVENTS[int(row["kind"])]
     text = row["text"].tobytes()[: int(row["length"])].decode()
-    if kind is EventKind.TEXT:
+    if kind is TextEvent:
         return TextEvent(at, LEVELS[int(row["level"])], text)
-    if kind is EventKind.STATE:
-        track, _, label = text.partition(_SEPARATOR)
-        return StateEvent(at, track, label)
-    if kind is EventKind.LOAD:
-        axis, torque_nm, speed_rad_s = text.split(_SEPARATOR)
-        return LoadEvent(at, axis, float(torque_nm), float(speed_rad_s))
-    if kind is EventKind.IDENTITY:
-        axis, _, identity = text.partition(_SEPARATOR)
-        return IdentityEvent(at, axis, identity)
-    return BeginEvent(at)
+    if kind is BeginEvent:
+        return BeginEvent(at)
+    name, _, told = text.partition(_SEPARATOR)
+    if kind is LoadEvent:
+        torque_nm, _, speed_rad_s = told.partition(_SEPARATOR)
+        return LoadEvent(at, name, float(torque_nm), float(speed_rad_s))
+    return StateEvent(at, name, told) if kind is StateEvent else IdentityEvent(at, name, told)

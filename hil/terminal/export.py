@@ -22,7 +22,7 @@ def export(
     Exit status: 0 written; 2 no recording, one that has no end yet, or a file that cannot be written.
     """
     with reported_errors():
-        from hil.reviewing.export.export import export_run
+        from hil.reviewing.export import export_run
 
         done = export_run(run, to, out)
         put(done._asdict(), as_json, lambda figures: typer.echo(f"{figures['file']}: {figures['rows']} rows"))

@@ -17,8 +17,7 @@ from hil.terminal.output import say, write_line
 
 if TYPE_CHECKING:
     from hil.reviewing.trace.known_nodes import SheetFile
-    from hil.reviewing.trace.selection import TraceSelection
-    from hil.reviewing.trace.trace_entry import TraceEntry
+    from hil.reviewing.trace.trace_entry import TraceEntry, TraceSelection
 
 
 def trace(
@@ -52,7 +51,7 @@ def trace(
     """
     with reported_errors():
         from drivers.errors import BadInput
-        from hil.reviewing.trace.selection import TraceSelection
+        from hil.reviewing.trace.trace_entry import TraceSelection
 
         wanted = TraceSelection(node, _kinds(kind), from_s, to_s)
         sheets = [_sheet(text) for text in eds or ()]

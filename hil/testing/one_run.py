@@ -49,7 +49,7 @@ def run(
     from hil.execution.bench import RUNS_FOLDER, run_bench
     from hil.machine.progress import no_progress
     from hil.recording.memory_recorder import MemoryRecorder
-    from hil.recording.recorder_choice import recorder_of
+    from hil.recording.recorder import recorder_of
     from hil.rows.recording_plan import RecordingPlan
     from hil.testing.run import Run
     from hil.testing.signals import with_signals

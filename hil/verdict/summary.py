@@ -3,7 +3,7 @@
 The figures rest on the cycle records alone (see :mod:`hil.reviewing.review`), never on the telemetry.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
@@ -20,30 +20,6 @@ from hil.verdict.verdict import (
     judge,
     not_run,
 )
-
-_METRICS = {
-    "speed_error_peak_percent_max": "speed error, peak [%]",
-    "after_load_percent_max": "speed error after load step [%]",
-    "speed_error_rms_rad_s_max": "speed error, RMS [rad/s]",
-    "dropouts_percent_max": "dropouts [%]",
-    "delay_p99_us_max": "delay p99 [us]",
-    "bus_load_percent_max": "bus load [%]",
-    "missed_percent_max": "cycles without SYNC [%]",
-    "lateness_us_max": "lateness, largest [us]",
-    "compute_us_max": "computing time, largest [us]",
-    "torque_rms_nm_max": "torque about its mean, rms [N m]",
-    "settling_time_ms_max": "settling after a step [ms]",
-    "overshoot_percent_max": "overshoot of a step [%]",
-    "recovery_time_ms_max": "recovery after a load step [ms]",
-    "losses_in_a_row_max": "dropouts in a row",
-    "certified_delay_us": "certified: delay [us]",
-    "certified_losses_in_a_row": "certified: losses in a row",
-    "certified_commands_at_a_limit": "certified: commands at a limit",
-    "certified_gain_rad_s_nm": "certified: gain [rad/s per N m]",
-    "position_error_peak_rad_max": "position error, peak [rad]",
-    "position_error_rms_rad_max": "position error, RMS [rad]",
-    "following_error_peak_rad_max": "following error, peak [rad]",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,9 +123,46 @@ class Figures:
         return 100.0 * self.dropouts.missed / self.rows if self.rows else None
 
 
+_LIMITED: dict[str, tuple[str, Callable[[Figures, RunOutcome], float | None]]] = {
+    "speed_error_peak_percent_max": ("speed error, peak [%]", lambda run, _: run.speed_error.peak_percent),
+    "after_load_percent_max": (
+        "speed error after load step [%]",
+        lambda run, _: run.speed_error.after_load_percent,
+    ),
+    "speed_error_rms_rad_s_max": ("speed error, RMS [rad/s]", lambda run, _: run.speed_error.rms_rad_s),
+    "dropouts_percent_max": ("dropouts [%]", lambda run, _: run.dropouts_percent),
+    "delay_p99_us_max": ("delay p99 [us]", lambda run, _: run.delay_us.p99),
+    "bus_load_percent_max": ("bus load [%]", lambda _, outcome: outcome.bus_load_percent),
+    "missed_percent_max": ("cycles without SYNC [%]", lambda run, _: run.missed_percent),
+    "lateness_us_max": ("lateness, largest [us]", lambda run, _: run.lateness_us.max),
+    "compute_us_max": ("computing time, largest [us]", lambda run, _: run.compute_us.max),
+    "torque_rms_nm_max": ("torque about its mean, rms [N m]", lambda run, _: run.torque_rms_nm),
+    "settling_time_ms_max": ("settling after a step [ms]", lambda run, _: run.step_response.settling_time_ms),
+    "overshoot_percent_max": ("overshoot of a step [%]", lambda run, _: run.step_response.overshoot_percent),
+    "recovery_time_ms_max": (
+        "recovery after a load step [ms]",
+        lambda run, _: run.step_response.recovery_time_ms,
+    ),
+    "losses_in_a_row_max": ("dropouts in a row", lambda run, _: run.losses_in_a_row if run.rows else None),
+    "position_error_peak_rad_max": ("position error, peak [rad]", lambda run, _: run.position_error.peak_rad),
+    "position_error_rms_rad_max": ("position error, RMS [rad]", lambda run, _: run.position_error.rms_rad),
+    "following_error_peak_rad_max": (
+        "following error, peak [rad]",
+        lambda run, _: run.position_error.following_peak_rad,
+    ),
+}
+"""By the names of the limits: title with unit, and the value that is held against it; None: not measured."""
+_TITLES = {key: title for key, (title, _) in _LIMITED.items()} | {
+    "certified_delay_us": "certified: delay [us]",
+    "certified_losses_in_a_row": "certified: losses in a row",
+    "certified_commands_at_a_limit": "certified: commands at a limit",
+    "certified_gain_rad_s_nm": "certified: gain [rad/s per N m]",
+}
+
+
 def metric_title(key: str) -> str:
     """A limit's key in the words of a reader, with its unit."""
-    return _METRICS[key]
+    return _TITLES[key]
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +223,7 @@ def summarise(
     """Figures, outcome and verdict in one; ``certified``: what is asked beside the limits."""
     shared = {each.name for each in fields(Figures)} & {each.name for each in fields(Summary)}
     count = CycleCount(figures.dense, figures.rows, figures.dropouts.missed)
-    values = _limited_values(figures, outcome)
+    values = {key: value(figures, outcome) for key, (_, value) in _LIMITED.items()}
     return Summary(
         **{name: getattr(figures, name) for name in shared},
         bus_load_percent=outcome.bus_load_percent,
@@ -243,26 +256,3 @@ def summary_without_run(outcome: VerdictKind, reason: str) -> Summary:
         seed=None,
         digest="",
     )
-
-
-def _limited_values(figures: Figures, outcome: RunOutcome) -> dict[str, float | None]:
-    """What the limits speak of, by their names; None: not measured."""
-    return {
-        "speed_error_peak_percent_max": figures.speed_error.peak_percent,
-        "after_load_percent_max": figures.speed_error.after_load_percent,
-        "speed_error_rms_rad_s_max": figures.speed_error.rms_rad_s,
-        "dropouts_percent_max": figures.dropouts_percent,
-        "delay_p99_us_max": figures.delay_us.p99,
-        "bus_load_percent_max": outcome.bus_load_percent,
-        "missed_percent_max": figures.missed_percent,
-        "lateness_us_max": figures.lateness_us.max,
-        "compute_us_max": figures.compute_us.max,
-        "torque_rms_nm_max": figures.torque_rms_nm,
-        "settling_time_ms_max": figures.step_response.settling_time_ms,
-        "overshoot_percent_max": figures.step_response.overshoot_percent,
-        "recovery_time_ms_max": figures.step_response.recovery_time_ms,
-        "losses_in_a_row_max": figures.losses_in_a_row if figures.rows else None,
-        "position_error_peak_rad_max": figures.position_error.peak_rad,
-        "position_error_rms_rad_max": figures.position_error.rms_rad,
-        "following_error_peak_rad_max": figures.position_error.following_peak_rad,
-    }

@@ -37,37 +37,27 @@ class ExitStatus(IntEnum):
 class VerdictKind(StrEnum):
     """What a run came to. Where several hold, the first of this list is told."""
 
-    DEFECT = "defect of the program"
-    PEER_FAULT = "bus, drive or safety"
-    INTERRUPTED = "interrupted"
-    BAD_INPUT = "bad input"
-    NOT_TRUSTWORTHY = "not trustworthy"
-    NOT_RECORDED = "not recorded"
-    CUT_SHORT = "cut short"
-    NOT_MEASURED = "not measured"
-    NOT_PASSED = "not passed"
-    NOTHING_ASKED = "completed, nothing was asked"
-    PASSED = "passed"
+    exit_status: ExitStatus
+    """How a process tells it."""
 
-    @property
-    def exit_status(self) -> ExitStatus:
-        """How a process tells it."""
-        return _EXIT_STATUS[self]
+    def __new__(cls, text: str, status: ExitStatus) -> "VerdictKind":
+        kind = str.__new__(cls, text)
+        kind._value_, kind.exit_status = text, status
+        return kind
+
+    DEFECT = "defect of the program", ExitStatus.DEFECT
+    PEER_FAULT = "bus, drive or safety", ExitStatus.PEER_FAULT
+    INTERRUPTED = "interrupted", ExitStatus.INTERRUPTED
+    BAD_INPUT = "bad input", ExitStatus.BAD_INPUT
+    NOT_TRUSTWORTHY = "not trustworthy", ExitStatus.NOT_TRUSTWORTHY
+    NOT_RECORDED = "not recorded", ExitStatus.NOT_RECORDED
+    CUT_SHORT = "cut short", ExitStatus.INCOMPLETE
+    NOT_MEASURED = "not measured", ExitStatus.INCOMPLETE
+    NOT_PASSED = "not passed", ExitStatus.FAILED
+    NOTHING_ASKED = "completed, nothing was asked", ExitStatus.PASSED
+    PASSED = "passed", ExitStatus.PASSED
 
 
-_EXIT_STATUS = {
-    VerdictKind.DEFECT: ExitStatus.DEFECT,
-    VerdictKind.PEER_FAULT: ExitStatus.PEER_FAULT,
-    VerdictKind.INTERRUPTED: ExitStatus.INTERRUPTED,
-    VerdictKind.BAD_INPUT: ExitStatus.BAD_INPUT,
-    VerdictKind.NOT_TRUSTWORTHY: ExitStatus.NOT_TRUSTWORTHY,
-    VerdictKind.NOT_RECORDED: ExitStatus.NOT_RECORDED,
-    VerdictKind.CUT_SHORT: ExitStatus.INCOMPLETE,
-    VerdictKind.NOT_MEASURED: ExitStatus.INCOMPLETE,
-    VerdictKind.NOT_PASSED: ExitStatus.FAILED,
-    VerdictKind.NOTHING_ASKED: ExitStatus.PASSED,
-    VerdictKind.PASSED: ExitStatus.PASSED,
-}
 _GRAVITY = list(VerdictKind)
 
 

@@ -19,8 +19,7 @@ from hil.recorded.recorded_run import RecordedRun, open_run
 from hil.recorded.viewer import draw_page
 from hil.recording.telemetry import RERUN_FILE, Telemetry
 from hil.reviewing.review import Review
-from hil.rows.record_columns import COLUMNS
-from hil.rows.records import NOTHING, Rows
+from hil.rows.records import COLUMNS, NOTHING, Rows
 from hil.rows.side_rows import BeginEvent, StateEvent
 from hil.verdict.summary import summarise
 from tests.pictures.made import run

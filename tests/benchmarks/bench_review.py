@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.timebase import NS_PER_US, Instant
-from hil.rows.record_columns import COLUMNS
-from hil.rows.records import NOTHING, ROW_DTYPE, Rows
+from hil.rows.records import COLUMNS, NOTHING, ROW_DTYPE, Rows
 from hil.rows.records_file import RECORDS_FILE, RecordsWriter
 
 _SECONDS, _AXES = 600, 3

@@ -11,8 +11,8 @@ import pytest
 from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, wall_clock_offset
 from hil.pytest_plugin import StartDrive
-from hil.recording.run_metadata import FIRST_CYCLE
 from hil.rows.records_file import read_metadata, read_records
+from hil.rows.run_files import FIRST_CYCLE
 from tests.scenario.processes import (
     broker_of,
     changed_bench,

@@ -4,10 +4,8 @@ A program that is not there skips its test, but not in CI, where all are to be t
 """
 
 import os
-import re
 import shutil
 import subprocess
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -16,13 +14,13 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from hil.rows.record_columns import COLUMNS, FORMAT, PHASE_COLUMN
-from hil.rows.records_file import RECORDS_FILE, read_metadata
+from hil.rows.records import COLUMNS
+from hil.rows.records_file import PHASE_COLUMN, RECORDS_FILE, read_metadata
+from hil.rows.run_files import FORMAT
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
 
-DOCS = Path(__file__).parents[2] / "docs" / "recording.md"
 TSHARK_MAX_S = 60
 
 
@@ -123,15 +121,3 @@ def test_tshark_reads_every_frame_and_finds_none_malformed(run: Run) -> None:
     assert not any(line[4] for line in seen)
     stamps = [float(line[0]) for line in seen]
     assert stamps == sorted(stamps)
-
-
-def test_the_documented_columns_are_those_of_the_file() -> None:
-    told = re.findall(r"^\| `(\w+)` \| (\w+) \| ([^|]*) \| ([^|]*) \|$", DOCS.read_text(), re.MULTILINE)
-    expected = []
-    for column in (*COLUMNS, PHASE_COLUMN):
-        numbered = column is not PHASE_COLUMN
-        codes = ", ".join(f"{n} {code}" if numbered else code for n, code in enumerate(column.codes))
-        meaning = f"{column.meaning}: {codes}" if codes else column.meaning
-        expected.append((column.name, column.kind, column.unit, meaning))
-    assert [(name, kind, unit.strip(), text) for name, kind, unit, text in told] == expected
-    assert f"**format {FORMAT}**" in DOCS.read_text()

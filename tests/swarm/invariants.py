@@ -15,10 +15,9 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil import Run
 from hil.configuration.config import BenchConfig
 from hil.loop.stamp_attribution import REVOKED
-from hil.recording.run_metadata import FIRST_CYCLE
 from hil.rows.records import ROW_DTYPE, Rows
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
-from hil.rows.run_files import DIRECTIONS_FILE, SUMMARY_FILE
+from hil.rows.run_files import DIRECTIONS_FILE, FIRST_CYCLE, SUMMARY_FILE
 from hil.testing.wire import SeenFrame, Wire, read_wire
 from tests.swarm.mishaps import STRIKE, Circumstances, Mishap
 from tests.swarm.witness import EMCY_ID, Testimony

@@ -42,16 +42,16 @@ def frame_of_line(line: bytes, number: int) -> LogFrame | None:
     match = logged or _SHOWN.match(line)
     if match is None:
         return None
-    at_ns = _stamp_ns(match)
-    if at_ns is not None and at_ns < 0:
+    try:
+        at_ns = _stamp_ns(match)
+        data, remote, fd = _logged(match) if logged else _shown(match)
+    except ValueError:
         return None
     digits = match["id"]
     can_id, extended = int(digits, 16), len(digits) == _EXTENDED_DIGITS
     error = extended and bool(can_id & _ERROR_FLAG)
-    content = _logged(match) if logged else _shown(match)
-    if content is None or (extended and can_id > _ID_MASK | _ERROR_FLAG) or (not extended and can_id > 0x7FF):
+    if can_id > (_ID_MASK | _ERROR_FLAG if extended else 0x7FF):
         return None
-    data, remote, fd = content
     channel = match["channel"].decode("utf-8", "replace")
     sent = (match["sent"] or b"").decode()
     can_id &= _ID_MASK
@@ -64,36 +64,34 @@ def is_remark(line: bytes) -> bool:
 
 
 def _stamp_ns(match: re.Match[bytes]) -> int | None:
-    """None: the line has none; -1: a date that there is not."""
+    """None: the line has none. Raises ValueError for a date that there is not, or that lies before 1970."""
     if match["part"] is None:
         return None
     part_ns = int(match["part"].ljust(9, b"0"))
     if match["date"] is None:
         return int(match["s"]) * NS_PER_S + part_ns
-    try:
-        date = datetime.strptime(match["date"].decode(), "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
-    except ValueError:
-        return -1
-    return int(date.timestamp()) * NS_PER_S + part_ns
+    date = datetime.strptime(match["date"].decode(), "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
+    at_ns = int(date.timestamp()) * NS_PER_S + part_ns
+    if at_ns < 0:
+        raise ValueError(match["date"])
+    return at_ns
 
 
-def _logged(match: re.Match[bytes]) -> tuple[bytes, bool, bool] | None:
+def _logged(match: re.Match[bytes]) -> tuple[bytes, bool, bool]:
+    """Data, and whether it is a remote or a CAN FD frame. Raises ValueError for what no frame has."""
     data = bytes.fromhex(match["data"].replace(b".", b"").decode())
-    if match["remote"] is not None:
-        return None if data else (b"", True, False)
-    fd = match["fd"] is not None
-    return None if len(data) > (_FD_MAX if fd else _CLASSICAL_MAX) else (data, False, fd)
+    remote, fd = match["remote"] is not None, match["fd"] is not None
+    if len(data) > (0 if remote else _FD_MAX if fd else _CLASSICAL_MAX):
+        raise ValueError(match["data"])
+    return data, remote, fd
 
 
-def _shown(match: re.Match[bytes]) -> tuple[bytes, bool, bool] | None:
+def _shown(match: re.Match[bytes]) -> tuple[bytes, bool, bool]:
+    """The same."""
     length, rest = int(match["length"]), match["rest"] or b""
     if rest.startswith(b"remote request"):
         return b"", True, False
     words = rest.split(None, length)
     if length > _FD_MAX or len(words) < length or any(len(word) != 2 for word in words[:length]):
-        return None
-    try:
-        data = bytes(int(word, 16) for word in words[:length])
-    except ValueError:
-        return None
-    return data, False, len(match["length"]) == 2
+        raise ValueError(rest)
+    return bytes(int(word, 16) for word in words[:length]), False, len(match["length"]) == 2

@@ -19,7 +19,6 @@ from drivers.canopen.objects301 import PDO_PARAMETERS, Cia301
 from drivers.canopen.sdo import abort_text, object_name
 from hil.reviewing.trace.known_nodes import KnownNodes
 from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.lss_words import lss_text
 from hil.reviewing.trace.node_objects import NodeObjects
 from hil.reviewing.trace.object_value import ObjectValue
 from hil.reviewing.trace.pdo_book import PdoBook
@@ -28,6 +27,7 @@ from hil.reviewing.trace.service_words import (
     emergency_text,
     error_control_text,
     error_frame_text,
+    lss_text,
     nmt_text,
     time_text,
 )

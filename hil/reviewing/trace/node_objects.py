@@ -1,12 +1,13 @@
 """What is known of a node's objects: its data sheet, and what was told of them on the bus meanwhile."""
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Final, NamedTuple
 
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable
 
 from drivers.canopen.error_codes import fault_text, history_text, register_text
-from drivers.canopen.objects301 import PDO_PARAMETERS, Cia301
+from drivers.canopen.objects301 import MANDATORY, PDO_PARAMETERS, TPDO_COMMUNICATION, Cia301, is_mapping
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, commands_in, state_of
 from drivers.cia402.quirky_units import apply_quirks
@@ -14,8 +15,8 @@ from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scali
 from drivers.errors import PeerFault
 from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
 from drivers.sheets.dictionary import held_by
+from drivers.sheets.eds.types import COB_ID_OBJECTS, VARIABLE, standard_object_type, standard_type
 from drivers.vendors.families import known_families, quirks_for
-from hil.reviewing.trace.object_names import is_word_of_bits, standard_name, type_by_standard
 from hil.reviewing.trace.object_value import ObjectValue, value_of
 
 _RATED: Final = Object.MOTOR_RATED_TORQUE
@@ -41,6 +42,23 @@ _FIXED: Final = {
 _MODES: Final = frozenset({Object.MODES_OF_OPERATION, Object.MODES_OF_OPERATION_DISPLAY})
 _UNSURE_VELOCITY: Final = "position unit per second"
 """How the scaling's source begins where the drive has no velocity unit, or was not asked for it."""
+_TITLES: Final = {int(entry): entry.title for entry in (*Cia301, *Object)}
+_IDENTITY: Final = {1: "Vendor-ID", 2: "Product code", 3: "Revision number", 4: "Serial number"}
+_PDO: Final = {
+    1: "COB-ID",
+    2: "transmission type",
+    3: "inhibit time",
+    5: "event timer",
+    6: "SYNC start value",
+}
+_COUNTED: Final = frozenset({Cia301.ERROR_HISTORY, Cia301.CONSUMER_HEARTBEAT_TIME, Cia301.IDENTITY})
+"""Sub-index 0 of these is a count."""
+_WORDS_OF_BITS: Final[frozenset[int]] = frozenset(
+    {*MANDATORY, *_COUNTED, *COB_ID_OBJECTS, Cia301.STATUS_REGISTER}
+    | {Object.CONTROLWORD, Object.STATUSWORD, Object.ERROR_CODE, Object.DIGITAL_INPUTS}
+    | {Object.SI_UNIT_POSITION, Object.SI_UNIT_VELOCITY, Object.SI_UNIT_ACCELERATION, Object.SI_UNIT_JERK}
+    | {Object.SUPPORTED_DRIVE_MODES}
+)
 
 
 class _Units(NamedTuple):
@@ -79,7 +97,7 @@ class NodeObjects:
         if len(data) > 8:
             return
         if index in _NEEDED or index in PDO_PARAMETERS:
-            value = value_of(data, self._type(index, sub))
+            value = value_of(data, self.data_type(index, sub))
             if isinstance(value, int):
                 self._told[index, sub] = value
                 self._stale = self._stale or index in _NEEDED
@@ -115,7 +133,7 @@ class NodeObjects:
 
     def value(self, index: int, sub: int, data: bytes) -> ObjectValue:
         """``data`` of an object in words."""
-        return self.number(index, sub, value_of(data, self._type(index, sub)))
+        return self.number(index, sub, value_of(data, self.data_type(index, sub)))
 
     def number(self, index: int, sub: int, raw: int | float | str | None) -> ObjectValue:
         """A number that is typed already."""
@@ -126,12 +144,12 @@ class NodeObjects:
         if isinstance(raw, int | float):
             si, unit = self._in_si(index, sub, raw)
         words = self._words(index, sub, raw) if isinstance(raw, int) else ""
-        return ObjectValue(index, sub, name, raw, si, unit or "", words, is_word_of_bits(index, sub))
+        return ObjectValue(index, sub, name, raw, si, unit or "", words, _is_word_of_bits(index, sub))
 
     def _name(self, index: int, sub: int) -> str:
         variable = self._variable(index, sub)
         if variable is None:
-            return standard_name(index, sub)
+            return _standard_name(index, sub)
         parent = variable.parent
         if isinstance(parent, ODArray | ODRecord) and parent.name != variable.name:
             return f"{parent.name}, {variable.name}"
@@ -139,13 +157,10 @@ class NodeObjects:
 
     def data_type(self, index: int, sub: int) -> int | None:
         """By the data sheet, else by the standard."""
-        return self._type(index, sub)
-
-    def _type(self, index: int, sub: int) -> int | None:
         variable = self._variable(index, sub)
         if variable is not None and variable.data_type is not None:
             return int(variable.data_type)
-        return type_by_standard(index, sub)
+        return _type_by_standard(index, sub)
 
     def _variable(self, index: int, sub: int) -> ODVariable | None:
         if self.sheet is None or index not in self.sheet:
@@ -228,3 +243,33 @@ _NEEDED: Final = frozenset(
     | {quirk.increments_index for family in known_families() for quirk in family.quirks}
 )
 """Objects on which the units rest."""
+
+
+@cache
+def _standard_name(index: int, sub: int) -> str:
+    """``Target torque``, ``TPDO1 mapping, object 2``; empty if no standard has it."""
+    if index == Cia301.IDENTITY and sub in _IDENTITY:
+        return _IDENTITY[sub]
+    if index in PDO_PARAMETERS:
+        pdo = f"{'R' if index < TPDO_COMMUNICATION else 'T'}PDO{(index & 0x1FF) + 1}"
+        part = f"object {sub}" if sub else "number of objects"
+        return f"{pdo} " + (
+            f"mapping, {part}" if is_mapping(index) else _PDO.get(sub, "communication parameter")
+        )
+    name = _TITLES.get(index, "")
+    return f"{name}, {sub}" if name and sub else name
+
+
+@cache
+def _type_by_standard(index: int, sub: int) -> int | None:
+    """The data type of an object by CiA 301 and CiA 402; None if they do not say."""
+    simple = sub == 0 and standard_object_type(index) == VARIABLE
+    return standard_type(index, None if simple else sub)
+
+
+@cache
+def _is_word_of_bits(index: int, sub: int) -> bool:
+    """Shown in hexadecimal: an identifier, a unit word, a word of bits."""
+    if index in PDO_PARAMETERS:
+        return sub > 0 if is_mapping(index) else sub == 1
+    return index in _WORDS_OF_BITS and (sub > 0 or index not in _COUNTED)

@@ -15,13 +15,10 @@ from hil.configuration.bench_file import load_bench
 from hil.reviewing.trace.bus_log import BusLog
 from hil.reviewing.trace.known_nodes import KnownNodes, NodeKey, SheetFile
 from hil.reviewing.trace.log_frame import LogFrame
-from hil.rows.record_columns import refuse_later_format
-from hil.rows.records_file import RECORDS_FILE, read_metadata
-from hil.rows.run_files import BENCH_FILE, DIRECTIONS_FILE, FRAMES_FILE
+from hil.rows.records_file import RECORDS_FILE, read_metadata, refuse_later_format
+from hil.rows.run_files import BENCH_FILE, DIRECTION_BYTES, DIRECTIONS_FILE, FIRST_CYCLE_EPOCH, FRAMES_FILE
 from hil.rows.side_rows import FRAME_DTYPE, frame_row
 
-_EPOCH: Final = "first_cycle_epoch_ns"
-_DIRECTION_BYTES: Final = 2
 _CHUNK: Final = 1 << 16
 """Lines of which are held at once what is asked for."""
 
@@ -42,7 +39,7 @@ class RecordedBus:
         metadata = read_metadata(records) if records.exists() else {}
         refuse_later_format(metadata, records)
         self._interface = metadata.get("bus", "").rpartition(":")[2]
-        self.zero_ns = int(metadata[_EPOCH]) if _EPOCH in metadata else None
+        self.zero_ns = int(metadata[FIRST_CYCLE_EPOCH]) if FIRST_CYCLE_EPOCH in metadata else None
         """The first cycle as frames.log counts; None if the run never came to one."""
 
     def __iter__(self) -> Iterator[LogFrame]:
@@ -54,12 +51,12 @@ class RecordedBus:
         first, letters = 1, b""
         with path.open("rb") as directions:
             for frame in self.log:
-                while frame.number >= first + len(letters) // _DIRECTION_BYTES:
-                    first += len(letters) // _DIRECTION_BYTES
-                    letters = directions.read(_CHUNK * _DIRECTION_BYTES)
+                while frame.number >= first + len(letters) // DIRECTION_BYTES:
+                    first += len(letters) // DIRECTION_BYTES
+                    letters = directions.read(_CHUNK * DIRECTION_BYTES)
                     if not letters:
                         break
-                place = (frame.number - first) * _DIRECTION_BYTES
+                place = (frame.number - first) * DIRECTION_BYTES
                 yield frame._replace(sent=letters[place : place + 1].decode("latin-1"))
 
     def arrays(self, segments: Sequence[str]) -> Iterator[NDArray[np.void]]:

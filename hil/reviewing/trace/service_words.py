@@ -1,11 +1,12 @@
-"""NMT, TIME, EMCY, error control and error frames in words (CiA 301 7.2.6 to 7.2.8, linux/can/error.h)."""
+"""NMT, TIME, EMCY, error control and error frames in words (CiA 301 7.2.6 to 7.2.8, linux/can/error.h); LSS
+(CiA 305)."""
 
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
 from drivers.canopen.error_codes import fault_text
 from drivers.canopen.nmt import parse_emergency
-from drivers.canopen.nmt_states import NmtCommand, NmtState
+from drivers.canopen.nmt_states import UNCONFIGURED, NmtCommand, NmtState
 from drivers.timebase import Instant
 
 _EPOCH: Final = datetime(1984, 1, 1, tzinfo=UTC)
@@ -43,6 +44,20 @@ _PROTOCOL: Final = {
 _CRC_SEQUENCE: Final = 0x08
 _COUNTERS: Final = 0x200
 _TIME_BYTES: Final = 6
+_PARTS: Final = ("vendor-ID", "product code", "revision number", "serial number")
+_IDENTIFY: Final = (
+    "vendor-ID", "product code", "lowest revision", "highest revision", "lowest serial", "highest serial",
+)  # fmt: skip
+_BIT_RATES_KBIT_S: Final = (1000, 800, 500, 250, 125, None, 50, 20, 10)
+"""Table 0 of CiA 305 by index; 9: found by the device itself."""
+_DETECTED: Final = 9
+_SCAN_RESET: Final = 0x80
+_OTHER_ERROR: Final = 0xFF
+_CONFIRMED: Final = {
+    0x11: {1: "node-ID out of range"},
+    0x13: {1: "bit timing not supported"},
+    0x17: {1: "storing not supported", 2: "storage medium does not answer"},
+}
 
 
 def nmt_text(data: bytes) -> tuple[int | None, str]:
@@ -97,3 +112,68 @@ def error_frame_text(classes: int, data: bytes) -> str:
         details.append(f"counters: transmit {data[6]}, receive {data[7]}")
     text = ", ".join(told) or "no class of error"
     return f"{text} ({', '.join(details)})" if details else text
+
+
+def lss_text(data: bytes, answer: bool) -> str:
+    """A frame of the master, or of a slave if ``answer``."""
+    if len(data) != 8:
+        return f"LSS of {len(data)} bytes; it has 8"
+    command, number = data[0], int.from_bytes(data[1:5], "little")
+    if command == 0x04:
+        states = {0: "waiting", 1: "configuration"}
+        return f"switch all to state {states.get(data[1], data[1])}"
+    if 0x40 <= command <= 0x43:
+        return f"select {_PARTS[command - 0x40]} {number:08X}h"
+    if 0x46 <= command <= 0x4B:
+        return f"identify {_IDENTIFY[command - 0x46]} {number:08X}h"
+    if 0x5A <= command <= 0x5D:
+        return f"{_PARTS[command - 0x5A]} is {number:08X}h" if answer else f"ask {_PARTS[command - 0x5A]}"
+    if command == 0x51:
+        return _fast_scan(data, number)
+    if command in _CONFIRMED and answer:
+        return _confirmation(data)
+    return _plain(data, answer)
+
+
+def _fast_scan(data: bytes, number: int) -> str:
+    bit, part, following = data[5], data[6], data[7]
+    if bit == _SCAN_RESET:
+        return "fast scan: is anybody without node-ID?"
+    name = _PARTS[part] if part < len(_PARTS) else f"part {part}"
+    then = f", then {_PARTS[following]}" if following < len(_PARTS) and following != part else ""
+    return f"fast scan: {name} {number:08X}h down to bit {bit}{then}"
+
+
+def _confirmation(data: bytes) -> str:
+    what = {0x11: "node-ID", 0x13: "bit timing", 0x17: "store"}[data[0]]
+    if not data[1]:
+        return f"{what}: done"
+    reason = _CONFIRMED[data[0]].get(data[1], f"error {data[1]}")
+    return f"{what}: refused, " + (f"error {data[2]} of the maker" if data[1] == _OTHER_ERROR else reason)
+
+
+def _plain(data: bytes, answer: bool) -> str:
+    command, value = data[0], data[1]
+    if command == 0x11:
+        return "configure no node-ID" if value == UNCONFIGURED else f"configure node-ID {value}"
+    if command == 0x13:
+        return f"configure bit timing: table {value}, {_bit_rate(value, data[2])}"
+    if command == 0x15:
+        return f"activate bit timing after {value | data[2] << 8} ms"
+    if command == 0x5E:
+        return f"node-ID is {value}" if answer else "ask node-ID"
+    texts = {
+        0x17: "store configuration",
+        0x44: "selected",
+        0x4C: "is anybody without node-ID?",
+        0x4F: "identified",
+        0x50: "here is one without node-ID",
+    }
+    return texts.get(command, f"command {command:02X}h")
+
+
+def _bit_rate(table: int, index: int) -> str:
+    if table == 0 and index == _DETECTED:
+        return "found by the device"
+    rate = _BIT_RATES_KBIT_S[index] if table == 0 and index < len(_BIT_RATES_KBIT_S) else None
+    return f"index {index}" if rate is None else f"{rate} kbit/s"

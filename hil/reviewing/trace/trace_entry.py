@@ -1,7 +1,9 @@
-"""One line of a decoded bus."""
+"""One line of a decoded bus, and which lines somebody wants to see."""
 
+from collections.abc import Iterable, Iterator
 from typing import Any, Final, NamedTuple
 
+from drivers.timebase import NS_PER_S
 from hil.reviewing.trace.object_value import ObjectValue
 
 KINDS: Final = ("nmt", "sync", "emcy", "time", "heartbeat", "guarding", "sdo", "pdo", "lss", "error", "other")
@@ -59,3 +61,33 @@ class TraceEntry(NamedTuple):
         if self.values:
             told["values"] = [value.as_json() for value in self.values]
         return told | dict(self.details)
+
+
+class TraceSelection(NamedTuple):
+    """Everything, unless told otherwise."""
+
+    node: int | None = None
+    """Its lines, and NMT commands to all nodes."""
+    kinds: frozenset[str] = frozenset()
+    """Empty: all."""
+    from_s: float | None = None
+    to_s: float | None = None
+
+    def of(self, entries: Iterable[TraceEntry], zero_ns: int) -> Iterator[TraceEntry]:
+        """Those that are wanted; ``zero_ns``: what the times count from."""
+        for entry in entries:
+            if self.kinds and entry.kind not in self.kinds:
+                continue
+            for_all = entry.kind == "nmt" and entry.node is None
+            if self.node is not None and entry.node != self.node and not for_all:
+                continue
+            if self._in_time(entry, zero_ns):
+                yield entry
+
+    def _in_time(self, entry: TraceEntry, zero_ns: int) -> bool:
+        if self.from_s is None and self.to_s is None:
+            return True
+        if entry.at_ns is None:
+            return False
+        at_s = (entry.at_ns - zero_ns) / NS_PER_S
+        return (self.from_s is None or at_s >= self.from_s) and (self.to_s is None or at_s <= self.to_s)

@@ -14,7 +14,7 @@ from hil.rows.records import (
     CAUSES,
     COMMAND_FATES,
     FATE_SAMPLE,
-    LAYOUT,
+    NAMES,
     NOTHING,
     ROW_DTYPE,
     Rows,
@@ -54,7 +54,7 @@ def plain_rows(
 
 def record_of(row: np.void) -> CycleRecord:
     """The record that was packed into ``row``; inverse of :func:`row_of`."""
-    field = {name: row[name].item() for name, _ in LAYOUT}
+    field = {name: row[name].item() for name in NAMES}
     return CycleRecord(
         sequence=field["sequence"],
         axis=field["axis"],

@@ -8,7 +8,7 @@ import pytest
 from drivers.errors import BadInput
 from hil.campaign.store import plan_in
 from hil.recorded.commissioning_page import commissioning_page
-from hil.rows.summary_file import read_summary
+from hil.recording.run_folder import read_summary
 
 READERS: dict[str, Callable[[Path], object]] = {
     "campaign.json": plan_in,

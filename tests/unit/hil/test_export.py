@@ -14,9 +14,8 @@ from typer.testing import CliRunner, Result
 
 from drivers.timebase import Instant
 from hil.cli import app
-from hil.reviewing.export.recorded_rows import CHUNK_ROWS, RecordedRows
-from hil.rows.record_columns import COLUMNS
-from hil.rows.records import LAYOUT, ROW_DTYPE
+from hil.reviewing.export import CHUNK_ROWS, RecordedRows
+from hil.rows.records import COLUMNS, ROW_DTYPE
 from hil.rows.records_file import RECORDS_FILE, RecordsWriter
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -165,7 +164,7 @@ def test_an_earlier_format_is_written_with_the_columns_that_it_has(run: Path) ->
     for ending in ("parquet", "csv", "mat"):
         assert export(run, "--to", ending).exit_code == 0
     assert pyarrow.parquet.read_table(run / "records.parquet").equals(old, check_metadata=True)
-    assert len(pd.read_csv(run / "records.csv").columns) == len(LAYOUT) + 1 - len(new)
+    assert len(pd.read_csv(run / "records.csv").columns) == len(COLUMNS) + 1 - len(new)
 
 
 def test_what_cannot_be_exported_is_refused(run: Path, tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ import pytest
 
 from drivers.record import replaced
 from drivers.timebase import Instant
-from hil.recording.line_reader import LineReader
 from hil.recording.logger import Logger
+from hil.recording.logger_process import LineReader
 from hil.recording.ring import RingWriter
 from hil.rows.records import ROW, row_of
 from hil.rows.side_rows import EVENT, FRAME, TextEvent, event_row, frame_row
@@ -21,6 +21,7 @@ from hil.verdict.summary import Summary
 from hil.verdict.verdict import VerdictKind
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
+from virtual_bus.faults.fault_log import BLOCK
 
 CYCLES = 300
 OUTCOME = json.dumps(asdict(whole_outcome(CYCLES))).encode() + b"\n"
@@ -31,6 +32,11 @@ class Rings:
     rows: RingWriter
     frames: RingWriter
     events: RingWriter
+    faults: RingWriter
+
+    @property
+    def all(self) -> tuple[RingWriter, ...]:
+        return self.rows, self.frames, self.events, self.faults
 
     def fill(self, doubled: int = 0) -> None:
         """``doubled``: number of a cycle whose row stands in the place of the next one's too."""
@@ -43,9 +49,10 @@ class Rings:
 
 @pytest.fixture
 def rings() -> Iterator[Rings]:
-    found = Rings(RingWriter(ROW, 1 << 9), RingWriter(FRAME, 1 << 9), RingWriter(EVENT, 1 << 4))
+    sizes = ((ROW, 1 << 9), (FRAME, 1 << 9), (EVENT, 1 << 4), (BLOCK, 1 << 4))
+    found = Rings(*(RingWriter(row, capacity) for row, capacity in sizes))
     yield found
-    for ring in (found.rows, found.frames, found.events):
+    for ring in found.all:
         ring.close()
 
 
@@ -61,7 +68,7 @@ def run_logger(
     read_end, write_end = os.pipe()
     os.write(write_end, said)
     os.close(write_end)
-    descriptors = [ring.descriptor for ring in (rings.rows, rings.frames, rings.events)]
+    descriptors = [ring.descriptor for ring in rings.all]
     try:
         logger = Logger(plan_for(folder), *descriptors)
         with within or nullcontext():

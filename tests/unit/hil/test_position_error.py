@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
-from hil.reviewing.position_error import PositionErrorMeter, worst_position
+from hil.reviewing.position_error import PositionErrorMeter
+from hil.reviewing.speed_error import worst
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import NOTHING, Rows
 from hil.verdict.summary import NO_POSITIONS, PositionError
@@ -93,4 +94,4 @@ def test_where_they_do_not_apply_nothing_is_told() -> None:
     csv = figures(sine_rows(), axis=AxisPlan("axis1", 5_000.0, quantity="position", mode="csv"))
     assert csv.following_peak_rad is None
     assert csv.peak_rad is not None
-    assert worst_position([NO_POSITIONS, csv]) == csv
+    assert worst(PositionError, [NO_POSITIONS, csv]) == csv

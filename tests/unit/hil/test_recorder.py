@@ -149,13 +149,13 @@ def test_rows_of_a_killed_logger_are_in_the_files_once_each(tmp_path: Path) -> N
     records = list(synthetic_records(2 * CYCLES))
     for record in records[:CYCLES]:
         recorder.record(record)
-        recorder.frame("tx", 0x80, b"", False, False, record.due_at)
+        recorder.tap().frame("tx", 0x80, b"", False, False, record.due_at)
     recorder.confirm(lambda: None)
     os.kill(recorder.logger_process_id, signal.SIGKILL)
     wait_for_exit(recorder.logger_process_id)
     for record in records[CYCLES:]:
         recorder.record(record)
-        recorder.frame("tx", 0x80, b"", False, False, record.due_at)
+        recorder.tap().frame("tx", 0x80, b"", False, False, record.due_at)
     summary = recorder.close(whole_outcome(2 * CYCLES))
     rows = np.concatenate(list(read_records(tmp_path / "run" / "records.arrow")))
     assert [record_of(row) for row in rows] == records
@@ -197,7 +197,7 @@ recorder = start_recording(plan_for(Path(sys.argv[1]), real_time=True))
 recorder.begin(Instant(0))
 for record in synthetic_records(300):
     recorder.record(record)
-    recorder.frame("tx", 0x80, b"", False, False, record.due_at)
+    recorder.tap().frame("tx", 0x80, b"", False, False, record.due_at)
 print(recorder.logger_process_id, flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
 """

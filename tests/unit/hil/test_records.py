@@ -1,10 +1,16 @@
 """Packed rows: nothing of a CycleRecord is lost, on any machine the same bytes."""
 
+from collections.abc import Callable, Iterator
+from enum import Enum
+from typing import Any
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.exchange import Command, Reading
+from drivers.exchange import Command, PositionCommand, Reading, SpeedCommand
+from drivers.record import AnyRecord, Record, replaced, values_of
 from drivers.timebase import Duration, Instant
 from hil.loop.samples import (
     CommandFate,
@@ -15,7 +21,7 @@ from hil.loop.samples import (
     Sending,
     StateEstimate,
 )
-from hil.rows.records import LAYOUT, NOTHING, ROW, ROW_DTYPE, row_of
+from hil.rows.records import NAMES, NOTHING, ROW, ROW_DTYPE, row_of
 from tests.unit.hil.row_tools import record_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
@@ -74,9 +80,66 @@ def test_a_record_survives_packing(record: CycleRecord) -> None:
     assert record_of(row) == record
 
 
+WHOLE = CycleRecord(
+    sequence=7,
+    axis=0,
+    due_at=Instant(1),
+    woke_at=Instant(2),
+    sync_handed_at=Instant(3),
+    sync_on_bus_at=Instant(4),
+    observation=Sample(
+        7,
+        Reading(1.0, 5, Instant(6), 2.0, Instant(7), 3.0, Instant(8), 9, Instant(10)),
+        Instant(11),
+        12,
+        certain=True,
+    ),
+    delay=Duration(13),
+    estimate=StateEstimate(4.0, 5.0, 6.0, Instant(14), 15),
+    reference_rad_s=7.0,
+    load_torque_nm=8.0,
+    command=Command(7, 9.0, Instant(16), Instant(17)),
+    sending=Sending(18, Instant(19), Instant(20), CommandFate.ACTING, Instant(21), Instant(22)),
+    clock_offset_ns=23,
+    clock_error_ns=24,
+    compute_ns=25,
+    channels=(1.0, 2.0),
+    reference_rad=3.0,
+    reference_nm=4.0,
+)
+"""With all that a record can have."""
+TOLD_ONCE = {"observation.sequence", "command.sequence"}
+"""They are the record's own."""
+
+
+def changed(record: AnyRecord) -> Iterator[tuple[str, AnyRecord]]:
+    """The record with each of its fields changed in turn, and those of its parts, by their names."""
+    for name, value in zip(record.__match_args__, values_of(record), strict=True):
+        if isinstance(value, Record):
+            for below, other in changed(value):
+                yield f"{name}.{below}", replaced(record, **{name: other})
+        else:
+            yield name, replaced(record, **{name: _another(value)})
+
+
+def _another(value: Any) -> object:
+    if isinstance(value, Enum):
+        return next(other for other in type(value) if other is not value)
+    return (*value, 5.0) if isinstance(value, tuple) else value + 1
+
+
+@pytest.mark.parametrize("kind", [Command, SpeedCommand, PositionCommand])
+def test_a_row_tells_every_field_of_its_record(kind: Callable[..., Command]) -> None:
+    """A field that a record has and no column is named here."""
+    whole = replaced(WHOLE, command=kind(7, 9.0, Instant(16), Instant(17)))
+    row = row_of(whole)
+    assert len(row) == ROW.size
+    assert {name for name, record in changed(whole) if row_of(record) == row} == TOLD_ONCE
+
+
 def test_layout_has_no_padding_and_each_field_is_aligned() -> None:
     assert ROW.size == ROW_DTYPE.itemsize
-    assert ROW_DTYPE.names == tuple(name for name, _ in LAYOUT)
+    assert ROW_DTYPE.names == NAMES
     for name, (dtype, offset, *_) in (ROW_DTYPE.fields or {}).items():
         assert offset % dtype.itemsize == 0, name
 

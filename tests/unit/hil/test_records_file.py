@@ -1,6 +1,8 @@
 """records.arrow as a whole file, and as one that was cut off at any place."""
 
 import json
+import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,15 +10,23 @@ import pyarrow as pa
 import pytest
 
 from drivers.timebase import NS_PER_MS, Instant
-from hil.rows.record_columns import COLUMNS
-from hil.rows.records import LAYOUT, NOTHING, Rows
-from hil.rows.records_file import RecordsWriter, finish_records, read_metadata, read_records
+from hil.rows.records import COLUMNS, NAMES, NOTHING, Rows
+from hil.rows.records_file import (
+    PHASE_COLUMN,
+    RecordsWriter,
+    finish_records,
+    read_metadata,
+    read_records,
+)
+from hil.rows.run_files import FORMAT
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import BeginEvent, TextEvent
+from tests.told import ANEW, ROOT
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
 ZERO = Instant(7_000_000_000)
+PAGE = ROOT / "docs" / "recording.md"
 
 
 def write(path: Path, rows: Rows, blocks: int = 3) -> list[int]:
@@ -36,8 +46,20 @@ def rows() -> Rows:
     return rows_of(synthetic_records(300, origin=ZERO))
 
 
-def test_the_columns_are_those_of_a_row() -> None:
-    assert [column.name for column in COLUMNS] == [name for name, _ in LAYOUT]
+def test_the_columns_are_told_in_the_documentation() -> None:
+    lines = []
+    for column in (*COLUMNS, PHASE_COLUMN):
+        numbered = column is not PHASE_COLUMN
+        codes = ", ".join(
+            f"{number} {code}" if numbered else code for number, code in enumerate(column.codes)
+        )
+        meaning = f"{column.meaning}: {codes}" if codes else column.meaning
+        lines.append(f"| `{column.name}` | {column.kind} | {column.unit} | {meaning} |\n")
+    table = re.compile(r"(?:^\| `\w+` \| \w+ \| [^|]* \| [^|]* \|\n)+", re.MULTILINE)
+    if os.environ.get(ANEW):
+        PAGE.write_text(table.sub("".join(lines), PAGE.read_text()))
+    assert table.findall(PAGE.read_text()) == ["".join(lines)]
+    assert f"**format {FORMAT}**" in PAGE.read_text()
 
 
 def test_it_begins_with_the_magic_bytes_and_is_read_back_in_run_time(tmp_path: Path, rows: Rows) -> None:
@@ -110,7 +132,7 @@ def test_one_without_a_head_becomes_an_empty_one(tmp_path: Path, rows: Rows, siz
 def test_one_of_an_earlier_format_lacks_what_was_not_recorded_then(tmp_path: Path, rows: Rows) -> None:
     path, earlier = tmp_path / "records.arrow", tmp_path / "earlier.arrow"
     write(path, rows)
-    later = ["compute_ns", *[name for name, _ in LAYOUT if name.startswith("channel_")]]
+    later = ["compute_ns", *[name for name in NAMES if name.startswith("channel_")]]
     table = pa.ipc.open_file(path).read_all().drop_columns(later)
     with pa.ipc.new_file(earlier, table.schema) as writer:
         writer.write_table(table)

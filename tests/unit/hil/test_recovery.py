@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from drivers.timebase import Instant
 from hil.cli import app
 from hil.configuration.bench_file import load_bench
-from hil.recording import rerun_anew
+from hil.recording import recovery
 from hil.recording.log_files import EventsKeeper, RecordsKeeper
 from hil.recording.run_folder import Reserve
 from hil.rows.records import ROW_DTYPE
@@ -51,7 +51,7 @@ began = time.monotonic()
 for number, record in enumerate(synthetic_records(int(sys.argv[3]))):
     time.sleep(max(0.0, began + number * float(sys.argv[4]) - time.monotonic()))
     recorder.record(record)
-    recorder.frame("tx", 0x80, b"", False, False, record.due_at)
+    recorder.tap().frame("tx", 0x80, b"", False, False, record.due_at)
 os.kill(recorder.logger_process_id, signal.SIGKILL)
 os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -129,7 +129,7 @@ def test_run_rrd_is_left_alone_where_there_is_no_room_for_it(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there = (run / "run.rrd").read_bytes()
-    monkeypatch.setattr(rerun_anew, "ROOM_BYTES", 1 << 60)
+    monkeypatch.setattr(recovery, "ROOM_BYTES", 1 << 60)
     assert recover(run)[0] == 0
     faults = json.loads((run / "summary.json").read_text())["recording_faults"]
     assert any(fault.startswith("run.rrd has no verdict") for fault in faults)

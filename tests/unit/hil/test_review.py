@@ -11,7 +11,7 @@ from drivers.timebase import Instant
 from hil.loop.samples import CycleRecord, Dropout
 from hil.reviewing.review import Review
 from hil.rows.recording_plan import AxisPlan, ReviewPlan
-from hil.rows.records import DIGESTED_BYTES, LAYOUT, NOTHING, Rows, row_of
+from hil.rows.records import DIGESTED_BYTES, NAMES, NOTHING, Rows, row_of
 from hil.verdict.summary import DropoutCounts, Figures
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -85,13 +85,13 @@ def test_chunks_do_not_matter(records: list[CycleRecord]) -> None:
     assert figures_of(*np.array_split(rows, 7)) == figures_of(rows)
 
 
-DIGESTED = [name for name, _ in LAYOUT[: DIGESTED_BYTES // 8]]
+DIGESTED = NAMES[: DIGESTED_BYTES // 8]
 
 
 def test_what_the_host_took_and_what_a_controller_tells_is_in_no_digest(records: list[CycleRecord]) -> None:
     rows = rows_of(records[:10])
     changed = rows.copy()
-    for name in [name for name, _ in LAYOUT if name not in DIGESTED]:
+    for name in [name for name in NAMES if name not in DIGESTED]:
         changed[name][4] += 1
     assert figures_of(changed).digest == figures_of(rows).digest
 

@@ -13,6 +13,8 @@ from hil.rows.side_rows import (
     LEVELS,
     TEXT_BYTES,
     BeginEvent,
+    IdentityEvent,
+    LoadEvent,
     RunEvent,
     StateEvent,
     TextEvent,
@@ -23,10 +25,13 @@ from hil.rows.side_rows import (
 
 instants = st.integers(-(2**62), 2**62).map(Instant)
 texts = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x1f"), max_size=60)
+numbers = st.floats(allow_nan=False)
 events = (
     st.builds(TextEvent, instants, st.sampled_from(LEVELS), texts)
     | st.builds(StateEvent, instants, texts, texts)
     | st.builds(BeginEvent, instants)
+    | st.builds(LoadEvent, instants, texts, numbers, numbers)
+    | st.builds(IdentityEvent, instants, texts, texts)
 )
 
 

@@ -139,4 +139,4 @@ def test_division_into_chunks_changes_no_bit(cuts: list[int]) -> None:
 def test_the_worst_of_the_axes() -> None:
     a = SpeedError(1.0, None, 3.0, None)
     b = SpeedError(2.0, 5.0, 1.0, None)
-    assert worst([a, b]) == SpeedError(2.0, 5.0, 3.0, None)
+    assert worst(SpeedError, [a, b]) == SpeedError(2.0, 5.0, 3.0, None)

@@ -1,0 +1,263 @@
+"""A recording into one file of another program's format, batch by batch.
+
+CSV and Parquet are written by pyarrow; MATLAB's MAT file, version 5, by scipy, a vector a column, one after
+the other; ASAM MDF 4 by asammdf, a channel group an axis, its time the tick of the cycle in s.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import redirect_stdout
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet
+from numpy.typing import NDArray
+from scipy.io import savemat
+
+from drivers.errors import BadInput
+from drivers.timebase import NS_PER_S
+from hil.reviewing.export_format import ExportFormat
+from hil.rows.records import NOTHING, Column
+from hil.rows.records_file import RECORDS_FILE, column_of, is_whole, refuse_later_format
+
+CHUNK_ROWS: Final = 1 << 17
+"""Rows that are held at once: some 40 MB with all columns, and enough for a row group of Parquet."""
+_EXACT_MAX: Final = 1 << 53
+"""float64 holds every integer up to here."""
+_TIME, _AXIS = "due_at", "axis"
+_INSTALL = "pip install 'servobench[mf4]'"
+
+
+class RecordedRows:
+    """The rows of a finished run, with what their columns mean. What an earlier format had no column for is
+    not there."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises BadInput for a folder without records, records without an end, and a later format."""
+        self.path = folder / RECORDS_FILE
+        if not self.path.is_file():
+            raise BadInput(str(folder), "", "no records.arrow", "the folder of a recording")
+        if not is_whole(self.path):
+            remedy = f"once it has ended: hil recover {folder}"
+            raise BadInput(
+                str(self.path), "", "no end of the file", "the recording of a run that has ended", remedy
+            )
+        self.schema = self._open(None).schema
+        told = self.schema.metadata or {}
+        self.metadata: Mapping[str, str] = {key.decode(): value.decode() for key, value in told.items()}
+        refuse_later_format(self.metadata, self.path)
+        self.columns = tuple(map(column_of, self.schema))
+        self.axes: tuple[str, ...] = tuple(json.loads(self.metadata.get("axes", "[]")))
+        """Names by number."""
+
+    def chunks(self, names: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """The rows in order, CHUNK_ROWS and a batch at a time at most; ``names``: of these columns alone."""
+        reader = self._open(names)
+        held: list[pa.RecordBatch] = []
+        for number in range(reader.num_record_batches):
+            held.append(reader.get_batch(number))
+            if sum(batch.num_rows for batch in held) >= CHUNK_ROWS:
+                yield pa.Table.from_batches(held).combine_chunks()
+                held = []
+        yield pa.Table.from_batches(held, reader.schema).combine_chunks()
+
+    def _open(self, names: Sequence[str] | None) -> pa.ipc.RecordBatchFileReader:
+        try:
+            if names is None:
+                return pa.ipc.open_file(pa.OSFile(str(self.path), "rb"))
+            places = [self.schema.get_field_index(name) for name in names]
+            options = pa.ipc.IpcReadOptions(included_fields=places)
+            return pa.ipc.open_file(pa.OSFile(str(self.path), "rb"), options=options)
+        except (pa.ArrowInvalid, OSError) as error:
+            raise BadInput(str(self.path), "", str(error), "an Arrow IPC file") from None
+
+
+class Exported(NamedTuple):
+    """What was written."""
+
+    file: str
+    rows: int
+    columns: int
+    bytes: int
+
+
+def export_run(run: Path, wanted: ExportFormat, out: Path | None = None) -> Exported:
+    """Write the rows of ``run`` to ``out``, by default records.ENDING in its folder.
+
+    The file is there as a whole or not at all. Raises BadInput.
+    """
+    rows = RecordedRows(run)
+    path = out or run / f"records.{wanted.value}"
+    part = path.with_name(f"{path.name}.part.{wanted.value}")
+    try:
+        _WRITERS[wanted](rows, part)
+        part.replace(path)
+    except OSError as error:
+        raise BadInput("--out", "", str(path), "a file that can be written", str(error)) from None
+    finally:
+        part.unlink(missing_ok=True)
+    count = sum(chunk.num_rows for chunk in rows.chunks([_AXIS]))
+    return Exported(str(path), count, len(rows.columns), path.stat().st_size)
+
+
+# ---- CSV and Parquet ----------------------------------------------------------------------------------
+
+
+def _write_csv(rows: RecordedRows, path: Path) -> None:
+    """A head of names with units, words for codes and axes, nothing for null."""
+    sink = None
+    try:
+        for chunk in rows.chunks():
+            table = _in_words(rows, chunk)
+            sink = sink or pyarrow.csv.CSVWriter(str(path), table.schema)
+            sink.write_table(table)
+    finally:
+        if sink is not None:
+            sink.close()
+
+
+def _in_words(rows: RecordedRows, chunk: pa.Table) -> pa.Table:
+    columns, names = [], []
+    for column, values in zip(rows.columns, chunk.columns, strict=True):
+        words = rows.axes if column.name == _AXIS else column.codes
+        if pa.types.is_dictionary(values.type):
+            values = values.cast(pa.string())
+        elif words:
+            values = pc.take(pa.array(words), values)
+        columns.append(values)
+        # with its unit, for which a head has no other place: due_at_ns
+        instant = column.unit.startswith("ns") and not column.name.endswith("_ns")
+        names.append(f"{column.name}_ns" if instant else column.name)
+    return pa.table(columns, names=names)
+
+
+def _write_parquet(rows: RecordedRows, path: Path) -> None:
+    """Columns, units, codes, meanings and metadata as records.arrow has them."""
+    # Values that hardly repeat: to look for repetitions takes most of the time, and saves nothing.
+    repeating = [field.name for field in rows.schema if field.type not in (pa.int64(), pa.float64())]
+    with pyarrow.parquet.ParquetWriter(
+        str(path), rows.schema, compression="zstd", use_dictionary=repeating
+    ) as sink:
+        for chunk in rows.chunks():
+            sink.write_table(chunk)
+
+
+# ---- MAT ----------------------------------------------------------------------------------------------
+
+
+def _write_mat(rows: RecordedRows, path: Path) -> None:
+    """(n, 1) vectors by column name; also ``units``, ``meanings``, ``codes`` (cells, from 0 on), ``run``.
+
+    An integer column with nulls is float64 with NaN, where that holds its values to the last digit; else
+    int64 with its least value for null: it has no NaN.
+    """
+    with path.open("wb") as file:
+        for column in rows.columns:
+            _save(file, {column.name: _vector(rows, column.name)[:, None]})
+        codes = {column.name: list(column.codes) for column in rows.columns if column.codes}
+        codes[_AXIS] = list(rows.axes)
+        cells = {name: np.array(words, dtype=object) for name, words in codes.items()}
+        _save(file, {"units": {column.name: column.unit for column in rows.columns}})
+        _save(file, {"meanings": {column.name: column.meaning for column in rows.columns}})
+        _save(file, {"codes": cells})
+        _save(file, {"run": dict(rows.metadata)})
+
+
+def _save(file: Any, content: dict[str, Any]) -> None:
+    savemat(file, content, long_field_names=True, oned_as="column")
+
+
+def _vector(rows: RecordedRows, name: str) -> NDArray[Any]:
+    """(n,) of all rows."""
+    parts, exact = [], True
+    for chunk in rows.chunks([name]):
+        values = _numbers(chunk.column(0), pa.int8())
+        parts.append(values)
+        if pa.types.is_int64(values.type) and values.null_count < len(values):
+            known = values.drop_null().to_numpy()
+            exact = exact and bool(np.abs(known).max(initial=0) <= _EXACT_MAX)
+    nulls = any(part.null_count for part in parts)
+    return np.concatenate([_plain(part, nulls, exact) for part in parts])
+
+
+def _numbers(values: pa.ChunkedArray, truth: pa.DataType) -> pa.ChunkedArray:
+    """Words as their codes, true and false as 1 and 0 of the type ``truth``."""
+    if pa.types.is_dictionary(values.type):
+        return pa.chunked_array([part.indices for part in values.chunks], pa.int8())
+    return values.cast(truth) if pa.types.is_boolean(values.type) else values
+
+
+def _plain(part: pa.ChunkedArray, nulls: bool, exact: bool) -> NDArray[Any]:
+    if not nulls:
+        return np.asarray(part.to_numpy())
+    if pa.types.is_floating(part.type) or exact:
+        return np.asarray(part.cast(pa.float64()).fill_null(np.nan).to_numpy())
+    return np.asarray(part.cast(pa.int64()).fill_null(NOTHING).to_numpy())
+
+
+# ---- MDF ----------------------------------------------------------------------------------------------
+
+
+def _write_mf4(rows: RecordedRows, path: Path) -> None:
+    """Null is a sample that is marked invalid. Raises BadInput."""
+    try:
+        asammdf: Any = import_module("asammdf")
+    except ImportError:
+        raise BadInput("--to", "", "mf4", "the package asammdf for this format", _INSTALL) from None
+    columns = [column for column in rows.columns if column.name not in (_TIME, _AXIS)]
+    # asammdf prints how fast it packs; stdout belongs to the command.
+    with redirect_stdout(sys.stderr), asammdf.MDF(version="4.10") as sink:
+        groups: dict[int, int] = {}
+        for chunk in rows.chunks():
+            for axis in pc.unique(chunk[_AXIS]).to_pylist():
+                mine = chunk.filter(pc.equal(chunk[_AXIS], axis))
+                if axis in groups:
+                    sink.extend(groups[axis], _pieces(mine, columns))
+                else:
+                    groups[axis] = _begin(asammdf, sink, rows.axes[axis], mine, columns)
+        sink.header.comment = "\n".join(f"{key}: {value}" for key, value in rows.metadata.items())
+        sink.save(path, overwrite=True, compression=2)
+
+
+def _begin(asammdf: Any, sink: Any, axis: str, mine: pa.Table, columns: list[Column]) -> int:
+    """A group with its first rows; its number."""
+    (times, _), *pieces = _pieces(mine, columns)
+    signals = []
+    for column, (samples, invalid) in zip(columns, pieces, strict=True):
+        told = f"{column.meaning} ({', '.join(column.codes)})" if column.codes else column.meaning
+        signals.append(
+            asammdf.Signal(
+                samples,
+                times,
+                unit=column.unit,
+                name=f"{axis}.{column.name}",
+                comment=told,
+                invalidation_bits=invalid,
+            )
+        )
+    number: int = sink.append(signals, acq_name=axis, comment=axis, common_timebase=True)
+    return number
+
+
+def _pieces(mine: pa.Table, columns: list[Column]) -> list[tuple[NDArray[Any], NDArray[np.bool_] | None]]:
+    """What a group is extended by: its time first; numbers, 0 for null, and where they are null."""
+    pieces: list[tuple[NDArray[Any], NDArray[np.bool_] | None]] = [(mine[_TIME].to_numpy() / NS_PER_S, None)]
+    for column in columns:
+        values = _numbers(mine[column.name], pa.uint8())
+        invalid = np.asarray(values.is_null().to_numpy(), bool)
+        pieces.append((np.ascontiguousarray(values.fill_null(0).to_numpy()), invalid))
+    return pieces
+
+
+_WRITERS: Final[dict[ExportFormat, Callable[[RecordedRows, Path], None]]] = {
+    ExportFormat.CSV: _write_csv,
+    ExportFormat.PARQUET: _write_parquet,
+    ExportFormat.MF4: _write_mf4,
+    ExportFormat.MAT: _write_mat,
+}
