@@ -150,9 +150,10 @@ def judged(shop: Workshop, mutant: Mutant, tests: list[str], calls: Calls) -> Fa
         return Fate.SURVIVED
     limit_s = max(SHORTEST_S, 10.0 * sum(calls[test].seconds for test in tests))
     asked = [f"--timeout={TEST_TIMEOUT_S:.0f}", *tests]
-    status = shop.status_of(mutant, asked, limit_s)
+    pure = not mutant.function_line  # a compiled module holds the constants of others
+    status = shop.status_of(mutant, asked, limit_s, pure)
     late = status == "timeout" or "Timeout (>" in shop.said()
-    killed = status != 0 and not (late and shop.run(["-x", *asked], limit_s) != 0)
+    killed = status != 0 and not (late and shop.run(["-x", *asked], limit_s, pure=pure) != 0)
     return Fate.KILLED if killed else Fate.SURVIVED
 
 
@@ -163,12 +164,13 @@ def killer(shop: Workshop, mutant: Mutant, tests: list[str], seconds: float) -> 
     """
     clock = MonotonicClock()
     ends_at = clock.now() + seconds * NS_PER_S
+    pure = not mutant.function_line
     for test in tests:
         left_s = (ends_at - clock.now()) / NS_PER_S
         if left_s <= 0.0:
             break
-        status = shop.status_of(mutant, [test], min(left_s, FILE_TIMEOUT_S))
-        if status not in (0, "timeout") and shop.run(["-x", test], 2.0 * FILE_TIMEOUT_S) == 0:
+        status = shop.status_of(mutant, [test], min(left_s, FILE_TIMEOUT_S), pure)
+        if status not in (0, "timeout") and shop.run(["-x", test], 2.0 * FILE_TIMEOUT_S, pure=pure) == 0:
             return test
     return ""
 

@@ -1,9 +1,9 @@
 """Runs tests in a copy of the tree, a process each, from one that has imported what others have made.
 
 Started in the copy as ``python tests/code_mutants/server.py``. A line of JSON in is a run: ``arguments`` of
-pytest, ``timeout_s``, and ``calls``, where to write the first lines of the functions called in each file, or
-"". A line out is its exit status: that of pytest, or "timeout". Nothing of the product is imported before a
-process is forked off, so it is the copy's of that time.
+pytest, ``timeout_s``, ``calls``, where to write the first lines of the functions called in each file, or "",
+and ``pure``, whether compiled modules are left unused. A line out is its exit status: that of pytest, or
+"timeout". Nothing of the product is imported before a process is forked off, so it is the copy's of that time.
 """
 
 import importlib
@@ -35,12 +35,13 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     for line in sys.stdin:
         run = json.loads(line)
-        print(json.dumps(_run(run["arguments"], run["timeout_s"], run["calls"])), flush=True)
+        print(json.dumps(_run(**run)), flush=True)
 
 
-def _run(arguments: list[str], timeout_s: float, calls: str) -> int | str:
+def _run(arguments: list[str], timeout_s: float, calls: str, pure: bool) -> int | str:
     child = os.fork()
     if child == 0:
+        os.environ["SERVOBENCH_PURE"] = "1" if pure else ""
         _be_pytest(arguments, calls)
     try:
         while True:

@@ -183,11 +183,13 @@ class Shop:
         """With the mutant and without."""
         self.ran: list[str] = []
 
-    def status_of(self, _mutant: Mutant, tests: list[str], _timeout_s: float) -> int | str:
+    def status_of(self, _mutant: Mutant, tests: list[str], _timeout_s: float, pure: bool) -> int | str:
+        assert not pure, "it is in a function"
         self.ran += tests
         return self.statuses[tests[0]][0]
 
-    def run(self, arguments: list[str], _timeout_s: float) -> int | str:
+    def run(self, arguments: list[str], _timeout_s: float, pure: bool) -> int | str:
+        assert not pure
         return self.statuses[arguments[-1]][1]
 
 

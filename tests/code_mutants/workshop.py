@@ -19,8 +19,8 @@ from tests.code_mutants.mutations import Mutant
 
 ROOT: Final = Path(__file__).parents[2]
 _LEFT_OUT: Final = shutil.ignore_patterns(
-    ".*", "__pycache__", "*.so", "compiled.json", "build", "dist", "runs", "recordings", "*.egg-info"
-)  # without its compiled modules the copy is interpreted
+    ".*", "__pycache__", "build", "dist", "runs", "recordings", "*.egg-info"
+)
 TIMEOUT_S: Final = 120.0
 SHORTEST_S: Final = 10.0
 """A machine with other work keeps a process waiting for seconds."""
@@ -42,11 +42,14 @@ class Workshop:
         self.folder = folder
         self._server = server
 
-    def run(self, arguments: Sequence[str], timeout_s: float = TIMEOUT_S, calls: str = "") -> int | str:
-        """The exit status of pytest, or "timeout". ``calls``: a file for the functions called."""
+    def run(
+        self, arguments: Sequence[str], timeout_s: float = TIMEOUT_S, calls: str = "", pure: bool = True
+    ) -> int | str:
+        """The exit status of pytest, or "timeout". ``calls``: a file for the functions called; ``pure``: all
+        interpreted, else what is compiled from sources that are as they were runs compiled."""
         assert self._server.stdin is not None
         assert self._server.stdout is not None
-        run = {"arguments": list(arguments), "timeout_s": timeout_s, "calls": calls}
+        run = {"arguments": list(arguments), "timeout_s": timeout_s, "calls": calls, "pure": pure}
         print(json.dumps(run), file=self._server.stdin, flush=True)
         answer = self._server.stdout.readline()
         if not answer:
@@ -73,13 +76,15 @@ class Workshop:
         """Whether these tests see the mutant; a mutant that ends no more, or cannot be imported, is seen."""
         return Fate.SURVIVED if self.status_of(mutant, tests, timeout_s) == 0 else Fate.KILLED
 
-    def status_of(self, mutant: Mutant, tests: Sequence[str], timeout_s: float) -> int | str:
+    def status_of(
+        self, mutant: Mutant, tests: Sequence[str], timeout_s: float, pure: bool = True
+    ) -> int | str:
         """What :meth:`run` tells of these tests with the mutant."""
         path = self.folder / mutant.place.file
         original = path.read_text(encoding="utf-8")
         try:
             path.write_text(mutant.text(original), encoding="utf-8")
-            return self.run(["-x", *tests], timeout_s)
+            return self.run(["-x", *tests], timeout_s, pure=pure)
         finally:
             path.write_text(original, encoding="utf-8")
 
