@@ -3,7 +3,7 @@
 Started in the copy as ``python tests/code_mutants/server.py``. A line of JSON in is a run: ``arguments`` of
 pytest, ``timeout_s``, ``calls``, where to write the first lines of the functions called in each file, or "",
 and ``pure``, whether compiled modules are left unused. A line out is its exit status: that of pytest, or
-"timeout". Nothing of the product is imported before a process is forked off, so it is the copy's of that time.
+"timeout". Nothing of the product is imported before a process is forked off: it is the copy's of that time.
 """
 
 import importlib
