@@ -5,21 +5,28 @@ Leaves with 1 if a safety mutant survives that is not argued equivalent, or an a
 
 import argparse
 from collections import Counter
-from typing import Final
+from dataclasses import asdict
+from itertools import islice
 
 from drivers.timebase import NS_PER_S, MonotonicClock
-from tests.code_mutants.argued import Arguments, read_arguments
-from tests.code_mutants.mutations import Mutant, Place
+from tests.code_mutants.argued import read_arguments
+from tests.code_mutants.imports import ROOMS
+from tests.code_mutants.mutations import Mutant
 from tests.code_mutants.safety import Guarded, safety_set
-from tests.code_mutants.sample import ROOMS, callers, calls_of, room_of, sample, unit_tests
-from tests.code_mutants.workshop import ROOT, Fate, Workshop, workshop
-
-SUITE: Final = [
-    "tests",
-    *(f"--ignore=tests/{part}" for part in ("vcan", "dask", "code_mutants", "test_tidy.py")),
-]
-"""All that may see a mutant, without what looks at the text of the sources."""
-SUITE_TIMEOUT_S: Final = 3600.0
+from tests.code_mutants.sample import (
+    Called,
+    Calls,
+    Kept,
+    called_by,
+    callers,
+    judged,
+    killer,
+    others,
+    room_of,
+    sample,
+    tests_in,
+)
+from tests.code_mutants.workshop import ROOT, Fate, Workshop, Workshops, workshops
 
 
 def main() -> None:
@@ -27,42 +34,53 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.code_mutants", description=__doc__)
     parser.add_argument("--only", default="", help="safety mutants of files whose name holds this, no sample")
     parser.add_argument("--sample", type=int, default=200, help="mutants drawn from all lines; 0: none")
+    parser.add_argument("--sample-only", action="store_true", help="no safety mutants")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=1e9, help="of the sample, at most")
-    parser.add_argument("--suite", action="store_true", help="hold the sample's survivors against all tests")
+    parser.add_argument(
+        "--suite",
+        type=float,
+        default=0.0,
+        help="seconds for which each survivor is held against all other tests",
+    )
+    parser.add_argument("--jobs", type=int, default=2, help="processes side by side")
     options = parser.parse_args()
-    with workshop() as shop:
-        broken = _hold_safety(shop, options.only)
+    with workshops(options.jobs) as shops:
+        broken = not options.sample_only and _hold_safety(shops, options.only)
         if options.sample and not options.only:
-            _hold_sample(shop, options)
+            _hold_sample(shops, options)
     raise SystemExit(broken)
 
 
-def _hold_safety(shop: Workshop, only: str) -> bool:
+def _hold_safety(shops: Workshops, only: str) -> bool:
     """Whether one survived unargued, or an argument is stale."""
     chosen = [(guarded, mutants) for guarded, mutants in safety_set() if only in guarded.file]
     arguments = read_arguments()
     arguments.why = {place: why for place, why in arguments.why.items() if only in place.file}
-    survivors: list[Mutant] = []
-    done = argued = 0
-    for guarded, mutants in chosen:
-        timeout_s = shop.check(_there(guarded))
-        print(f"{guarded.file} {', '.join(guarded.functions)}: {len(mutants)} mutants", flush=True)
-        for mutant in mutants:
-            done += 1
-            if shop.fate_of(mutant, _there(guarded), timeout_s) is Fate.KILLED:
-                continue
-            if arguments.holds(mutant.place):
-                argued += 1
-            else:
-                survivors.append(mutant)
-                print(f"survived  {mutant}", flush=True)
-    stale = _stale(arguments, chosen)
+    left = [mutant for survivors in shops.map(_survivors, chosen) for mutant in survivors]
+    unargued = [mutant for mutant in left if not arguments.holds(mutant.place)]
+    for mutant in unargued:
+        print(f"survived  {mutant}", flush=True)
+    stale = arguments.stale(mutant.place for _, mutants in chosen for mutant in mutants)
     for text in stale:
         print(f"stale     {text}")
-    killed = done - argued - len(survivors)
-    print(f"{done} safety mutants: {killed} killed, {argued} argued equivalent, {len(survivors)} survive")
-    return bool(survivors or stale)
+    done = sum(len(mutants) for _, mutants in chosen)
+    print(
+        f"{done} safety mutants: {done - len(left)} killed, {len(left) - len(unargued)} argued equivalent, ",
+        end="",
+    )
+    print(f"{len(unargued)} survive", flush=True)
+    return bool(unargued or stale)
+
+
+def _survivors(shop: Workshop, entry: tuple[Guarded, list[Mutant]]) -> list[Mutant]:
+    guarded, mutants = entry
+    tests = _there(guarded)
+    timeout_s = shop.check(tests)
+    left = [mutant for mutant in mutants if shop.fate_of(mutant, tests, timeout_s) is Fate.SURVIVED]
+    told = f"{len(mutants)} mutants, {len(left)} left by the tests"
+    print(f"{guarded.file} {', '.join(guarded.functions)}: {told}", flush=True)
+    return left
 
 
 def _there(guarded: Guarded) -> list[str]:
@@ -72,37 +90,54 @@ def _there(guarded: Guarded) -> list[str]:
     return list(guarded.tests)
 
 
-def _stale(arguments: Arguments, chosen: list[tuple[Guarded, list[Mutant]]]) -> list[str]:
-    seen: list[Place] = [mutant.place for _, mutants in chosen for mutant in mutants]
-    return arguments.stale(seen)
-
-
-def _hold_sample(shop: Workshop, options: argparse.Namespace) -> None:
+def _hold_sample(shops: Workshops, options: argparse.Namespace) -> None:
     clock = MonotonicClock()
-    calls = calls_of(shop, [test for room in ROOMS for test in unit_tests(room)])
+    kept = Kept()
+    calls = _calls(shops, kept)
     ends_at = clock.now() + options.seconds * NS_PER_S
-    by_room: Counter[tuple[str, Fate]] = Counter()
-    survivors = []
-    for mutant, _ in zip(sample(options.seed), range(options.sample), strict=False):
+
+    def hold(shop: Workshop, mutant: Mutant) -> tuple[Mutant, Fate, str] | None:
         if clock.now() >= ends_at:
-            break
-        room = room_of(mutant)
-        tests = callers(mutant, calls, room)
-        fate = shop.fate_of(mutant, tests) if tests else Fate.SURVIVED
-        by_room[room, fate] += 1
+            return None
+        tests = callers(mutant, calls)
+        home = [test for test in tests if test.startswith(f"tests/unit/{room_of(mutant)}/")]
+        fate = Fate(kept.answer([str(mutant)], home, lambda: judged(shop, mutant, home, calls).value))
+        by = ""
+        if fate is Fate.SURVIVED and options.suite:
+            beyond = [test for test in tests if test not in home] + others(mutant, calls)
+            question = [str(mutant), f"{options.suite} s"]
+            by = kept.answer(question, beyond, lambda: killer(shop, mutant, beyond, options.suite))
         if fate is Fate.SURVIVED:
-            survivors.append(mutant)
-            print(f"survived  {mutant}{'' if tests else ' (no unit test calls it)'}", flush=True)
+            print(f"survived  {mutant}{'' if home else ' (no unit test calls it)'}", end="")
+            print(f"  killed by {by}" if by else "", flush=True)
+        return mutant, fate, by
+
+    drawn = islice(sample(options.seed), options.sample)
+    done = [each for each in shops.map(hold, drawn) if each is not None]
+    by_room = Counter((room_of(mutant), fate) for mutant, fate, _ in done)
     for room in ROOMS:
         killed, survived = by_room[room, Fate.KILLED], by_room[room, Fate.SURVIVED]
         print(f"{room:<12} {killed:4} killed by its unit tests, {survived:4} survive")
-    done = by_room.total()
-    print(f"seed {options.seed}: {done - len(survivors)} of {done} killed by their rooms' unit tests")
+    killed = sum(fate is Fate.KILLED for _, fate, _ in done)
+    print(f"seed {options.seed}: at least {killed} of {len(done)} killed by their rooms' unit tests")
     if options.suite:
-        left = [each for each in survivors if shop.fate_of(each, SUITE, SUITE_TIMEOUT_S) is Fate.SURVIVED]
-        for mutant in left:
-            print(f"survived all tests  {mutant}")
-        print(f"seed {options.seed}: {done - len(left)} of {done} killed by the whole suite")
+        killed += sum(bool(by) for _, _, by in done)
+        print(f"seed {options.seed}: at least {killed} of {len(done)} killed by the whole suite")
+
+
+def _calls(shops: Workshops, kept: Kept) -> Calls:
+    """Of all unit tests: some minutes, and kept for each test file until what it reaches changes."""
+    tests = tests_in("tests/unit")
+
+    def look(shop: Workshop, test: str) -> Called:
+        return Called(**kept.answer(["calls"], [test], lambda: asdict(called_by(shop, test))))
+
+    calls = {}
+    for test, called in zip(tests, shops.map(look, tests), strict=True):
+        calls[test] = called
+        print(f"\r  what the unit tests call: {len(calls)} of {len(tests)} files", end="", flush=True)
+    print()
+    return calls
 
 
 if __name__ == "__main__":

@@ -1,27 +1,80 @@
-"""A seeded sample of mutants over the lines of the product, held against the unit tests of their rooms.
+"""A seeded sample of mutants over the lines of the product, and which tests are to judge each.
 
-A mutant is judged by those test files of its room that call the function that it is in; in a module that
-numba compiles, whose calls nobody sees, by those that import it. Which they are is found out once for each
-state of the tree, which takes some minutes, and kept in build/.
+First those unit test files of its room that call the function that it is in; in a module that numba
+compiles, whose calls nobody sees, those that import it. Then, of what these let pass, the other rooms' unit
+tests that call it, and all other tests that reach its file by imports. Of both, what takes too long is not
+waited for: the shares killed are lower bounds.
 """
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from random import Random
-from typing import Final
+from threading import Lock
+from typing import Any, Final
 
+from drivers.timebase import NS_PER_S, MonotonicClock
+from tests.code_mutants.imports import ROOMS, digest, reached
 from tests.code_mutants.mutations import Mutant, mutants_of
-from tests.code_mutants.workshop import ROOT, Workshop
+from tests.code_mutants.workshop import ROOT, SHORTEST_S, Fate, Workshop
 
-ROOMS: Final = ("design", "drivers", "hil", "virtual_bus")
-KEPT: Final = ROOT / "build" / "code_mutants.json"
-MAPPING_TIMEOUT_S: Final = 600.0
+KEPT: Final = ROOT / "build" / "code_mutants.jsonl"
+MAPPING_TIMEOUT_S: Final = 180.0
+"""Of a unit test file while its calls are noted. One that takes longer, as it runs whole commands, would take
+as long again for each mutant: it judges with the other tests."""
+TEST_TIMEOUT_S: Final = 60.0
+"""Of one unit test, which takes a few seconds: beyond that a loop has no end."""
+FILE_TIMEOUT_S: Final = 120.0
+"""Of one file of the other tests: beyond that the next is more likely to see the mutant."""
+_BLIND: Final = tuple(f"tests/{part}/" for part in ("vcan", "dask", "code_mutants"))
+"""What needs another machine, or is about this tool."""
 
-Calls = dict[str, list[tuple[str, int]]]
-"""Of each test file: file and first line of the functions that it calls."""
+
+class Kept:
+    """Answers that cost time, in a file, so that a run goes on where the last was cut off."""
+
+    def __init__(self, path: Path = KEPT) -> None:
+        self._path = path
+        self._lock = Lock()
+        self._answers: dict[str, Any] = {}
+        if path.exists():
+            for line in path.read_text(encoding="utf-8").splitlines():
+                with suppress(ValueError):  # it was cut off
+                    self._answers.update([json.loads(line)])
+
+    def answer(self, question: list[str], tests: list[str], find: Callable[[], Any]) -> Any:
+        """What was found before, of the same tests on the same files, or is found now."""
+        whole = json.dumps([question, [[test, digest(test)] for test in tests]])
+        key = hashlib.sha256(whole.encode()).hexdigest()
+        if key not in self._answers:
+            answer = find()
+            with self._lock:
+                self._answers[key] = answer
+                self._path.parent.mkdir(exist_ok=True)
+                with self._path.open("a", encoding="utf-8") as file:
+                    file.write(f"\n{json.dumps([key, answer])}")
+        return self._answers[key]
+
+
+@dataclass(frozen=True, slots=True)
+class Called:
+    """By a test file."""
+
+    seconds: float
+    lines: dict[str, list[int]]
+    """Of each file the first lines of the functions called; 0 if it is imported."""
+
+    @property
+    def count(self) -> int:
+        """Of functions."""
+        return sum(map(len, self.lines.values()))
+
+
+Calls = dict[str, Called]
 
 
 def sample(seed: int) -> Iterator[Mutant]:
@@ -46,43 +99,80 @@ def room_of(mutant: Mutant) -> str:
     return mutant.place.file.partition("/")[0]
 
 
-def unit_tests(room: str) -> list[str]:
-    """The unit test files of a room."""
-    paths = sorted((ROOT / "tests" / "unit" / room).rglob("test_*.py"))
-    return [path.relative_to(ROOT).as_posix() for path in paths]
+def tests_in(folder: str) -> list[str]:
+    """Those in it."""
+    return [path.relative_to(ROOT).as_posix() for path in sorted((ROOT / folder).rglob("test_*.py"))]
 
 
-def calls_of(shop: Workshop, tests: list[str], kept: Path = KEPT) -> Calls:
-    """Which functions each of the test files calls. Raises RuntimeError if one fails without a mutant."""
-    digest = _digest()
-    try:
-        held = json.loads(kept.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        held = {}
-    calls: Calls = held["calls"] if held.get("digest") == digest else {}
-    for number, test in enumerate(tests, start=1):
-        if test in calls:
-            continue
-        print(f"\r  what the unit tests call: {number} of {len(tests)} files", end="", flush=True)
-        noted = shop.folder / "calls.json"
-        noted.unlink(missing_ok=True)
-        if shop.run(["-x", test], MAPPING_TIMEOUT_S, str(noted)) != 0:
-            raise RuntimeError(f"without a mutant this fails: {test}\n{shop.said()}")
-        calls[test] = [(file, line) for file, line in json.loads(noted.read_text(encoding="utf-8"))]
-        kept.parent.mkdir(exist_ok=True)
-        kept.write_text(json.dumps({"digest": digest, "calls": calls}), encoding="utf-8")
-    print()
-    return {test: [(file, line) for file, line in calls[test]] for test in tests}
+def called_by(shop: Workshop, test: str) -> Called:
+    """What a test file calls; nothing if it takes too long. Raises RuntimeError if it fails."""
+    noted = shop.folder / "calls.json"
+    noted.unlink(missing_ok=True)
+    clock = MonotonicClock()
+    began = clock.now()
+    status = shop.run(["-x", "--timeout=0", test], MAPPING_TIMEOUT_S, str(noted))
+    if status not in (0, "timeout"):
+        raise RuntimeError(f"without a mutant this fails: {test}\n{shop.said()}")
+    lines = json.loads(noted.read_text(encoding="utf-8")) if status == 0 else {}
+    return Called((clock.now() - began) / NS_PER_S, lines)
 
 
-def callers(mutant: Mutant, calls: Calls, room: str) -> list[str]:
-    """The test files of a room that call the mutant's function; those that call least come first, as they
-    are about it."""
-    home = f"tests/unit/{room}/"
+def callers(mutant: Mutant, calls: Calls) -> list[str]:
+    """The unit test files that call the mutant's function; those that call least come first, as they are
+    about it."""
     file = mutant.place.file
-    place = (file, 0 if file in _unseen() else mutant.function_line)
-    found = [test for test, called in calls.items() if test.startswith(home) and place in called]
-    return sorted(found, key=lambda test: len(calls[test]))
+    line = 0 if file in _unseen() else mutant.function_line
+    found = [test for test, called in calls.items() if line in called.lines.get(file, ())]
+    return sorted(found, key=lambda test: calls[test].count)
+
+
+def others(mutant: Mutant, calls: Calls) -> list[str]:
+    """Tests whose calls are not known that reach the mutant's file: the fewer imports away the sooner,
+    then those that name it or its command, then those that reach least."""
+    file = mutant.place.file
+    known = {test for test, called in calls.items() if called.lines}
+    tests = [test for test in tests_in("tests") if test not in known and not test.startswith(_BLIND)]
+    found = [test for test in tests if file in reached(test)]
+
+    def order(test: str) -> tuple[int, bool, int]:
+        named = Path(file).stem in (ROOT / test).read_text(encoding="utf-8")
+        return reached(test)[file], not named, len(reached(test))
+
+    return sorted(found, key=order)
+
+
+def judged(shop: Workshop, mutant: Mutant, tests: list[str], calls: Calls) -> Fate:
+    """By unit tests, all in one process.
+
+    Those that do not end in time have seen the mutant only if they do without it: the machine may be busy.
+    """
+    if not tests:
+        return Fate.SURVIVED
+    limit_s = max(SHORTEST_S, 10.0 * sum(calls[test].seconds for test in tests))
+    asked = [f"--timeout={TEST_TIMEOUT_S:.0f}", *tests]
+    pure = not mutant.function_line  # a compiled module holds the constants of others
+    status = shop.status_of(mutant, asked, limit_s, pure)
+    late = status == "timeout" or "Timeout (>" in shop.said()
+    killed = status != 0 and not (late and shop.run(["-x", *asked], limit_s, pure=pure) != 0)
+    return Fate.KILLED if killed else Fate.SURVIVED
+
+
+def killer(shop: Workshop, mutant: Mutant, tests: list[str], seconds: float) -> str:
+    """The first of these test files that fails, and without the mutant does not; "" if none has in this time.
+
+    A file that takes too long has seen nothing.
+    """
+    clock = MonotonicClock()
+    ends_at = clock.now() + seconds * NS_PER_S
+    pure = not mutant.function_line
+    for test in tests:
+        left_s = (ends_at - clock.now()) / NS_PER_S
+        if left_s <= 0.0:
+            break
+        status = shop.status_of(mutant, [test], min(left_s, FILE_TIMEOUT_S), pure)
+        if status not in (0, "timeout") and shop.run(["-x", test], 2.0 * FILE_TIMEOUT_S, pure=pure) == 0:
+            return test
+    return ""
 
 
 @cache
@@ -94,11 +184,3 @@ def _unseen() -> set[str]:
         for path in paths
         if "\nimport numba\n" in path.read_text(encoding="utf-8")
     }
-
-
-def _digest() -> str:
-    digest = hashlib.sha256()
-    for folder in (*ROOMS, "tests"):
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()

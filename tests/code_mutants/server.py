@@ -1,9 +1,9 @@
 """Runs tests in a copy of the tree, a process each, from one that has imported what others have made.
 
 Started in the copy as ``python tests/code_mutants/server.py``. A line of JSON in is a run: ``arguments`` of
-pytest, ``timeout_s``, and ``calls``, where to write which functions were called, or "". A line out is its
-exit status: that of pytest, or "timeout". Nothing of the product is imported before a process is forked off,
-so it is the copy's of that time.
+pytest, ``timeout_s``, ``calls``, where to write the first lines of the functions called in each file, or "",
+and ``pure``, whether compiled modules are left unused. A line out is its exit status: that of pytest, or
+"timeout". Nothing of the product is imported before a process is forked off: it is the copy's of that time.
 """
 
 import importlib
@@ -14,7 +14,7 @@ import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any, Final
 
 PRELOADED: Final = (
@@ -35,12 +35,13 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     for line in sys.stdin:
         run = json.loads(line)
-        print(json.dumps(_run(run["arguments"], run["timeout_s"], run["calls"])), flush=True)
+        print(json.dumps(_run(**run)), flush=True)
 
 
-def _run(arguments: list[str], timeout_s: float, calls: str) -> int | str:
+def _run(arguments: list[str], timeout_s: float, calls: str, pure: bool) -> int | str:
     child = os.fork()
     if child == 0:
+        os.environ["SERVOBENCH_PURE"] = "1" if pure else ""
         _be_pytest(arguments, calls)
     try:
         while True:
@@ -72,26 +73,31 @@ def _be_pytest(arguments: list[str], calls: str) -> None:
     os.dup2(said, 2)
     import pytest
 
-    called: set[tuple[str, int]] = set()
+    called: dict[str, list[int]] = {}
     if calls:
         _note_calls(called)
     status = int(pytest.main([*QUIET, *arguments]))
     if calls:
         sys.settrace(None)
-        Path(calls).write_text(json.dumps(sorted(called)), encoding="utf-8")
+        Path(calls).write_text(json.dumps(called), encoding="utf-8")
     sys.stdout.flush()
     os._exit(status)
 
 
-def _note_calls(called: set[tuple[str, int]]) -> None:
+def _note_calls(called: dict[str, list[int]]) -> None:
     here = f"{Path.cwd()}/"
     rooms = tuple(here + room for room in ROOMS)
 
+    seen: dict[int, CodeType] = {}  # which also keeps an id from being given anew
+
     def trace(frame: FrameType, _event: str, _value: Any) -> None:
         code = frame.f_code
+        if id(code) in seen:
+            return
+        seen[id(code)] = code
         if code.co_filename.startswith(rooms):
             first = 0 if code.co_name == "<module>" else code.co_firstlineno
-            called.add((code.co_filename.removeprefix(here), first))
+            called.setdefault(code.co_filename.removeprefix(here), []).append(first)
 
     threading.settrace(trace)
     sys.settrace(trace)

@@ -2,13 +2,15 @@
 
 import ast
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.code_mutants.argued import Arguments, read_arguments
-from tests.code_mutants.mutations import Place, mutants_of
+from tests.code_mutants.imports import reached
+from tests.code_mutants.mutations import Mutant, Place, mutants_of
 from tests.code_mutants.safety import MODULE, SAFETY, Gone, Guarded, mutants_in
-from tests.code_mutants.sample import callers, room_of, sample
+from tests.code_mutants.sample import Called, Kept, callers, killer, others, room_of, sample
 from tests.code_mutants.workshop import ROOT
 
 SOURCE = '''"""ä text."""
@@ -131,24 +133,88 @@ def test_a_sample_is_that_of_its_seed() -> None:
     assert len(set(one)) == 3
 
 
-def test_a_mutant_is_judged_by_its_room_and_first_by_the_test_that_is_about_it() -> None:
+def called(**lines: list[int]) -> Called:
+    """By a test file, in files of hil and of virtual_bus."""
+    return Called(1.0, {f"{room}/a.py": of for room, of in lines.items()})
+
+
+def test_a_mutant_is_judged_by_who_calls_it_and_first_by_the_test_that_is_about_it() -> None:
     (mutant, *_) = mutants_of("hil/a.py", "def f(a):\n    return a + 1\n")
-    place = [("hil/a.py", 1)]
-    calls = {
-        "tests/unit/hil/test_wide.py": [*place, ("hil/b.py", 1)],
-        "tests/unit/hil/test_f.py": place,
-        "tests/unit/hil/test_other.py": [("hil/a.py", 0)],
-        "tests/unit/drivers/test_f.py": place,
-    }
+    calls = {"wide": called(hil=[1], virtual_bus=[1]), "about f": called(hil=[1]), "other": called(hil=[0])}
     assert room_of(mutant) == "hil"
-    assert callers(mutant, calls, "hil") == ["tests/unit/hil/test_f.py", "tests/unit/hil/test_wide.py"]
+    assert callers(mutant, calls) == ["about f", "wide"]
 
 
 def test_what_numba_compiles_is_judged_by_who_imports_it() -> None:
     file = "virtual_bus/drive/motor_kernel.py"
     mutant = mutants_of(file, (ROOT / file).read_text(encoding="utf-8"))[-1]
     assert mutant.function_line > 0
-    home = "tests/unit/virtual_bus/test_motor.py"
-    assert callers(mutant, {home: [(file, 0)], "tests/unit/virtual_bus/test_b.py": []}, "virtual_bus") == [
-        home
-    ]
+    calls = {"imports": Called(1.0, {file: [0]}), "does not": Called(1.0, {})}
+    assert callers(mutant, calls) == ["imports"]
+
+
+def test_all_other_tests_that_reach_a_mutant_judge_it_the_nearest_first() -> None:
+    file = "hil/campaign/figures.py"
+    (mutant, *_) = mutants_of(file, (ROOT / file).read_text(encoding="utf-8"))
+    slow, known = "tests/unit/hil/test_told.py", "tests/unit/hil/test_campaign_claims.py"
+    tests = others(mutant, {slow: Called(180.0, {}), known: called(hil=[1])})
+    assert tests[0] == "tests/scenario/test_campaign.py"
+    assert slow in tests
+    assert known not in tests
+    assert "tests/scenario/test_determinism.py" in tests, "it runs hil"
+    assert "tests/oracle/test_plant.py" not in tests
+    assert [test for test in tests if test.startswith("tests/vcan")] == []
+
+
+def test_imports_are_followed_by_name_by_text_and_by_command() -> None:
+    assert reached("drivers/timebase.py") == {"drivers/timebase.py": 0}
+    assert reached("hil/campaign/__init__.py")["hil/campaign/plan.py"] == 1
+    assert reached("tests/scenario/processes.py")["hil/cli.py"] == 1
+    assert reached("tests/scenario/test_two_processes.py")["hil/terminal/simulate.py"] > 2
+
+
+class Shop:
+    """Answers as a workshop does, by the name of the test; ``ran`` holds what was asked."""
+
+    folder = ROOT
+
+    def __init__(self, **statuses: tuple[int | str, int]) -> None:
+        self.statuses = statuses
+        """With the mutant and without."""
+        self.ran: list[str] = []
+
+    def status_of(self, _mutant: Mutant, tests: list[str], _timeout_s: float, pure: bool) -> int | str:
+        assert not pure, "it is in a function"
+        self.ran += tests
+        return self.statuses[tests[0]][0]
+
+    def run(self, arguments: list[str], _timeout_s: float, pure: bool) -> int | str:
+        assert not pure
+        return self.statuses[arguments[-1]][1]
+
+
+def test_who_fails_without_the_mutant_or_takes_too_long_has_not_killed_it() -> None:
+    (mutant, *_) = mutants_of("hil/a.py", "def f(a):\n    return a + 1\n")
+    shop = Shop(green=(0, 0), slow=("timeout", 0), red=(1, 1), sees=(1, 0), late=(1, 0))
+    of: Any = shop
+    assert killer(of, mutant, list(shop.statuses), 60.0) == "sees"
+    assert shop.ran == ["green", "slow", "red", "sees"]
+    assert killer(of, mutant, ["green", "slow", "red"], 60.0) == ""
+    shop.ran.clear()
+    assert killer(of, mutant, ["sees"], 0.0) == ""
+    assert shop.ran == [], "the time was up"
+
+
+def test_an_answer_is_kept_until_question_or_tests_change(tmp_path: Path) -> None:
+    path = tmp_path / "kept.jsonl"
+    one, other = "tests/unit/hil/test_toml_text.py", "tests/unit/hil/test_loss_model.py"
+    assert Kept(path).answer(["a"], [one], lambda: "first") == "first"
+    with path.open("a") as file:
+        file.write('\n["cut o')
+    kept = Kept(path)
+    assert kept.answer(["b"], [one], lambda: "second") == "second"
+    kept = Kept(path)
+    assert kept.answer(["a"], [one], lambda: "anew") == "first"
+    assert kept.answer(["b"], [one], lambda: "anew") == "second"
+    assert kept.answer(["c"], [one], lambda: "anew") == "anew"
+    assert kept.answer(["a"], [other], lambda: "anew") == "anew"

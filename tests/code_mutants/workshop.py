@@ -5,23 +5,27 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from enum import Enum
 from pathlib import Path
+from queue import SimpleQueue
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Final, TypeVar
 
 from drivers.timebase import NS_PER_S, MonotonicClock
 from tests.code_mutants.mutations import Mutant
 
 ROOT: Final = Path(__file__).parents[2]
 _LEFT_OUT: Final = shutil.ignore_patterns(
-    ".*", "__pycache__", "*.so", "compiled.json", "build", "dist", "runs", "recordings", "*.egg-info"
-)  # without its compiled modules the copy is interpreted
+    ".*", "__pycache__", "build", "dist", "runs", "recordings", "*.egg-info"
+)
 TIMEOUT_S: Final = 120.0
 SHORTEST_S: Final = 10.0
 """A machine with other work keeps a process waiting for seconds."""
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 class Fate(Enum):
@@ -38,11 +42,14 @@ class Workshop:
         self.folder = folder
         self._server = server
 
-    def run(self, arguments: Sequence[str], timeout_s: float = TIMEOUT_S, calls: str = "") -> int | str:
-        """The exit status of pytest, or "timeout". ``calls``: a file for the functions called."""
+    def run(
+        self, arguments: Sequence[str], timeout_s: float = TIMEOUT_S, calls: str = "", pure: bool = True
+    ) -> int | str:
+        """The exit status of pytest, or "timeout". ``calls``: a file for the functions called; ``pure``: all
+        interpreted, else what is compiled from sources that are as they were runs compiled."""
         assert self._server.stdin is not None
         assert self._server.stdout is not None
-        run = {"arguments": list(arguments), "timeout_s": timeout_s, "calls": calls}
+        run = {"arguments": list(arguments), "timeout_s": timeout_s, "calls": calls, "pure": pure}
         print(json.dumps(run), file=self._server.stdin, flush=True)
         answer = self._server.stdout.readline()
         if not answer:
@@ -67,14 +74,19 @@ class Workshop:
 
     def fate_of(self, mutant: Mutant, tests: Sequence[str], timeout_s: float = TIMEOUT_S) -> Fate:
         """Whether these tests see the mutant; a mutant that ends no more, or cannot be imported, is seen."""
+        return Fate.SURVIVED if self.status_of(mutant, tests, timeout_s) == 0 else Fate.KILLED
+
+    def status_of(
+        self, mutant: Mutant, tests: Sequence[str], timeout_s: float, pure: bool = True
+    ) -> int | str:
+        """What :meth:`run` tells of these tests with the mutant."""
         path = self.folder / mutant.place.file
         original = path.read_text(encoding="utf-8")
         try:
             path.write_text(mutant.text(original), encoding="utf-8")
-            status = self.run(["-x", *tests], timeout_s)
+            return self.run(["-x", *tests], timeout_s, pure=pure)
         finally:
             path.write_text(original, encoding="utf-8")
-        return Fate.SURVIVED if status == 0 else Fate.KILLED
 
 
 @contextmanager
@@ -100,3 +112,33 @@ def workshop() -> Iterator[Workshop]:
                 yield Workshop(folder, server)
             finally:
                 server.terminate()
+
+
+class Workshops:
+    """Several of them, and as many threads that take what there is to do."""
+
+    def __init__(self, shops: Sequence[Workshop], pool: ThreadPoolExecutor) -> None:
+        self._free: SimpleQueue[Workshop] = SimpleQueue()
+        for shop in shops:
+            self._free.put(shop)
+        self._pool = pool
+
+    def map(self, work: Callable[[Workshop, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """The results in the order of the items."""
+
+        def one(item: Item) -> Result:
+            shop = self._free.get()
+            try:
+                return work(shop, item)
+            finally:
+                self._free.put(shop)
+
+        return self._pool.map(one, items)
+
+
+@contextmanager
+def workshops(number: int) -> Iterator[Workshops]:
+    """So many workshops, for as long as the context lasts."""
+    with ExitStack() as stack:
+        shops = [stack.enter_context(workshop()) for _ in range(number)]
+        yield Workshops(shops, stack.enter_context(ThreadPoolExecutor(number)))

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
 from design.delay.delay_norm import hinf_norm
-from design.delay.speed_loop import speed_model
+from design.delay.speed_loop import SpeedModel, speed_model
 from design.errors import UnsuitableNetwork
 from design.sampled.admissible_steps import Delivery, Family, families, steps_of
 from design.sampled.analysis import SampledAnalysis, analyse_sampled, regular_patterns
@@ -28,7 +29,7 @@ from design.sampled.loss_patterns import (
 )
 from design.sampled.sequence_certificate import certify_gain
 from design.sampled.sequence_graph import between_deliveries, edges_of
-from design.sampled.step_maps import step_maps
+from design.sampled.step_maps import corners_of, step_maps
 from design.sampled.value_map import ValueMap
 from design.speed.monte_carlo import Chance, diverged, quantile, run_many, share
 from tests.motors import LING
@@ -141,10 +142,40 @@ def _lies_in(step: PeriodStep, family: Family) -> bool:
     return True
 
 
-def simulated(x: np.ndarray, u: float, time_s: float) -> np.ndarray:
+@pytest.mark.parametrize(("delay_s", "inertia_kg_m2"), [(0.002, 0.0008), (0.008, 0.0008), (0.008, 1.0)])
+def test_between_two_corners_the_response_departs_from_its_chord_by_the_bends_and_hardly_less(
+    delay_s: float, inertia_kg_m2: float
+) -> None:
+    """Of the state at the period's end, and of the output's square integral over it, by quadrature."""
+    model = speed_model(replace(LING, inertia_kg_m2=inertia_kg_m2))
+    loop = HeldLoop(model, K, SampledNetwork(Strategy.ARRIVAL, H, 0, delay_s))
+    (family,) = (each for each in families(loop.network) if each.windows)
+    corners = corners_of(loop, family, np.eye(loop.kept), 1e-3)
+    times = np.linspace(0.0, H, 4001)
+    basis = np.array([simulated(np.zeros(2), 1.0, time_s, model) for time_s in times])  # to a step at 0
+
+    def responses(tau_s: float) -> tuple[np.ndarray, np.ndarray]:
+        later = np.maximum(times - tau_s, 0.0)
+        states = np.column_stack([np.interp(later, times, basis[:, k]) for k in range(2)])
+        return simulated(np.zeros(2), 1.0, H - tau_s, model), states @ model.C
+
+    edges = corners.times_s[:, 0]
+    assert (edges[0], edges[-1]) == (0.0, pytest.approx(delay_s))
+    departures = []
+    for first, last in itertools.pairwise(edges):
+        (s0, y0), (s1, y1), (s, y) = map(responses, (first, last, 0.5 * (first + last)))
+        output = math.sqrt(np.trapezoid((y - 0.5 * (y0 + y1)) ** 2, times))
+        departures.append([*np.abs(s - 0.5 * (s0 + s1)), output])
+    beside = np.array([departures[0], *departures]), np.array([*departures, departures[-1]])
+    shares = np.maximum(*beside) / np.column_stack([corners.bends[:, 0], corners.output_bends[:, 0]])
+    assert np.all(shares <= 1.0 + 1e-3)
+    assert np.all(shares[edges < 0.5 * H] >= 0.7)
+
+
+def simulated(x: np.ndarray, u: float, time_s: float, model: SpeedModel = MODEL) -> np.ndarray:
     """x after ``time_s`` with the input held."""
     M = np.zeros((3, 3))
-    M[:2, :2], M[:2, 2] = MODEL.A, MODEL.B1
+    M[:2, :2], M[:2, 2] = model.A, model.B1
     return np.asarray((expm(M * time_s) @ np.append(x, u))[:2])
 
 
@@ -343,6 +374,24 @@ class TestMonteCarlo:
         static = 0.6 / (LING.viscous_friction_nm_s - LING.torque_constant_nm_a * slow[1])
         assert peaks == pytest.approx(np.full(50, static), rel=1e-6)
         assert diverged(peaks).value == 0.0
+
+    @pytest.mark.parametrize("strategy", list(Strategy))
+    @pytest.mark.parametrize("friction_nm_s", [0.0, 1e-6, 0.05, 0.5])
+    def test_without_control_the_load_is_borne_by_inertia_and_friction(
+        self, friction_nm_s: float, strategy: Strategy
+    ) -> None:
+        """The speed of J e' = d - B e, for a time in the last period, as the load came in the first."""
+        motor = replace(LING, viscous_friction_nm_s=friction_nm_s)
+        J, B, load_nm, period_s = LING.inertia_kg_m2, friction_nm_s, 0.6, 0.004
+        chance = Chance(runs=20, seed=1, duration_s=0.1, loss_probability=0.0, load_nm=load_nm)
+        net = SampledNetwork(strategy, period_s, 0, 0.8 * period_s, agreed_delay_s=period_s)
+        ends = run_many(motor, 0.0 * K, net, chance).ends_rad_s
+
+        def speed(time_s: float) -> float:
+            return load_nm * (-np.expm1(-B / J * time_s) / B if B else time_s / J)
+
+        assert ends.min() >= speed(0.1) * (1.0 - 1e-9)
+        assert ends.max() <= speed(0.1 + period_s) * (1.0 + 1e-9)
 
     def test_the_peak_between_two_samples_is_not_missed(self) -> None:
         """At a long period the error turns inside it: against a simulation in small steps."""

@@ -77,6 +77,11 @@ def test_size_length_and_encoding_are_bounded(tmp_path: Path) -> None:
         read_text(path, "thing")
     with pytest.raises(BadInput, match="a longer line"):
         list(read_lines(path, "thing", size_max_bytes=2 * SIZE_MAX_BYTES))
+    os.truncate(path, 3 * SIZE_MAX_BYTES)
+    for refuse in (read_text, read_bytes, lambda path, what: list(read_lines(path, what))):
+        with pytest.raises(BadInput) as caught:
+            refuse(path, "thing")
+        assert caught.value.value == f"{3 * SIZE_MAX_BYTES} bytes", "before it is read"
     path.write_bytes(b"a = 1\n\xff")
     for read in (read_toml, lambda path, what: list(read_lines(path, what))):
         with pytest.raises(BadInput, match="UTF-8"):

@@ -216,6 +216,18 @@ def test_an_assigned_device_boots_with_its_node_id() -> None:
     assert servo.node_id == 9
 
 
+def test_once_the_last_device_has_its_node_id_the_search_only_asks_for_anybody() -> None:
+    bench = Bench()
+    bench.add(UNCONFIGURED, 77)
+    master = LssMaster(bench.network)
+    for address in master.search():
+        assert master.assign(address, 9)
+        bench.frames.clear()
+    asked = [frame.data for frame in bench.frames if frame.can_id == 0x7E5 and frame.data[0] == 0x51]
+    assert asked
+    assert set(asked) == {bytes.fromhex("5100000000800000")}, "CiA 305: is anybody without node-ID?"
+
+
 def test_a_device_that_does_not_boot_with_its_node_id_is_told() -> None:
     bench = Bench()
     bench.add(UNCONFIGURED, 77).follow_boot_time(lambda: 60 * NS_PER_S)

@@ -23,6 +23,53 @@ def test_a_sound_file_needs_no_repair() -> None:
     assert loaded.dummies == (2,)
 
 
+def test_what_a_file_says_of_itself_its_device_and_its_node_is_read_by_key() -> None:
+    """The keys are those of CiA 306-1; each has another value."""
+    text = SOUND.replace(
+        "FileName=sound.eds\n",
+        "FileName=sound.eds\nFileVersion=3\nFileRevision=7\nEDSVersion=4.0\nDescription=a drive\n"
+        "CreationDate=01-02-2003\nCreationTime=04:05AM\nModificationDate=06-07-2008\n",
+    )
+    rates = (10, 20, 50, 125, 250, 500, 800, 1000)
+    device = "VendorName=Maker\nProductName=Drive\nOrderCode=D-1\nProductNumber=0x77\nRevisionNumber=5\n"
+    device += "NrOfRXPDO=6\nNrOfTXPDO=9\nGranularity=8\nCompactPDO=3\nLSS_Supported=1\nSimpleBootUpSlave=0\n"
+    node = "[DeviceComissioning]\nNodeID=5\nNodeName=left\nBaudrate=500\nNetNumber=2\n"
+    node += "NetworkName=lab\nLSS_SerialNumber=0x99\n"
+    loaded = parse(text.replace("BaudRate_1000=1\n", device + "BaudRate_1000=0\n") + node)
+    assert loaded.repairs == ()
+    file, told, commissioned = loaded.file, loaded.device, loaded.commissioning
+    assert (file.name, file.version, file.revision, file.eds_version) == ("sound.eds", "3", "7", "4.0")
+    assert (file.description, file.created, file.modified) == ("a drive", "01-02-2003 04:05AM", "06-07-2008")
+    assert (told.vendor_name, told.product_name, told.order_code) == ("Maker", "Drive", "D-1")
+    assert (told.vendor_number, told.product_number, told.revision_number) == (0x1234, 0x77, 5)
+    assert (told.receive_pdos, told.transmit_pdos, told.granularity, told.compact_pdo) == (6, 9, 8, 3)
+    assert (told.lss_supported, told.simple_boot_up_slave) == (True, False)
+    assert told.bit_rates_kbit_s == ()
+    assert commissioned is not None
+    assert (commissioned.node_id, commissioned.node_name, commissioned.bit_rate_kbit_s) == (5, "left", 500)
+    assert (commissioned.net_number, commissioned.network_name) == (2, "lab")
+    assert commissioned.serial_number == 0x99
+    for rate in rates:
+        one = parse(SOUND.replace("BaudRate_1000=1", f"BaudRate_{rate}=1"))
+        assert one.device.bit_rates_kbit_s == (rate,)
+
+
+def test_the_node_id_of_a_file_is_in_1_to_127() -> None:
+    for node_id, kept in ((0, None), (1, 1), (127, 127), (128, None)):
+        loaded = parse(f"{SOUND}[DeviceComissioning]\nNodeID={node_id}\n", None)
+        assert loaded.commissioning is not None
+        assert loaded.commissioning.node_id == kept
+        assert len(loaded.repairs) == (kept is None)
+
+
+def test_dummies_are_the_data_types_that_the_file_marks() -> None:
+    """CiA 301 7.4.7: 1 to 7 can be mapped as placeholders."""
+    marked = "".join(f"Dummy000{number}={number % 2}\n" for number in range(1, 10))
+    start, end = SOUND.index("[DummyUsage]"), SOUND.index("[MandatoryObjects]")
+    assert parse(f"{SOUND[:start]}[DummyUsage]\n{marked}{SOUND[end:]}").dummies == (1, 3, 5, 7)
+    assert parse(SOUND[:start] + SOUND[end:]).dummies == ()
+
+
 def test_without_a_node_id_what_needs_it_is_unknown_and_known_to_follow_it() -> None:
     variable = parse(SOUND, None).dictionary.get_variable(0x1800, 1)
     assert variable is not None

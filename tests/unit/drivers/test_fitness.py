@@ -115,6 +115,53 @@ def test_what_is_recommended_and_missing_is_listed_with_its_consequence() -> Non
     assert 0x1017 not in {lack.index for lack in fitness(also=variable(0x1017, U16, "rw")).lacks}
 
 
+RECOMMENDED = {
+    0x1003: "pre-defined error field",
+    0x1005: "COB-ID SYNC",
+    0x1008: "manufacturer device name",
+    0x1010: "store parameters",
+    0x1011: "restore default parameters",
+    0x1013: "high resolution time stamp",
+    0x1014: "COB-ID EMCY",
+    0x1016: "consumer heartbeat time",
+    0x1017: "producer heartbeat time",
+    0x6007: "abort connection option code",
+    0x603F: "error code",
+    0x605A: "quick stop option code",
+    0x605E: "fault reaction option code",
+    0x6061: "modes of operation display",
+    0x6064: "position actual value",
+    0x6065: "following error window",
+    0x606C: "velocity actual value",
+    0x6071: "target torque",
+    0x6072: "max torque",
+    0x6075: "motor rated current",
+    0x6076: "motor rated torque",
+    0x6077: "torque actual value",
+    0x607D: "software position limit",
+    0x6080: "max motor speed",
+    0x6085: "quick stop deceleration",
+    0x608F: "position encoder resolution",
+    0x6091: "gear ratio",
+    0x60A8: "SI unit position",
+    0x60A9: "SI unit velocity",
+    0x6502: "supported drive modes",
+}
+"""Names as CiA 301 (7.5.2) and CiA 402-2 print them."""
+
+
+def test_each_recommended_object_is_missed_by_its_own_index() -> None:
+    in_the_sheet = {0x1005, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x6502}
+    also = {index: variable(index, U32, "rw") for index in RECOMMENDED if index not in in_the_sheet}
+    assert fitness(also="".join(also.values())).lacks == ()
+    assert {lack.index: lack.name for lack in fitness().lacks} == {
+        index: name for index, name in RECOMMENDED.items() if index not in in_the_sheet
+    }
+    for index in in_the_sheet - {0x1005, 0x6502}:
+        (lack,) = fitness(also="".join(also.values()), without=(index,)).lacks
+        assert (lack.index, lack.name) == (index, RECOMMENDED[index])
+
+
 def test_pdo_defaults_are_those_of_the_file() -> None:
     pdos = [Pdo(0x1400, kind=1, kind_access="ro"), Pdo(0x1801, (0x60410010,), False, cob_id="0xC0000285")]
     tpdo, rpdo = fitness(pdos).pdos

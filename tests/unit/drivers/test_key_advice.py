@@ -1,5 +1,7 @@
 """What is said of a key that nobody knows."""
 
+import math
+
 import pytest
 
 from drivers.key_advice import converted, nearest, same_quantity, split_unit, unknown_key
@@ -36,3 +38,28 @@ def test_units_are_the_last_words_of_a_key() -> None:
     assert nearest("form_s", KNOWN) == "from_s"
     assert converted(True, "delay_ms", "delay_us") is None
     assert converted(1, "delay_ms", "speed_max_rpm") is None
+
+
+SI = {
+    # of one unit, by the SI brochure and the definitions of r/min and degree
+    "time_s": {"time_ms": 1e-3, "time_us": 1e-6, "time_ns": 1e-9},
+    "rate_hz": {"rate_khz": 1e3},
+    "speed_rad_s": {"speed_rpm": math.tau / 60.0, "speed_deg_s": math.tau / 360.0},
+    "torque_nm": {"torque_mnm": 1e-3},
+    "current_a": {"current_ma": 1e-3},
+    "bus_v": {"bus_kv": 1e3},
+    "winding_ohm": {"winding_mohm": 1e-3},
+    "winding_h": {"winding_mh": 1e-3, "winding_uh": 1e-6},
+    "flux_wb": {"flux_mwb": 1e-3},
+    "inertia_kg_m2": {"inertia_g_m2": 1e-3, "inertia_kg_cm2": 1e-4, "inertia_g_cm2": 1e-7},
+    "share_ratio": {"share_percent": 1e-2, "share_permille": 1e-3, "share_ppm": 1e-6},
+    "bus_bit_s": {"bus_kbit_s": 1e3, "bus_mbit_s": 1e6},
+}
+
+
+@pytest.mark.parametrize("expected", SI)
+def test_a_value_is_converted_by_its_unit(expected: str) -> None:
+    for given, factor in SI[expected].items():
+        assert same_quantity(given, [expected]) == expected
+        assert float(str(converted(7, given, expected))) == pytest.approx(7 * factor, rel=1e-8)
+        assert float(str(converted(7.0, expected, given))) == pytest.approx(7 / factor, rel=1e-8)

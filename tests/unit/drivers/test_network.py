@@ -175,6 +175,14 @@ def test_emergencies_are_values(rig: Rig) -> None:
     assert "heartbeat" in str(emergency)
 
 
+def test_canopens_own_services_send_data_frames_alone(rig: Rig) -> None:
+    bus, _, network = rig
+    network.send_message(0x201, [1, 2])
+    with pytest.raises(ValueError, match="remote frames"):
+        network.send_message(0x701, b"", remote=True)
+    assert [(frame.can_id, frame.data) for _, frame in bus.sent] == [(0x201, b"\x01\x02")]
+
+
 def test_nmt_command(rig: Rig) -> None:
     bus, servo, network = rig
     network.command(NmtCommand.START, 1)

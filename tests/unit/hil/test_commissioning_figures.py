@@ -234,6 +234,21 @@ def test_the_smoothed_speed_of_a_ramp_is_exact() -> None:
     assert smooth_speed(time, 3.0 + 7.0 * time) == pytest.approx(np.full(200, 7.0))
 
 
+def test_the_smoothed_speed_of_an_even_acceleration_is_exact_but_for_four_samples_at_each_end() -> None:
+    time = np.linspace(0.0, 1.0, 50)
+    speed = smooth_speed(time, 3.0 * time**2)
+    inside = 6.0 * time[4:-4]
+    assert speed == pytest.approx(np.concatenate([[inside[0]] * 4, inside, [inside[-1]] * 4]))
+
+
+def test_of_a_few_samples_the_speed_is_the_difference_quotient() -> None:
+    time = np.array([0.0, 1.0, 3.0])
+    assert smooth_speed(time, 2.0 * time) == pytest.approx(np.full(3, 2.0))
+    assert smooth_speed(time[:1], time[:1]) == pytest.approx([0.0])
+    nine = np.arange(9.0)
+    assert smooth_speed(nine, nine**2) == pytest.approx(np.full(9, 8.0)), "one line through all nine"
+
+
 def test_runs_of_what_is_missing() -> None:
     gone = [True, False, True, True, False, False, True, True, False, True, True, True]
     assert runs_of(np.array(gone)) == (1, 2, 1)
