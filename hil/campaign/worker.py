@@ -1,6 +1,13 @@
-"""Runs of a campaign back to back in one process, without logger, disk or viewer."""
+"""Runs of a campaign back to back in one process, without logger, disk or viewer.
+
+``python -m hil.campaign.worker`` is a process that does nothing else; see :mod:`hil.campaign.pool`.
+"""
 
 import gc
+import json
+import os
+import signal
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -257,3 +264,31 @@ def row_of_run(planned: PlannedRun, done: Finished) -> Row:
         **{name: figure.of(summary, len(done.config.axes)) for name, figure in FIGURES.items()},
         **({} if done.findings is None else {"findings": done.findings}),
     }
+
+
+def main() -> int:
+    """A worker of :mod:`hil.campaign.pool`: run what is asked for until nothing more comes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    said = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # what code of one's own prints is no answer
+
+    def tell(what: dict[str, Any]) -> None:
+        said.write(json.dumps(what) + "\n")
+
+    try:
+        asked = json.loads(sys.stdin.readline())
+        workshop = Workshop.of_sweep(asked["sweep"], asked["identity"])
+        tell({"ready": True})
+        for line in sys.stdin:
+            for answer in workshop.answers(json.loads(line)):
+                tell(answer)
+    except BenchError as error:
+        tell(refusal(error))
+        return error.exit_status
+    except BrokenPipeError:
+        """Nobody asks any more."""
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
