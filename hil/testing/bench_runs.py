@@ -15,7 +15,6 @@ from hil.configuration.motor_file import MotorFile
 from hil.configuration.references import SignalFile
 from hil.execution.bench import run_bench
 from hil.loop.axis_roles import Controller
-from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted
 from hil.testing.hosted import DriveHost, DriveWish
 from hil.testing.run import Run
@@ -96,8 +95,6 @@ class BenchRunner:
                 time=time,
                 seed=seed,
                 record=run.folder,
-                view=False,
-                progress=no_progress,
                 controllers=controllers,
                 privileged=False,  # a locked memory of pytest is too much to ask of any machine
             )
