@@ -25,20 +25,24 @@ import typer
 
 from drivers.compiled import notice, use_fresh
 from drivers.errors import BadInput
+from hil.terminal import analyse_speed, design_speed
 from hil.terminal.adapter import adapter
 from hil.terminal.campaign import campaign
 from hil.terminal.commission import commission, rehearse, restore
 from hil.terminal.compare import compare
+from hil.terminal.design_current import current
+from hil.terminal.design_hinf import hinf
+from hil.terminal.design_pid import pid
 from hil.terminal.eds import eds
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.export import export
 from hil.terminal.fault import fault
-from hil.terminal.groups import analyse, design, reproduce
 from hil.terminal.init import init
 from hil.terminal.measure import measure
 from hil.terminal.motor import motor
 from hil.terminal.picture import picture
 from hil.terminal.recover import recover
+from hil.terminal.reproduce import azaiz2007, ling2012
 from hil.terminal.review import review
 from hil.terminal.run_object import RunCommand, RunObject
 from hil.terminal.runs import runs
@@ -76,6 +80,20 @@ app.command()(picture)
 app.command()(review)
 app.command()(compare)
 app.command()(view)
+
+reproduce = typer.Typer(name="reproduce", help="The papers' own results beside ours.", no_args_is_help=True)
+reproduce.command()(azaiz2007)
+reproduce.command()(ling2012)
+
+design = typer.Typer(name="design", help="Design a controller.", no_args_is_help=True)
+design.command()(current)
+design.command()(hinf)
+design.command()(pid)
+design.command()(design_speed.speed)
+
+analyse = typer.Typer(name="analyse", help="Exact and certified figures of a loop.", no_args_is_help=True)
+analyse.command()(analyse_speed.speed)
+
 for group in (reproduce, analyse, design, motor, campaign):
     app.add_typer(group)
 

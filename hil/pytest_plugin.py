@@ -4,6 +4,8 @@ pytest loads this in every run on a machine with servobench, so nothing else is 
 for one of the fixtures.
 """
 
+import itertools
+import os
 import re
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -23,6 +25,7 @@ DRIVES_OPTION = "--servo-drives"
 RECORD_OPTION = "--servo-record"
 DEFAULT_BUS = "simulated"
 SIMULATED, PRESENT = "simulated", "present"
+_hub_numbers = itertools.count(1)
 ONLY_SIMULATED = ("faults", "eds", "store")
 """Wishes that only a drive of the plugin's own making can meet."""
 
@@ -31,7 +34,7 @@ class MakeDrive(Protocol):
     """The fixture ``servo_drive``."""
 
     def __call__(self, **wish: Any) -> "DriveRig":
-        """A drive; ``wish``: fields of :class:`hil.testing.drive_rig.DriveWish`."""
+        """A drive; ``wish``: fields of :class:`hil.testing.hosted.DriveWish`."""
         ...
 
 
@@ -39,7 +42,7 @@ class StartDrive(Protocol):
     """The fixture ``servo_process``."""
 
     def __call__(self, *nodes: int, **wish: Any) -> "DriveProcess":
-        """Drives in one process; ``wish``: see :meth:`hil.testing.hosted.DriveHost.start`."""
+        """Drives in one process; ``wish``: fields of :class:`hil.testing.hosted.DriveWish`."""
         ...
 
 
@@ -82,6 +85,24 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("servo_bus", marker.args, indirect=True)
 
 
+def _bus_spec(name: str) -> str:
+    """A bus SPEC; ``hub`` alone stands for a hub that no other test has, ``vcan`` for socketcan:vcan0."""
+    if name == "hub":
+        return f"hub:test-{os.getpid()}-{next(_hub_numbers)}"
+    return "socketcan:vcan0" if name == "vcan" else name
+
+
+def _down(spec: str) -> str | None:
+    """Of a SocketCAN interface that is not up, that it is not, and the command that mends it."""
+    from drivers.errors import BusDown
+    from drivers.wire.adapters import SOCKETCAN, link_up_command, socketcan_links
+
+    interface, _, channel = spec.partition(":")
+    if interface != SOCKETCAN or any(each.spec == spec and each.usable for each in socketcan_links()):
+        return None
+    return str(BusDown(f"{channel} is not up", remedy=link_up_command(channel)))
+
+
 def _uses_present(config: pytest.Config) -> bool:
     return bool(config.getoption(DRIVES_OPTION) == PRESENT)
 
@@ -96,22 +117,17 @@ def servo_bus(request: pytest.FixtureRequest) -> str:
 
     if (trouble := hidden_room()) is not None:
         pytest.fail(trouble, pytrace=False)
-    from drivers.errors import BusDown
-    from hil.testing.buses import bus_spec, require_up
-
     named = request.config.getoption(BUS_OPTION)
     if _uses_present(request.config):
         if getattr(request, "param", None) is not None:
             pytest.skip("it has a bus of its own, on which no drive is present")
         if named in (None, DEFAULT_BUS):
             pytest.fail(f"{DRIVES_OPTION} {PRESENT} needs {BUS_OPTION} with the drives' bus", pytrace=False)
-    spec = bus_spec(getattr(request, "param", None) or named or DEFAULT_BUS)
-    try:
-        require_up(spec)
-    except BusDown as error:
+    spec = _bus_spec(getattr(request, "param", None) or named or DEFAULT_BUS)
+    if (trouble := _down(spec)) is not None:
         if named is not None:
-            pytest.fail(str(error), pytrace=False)
-        pytest.skip(str(error))
+            pytest.fail(trouble, pytrace=False)
+        pytest.skip(trouble)
     return spec
 
 
@@ -147,9 +163,10 @@ def servo_process(servo_bus: str, servo_host: "DriveHost") -> StartDrive:
         pytest.skip(f"it makes drives of its own, and {DRIVES_OPTION} is {PRESENT}")
 
     def start(*nodes: int, **wish: Any) -> "DriveProcess":
-        from hil.configuration.motor_file import LING2012
+        from hil.testing.hosted import DriveWish
 
-        return servo_host.start(nodes or (1,), wish.pop("motor", LING2012), **wish)
+        wished = DriveWish(**wish)
+        return servo_host.start(nodes or (wished.node,), wished)
 
     return start
 
@@ -160,7 +177,8 @@ def servo_drive(servo_bus: str, servo_host: "DriveHost") -> Iterator[MakeDrive]:
 
     ``rig = servo_drive(node=1, motor="motor.toml", eds="vendor.eds", faults={"loss": [...]}, seed=1)``
     """
-    from hil.testing.drive_rig import DriveWish, drive_rig
+    from hil.testing.drive_rig import drive_rig
+    from hil.testing.hosted import DriveWish
 
     def make(**wish: Any) -> "DriveRig":
         for name in ONLY_SIMULATED:

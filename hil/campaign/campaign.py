@@ -1,7 +1,9 @@
 """A campaign from its sweep to its table: runs, stops, goes on, and says what came of it."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -101,8 +103,7 @@ class Campaign:
     def failure_rate(self, confidence: float | None = None) -> ConfidenceInterval:
         """Of a campaign with one point; else as :meth:`pass_rate`."""
         if not self.adaptive:
-            rate = self.pass_rate(0, confidence)
-            return ConfidenceInterval(1.0 - rate.estimate, 1.0 - rate.high, 1.0 - rate.low)
+            return self.pass_rate(0, confidence).complement
         counts = self.column("counts").astype(bool)
         failed = ~self.column("passed").astype(bool)
         confidence = confidence or self.plan.sweep.stop.confidence
@@ -114,8 +115,7 @@ class Campaign:
         There is none over several points: they share their seeds, and no point is more likely than another.
         """
         if self.adaptive:
-            failed = self.failure_rate(confidence)
-            return ConfidenceInterval(1.0 - failed.estimate, 1.0 - failed.high, 1.0 - failed.low)
+            return self.failure_rate(confidence).complement
         passed = self.column("passed")[self.column("point") == point]
         confidence = confidence or self.plan.sweep.stop.confidence
         of_runs = anytime if self.sequential else clopper_pearson
@@ -177,7 +177,9 @@ class Campaign:
         if exceeded.size:
             raise counter_example(self.table.slice(int(exceeded[0]), 1).to_pylist()[0], self.folder)
         if not (states == CertificateState.KEPT).any():
-            told = ", ".join(f"{count} {name or 'without a certificate'}" for name, count in counted(states))
+            told = ", ".join(
+                f"{count} {name or 'without a certificate'}" for name, count in counted(states).items()
+            )
             raise NothingCertified(f"no run could be held against a certificate: {told}")
 
     def replay(self, number: int, record: Path | None = None) -> Finished:
@@ -214,10 +216,9 @@ def counter_example(row: Row, folder: Path) -> CounterExample:
     )
 
 
-def counted(values: NDArray[Any]) -> list[tuple[str, int]]:
+def counted(values: Iterable[Any]) -> dict[str, int]:
     """How often each text is there."""
-    names, counts = np.unique(values.astype(str), return_counts=True)
-    return [(str(name), int(count)) for name, count in zip(names, counts, strict=True)]
+    return dict(sorted(Counter(map(str, values)).items()))
 
 
 class Enough:
@@ -339,12 +340,5 @@ def _record_failures(campaign: Campaign) -> None:
     for number in (list(campaign.found) if campaign.plan.own.checks else failed)[:wanted]:
         folder = campaign.folder / FAILURES_FOLDER / f"run-{number:09d}"
         if not (folder / "summary.json").exists():
-            _clear(folder)
+            shutil.rmtree(folder, ignore_errors=True)  # what a killed campaign has left of a recording
             campaign.replay(int(number), folder)
-
-
-def _clear(folder: Path) -> None:
-    """What a killed campaign has left of a recording."""
-    if folder.is_dir():
-        for each in folder.iterdir():
-            each.unlink()

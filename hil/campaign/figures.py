@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hil.campaign.campaign import Campaign, counted
 from hil.campaign.plan import GridAxis
-from hil.campaign.statistics import ConfidenceInterval, paired, quantile, sensitivity
+from hil.campaign.statistics import ConfidenceInterval, Sensitivity, paired, quantile, sensitivity
 from hil.campaign.worker import FIGURES
 from hil.reviewing.certificate_meter import CertificateState
 
@@ -35,7 +35,7 @@ def figures_of(done: Campaign) -> dict[str, Any]:
         "runs": done.table.num_rows,
         "passed": int(done.column("passed").sum()),
         "points": [_point(done, number) for number in range(done.plan.points)],
-        "outcomes": dict(counted(done.column("outcome"))),
+        "outcomes": counted(done.column("outcome")),
         "certificate": _certificate(done),
         "found": {str(number): texts for number, texts in done.found.items()},
         "quantiles": _quantiles(done),
@@ -86,10 +86,10 @@ def failure_line(rates: dict[str, Any]) -> str:
     )
 
 
-def _plain(interval: ConfidenceInterval, name: str) -> dict[str, float | None]:
-    """Without what JSON has no word for."""
-    values = zip((name, "low", "high"), interval, strict=True)
-    return {key: float(value) if math.isfinite(value) else None for key, value in values}
+def _plain(figures: ConfidenceInterval | Sensitivity, estimate: str = "") -> dict[str, float | None]:
+    """Without what JSON has no word for; ``estimate``: what that of an interval is called."""
+    named = {estimate if key == "estimate" else key: value for key, value in figures._asdict().items()}
+    return {key: float(value) if math.isfinite(value) else None for key, value in named.items()}
 
 
 def _certificate(done: Campaign) -> dict[str, Any]:
@@ -103,8 +103,8 @@ def _certificate(done: Campaign) -> dict[str, Any]:
     share[(states != CertificateState.KEPT) & (states != CertificateState.EXCEEDED)] = np.nan
     measured = bool(np.isfinite(share).any())
     return {
-        "runs": dict(counted(states)),
-        "premises": dict(counted(np.array(names))),
+        "runs": counted(states),
+        "premises": counted(names),
         "nearest_run": int(np.nanargmax(share)) if measured else None,
         "nearest_share": float(np.nanmax(share)) if measured else None,
     }
@@ -133,14 +133,10 @@ def _sensitivities(done: Campaign) -> dict[str, Any]:
     for key in done.plan.run(0).labels:
         values = done.column(key)[done.nominal]
         values = values.astype(float) if values.dtype.kind == "f" else values.astype(str)
-        each = {}
-        for name in ("passed", PEAK):
-            share, correlation = sensitivity(values, done.column(name)[done.nominal].astype(float))
-            each[name] = {
-                "share_of_variance": share,
-                "rank_correlation": correlation if math.isfinite(correlation) else None,
-            }
-        sensitivities[key] = each
+        sensitivities[key] = {
+            name: _plain(sensitivity(values, done.column(name)[done.nominal].astype(float)))
+            for name in ("passed", PEAK)
+        }
     return sensitivities
 
 
@@ -180,17 +176,10 @@ def _pair(done: Campaign, axis: GridAxis, place: int) -> dict[str, Any]:
         (passed[sides[0]], passed[sides[1]]),
         (peak[sides[0]], peak[sides[1]]),
         done.plan.sweep.stop.confidence,
-    )
-    return {
-        "key": axis.title,
-        "first": axis.labels[0],
-        "second": axis.labels[place],
-        "pairs": comparison.runs,
-        "passed_first_alone": comparison.passed_first_alone,
-        "passed_second_alone": comparison.passed_second_alone,
-        "p_value": comparison.p_value,
-        "peak_percent_second_less_first": _plain(comparison.difference, "mean"),
-    }
+    )._asdict()
+    change = _plain(comparison.pop("difference"), "mean")
+    named = {"key": axis.title, "first": axis.labels[0], "second": axis.labels[place]}
+    return {**named, **comparison, "peak_percent_second_less_first": change}
 
 
 def grid_of(done: Campaign, rows: GridAxis, across: GridAxis) -> dict[str, NDArray[np.float64]]:

@@ -1,7 +1,7 @@
 """Functions of one's own in a campaign: what a run changes in its bench, and what it is held against."""
 
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from copy import deepcopy
 from functools import cache
 from pathlib import Path
@@ -41,19 +41,12 @@ class OwnFunctions:
         """For the run with ``seed``. Raises BadInput or OwnCodeFailed."""
         if "changes" not in self._names:
             return {}
-
-        def call(function: Callable[[int], Mapping[str, Any]]) -> dict[str, Any]:
-            return deepcopy(dict(function(seed)))  # keys below its tables may be changed further
-
-        return self._called("changes", seed, call)
+        # a copy: keys below its tables may be changed further
+        return self._called("changes", seed, lambda function: deepcopy(dict(function(seed))))
 
     def findings(self, seed: int, run: Callable[[], Any]) -> list[str]:
         """Of the check. Raises BadInput or OwnCodeFailed, and BenchError as ``run``."""
-
-        def call(function: Callable[[int, Callable[[], Any]], Iterable[str]]) -> list[str]:
-            return [str(text) for text in function(seed, run)]
-
-        return self._called("check", seed, call)
+        return self._called("check", seed, lambda function: list(map(str, function(seed, run))))
 
     def _called(self, key: str, seed: int, call: Callable[[Any], T]) -> T:
         name = self._names[key]

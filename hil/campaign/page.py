@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hil.campaign.campaign import Campaign
 from hil.campaign.figures import PEAK, figures_of, grid_of
 from hil.campaign.plan import GridAxis
-from hil.recording.rerun_page import framed, stream_into
+from hil.recording.rerun_page import framed, plot, stream_into
 
 TIMELINE: Final = "run"
 """Runs by their number: a sequence, no time."""
@@ -155,13 +155,11 @@ def _layout(maps: list[_Map], runs: int) -> rrb.Blueprint:
         rrb.Horizontal(*views[place : place + 2], name=f"Map {1 + place // 2}")
         for place in range(0, len(views), 2)
     ]
-    members = rrb.TimeSeriesView(
-        origin=_MEMBERS,
-        name="Peak error of every run, % of the reference",
-        axis_x=rrb.TimeAxis(link="Independent", view_range=window),
-        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
-        time_ranges=rrb.VisibleTimeRange(TIMELINE, start=boundary.infinite(), end=boundary.infinite()),
+    axis, title = (
+        rrb.TimeAxis(link="Independent", view_range=window),
+        "Peak error of every run, % of the reference",
     )
+    members = plot(_MEMBERS, "$origin/**", title, axis, timeline=TIMELINE)
     left = rrb.Vertical(rrb.Tabs(*pairs), members, row_shares=[6, 4]) if pairs else members
     summary = rrb.TextDocumentView(origin="/summary", name="What came of it")
     return framed(rrb.Horizontal(left, summary, column_shares=[7, 3]), TIMELINE)

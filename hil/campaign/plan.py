@@ -24,7 +24,7 @@ from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput
 from hil.campaign.adaptive import Drawn, Rounds
 from hil.campaign.own_functions import OwnFunctions
-from hil.campaign.sweep_file import RUNS_MAX, Draw, SweepFile, Vary, load_sweep
+from hil.campaign.sweep_file import RUNS_MAX, Draw, SweepFile, Vary, sweep_from
 from hil.configuration.bench_tables import Bench
 from hil.configuration.config import BenchConfig
 
@@ -87,7 +87,7 @@ class CampaignPlan:
     @classmethod
     def load(cls, path: Path) -> "CampaignPlan":
         """Of the sweep file at ``path``. Raises BadInput or BadInputs."""
-        return cls(load_sweep(path), path)
+        return cls(sweep_from(read_toml(path, "sweep file"), str(path)), path)
 
     @property
     def known(self) -> int:

@@ -15,7 +15,7 @@ from typing import Any, Final
 from hil.campaign.chunks import EACH_HOLDS, Chunks, WorkerDied
 from hil.campaign.plan import CampaignPlan
 from hil.campaign.worker import Row, Workshop
-from hil.machine.stopping import Interrupted, StopRequest
+from hil.machine.stopping import StopRequest
 from virtual_bus.child_python import python_command, python_environment
 
 DEATHS_MAX: Final = 3
@@ -23,18 +23,9 @@ DEATHS_MAX: Final = 3
 no accident."""
 ENDING_S: Final = 5.0
 """Between the end of a worker's output and its own end pass milliseconds."""
-MODULE: Final = "hil.campaign.worker_process"
 
 RowSource = Generator[Row, None, None]
 """To be closed when no more are needed: then its processes are gone."""
-
-
-def rows_here(plan: CampaignPlan, numbers: range, stop: StopRequest) -> RowSource:
-    """One after the other, in this process. Raises as :meth:`Workshop.row`."""
-    workshop = Workshop(plan, stop)
-    for number in numbers:
-        stop.check()
-        yield workshop.row(number)
 
 
 class Worker:
@@ -42,7 +33,7 @@ class Worker:
 
     def __init__(self, plan: CampaignPlan) -> None:
         self.process = subprocess.Popen(
-            python_command(MODULE),
+            python_command("hil.campaign.worker"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=python_environment(OPENBLAS_NUM_THREADS="1"),
@@ -150,8 +141,7 @@ class WorkerPool:
                 continue
             for line in lines:
                 self._take(worker, line, chunks)
-        if self._stop():
-            raise Interrupted(f"ended by {self._stop.asked_by}")
+        self._stop.check()
 
     def _take(self, worker: Worker, line: dict[str, Any], chunks: Chunks) -> None:
         if "ready" in line:
@@ -190,6 +180,10 @@ class WorkerPool:
 
 def rows_of(plan: CampaignPlan, numbers: range, workers: int, stop: StopRequest) -> RowSource:
     """Of runs ``numbers`` in order; in this process if one worker is enough."""
-    if workers == 1:
-        return rows_here(plan, numbers, stop)
-    return WorkerPool(plan, workers, stop).rows(numbers)
+    if workers > 1:
+        yield from WorkerPool(plan, workers, stop).rows(numbers)
+        return
+    workshop = Workshop(plan, stop)
+    for number in numbers:
+        stop.check()
+        yield workshop.row(number)

@@ -13,6 +13,8 @@ runs, twice after 10 000.
 """
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -44,21 +46,17 @@ class ConfidenceInterval(NamedTuple):
     def width(self) -> float:
         return self.high - self.low
 
+    @property
+    def complement(self) -> "ConfidenceInterval":
+        """Of how often it does not happen, where this is of a rate."""
+        return ConfidenceInterval(1.0 - self.estimate, 1.0 - self.high, 1.0 - self.low)
+
 
 def clopper_pearson(passed: int, runs: int, confidence: float) -> ConfidenceInterval:
     """Of a rate after a number of runs that was planned; exact, never below ``confidence``."""
-    return _binomial(passed, runs, confidence, "exact")
-
-
-def wilson(passed: int, runs: int, confidence: float) -> ConfidenceInterval:
-    """The same, narrower: over all rates it holds about as often as it says, at some a little less often."""
-    return _binomial(passed, runs, confidence, "wilson")
-
-
-def _binomial(passed: int, runs: int, confidence: float, method: Any) -> ConfidenceInterval:
     if not runs:
         return ConfidenceInterval(math.nan, 0.0, 1.0)
-    interval = binomtest(passed, runs).proportion_ci(confidence, method)
+    interval = binomtest(passed, runs).proportion_ci(confidence)
     return ConfidenceInterval(passed / runs, float(interval.low), float(interval.high))
 
 
@@ -104,23 +102,33 @@ def _root(excess: Any, low: float, high: float) -> float:
     return float(brentq(excess, low, high, xtol=1e-12))
 
 
-def quantile(values: Floats, share: float, confidence: float, seed: int = 0) -> ConfidenceInterval:
+def quantile(values: Floats, share: float, confidence: float) -> ConfidenceInterval:
     """Of a figure, (n,); by bootstrap, so that nothing is presumed of its distribution.
 
     It cannot tell more than the values do: a share beyond 1 - 10/n rests on the few largest.
     """
+    return _resampled(values, partial(np.quantile, q=share), confidence, "percentile")
+
+
+def mean(values: Floats, confidence: float) -> ConfidenceInterval:
+    """Of a figure, (n,); by bootstrap, bias-corrected and accelerated."""
+    return _resampled(values, np.mean, confidence, "BCa")
+
+
+def _resampled(values: Floats, of: Callable[..., Any], confidence: float, method: str) -> ConfidenceInterval:
+    """``of``: what is estimated, of a sample along ``axis``."""
     if values.size < 2:
         return ConfidenceInterval(float(values[0]) if values.size else math.nan, -math.inf, math.inf)
-    estimate = float(np.quantile(values, share))
-    if np.ptp(values) == 0.0:
+    estimate = float(of(values))
+    if np.ptp(values) <= 1e-12 * abs(estimate):
         return ConfidenceInterval(estimate, estimate, estimate)
     resampled = bootstrap(
         (values,),
-        lambda sample, axis: np.quantile(sample, share, axis=axis),
+        of,
         confidence_level=confidence,
         n_resamples=RESAMPLES,
-        method="percentile",
-        rng=np.random.default_rng(seed),
+        method=method,
+        rng=np.random.default_rng(0),
     ).confidence_interval
     return ConfidenceInterval(estimate, float(resampled.low), float(resampled.high))
 
@@ -128,7 +136,7 @@ def quantile(values: Floats, share: float, confidence: float, seed: int = 0) -> 
 class Paired(NamedTuple):
     """Two points of a grid on the same draws and seeds: the second less the first."""
 
-    runs: int
+    pairs: int
     passed_first_alone: int
     passed_second_alone: int
     p_value: float
@@ -151,28 +159,11 @@ def paired(
     )
 
 
-def mean(values: Floats, confidence: float, seed: int = 0) -> ConfidenceInterval:
-    """Of a figure, (n,); by bootstrap, bias-corrected and accelerated."""
-    if values.size < 2:
-        return ConfidenceInterval(float(values[0]) if values.size else math.nan, -math.inf, math.inf)
-    estimate = float(values.mean())
-    if np.ptp(values) <= 1e-12 * abs(estimate):
-        return ConfidenceInterval(estimate, estimate, estimate)
-    resampled = bootstrap(
-        (values,),
-        np.mean,
-        confidence_level=confidence,
-        n_resamples=RESAMPLES,
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
-    return ConfidenceInterval(estimate, float(resampled.low), float(resampled.high))
-
-
 class Sensitivity(NamedTuple):
     """How a figure goes with a key."""
 
-    share: float
-    """Of the variance of the figure, what the key's value explains by itself (correlation ratio), 0 to 1."""
+    share_of_variance: float
+    """Of that of the figure, what the key's value explains by itself (correlation ratio), 0 to 1."""
     rank_correlation: float
     """Spearman's, -1 to 1; NaN for a key that is no number."""
 

@@ -1,11 +1,9 @@
 """Sweep files: which bench, what varies in it, how often, and when it is enough."""
 
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from drivers.bounded_file import read_toml
 from drivers.errors import BadInput
 from hil.configuration.config_files import Section, validated
 from hil.control.own_code import OBJECT_PATTERN
@@ -139,11 +137,6 @@ class SweepFile(Section):
     stop: Stop = Stop()
     adaptive: Adaptive | None = None
     own: Own = Own()
-
-
-def load_sweep(path: Path) -> SweepFile:
-    """The sweep file at ``path``. Raises BadInput or BadInputs."""
-    return sweep_from(read_toml(path, "sweep file"), str(path))
 
 
 def sweep_from(tables: Any, source: str) -> SweepFile:

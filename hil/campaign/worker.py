@@ -1,6 +1,13 @@
-"""Runs of a campaign back to back in one process, without logger, disk or viewer."""
+"""Runs of a campaign back to back in one process, without logger, disk or viewer.
+
+``python -m hil.campaign.worker`` is a process that does nothing else; see :mod:`hil.campaign.pool`.
+"""
 
 import gc
+import json
+import os
+import signal
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -14,7 +21,6 @@ from hil.configuration.config import BenchConfig
 from hil.configuration.config_errors import BadInputs
 from hil.control.own_code import OwnCodeFailed
 from hil.execution.bench import run_bench
-from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted, StopRequest
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.recording.recorder import recorder_of
@@ -206,12 +212,8 @@ class Workshop:
         try:
             return run_bench(
                 config,
-                bus_spec=None,
-                time=None,
                 seed=planned.seed,
                 record=record,
-                view=False,
-                progress=no_progress,
                 keep=record is not None,
                 allow_uncertified=self._plan.sweep.campaign.allow_uncertified,
                 privileged=False,
@@ -257,3 +259,31 @@ def row_of_run(planned: PlannedRun, done: Finished) -> Row:
         **{name: figure.of(summary, len(done.config.axes)) for name, figure in FIGURES.items()},
         **({} if done.findings is None else {"findings": done.findings}),
     }
+
+
+def main() -> int:
+    """A worker of :mod:`hil.campaign.pool`: run what is asked for until nothing more comes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    said = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # what code of one's own prints is no answer
+
+    def tell(what: dict[str, Any]) -> None:
+        said.write(json.dumps(what) + "\n")
+
+    try:
+        asked = json.loads(sys.stdin.readline())
+        workshop = Workshop.of_sweep(asked["sweep"], asked["identity"])
+        tell({"ready": True})
+        for line in sys.stdin:
+            for answer in workshop.answers(json.loads(line)):
+                tell(answer)
+    except BenchError as error:
+        tell(refusal(error))
+        return error.exit_status
+    except BrokenPipeError:
+        """Nobody asks any more."""
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -25,7 +25,7 @@ from hil.configuration.drive_file import load_drive_file
 from hil.recording.lanes import lane_colors
 from hil.recording.page_series import BLUE, GREEN, GREY, TIMELINE, Color
 from hil.recording.plot_scale import COLUMN_PX, about, lanes_px, plot_heights
-from hil.recording.rerun_page import framed, stream_into
+from hil.recording.rerun_page import framed, from_zero, plot, stream_into
 from hil.recording.telemetry import RERUN_FILE
 from hil.reviewing.envelope import Envelope
 from hil.reviewing.trace.decoder import decode
@@ -277,23 +277,10 @@ def _cells(text: str) -> list[str]:
 
 
 def _layout(bus: _Bus, end_s: float) -> rrb.Blueprint:
-    boundary = rrb.TimeRangeBoundary
-    window = rrb.TimeRange(boundary.absolute(seconds=-0.02 * end_s), boundary.absolute(seconds=1.02 * end_s))
-    axis = rrb.TimeAxis(link="Independent", view_range=window)
-    there = [plot for plot in _PLOTS if any(_SIGNALS[index].plot == plot for index in bus.signals)]
-    ranges = {plot: about(bus.ends(plot)) for plot in there}
-    plots = [
-        rrb.TimeSeriesView(
-            origin="/",
-            contents=[f"+ /{plot}/**"],
-            name=_PLOTS[plot],
-            axis_x=axis,
-            axis_y=None if ranges[plot] is None else rrb.ScalarAxis(range=ranges[plot]),
-            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
-            time_ranges=rrb.VisibleTimeRange(TIMELINE, start=boundary.infinite(), end=boundary.infinite()),
-        )
-        for plot in there
-    ]
+    axis = from_zero(end_s)
+    there = [name for name in _PLOTS if any(_SIGNALS[index].plot == name for index in bus.signals)]
+    ranges = {name: about(bus.ends(name)) for name in there}
+    plots = [plot("/", [f"+ /{name}/**"], _PLOTS[name], axis, ranges[name]) for name in there]
     lanes = rrb.StateTimelineView(
         origin="/", contents=[f"+ {_STEP}", f"+ {_DRIVE}"], name="Steps and states", time_view=axis
     )
@@ -307,6 +294,6 @@ def _layout(bus: _Bus, end_s: float) -> rrb.Blueprint:
     )
     states_px = lanes_px(2)
     spare = [1.0 / len(plots)] * len(plots) if plots else []
-    heights = plot_heights([ranges[plot] for plot in there], COLUMN_PX - states_px, spare)
+    heights = plot_heights([ranges[name] for name in there], COLUMN_PX - states_px, spare)
     content = rrb.Vertical(lanes, *plots, row_shares=[states_px, *heights])
     return framed(rrb.Horizontal(content, right, column_shares=[6.5, 3.5]))

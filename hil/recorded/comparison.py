@@ -8,6 +8,7 @@ signals are is taken of cycles that have a reading in both.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -16,12 +17,10 @@ from pydantic import Field
 
 from drivers.bounded_file import NamedBy
 from drivers.errors import BadInput
+from drivers.timebase import NS_PER_S
 from hil.configuration.config_files import Section, load_file
-from hil.recorded.recorded_run import RecordedRun
-from hil.recorded.run_signals import RunSignals
-from hil.reviewing.review import Review
+from hil.recorded.recorded_run import RecordedRun, RunSignals
 from hil.rows.records import DIGESTED_BYTES, FATE_SAMPLE, NAMES, ROW_DTYPE, Rows
-from hil.verdict.summary import Figures
 
 _SIGNALS: Final = ("velocity_rad_s", "torque_nm", "command_torque_nm", "reference_rad_s", "load_torque_nm")
 _COMPARED: Final = [
@@ -30,6 +29,8 @@ _COMPARED: Final = [
     if name not in ("axis", "clock_offset_ns", "device_time_ns")
 ]
 """Places of the columns; every one has eight bytes."""
+_COLUMNS_MAX: Final = 8
+"""Of a divergence: more columns say no more."""
 
 
 Tolerance = Annotated[float | None, Field(ge=0)]
@@ -97,43 +98,57 @@ class Divergence:
     columns: tuple[str, ...]
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """A figure beside that of the baseline."""
+
+    name: str
+    baseline: float | None
+    value: float | None
+    tolerance: float
+    kept: bool | None
+    """None: it is not measured in both."""
+
+
+@dataclass
 class Against:
     """A run beside the first one."""
 
     run: RecordedRun
-    figures: dict[str, float | None]
     signals: RunSignals
     differences: dict[str, dict[str, Difference]] = field(default_factory=dict)
     """By axis and signal."""
     divergence: Divergence | None = None
     """None: every cycle that both have is the same."""
     cycles_of_both: int = 0
+    regressions: list[Regression] = field(default_factory=list)
+    """What the tolerances ask for, if there are any."""
+
+    @cached_property
+    def figures(self) -> dict[str, float | None]:
+        """What is compared, by the names of :class:`Tolerances`."""
+        figures = self.signals.review.figures()
+        error, steps = figures.speed_error, figures.step_response
+        return {
+            "speed_error_rms_rad_s": error.rms_rad_s,
+            "speed_error_peak_percent": error.peak_percent,
+            "after_load_percent": error.after_load_percent,
+            "settling_time_ms": steps.settling_time_ms,
+            "overshoot_percent": steps.overshoot_percent,
+            "recovery_time_ms": steps.recovery_time_ms,
+            "torque_rms_nm": figures.torque_rms_nm,
+            "dropouts_percent": figures.dropouts_percent,
+            "losses_in_a_row": float(figures.losses_in_a_row),
+            "delay_p99_us": figures.delay_us.p99,
+            "lateness_p99_us": figures.lateness_us.p99,
+        }
 
     def apart(self, signal: str) -> list[Difference]:
         """Of all axes."""
         return [signals[signal] for signals in self.differences.values() if signals[signal].count]
 
 
-def figures_of(figures: Figures) -> dict[str, float | None]:
-    """What is compared of a run, by the names of :class:`Tolerances`."""
-    error, steps = figures.speed_error, figures.step_response
-    return {
-        "speed_error_rms_rad_s": error.rms_rad_s,
-        "speed_error_peak_percent": error.peak_percent,
-        "after_load_percent": error.after_load_percent,
-        "settling_time_ms": steps.settling_time_ms,
-        "overshoot_percent": steps.overshoot_percent,
-        "recovery_time_ms": steps.recovery_time_ms,
-        "torque_rms_nm": figures.torque_rms_nm,
-        "dropouts_percent": figures.dropouts_percent,
-        "losses_in_a_row": float(figures.losses_in_a_row),
-        "delay_p99_us": figures.delay_us.p99,
-        "lateness_p99_us": figures.lateness_us.p99,
-    }
-
-
-def compare_runs(runs: Sequence[RecordedRun]) -> list[Against]:
+def compare_runs(runs: Sequence[RecordedRun], tolerances: Tolerances | None = None) -> list[Against]:
     """The first one beside itself, then each other. Raises BadInput for runs that share no axis or period."""
     base = runs[0]
     for run in runs[1:]:
@@ -144,20 +159,22 @@ def compare_runs(runs: Sequence[RecordedRun]) -> list[Against]:
         if run.config.loop.period != base.config.loop.period:
             expected = f"{base.config.loop.period_us}, as in {base.folder}"
             raise BadInput(str(run.folder), "loop.period_us", run.config.loop.period_us, expected)
-    return [_beside(base, run) for run in runs]
+    compared = [_beside(base, run) for run in runs]
+    if tolerances is not None:
+        for each in compared[1:]:
+            each.regressions = list(_regressions(compared[0], each, tolerances))
+    return compared
 
 
 def _beside(base: RecordedRun, run: RecordedRun) -> Against:
-    review, signals = Review(run.review), RunSignals(run.axes, run.config.loop.deadline)
-    beside = Against(run, {}, signals)
+    beside = Against(run, RunSignals(run))
     shared = {name: (base.axes.index(name), run.axes.index(name)) for name in run.axes if name in base.axes}
     if run is not base:
         beside.differences = {name: {signal: Difference() for signal in _SIGNALS} for name in shared}
     held: dict[str, list[Rows]] = {name: [] for name in shared}
     others = base.rows() if run is not base else iter(())
     for rows in run.rows():
-        review.add(rows)
-        signals.add(rows)
+        beside.signals.add(rows)
         if run is base:
             continue
         ahead = int(rows["sequence"].max(initial=0))
@@ -165,8 +182,6 @@ def _beside(base: RecordedRun, run: RecordedRun) -> Against:
             mine = rows[rows["axis"] == ours]
             other = _up_to(held, others, shared, name, ahead)
             _hold(beside, name, other, mine)
-    signals.judge(review, run)
-    beside.figures = figures_of(review.figures())
     return beside
 
 
@@ -227,21 +242,8 @@ def _look_for_divergence(beside: Against, name: str, base: Rows, own: Rows) -> N
         beside.divergence = Divergence(name, int(own["sequence"][place]), at, columns)
 
 
-@dataclass(frozen=True, slots=True)
-class Regression:
-    """A figure beside that of the baseline."""
-
-    name: str
-    baseline: float | None
-    value: float | None
-    tolerance: float
-    kept: bool | None
-    """None: it is not measured in both."""
-
-
-def regressions(base: Against, other: Against, tolerances: Tolerances) -> list[Regression]:
-    """What the tolerances ask for; smaller is better in every figure."""
-    judged = []
+def _regressions(base: Against, other: Against, tolerances: Tolerances) -> Iterator[Regression]:
+    """Smaller is better in every figure."""
     values = {**other.figures, **_speed_apart(other)}
     references = {**base.figures, "speed_difference_rms_rad_s": 0.0, "speed_difference_max_rad_s": 0.0}
     for name, tolerance in tolerances.model_dump().items():
@@ -251,8 +253,7 @@ def regressions(base: Against, other: Against, tolerances: Tolerances) -> list[R
         kept = None if value is None or reference is None else value <= reference + tolerance
         if value is None and reference is None:
             kept = True  # neither run had such a step
-        judged.append(Regression(name, reference, value, tolerance, kept))
-    return judged
+        yield Regression(name, reference, value, tolerance, kept)
 
 
 def _speed_apart(other: Against) -> dict[str, float | None]:
@@ -263,8 +264,8 @@ def _speed_apart(other: Against) -> dict[str, float | None]:
     }
 
 
-def comparison_json(compared: Sequence[Against], judged: Mapping[str, list[Regression]]) -> dict[str, Any]:
-    """Plain values; ``judged``: by the folder of the run."""
+def comparison_json(compared: Sequence[Against]) -> dict[str, Any]:
+    """Plain values."""
     return {
         "baseline": str(compared[0].run.folder),
         "runs": [
@@ -284,8 +285,51 @@ def comparison_json(compared: Sequence[Against], judged: Mapping[str, list[Regre
                     for axis, signals in each.differences.items()
                 },
                 "first_divergence": None if each.divergence is None else asdict(each.divergence),
-                "regressions": [asdict(one) for one in judged.get(str(each.run.folder), [])],
+                "regressions": [asdict(one) for one in each.regressions],
             }
             for each in compared
         ],
     }
+
+
+def comparison_lines(compared: Sequence[Against]) -> list[str]:
+    """Figures side by side, then each run beside the first."""
+    lines = [f"{number}  {each.run.title()}" for number, each in enumerate(compared)]
+    lines += ["", f"{'':28}" + "".join(f"{number:>12}" for number in range(len(compared)))]
+    for name in compared[0].figures:
+        values = [each.figures[name] for each in compared]
+        lines.append(f"{name:28}" + "".join(f"{_number(value):>12}" for value in values))
+    for number, each in enumerate(compared[1:], start=1):
+        lines += ["", f"{number} beside 0: {each.cycles_of_both} cycles of both"]
+        lines += _apart(each)
+        lines += [_judged(one) for one in each.regressions]
+    return lines
+
+
+def _apart(each: Against) -> Iterator[str]:
+    divergence = each.divergence
+    if divergence is None:
+        yield "  every cycle of both is the same"
+        return
+    more = len(divergence.columns) - _COLUMNS_MAX
+    named = ", ".join(divergence.columns[:_COLUMNS_MAX]) + (f" and {more} more" if more > 0 else "")
+    at_s = divergence.at_ns / NS_PER_S
+    yield f"  first divergence: {divergence.axis}, cycle {divergence.cycle} at {at_s:.6f} s, in {named}"
+    for axis, signals in each.differences.items():
+        for signal, one in signals.items():
+            if one.count and one.largest:
+                at = "" if one.at_ns is None else f" at {one.at_ns / NS_PER_S:.3f} s"
+                sizes = f"rms {_number(one.rms):>10}  largest {_number(one.largest):>10}"
+                yield f"  {axis} {signal:20} {sizes}{at}"
+
+
+def _judged(one: Regression) -> str:
+    result = {True: "within", False: "EXCEEDED", None: "not measured in both"}[one.kept]
+    return (
+        f"  {one.name:28} {_number(one.value):>10}, baseline {_number(one.baseline):>10} "
+        f"+ {one.tolerance:g}: {result}"
+    )
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"

@@ -14,7 +14,7 @@ from drivers.timebase import NS_PER_S
 from hil.recorded.comparison import Against
 from hil.recording.page_series import AXIS_COLORS, GREY, TIMELINE, torque_scale
 from hil.recording.plot_scale import COLUMN_PX, Range, about, around_zero, plot_heights
-from hil.recording.rerun_page import framed, stream_into
+from hil.recording.rerun_page import framed, from_zero, plot, stream_into
 from hil.reviewing.envelope import Points
 
 _PLOTS: Final = {
@@ -121,23 +121,9 @@ def _column(
         paths = [f"/{name}/{axis}/{path}" for name in names]
         if path == "speed/measured":
             paths.append(f"/{names[0]}/{axis}/speed/reference")
-        boundary = rrb.TimeRangeBoundary
-        window = rrb.TimeRange(
-            boundary.absolute(seconds=-0.02 * end_s), boundary.absolute(seconds=1.02 * end_s)
-        )
-        views.append(
-            rrb.TimeSeriesView(
-                origin="/",
-                contents=[f"+ {each}" for each in paths],
-                name=told if len(names) > 1 else f"{title} · {told}",
-                axis_x=rrb.TimeAxis(link="Independent", view_range=window),
-                axis_y=None if low_high is None else rrb.ScalarAxis(range=low_high),
-                plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=len(names) > 1),
-                time_ranges=rrb.VisibleTimeRange(
-                    TIMELINE, start=boundary.infinite(), end=boundary.infinite()
-                ),
-            )
-        )
+        several = len(names) > 1
+        contents, of_view = [f"+ {each}" for each in paths], told if several else f"{title} · {told}"
+        views.append(plot("/", contents, of_view, from_zero(end_s), low_high, legend=several))
     return rrb.Vertical(*views, row_shares=plot_heights(ranges, COLUMN_PX, (0.4, 0.2, 0.2, 0.2)), name=title)
 
 

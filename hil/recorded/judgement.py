@@ -13,9 +13,7 @@ from typing import Any, Final
 from drivers.bounded_file import NamedBy
 from hil.configuration.config import VerdictConfig
 from hil.configuration.config_files import Section, load_file
-from hil.recorded.recorded_run import RecordedRun
-from hil.recorded.run_signals import RunSignals
-from hil.reviewing.review import Review
+from hil.recorded.recorded_run import RecordedRun, RunSignals
 from hil.rows.records_file import RECORDS_FILE
 from hil.verdict.summary import Figures, Summary, summarise
 from hil.verdict.verdict import Demand, RunOutcome, VerdictKind, VerdictLimits
@@ -59,12 +57,10 @@ def judge_run(run: RecordedRun, against: Path | None = None) -> Judged:
             limits = replace(limits, compute_us_max=None)
         plan = replace(plan, limits=limits, settling=asked.settling, band_percent=asked.settling_band_percent)
     run = replace(run, review=plan)
-    review, signals = Review(plan), RunSignals(run.axes, run.config.loop.deadline)
+    signals = RunSignals(run)
     for rows in run.bench_rows():
         signals.add(rows, run.first_cycle)
-        review.add(rows)
-    signals.judge(review, run)
-    summary = _judged(run, review.figures(), plan.limits)
+    summary = _judged(run, signals.review.figures(), plan.limits)
     return Judged(run, str(against) if against else "the bench's own limits", summary, signals)
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S, NS_PER_US
-from hil.recorded.run_signals import RunSignals
+from hil.recorded.recorded_run import RunSignals
 
 SUFFIXES: Final = (".svg", ".pdf", ".png")
 _COLORS: Final = ("#1f5fa8", "#2e7d32", "#c2571a", "#6a4fa0")
@@ -39,8 +39,7 @@ def paper_figure(run: RunSignals, begin_s: float | None = None, end_s: float | N
         ax.set_ylabel(title, fontsize="small")
         ax.grid(color=_GRID, linewidth=0.6)
         ax.spines[["top", "right"]].set_visible(False)
-    if len(run.axes) > 1 or run.axes:
-        axes[0].legend(fontsize="x-small", loc="best", frameon=False)
+    axes[0].legend(fontsize="x-small", loc="best", frameon=False)
     axes[-1].set_xlabel("time since the first cycle [s]", fontsize="small")
     axes[-1].set_xlim(begin_s, end_s)
     figure.align_ylabels(axes)

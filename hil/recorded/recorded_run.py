@@ -1,11 +1,13 @@
-"""A run's folder, read: its bench, its rows, what it came to."""
+"""A run's folder, read: its bench, its rows and their signals, what it came to."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from drivers.bounded_file import NoSuchFile
 from drivers.errors import BadInput
+from drivers.rotation import RPM_PER_RAD_S
 from drivers.timebase import duration_s
 from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.bench_file import load_bench
@@ -13,12 +15,20 @@ from hil.configuration.config import BenchConfig
 from hil.execution import assembly
 from hil.execution.network_guard import certified_plans
 from hil.loop.loop import planned_cycles
+from hil.recording.lanes import error_limit_rpm
+from hil.recording.row_series import main_lines_of
 from hil.recording.run_folder import read_summary
+from hil.reviewing.envelope import Envelope
+from hil.reviewing.histogram import TimeHistogram
+from hil.reviewing.review import Review
 from hil.rows.recording_plan import ReviewPlan
 from hil.rows.records import Rows
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, SUMMARY_FILE
 from hil.verdict.summary import Summary
+
+_COUNTED_SHARE: Final = 0.98
+"""As in the pages: a fault of a few cycles does not flatten the rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,24 +70,71 @@ class RecordedRun:
         return f"{self.config.bench.name} ({self.folder})"
 
 
-def open_run(folder: Path, argument: str = "RUN") -> RecordedRun:
+def open_run(folder: Path) -> RecordedRun:
     """The run in ``folder``. Raises BadInput for what is none, is not ended, or is of another format."""
     if folder.name in (RECORDS_FILE, SUMMARY_FILE, "run.rrd"):
         folder = folder.parent
     for name in (BENCH_FILE, RECORDS_FILE):
         if not (folder / name).is_file():
-            raise BadInput(argument, "", str(folder), f"the folder of a run, with its {name}")
+            raise BadInput("RUN", "", str(folder), f"the folder of a run, with its {name}")
     metadata = read_metadata(folder / RECORDS_FILE)
     told = metadata.get("format", "none")
     if not told.isdigit() or not 1 <= int(told) <= int(FORMAT):
-        raise BadInput(argument, "format", told, f"a recording of format 1 to {FORMAT}")
+        raise BadInput("RUN", "format", told, f"a recording of format 1 to {FORMAT}")
     try:
         summary = read_summary(folder)
     except NoSuchFile:
         raise BadInput(
-            argument, "", str(folder), f"a run with its {SUMMARY_FILE}", "hil recover ends it"
+            "RUN", "", str(folder), f"a run with its {SUMMARY_FILE}", "hil recover ends it"
         ) from None
     config = load_bench(folder / BENCH_FILE)
     simulated = parse_bus_spec(config.bus.spec, config.source).simulated
     review = assembly.review_plan(config, certified_plans(config, (), simulated), not simulated)
     return RecordedRun(folder, config, metadata, summary, review)
+
+
+class RunSignals:
+    """The rows of a run in bounded memory, as envelopes and as figures; :meth:`add` all of them."""
+
+    def __init__(self, run: RecordedRun) -> None:
+        self.axes = run.axes
+        self.deadline_ns = run.config.loop.deadline
+        self.review = Review(run.review)
+        self.signals: dict[str, Envelope] = {}
+        """By axis and series, as "axis1/speed/measured"; r/min, N m and us over ns of the run time."""
+        self._limits = run.review.limits
+
+    def add(self, rows: Rows, first_cycle: int = 0) -> None:
+        """Take in rows; ``first_cycle``: what their instants count it as."""
+        self.review.add(rows)
+        for number, name in enumerate(self.axes):
+            mine = rows if len(self.axes) == 1 else rows[rows["axis"] == number]
+            for path, times, values in main_lines_of(mine, 1.0):
+                self.signals.setdefault(f"{name}/{path}", Envelope()).add(times - first_cycle, values)
+
+    @property
+    def delays(self) -> dict[str, TimeHistogram]:
+        """By axis."""
+        return dict(zip(self.axes, self.review.delays, strict=True))
+
+    @property
+    def error_limits_rpm(self) -> dict[str, float | None]:
+        """How large the speed error may be, by axis; None: nobody says."""
+        meters = zip(self.axes, self.review.errors, strict=True)
+        return {name: error_limit_rpm(meter, self._limits) for name, meter in meters}
+
+    @property
+    def counted_error_rpm(self) -> dict[str, float]:
+        """How large nearly all of the speed error is that counts, by axis."""
+        meters = zip(self.axes, self.review.errors, strict=True)
+        return {
+            name: (meter.counted.largest(_COUNTED_SHARE) or 0.0) * RPM_PER_RAD_S for name, meter in meters
+        }
+
+
+def signals_of(run: RecordedRun) -> RunSignals:
+    """Read the rows once."""
+    signals = RunSignals(run)
+    for rows in run.rows():
+        signals.add(rows)
+    return signals

@@ -94,9 +94,9 @@ class HeadlessViewer:
 
     def put_cursor(self, at_s: float | None) -> None:
         """At an instant of the run time, where there is one; None: at its end."""
-        if not self._ends():
-            return
-        self._client.set_time(TIMELINE, duration=self._end_s() if at_s is None else at_s, play_state="paused")
+        if ends := self._ends():
+            cursor_s = max(ends) / NS_PER_S if at_s is None else at_s
+            self._client.set_time(TIMELINE, duration=cursor_s, play_state="paused")
 
     def picture(self) -> bytes:
         """The whole window as PNG, when it does not change any more. Raises PeerFault if a view complains."""
@@ -115,9 +115,6 @@ class HeadlessViewer:
         for view in self._client.get_state().views:
             for report in view.reports:
                 raise PeerFault(f"the view {view.name!r} reports: {report.summary}", report.details or "")
-
-    def _end_s(self) -> float:
-        return max(self._ends(), default=0) / NS_PER_S
 
     def _ends(self) -> list[int]:
         """Of the run time of each recording."""

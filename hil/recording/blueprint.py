@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 from hil.recording.lanes import STATE_ROOT
 from hil.recording.page_series import AXIS_COLORS, LIMITS, OVERVIEW, SERIES, TIMELINE, torque_scale
 from hil.recording.plot_scale import COLUMN_PX, Range, lanes_px, plot_heights
-from hil.recording.rerun_page import framed
+from hil.recording.rerun_page import framed, plot
 from hil.rows.recording_plan import RecordingPlan
 
 VERDICT, HISTOGRAM, EVENTS = "/verdict", "/delay_histogram", "/events"
@@ -212,18 +212,8 @@ class Pages:
         low_high: Range | None = None,
         overrides: dict[Any, Any] | None = None,
     ) -> rrb.TimeSeriesView:
-        return rrb.TimeSeriesView(
-            origin=origin,
-            contents=[f"+ {path}" for path in contents],
-            name=title,
-            axis_x=self._time_axis(linked),
-            axis_y=None if low_high is None else rrb.ScalarAxis(range=low_high),
-            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
-            overrides=overrides,
-            time_ranges=rrb.VisibleTimeRange(
-                TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite()
-            ),
-        )
+        paths = [f"+ {path}" for path in contents]
+        return plot(origin, paths, title, self._time_axis(linked), low_high, overrides=overrides)
 
     def _time_axis(self, linked: bool, gutter: float = 0.0) -> rrb.TimeAxis:
         """``gutter``: so much more at the left, of the width."""

@@ -1,14 +1,16 @@
 """What every page of Rerun is framed by, and the file that it goes into."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 import rerun as rr
 import rerun.blueprint as rrb
 
 from hil.recording.page_series import TIMELINE
+from hil.recording.plot_scale import Range
 
 
 def framed(content: rrb.Container, timeline: str = TIMELINE, *, follows: bool = False) -> rrb.Blueprint:
@@ -21,6 +23,38 @@ def framed(content: rrb.Container, timeline: str = TIMELINE, *, follows: bool = 
         auto_views=False,
         auto_layout=False,
     )
+
+
+def plot(
+    origin: str,
+    contents: str | Sequence[str],
+    title: str,
+    axis_x: rrb.TimeAxis,
+    low_high: Range | None = None,
+    *,
+    timeline: str = TIMELINE,
+    legend: bool | None = None,
+    overrides: dict[Any, Any] | None = None,
+) -> rrb.TimeSeriesView:
+    """Lines over the time, all of them from their begin to their end; ``low_high``: None: as they reach."""
+    boundary = rrb.TimeRangeBoundary
+    return rrb.TimeSeriesView(
+        origin=origin,
+        contents=contents,
+        name=title,
+        axis_x=axis_x,
+        axis_y=None if low_high is None else rrb.ScalarAxis(range=low_high),
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=legend),
+        overrides=overrides,
+        time_ranges=rrb.VisibleTimeRange(timeline, start=boundary.infinite(), end=boundary.infinite()),
+    )
+
+
+def from_zero(end_s: float) -> rrb.TimeAxis:
+    """From 0 to ``end_s``, with a little margin."""
+    boundary = rrb.TimeRangeBoundary
+    window = rrb.TimeRange(boundary.absolute(seconds=-0.02 * end_s), boundary.absolute(seconds=1.02 * end_s))
+    return rrb.TimeAxis(link="Independent", view_range=window)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
+from drivers.errors import BadInput
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import bitrate_option, bus_option, seed_option, valued
 from hil.terminal.output import say
@@ -32,7 +33,6 @@ def adapter(
     Prints the name of its serial port on stdout; use it with --bus slcan:PORT.
     """
     with reported_errors():
-        from drivers.errors import BadInput
         from drivers.timebase import MonotonicClock
         from drivers.wire.adapters import parse_bus_spec
         from hil.machine.realtime import realtime_process

@@ -1,6 +1,5 @@
 """``hil compare``: recorded runs beside each other, and a run against a baseline."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +12,7 @@ from hil.terminal.output import put, say_written
 from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
-    from hil.recorded.comparison import Regression
+    from hil.recorded.comparison import Against
 
 RunsArgument = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")]
 BaselineOption = Annotated[
@@ -45,28 +44,23 @@ def compare(
             raise BadInput("RUN", "", str(runs[0]), "a second run, or --baseline, to compare it with")
         if rrd is not None and (rrd.suffix != ".rrd" or not rrd.parent.is_dir()):
             raise BadInput("--rrd", "", str(rrd), "a file that ends in .rrd in a folder that is there")
-        from hil.recorded.comparison import compare_runs, comparison_json, load_tolerances, regressions
-        from hil.recorded.comparison_text import comparison_lines
+        from hil.recorded.comparison import compare_runs, comparison_json, comparison_lines, load_tolerances
         from hil.recorded.recorded_run import open_run
 
         asked = None if tolerances is None else load_tolerances(tolerances)
-        compared = compare_runs([open_run(folder) for folder in folders])
-        judged = {
-            str(each.run.folder): [] if asked is None else regressions(compared[0], each, asked)
-            for each in compared[1:]
-        }
-        lines = comparison_lines(compared, judged)
-        put(comparison_json(compared, judged), as_json, lambda _figures: typer.echo("\n".join(lines)))
+        compared = compare_runs([open_run(folder) for folder in folders], asked)
+        lines = comparison_lines(compared)
+        put(comparison_json(compared), as_json, lambda _figures: typer.echo("\n".join(lines)))
         if rrd is not None:
             from hil.recorded.comparison_page import write_comparison
 
             write_comparison(compared, "```\n" + "\n".join(lines) + "\n```\n", rrd)
             say_written(rrd)
-        raise typer.Exit(_status(judged))
+        raise typer.Exit(_status(compared))
 
 
-def _status(judged: "Mapping[str, list[Regression]]") -> ExitStatus:
-    results = [each.kept for told in judged.values() for each in told]
+def _status(compared: "list[Against]") -> ExitStatus:
+    results = [one.kept for each in compared for one in each.regressions]
     if False in results:
         return ExitStatus.FAILED
     return ExitStatus.INCOMPLETE if None in results else ExitStatus.PASSED

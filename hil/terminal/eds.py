@@ -47,9 +47,8 @@ def eds(
     with reported_errors():
         from drivers.sheets.dictionary import load_dictionary
         from drivers.sheets.fitness import assess
-        from hil.terminal.eds_json import sheet
         from hil.terminal.eds_report import print_sheet
-        from hil.terminal.eds_sheet import plan_for
+        from hil.terminal.eds_sheet import plan_for, sheet
 
         loaded = load_dictionary(file, node)
         if loaded.dictionary.node_id is None:

@@ -15,7 +15,7 @@ from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.repairs import Repair
 from drivers.sheets.fitness import FileIdentity, Fitness
 from hil.terminal.eds_sheet import Planned, unit_lines
-from hil.terminal.output import columns
+from hil.terminal.output import columns, titled
 
 
 def print_sheet(
@@ -23,10 +23,9 @@ def print_sheet(
     loaded: LoadedDictionary,
     fitness: Fitness,
     planned: Planned | None,
-    console: Console | None = None,
 ) -> None:
     """Identity, profile, modes, PDOs, lacks, repairs, and at last the verdict."""
-    console = console or Console(highlight=False)
+    console = Console(highlight=False)
     _say(console, _facts(file, loaded, fitness))
     _say(console, Text("PDOs as the device has them", style="bold"), _pdo_table(fitness))
     if planned is not None:
@@ -60,13 +59,7 @@ def _facts(file: Path, loaded: LoadedDictionary, fitness: Fitness) -> Table:
         "Bit rates": f"{rates} kbit/s" if rates else "",
         "Commissioning": _commissioning(loaded),
     }
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-    for title, line in lines.items():
-        if line:
-            table.add_row(title, Text(line))
-    return table
+    return titled({title: line for title, line in lines.items() if line}, overflow="fold")
 
 
 def _version(loaded: LoadedDictionary) -> str:

@@ -12,13 +12,8 @@ from drivers.printable import printable
 from hil.verdict.verdict import ExitStatus
 
 
-def _no_more(status: int, _text: str) -> int:
-    """Of a command that says nothing but the error."""
-    return status
-
-
 @contextmanager
-def reported_errors(conclude: Callable[[int, str], int] = _no_more) -> Iterator[None]:
+def reported_errors(conclude: Callable[[int, str], int] = lambda status, _text: status) -> Iterator[None]:
     """Print what goes wrong inside on stderr and leave with its exit status.
 
     ``conclude``: told that status and the error in words, right before; the status to leave with.
@@ -26,25 +21,16 @@ def reported_errors(conclude: Callable[[int, str], int] = _no_more) -> Iterator[
     try:
         yield
     except BenchError as error:
-        raise _leave(complain(error), str(error), conclude) from None
+        print(error_text(error), file=sys.stderr)
+        raise typer.Exit(conclude(error.exit_status, str(error))) from None
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        raise _leave(ExitStatus.INTERRUPTED, "interrupted", conclude) from None
+        raise typer.Exit(conclude(ExitStatus.INTERRUPTED, "interrupted")) from None
     except (typer.Exit, typer.Abort, typer.BadParameter):
         raise
     except Exception as error:  # noqa: BLE001 - top of the process: a defect must not leave with the status of a verdict
         traceback.print_exc()
-        raise _leave(ExitStatus.DEFECT, f"{type(error).__name__}: {error}", conclude) from None
-
-
-def _leave(status: int, text: str, conclude: Callable[[int, str], int]) -> typer.Exit:
-    return typer.Exit(conclude(status, text))
-
-
-def complain(error: BenchError) -> int:
-    """Print the error on stderr; the exit status that it asks for."""
-    print(error_text(error), file=sys.stderr)
-    return error.exit_status
+        raise typer.Exit(conclude(ExitStatus.DEFECT, f"{type(error).__name__}: {error}")) from None
 
 
 def error_text(error: BenchError) -> str:

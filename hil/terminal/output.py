@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -52,6 +52,20 @@ def columns(*titles: str, right: tuple[str, ...] = (), **options: Any) -> "Table
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold", show_header=bool(titles))
     for title in titles:
         table.add_column(title, justify="right" if title in right else "left", **options)
+    return table
+
+
+def titled(lines: Mapping[str, str], **options: Any) -> "Table":
+    """A line each behind its title; ``options``: of rich, for the lines."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(**options)
+    for title, line in lines.items():
+        # Text, because a plain string's square brackets would be read as markup.
+        table.add_row(title, Text(line))
     return table
 
 

@@ -50,8 +50,7 @@ def picture(
             if page is not None:
                 raise BadInput("--page", "", page, "no --paper beside it")
             from hil.recorded.paper import paper_figure, save_figure
-            from hil.recorded.recorded_run import open_run
-            from hil.recorded.run_signals import signals_of
+            from hil.recorded.recorded_run import open_run, signals_of
 
             save_figure(paper_figure(signals_of(open_run(run)), *window), out)
         else:

@@ -12,9 +12,10 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.configuration.config import BenchConfig
+from hil.terminal.output import columns, titled
 from hil.verdict.summary import Percentiles, Summary, metric_title
 from hil.verdict.summary_text import certificate_lines, timing_lines
-from hil.verdict.verdict import Check, LimitResult, VerdictKind, verdict_title
+from hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
 
 WIDTH_MAX = 100
 _STYLE = {VerdictKind.PASSED: "green", VerdictKind.NOTHING_ASKED: "yellow"}
@@ -76,13 +77,7 @@ def _figures(config: BenchConfig, summary: Summary, bus_spec: str | None) -> Tab
         "Pace": f"{_number(summary.realtime_factor)} times real time",
         "Digest": summary.digest,
     }
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column()
-    for title, line in lines.items():
-        # Text, because a plain string's square brackets would be read as markup.
-        table.add_row(title, Text(line))
-    return table
+    return titled(lines)
 
 
 def _load_machine(machine: Mapping[str, Any]) -> str:
@@ -97,20 +92,11 @@ def _load_machine(machine: Mapping[str, Any]) -> str:
 def _verdict_table(summary: Summary) -> Table | Text:
     if not summary.verdict.limits:
         return Text("The bench file sets no limits in [verdict].", style="yellow")
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold", collapse_padding=True)
-    table.add_column("Verdict")
-    table.add_column("value", justify="right")
-    table.add_column("limit", justify="right")
-    table.add_column("")
+    table = columns("Verdict", "value", "limit", "", right=("value", "limit"))
     for check in summary.verdict.limits:
-        table.add_row(
-            Text(metric_title(check.metric)), _number(check.value), f"{check.limit:g}", _mark(check)
-        )
+        title, mark = Text(metric_title(check.metric)), Text(*_MARKS[check.result])
+        table.add_row(title, _number(check.value), f"{check.limit:g}", mark)
     return table
-
-
-def _mark(check: Check) -> Text:
-    return Text(*_MARKS[check.result])
 
 
 def _notes(summary: Summary) -> list[Text]:

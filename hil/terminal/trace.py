@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drivers.errors import BadInput
+from drivers.printable import printable
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonLinesOption, bitrate_option, bus_option, flag, valued
 from hil.terminal.output import say, write_line
@@ -50,7 +52,6 @@ def trace(
     Times are s since the first cycle of a recording, or since the first frame of a log.
     """
     with reported_errors():
-        from drivers.errors import BadInput
         from hil.reviewing.trace.trace_entry import TraceSelection
 
         wanted = TraceSelection(node, _kinds(kind), from_s, to_s)
@@ -115,8 +116,6 @@ def _print(wanted: "TraceSelection", entries: "Iterable[TraceEntry]", zero_ns: i
 
 
 def _line(entry: "TraceEntry", zero_ns: int) -> str:
-    from drivers.printable import printable
-
     at = f"#{entry.last}" if entry.at_ns is None else f"{(entry.at_ns - zero_ns) / 1e9:.6f}"
     node = f"node {entry.node}" if entry.node is not None else ""
     channel = f"{entry.channel:<8} " if entry.channel else ""
@@ -126,7 +125,6 @@ def _line(entry: "TraceEntry", zero_ns: int) -> str:
 
 
 def _kinds(text: str | None) -> frozenset[str]:
-    from drivers.errors import BadInput
     from hil.reviewing.trace.trace_entry import KINDS
 
     kinds = frozenset(part.strip().lower() for part in (text or "").split(",") if part.strip())
@@ -138,7 +136,6 @@ def _kinds(text: str | None) -> frozenset[str]:
 def _sheet(text: str) -> "SheetFile":
     """``FILE``, or ``5=FILE`` for node 5."""
     from drivers.canopen.nmt_states import NODE_ID_MAX
-    from drivers.errors import BadInput
     from hil.reviewing.trace.known_nodes import SheetFile
 
     number, equals, path = text.partition("=")

@@ -2,23 +2,21 @@
 
 import itertools
 from collections.abc import Mapping
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 from drivers.bounded_file import NamedBy
 from drivers.errors import BenchError
 from drivers.wire.adapters import parse_bus_spec
-from hil.configuration.bench_file import bench_from, load_faults
+from hil.configuration.bench_file import load_faults
 from hil.configuration.bench_tables import Bench, PathLike
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import MotorFile
 from hil.configuration.references import SignalFile
 from hil.execution.bench import run_bench
 from hil.loop.axis_roles import Controller
-from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted
-from hil.testing.hosted import DriveHost
+from hil.testing.hosted import DriveHost, DriveWish
 from hil.testing.run import Run
 from hil.verdict.verdict import VerdictKind
 
@@ -44,20 +42,17 @@ class BenchRunner:
         motor: PathLike | MotorFile | None = None,
     ) -> BenchConfig:
         """A checked bench: a file, or its tables; see :meth:`__call__`. Raises BadInput or BadInputs."""
-        made = Bench(bench, folder=self._folder) if isinstance(bench, Mapping) else Bench.load(bench)
-        made = made.changed(changes or {})
-        tables = deepcopy(dict(made.tables))
+        read = Bench(bench, folder=self._folder) if isinstance(bench, Mapping) else Bench.load(bench)
+        changed = read.changed(changes or {})
+        parts: dict[str, Any] = {}
         if motor is not None:
             named = (
                 motor.model_dump(mode="json") if isinstance(motor, MotorFile) else str(Path(motor).absolute())
             )
-            for drive in tables.get("drive", {}).values():
-                drive["motor"] = named
+            parts = {f"drive.{axis}.motor": named for axis in changed.tables.get("drive", {})}
         if isinstance(faults, Mapping):
-            tables.pop("faults", None)
-            if faults:
-                tables["faults"] = dict(faults)
-        config = bench_from(tables, made.source, made.folder)
+            parts["faults"] = dict(faults) or None
+        config = changed.changed(parts).config
         if faults is not None and not isinstance(faults, Mapping):
             config = config.with_faults(load_faults(Path(faults), NamedBy("faults", "", str(faults))))
         return config
@@ -100,8 +95,6 @@ class BenchRunner:
                 time=time,
                 seed=seed,
                 record=run.folder,
-                view=False,
-                progress=no_progress,
                 controllers=controllers,
                 privileged=False,  # a locked memory of pytest is too much to ask of any machine
             )
@@ -123,27 +116,16 @@ class BenchRunner:
         return run
 
     def _put_drives_on_the_bus(self, config: BenchConfig) -> None:
-        missing: list[tuple[MotorFile, list[int]]] = []
-        for drive in config.drive.values():
-            if not self._host.missing([drive.node]):
-                continue
-            for motor, nodes in missing:
-                if motor == drive.motor:
-                    nodes.append(drive.node)
-                    break
-            else:
-                missing.append((drive.motor, [drive.node]))
         loads = {
             config.drive[axis].node: entry.path
             for axis, entries in config.load.items()
             for entry in entries
             if isinstance(entry, SignalFile) and axis != config.load_machine_axis
         }
-        for motor, nodes in missing:
-            self._host.start(
-                nodes,
-                motor,
-                seed=config.bench.seed,
-                bitrate_bit_s=config.bus.bitrate_bit_s,
-                loads={node: path for node, path in loads.items() if node in nodes},
-            )
+        missing = [drive for drive in config.drive.values() if self._host.missing([drive.node])]
+        while missing:
+            motor = missing[0].motor
+            nodes = [drive.node for drive in missing if drive.motor == motor]
+            missing = [drive for drive in missing if drive.motor != motor]
+            wish = DriveWish(motor=motor, seed=config.bench.seed, bitrate_bit_s=config.bus.bitrate_bit_s)
+            self._host.start(nodes, wish, {node: path for node, path in loads.items() if node in nodes})

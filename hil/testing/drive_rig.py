@@ -1,13 +1,11 @@
 """One simulated drive with a master beside it, on the bus of a test."""
 
-import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.bounded_file import NamedBy
 from drivers.canopen.error_codes import error_text
 from drivers.canopen.network import CanopenNetwork
 from drivers.cia402.drive_setup import DriveSettings
@@ -16,53 +14,19 @@ from drivers.cia402.servo import ServoDrive
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
 from drivers.wire.adapters import parse_bus_spec
-from hil.configuration.bench_file import faults_from, load_faults
-from hil.configuration.motor_file import LING2012, MotorFile, load_motor
+from hil.configuration.bench_tables import PathLike
 from hil.execution.device_files import DeviceFiles
 from hil.execution.world import World, WorldPlan, open_world
-from hil.testing.hosted import DriveHost, DriveProcess
+from hil.testing.hosted import DriveHost, DriveProcess, DriveWish
 from hil.testing.wire import Wire, intended_frames
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.hosting.injection import Faults
-
-PathLike = str | os.PathLike[str]
 
 ENABLE_LIMIT_S = 5.0
 _PERIOD_NS = NS_PER_MS
 _PERIOD_LIVE_NS = 10 * NS_PER_MS
 """A test process is no controller: on a bus in real time it is asked for little."""
 _POLL_NS = 5 * NS_PER_MS
-
-
-@dataclass(frozen=True, slots=True)
-class DriveWish:
-    """The drive that a test asks for."""
-
-    node: int = 1
-    motor: MotorFile | PathLike = LING2012
-    faults: PathLike | Mapping[str, Any] | None = None
-    """A fault plan; its times count from the moment that the drive is on the bus."""
-    eds: PathLike | None = None
-    """EDS, DCF, XDD or XDC of the device to rehearse."""
-    store: PathLike | None = None
-    """File that keeps what 1010h and LSS store."""
-    seed: int = 0
-    bitrate_bit_s: int = 1_000_000
-
-    @property
-    def motor_file(self) -> MotorFile:
-        """The motor, read if it is a path."""
-        return self.motor if isinstance(self.motor, MotorFile) else load_motor(Path(self.motor))
-
-    @property
-    def plan(self) -> Faults | None:
-        """The checked fault plan. Raises BadInput or BadInputs."""
-        if self.faults is None:
-            return None
-        if isinstance(self.faults, Mapping):
-            return faults_from(self.faults, "faults").plan
-        return load_faults(Path(self.faults), NamedBy("faults", "", str(self.faults))).plan
 
 
 class DriveRig:
@@ -247,15 +211,7 @@ def drive_rig(bus: str, host: DriveHost, wish: DriveWish) -> Iterator[DriveRig]:
         ]
         plan = wish.plan
     elif host.missing([wish.node]):
-        process = host.start(
-            [wish.node],
-            wish.motor,
-            faults=wish.faults,
-            eds=wish.eds,
-            store=wish.store,
-            seed=wish.seed,
-            bitrate_bit_s=wish.bitrate_bit_s,
-        )
+        process = host.start([wish.node], wish)
     world_plan = WorldPlan(spec, wish.bitrate_bit_s, False, plan, wish.seed)
     with open_world(world_plan, devices) as world:
         world.faults.start(world.clock.now())

@@ -5,20 +5,55 @@ import os
 import signal
 import subprocess
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from drivers.bounded_file import NamedBy
 from drivers.errors import PeerFault
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock, duration_s
-from hil.configuration.motor_file import MotorFile
+from hil.configuration.bench_file import faults_from, load_faults
+from hil.configuration.bench_tables import PathLike
+from hil.configuration.motor_file import LING2012, MotorFile, load_motor
 from hil.configuration.toml_text import toml_text
 from virtual_bus.child_python import python_command, python_environment
+from virtual_bus.hosting.injection import Faults
 
 START_LIMIT_S = 60.0
 END_LIMIT_S = 20.0
 _ANNOUNCED = "Ctrl-C ends it"
 _POLL_NS = 10 * NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True)
+class DriveWish:
+    """The drive that a test asks for."""
+
+    node: int = 1
+    motor: MotorFile | PathLike = LING2012
+    faults: PathLike | Mapping[str, Any] | None = None
+    """A fault plan; its times count from the moment that the drive is on the bus."""
+    eds: PathLike | None = None
+    """EDS, DCF, XDD or XDC of the device to rehearse."""
+    store: PathLike | None = None
+    """File that keeps what 1010h and LSS store."""
+    seed: int = 0
+    bitrate_bit_s: int = 1_000_000
+
+    @property
+    def motor_file(self) -> MotorFile:
+        """The motor, read if it is a path."""
+        return self.motor if isinstance(self.motor, MotorFile) else load_motor(Path(self.motor))
+
+    @property
+    def plan(self) -> Faults | None:
+        """The checked fault plan. Raises BadInput or BadInputs."""
+        if self.faults is None:
+            return None
+        if isinstance(self.faults, Mapping):
+            return faults_from(self.faults, "faults").plan
+        return load_faults(Path(self.faults), NamedBy("faults", "", str(self.faults))).plan
 
 
 class DriveProcess:
@@ -109,27 +144,18 @@ class DriveHost:
         return [] if self.present else [node for node in nodes if node not in self.nodes]
 
     def start(
-        self,
-        nodes: Sequence[int],
-        motor: MotorFile | str | os.PathLike[str],
-        *,
-        faults: Mapping[str, Any] | str | os.PathLike[str] | None = None,
-        eds: str | os.PathLike[str] | None = None,
-        store: str | os.PathLike[str] | None = None,
-        seed: int = 0,
-        bitrate_bit_s: int = 1_000_000,
-        loads: Mapping[int, str] = MappingProxyType({}),
+        self, nodes: Sequence[int], wish: DriveWish, loads: Mapping[int, str] = MappingProxyType({})
     ) -> DriveProcess:
-        """Start drives with one motor and one fault plan; ``loads``: by node, the file of a load over time.
-        Raises PeerFault with what it said if it fails."""
+        """Start drives of one kind, whatever the node of the wish; ``loads``: by node, the file of a load
+        over time. Raises PeerFault with what it said if it fails."""
         number = next(self._numbers)
         options = ["--bus", self.spec, "--node", ",".join(map(str, nodes))]
-        options += ["--motor", str(self._file(f"motor-{number}.toml", motor))]
-        options += ["--seed", str(seed), "--bitrate", str(bitrate_bit_s)]
-        if faults is not None:
-            options += ["--faults", str(self._file(f"faults-{number}.toml", faults))]
-        options += ["--eds", str(eds)] if eds is not None else []
-        options += ["--store", str(store)] if store is not None else []
+        options += ["--motor", str(self._file(f"motor-{number}.toml", wish.motor))]
+        options += ["--seed", str(wish.seed), "--bitrate", str(wish.bitrate_bit_s)]
+        if wish.faults is not None:
+            options += ["--faults", str(self._file(f"faults-{number}.toml", wish.faults))]
+        options += ["--eds", str(wish.eds)] if wish.eds is not None else []
+        options += ["--store", str(wish.store)] if wish.store is not None else []
         for node, path in loads.items():
             options += ["--load", f"{node}={path}"]
         log = self._scratch / f"drive-{number}.log"
@@ -145,7 +171,7 @@ class DriveHost:
         if complaints:
             raise PeerFault(f"a simulated drive on {self.spec} failed", "\n".join(complaints))
 
-    def _file(self, name: str, content: MotorFile | Mapping[str, Any] | str | os.PathLike[str]) -> Path:
+    def _file(self, name: str, content: MotorFile | Mapping[str, Any] | PathLike) -> Path:
         """A file that holds ``content``; a path names one that is there."""
         if isinstance(content, str | os.PathLike):
             return Path(content)

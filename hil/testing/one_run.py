@@ -71,7 +71,6 @@ def run(
         time=time,
         seed=seed,
         record=folder,
-        view=False,
         progress=progress or no_progress,
         keep=folder is not None,
         controllers=controllers,

@@ -23,14 +23,11 @@ from hil.rows.records import Rows
 from hil.rows.records_file import RECORDS_FILE, read_table, rows_of_table
 from hil.rows.run_files import EVENTS_FILE
 from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
+from hil.recording.run_folder import read_summary
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wire
-from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunVerdict, VerdictKind
-
-_TRACK = "drive"
-
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -86,10 +83,7 @@ class Run:
     @cached_property
     def summary(self) -> Summary:
         """Figures and verdict: what ``hil run --json`` prints."""
-        if self._summary is not None:
-            return self._summary
-        summary = json.loads((self.folder / "summary.json").read_text(encoding="utf-8"))
-        return from_plain(Summary, summary)
+        return self._summary or read_summary(self.folder)
 
     @property
     def verdict(self) -> RunVerdict:
@@ -335,7 +329,7 @@ class Run:
 
     def _states(self, axis: str) -> list[tuple[float, str]]:
         """When the drive was seen in another state, by the events before and after the loop too."""
-        track = f"{axis} {_TRACK}"
+        track = f"{axis} drive"
         states = [
             (event["at_ns"] / NS_PER_S, str(event["state"]).lower())
             for event in self.events

@@ -20,18 +20,17 @@ from drivers.cia402.observed import with_observed
 from drivers.cia402.pdo_planner import PlanWish, plan_pdos
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
-from drivers.timebase import NS_PER_S, NS_PER_US, Instant
+from drivers.timebase import NS_PER_S, Instant
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_checks import standard_plan
 from hil.execution.drive_settings import data_sheets
+from hil.reviewing.trace.run_trace import RecordedBus
 from hil.rows.frame_names import frame_name
-from hil.rows.records_file import RECORDS_FILE, read_metadata
-from hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE
+from hil.rows.run_files import FRAMES_FILE
 
 ORIGIN = Instant(0)
 SHOWN_MAX = 5
 """Frames that a message lists."""
-_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#(R?)([0-9A-F]*)\n?")
 _PATTERN = re.compile(r"(?P<id>[0-9A-Fa-f.]{3}|[0-9A-Fa-f.]{8})#(?P<data>R|[0-9A-Fa-f.]*)(?P<rest>\*?)")
 _SDO_WRITE = 0x20
 """Initiate download: the upper three bits of the command (CiA 301 7.2.4.3.3)."""
@@ -213,24 +212,22 @@ def intended_frames(host_node: int, node: int, plan: PdoPlan) -> list[Intended]:
 
 
 def read_wire(folder: Path) -> Wire:
-    """The wire as a run's folder keeps it, in run time."""
-    offset = int(read_metadata(folder / RECORDS_FILE)["first_cycle_epoch_ns"])
-    path = folder / FRAMES_FILE
-    lines = path.read_text(encoding="ascii").splitlines()
-    directions = (folder / DIRECTIONS_FILE).read_text(encoding="ascii").splitlines()
-    wire = Wire(recording=folder)
-    for line, direction in zip(lines, directions, strict=False):
-        fields = _LINE.fullmatch(line)
-        if fields is None:
-            raise ValueError(f"{path}: no line of a candump log: {line!r}")
-        seconds, micros, identifier, remote, data = fields.groups()
-        at = Instant(int(seconds) * NS_PER_S + int(micros) * NS_PER_US - offset)
-        extended = len(identifier) > _STANDARD_DIGITS
-        frame = SeenFrame(
-            at, direction == "T", int(identifier, 16), bytes.fromhex(data), extended, bool(remote)
+    """The wire as a run's folder keeps it, in run time. Raises BadInput where it keeps none."""
+    bus = RecordedBus(folder)
+    frames = [
+        SeenFrame(
+            Instant((frame.at_ns or 0) - (bus.zero_ns or 0)),
+            frame.sent == "T",
+            frame.can_id,
+            frame.data,
+            frame.extended,
+            frame.remote,
         )
-        wire.frames.append(frame)
-    return wire
+        for frame in bus
+    ]
+    if bus.log.malformed:
+        raise ValueError(f"{folder / FRAMES_FILE}: no line of a candump log: {bus.log.first_malformed}")
+    return Wire(frames=frames, recording=folder)
 
 
 def _accepts(patterns: Sequence[str]) -> Callable[[str], bool]:

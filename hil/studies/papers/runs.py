@@ -21,7 +21,6 @@ from drivers.timebase import NS_PER_S
 from hil.configuration.bench_file import load_bench
 from hil.execution.bench import run_bench
 from hil.machine.examples import examples_folder
-from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted
 from hil.rows.records_file import RECORDS_FILE, read_records
 from hil.verdict.verdict import VerdictKind
@@ -68,9 +67,7 @@ def _run(case: str, name: str, folder: Path, tell: Callable[[str], None]) -> Pap
     config = load_bench(bench_of(case, name))
     tell(f"{case}, {name}: on the simulated bench")
     record = folder / config.bench.name
-    summary = run_bench(
-        config, bus_spec=None, time=None, seed=None, record=record, view=False, progress=no_progress
-    )
+    summary = run_bench(config, record=record)
     if ended_by := summary.verdict.of(VerdictKind.INTERRUPTED):
         raise Interrupted("; ".join(ended_by))
     time_s, error = _errors(record)

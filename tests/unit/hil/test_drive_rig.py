@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -12,8 +11,8 @@ from drivers.errors import BadInput, PeerFault, PowerLost
 from drivers.exchange import Reading
 from drivers.timebase import NS_PER_MS, NS_PER_S
 from hil.configuration.motor_file import LING2012
-from hil.testing.drive_rig import DriveRig, DriveWish, drive_rig
-from hil.testing.hosted import DriveHost
+from hil.testing.drive_rig import DriveRig, drive_rig
+from hil.testing.hosted import DriveHost, DriveWish
 
 Make = Callable[..., DriveRig]
 STO = {"safe_torque_off": [{"nodes": [1], "at_s": 0.3, "duration_s": 5.0}]}
@@ -192,10 +191,10 @@ def test_the_command_of_a_process_says_all_that_was_wished(
 ) -> None:
     commands, host = Commands(monkeypatch), DriveHost("hub:x", tmp_path)
     assert host.missing([1, 2]) == [1, 2]
-    host.start([1, 2], "m.toml", seed=7, bitrate_bit_s=250_000)
+    host.start([1, 2], DriveWish(motor="m.toml", seed=7, bitrate_bit_s=250_000))
     assert host.missing([1, 2, 3]) == [3]
-    wish: dict[str, Any] = {"eds": "a.eds", "store": "s.json", "loads": {3: "load.csv"}}
-    host.start([3], LING2012, faults={"loss": [{"probability": 0.5}]}, **wish)
+    wish = DriveWish(faults={"loss": [{"probability": 0.5}]}, eds="a.eds", store="s.json")
+    host.start([3], wish, {3: "load.csv"})
     one, two = commands.given
     assert one[-10:] == [
         "hub:x", "--node", "1,2", "--motor", "m.toml", "--seed", "7", "--bitrate", "250000", "drive-1.log",
@@ -214,7 +213,7 @@ def test_the_command_of_a_process_says_all_that_was_wished(
 def test_a_process_that_failed_fails_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Commands(monkeypatch, "it ended with status 3")
     host = DriveHost("hub:x", tmp_path)
-    host.start([1], "m.toml")
+    host.start([1], DriveWish(motor="m.toml"))
     with pytest.raises(PeerFault, match="a simulated drive on hub:x failed; it ended with status 3"):
         host.end()
     host.end()

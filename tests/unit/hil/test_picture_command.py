@@ -12,8 +12,7 @@ from typer.testing import CliRunner
 
 from drivers.timebase import Instant
 from hil.cli import app
-from hil.recorded.recorded_run import open_run
-from hil.recorded.run_signals import signals_of
+from hil.recorded.recorded_run import open_run, signals_of
 from hil.recorded.viewer import _pages
 from hil.recording.telemetry import RERUN_FILE
 from tests.unit.hil.recorded_runs import short_run
