@@ -19,15 +19,10 @@ from hil.execution.kept_signals import with_kept_signals
 from hil.execution.world import SegmentPlan, World, WorldPlan
 from hil.loop.axis import Axis, AxisParts
 from hil.loop.axis_roles import Compensator, Controller, LoadMachine
-from hil.loop.clock_map import ClockMap
-from hil.loop.command_meter import CommandMeter
-from hil.loop.delay import DelayMeter
 from hil.loop.loop import Actuation, LoopTiming
-from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord
 from hil.loop.scenario import Quantity, ReferenceProfile
-from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 from hil.rows.recording_plan import (
     AxisPlan,
@@ -78,11 +73,6 @@ def sync_latency(bitrate: int) -> Duration:
 def command_latency(bitrate: int, mode: str = "cst") -> Duration:
     """From handing a command in a mode over until its end on an idle segment of that bit rate, bit/s."""
     return bits_duration(frame_bits(COMMAND_FRAMES[mode]), bitrate)
-
-
-def _settles(timing: LoopTiming) -> Duration:
-    """From a command's arrival until it shows at a SYNC."""
-    return timing.period if timing.actuation is Actuation.ON_SYNC else Duration(0)
 
 
 def shortest_transit(data_bytes: int, bitrate: int) -> Duration:
@@ -196,7 +186,6 @@ def axis(
         bitrate = config.bitrate_of(name)
         later = command_latency(bitrate, wanted.mode) - timing.command_latency
         later += sum(command_duration(bitrate, config.drive[other].mode) for other in earlier)
-    transit = shortest_transit(reading_bytes, config.bitrate_of(name))
     parts = AxisParts(
         name=name,
         drive=drive,
@@ -207,12 +196,14 @@ def axis(
         load=ReferenceProfile([entry.segment() for entry in config.load.get(name, ())], Quantity.TORQUE),
         load_machine=load_machine,
         syncs=syncs,
-        by_stamp=StampAttribution(syncs, ClockMap(), timing.period, transit, tell),
-        by_order=OrderAttribution(syncs, timing.period, transit, tell),
-        meter=DelayMeter(config.loop.deadline, config.loop.horizon_periods),
-        commands=CommandMeter(config.loop.horizon_periods, syncs, _settles(timing)),
+        transit=shortest_transit(reading_bytes, config.bitrate_of(name)),
+        deadline=config.loop.deadline,
+        horizon=config.loop.horizon_periods,
+        tell=tell,
+        settles=timing.period if timing.actuation is Actuation.ON_SYNC else Duration(0),
+        acts_later=Duration(later),
     )
-    return Axis(number, parts, timing.period, record, Duration(later))
+    return Axis(number, parts, timing.period, record)
 
 
 def review_plan(config: BenchConfig, certified: Mapping[str, CertifiedPlan], real_time: bool) -> ReviewPlan:
