@@ -189,10 +189,10 @@ def run(
         config = _bench_to_run(bench, controller or (), replay_faults)
 
         from hil.configuration.quantities import odd_values
-        from hil.execution.network_guard import loop_doubts
+        from hil.execution.network_guard import Certificates
 
         simulated = (bus or config.bus.spec) == "simulated"
-        for note in (*odd_values(config), *loop_doubts(config, (), simulated)):
+        for note in (*odd_values(config), *Certificates(config, simulated=simulated).doubts()):
             typer.echo(f"hil: note: {note}", err=True)
 
         from hil.execution.bench import run_bench

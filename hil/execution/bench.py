@@ -1,6 +1,6 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -30,7 +30,7 @@ from hil.execution.conclusion import Conclusion
 from hil.execution.connecting import connect
 from hil.execution.drive_settings import data_sheets, drive_settings, identity_notes
 from hil.execution.kept_signals import keep_signals
-from hil.execution.network_guard import Uncertified, certified_plans, uncertified, watched
+from hil.execution.network_guard import Certificates
 from hil.execution.segments import listen_for_syncs, masters, record_frames
 from hil.execution.simulated_drives import simulated_drives
 from hil.execution.stopping_drives import stop_all
@@ -41,7 +41,6 @@ from hil.load.load_machines import LoadMachines
 from hil.loop.axis import Axis
 from hil.loop.axis_roles import Controller
 from hil.loop.loop import Loop, LoopOutcome, LoopTiming, planned_cycles
-from hil.loop.samples import CycleRecord
 from hil.loop.syncs import SyncLog
 from hil.machine.progress import Progress
 from hil.machine.realtime import timing_conditions
@@ -92,8 +91,8 @@ def run_bench(
     _check_axes(config, controllers)
     sheets = data_sheets(config)
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
-    replaced = set(controllers)
-    worse = uncertified(config, network, allow_uncertified, replaced, spec.simulated)
+    certificates = Certificates(config, controllers, simulated=spec.simulated)
+    certificates.check(network, allow_uncertified)
     paced = check_time(spec, time)
     check_sync_source(config, spec)
     code = axis_code(config, controllers, real_time=paced or not spec.simulated)
@@ -103,9 +102,8 @@ def run_bench(
     devices = simulated_drives(config, seed) if spec.simulated else []
     with stop_signals(stop) as asked, open_world(world_plan, devices) as world:
         folder = (record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
-        certified = certified_plans(config, replaced, spec.simulated)
         plan = assembly.recording_plan(
-            with_kept_sources(config, code), world, folder, seed, str(spec), view, certified
+            with_kept_sources(config, code), world, folder, seed, str(spec), view, certificates.plans()
         )
         plan = replace(plan, channels=channels_of(code), sources=sources_text(code))
         recorder = recording(plan)
@@ -118,7 +116,7 @@ def run_bench(
         conclusion = Conclusion(config.axes, config.fault_plan, planned)
         with conclusion.explaining(lambda: concluded(recorder.close(conclusion.outcome))):
             run = _Run(
-                config, world, recorder, conclusion, asked, progress, code, replaced, worse, devices, sheets
+                config, world, recorder, conclusion, asked, progress, code, certificates, devices, sheets
             )
         with timing_conditions(world.real_time, privileged) as refused:
             try:
@@ -149,8 +147,7 @@ class _Run:
         stop: StopRequest,
         progress: Progress,
         code: Mapping[str, AxisCode],
-        replaced: Collection[str],
-        worse: Uncertified,
+        certificates: Certificates,
         servos: Sequence[SimulatedServo],
         sheets: Mapping[str, LoadedDictionary],
     ) -> None:
@@ -161,8 +158,7 @@ class _Run:
         self._stop = stop
         self._progress = progress
         self._code = code
-        self._replaced = replaced
-        self._worse = worse
+        self._certificates = certificates
         self._sheets = sheets
         self._network = CanopenNetwork(world.link, world.clock, config.host.node)
         self._networks, self._master = masters(self._network, world)
@@ -226,6 +222,7 @@ class _Run:
         self._prepare(timing)
         syncs, pace = listen_for_syncs(config, world, self._networks, self._master, timing.period)
         self._syncs = {segment or str(world.link.name): log for segment, log in syncs.items()}
+        warn = partial(self._say, level="WARN")
         self._axes = [
             assembly.axis(
                 config,
@@ -235,7 +232,7 @@ class _Run:
                 self._load.find(drive, self._say),
                 timing,
                 syncs[config.drive[drive.name].segment],
-                self._recorder.record if drive.name in self._replaced else self._watched(drive.name),
+                self._certificates.watched(drive.name, self._recorder.record, warn, self._stop),
                 self._teller(drive),
                 self._code[drive.name].controller,
                 self._code[drive.name].compensator,
@@ -272,7 +269,7 @@ class _Run:
 
     def _prepare(self, timing: LoopTiming) -> None:
         host = self._config.host
-        for note in (*self._worse.notes, *self._worse.doubts, *odd_values(self._config)):
+        for note in (*self._certificates.notes, *self._certificates.doubts(), *odd_values(self._config)):
             self._say(note, "WARN")
         for axis, code in self._code.items():
             for key, kept in code.own.items():
@@ -333,7 +330,7 @@ class _Run:
             self._config.loop,
             bus_load_percent=self._world.load_percent(ended.started_at, ended.ended_at),
             realtime_factor=(ended.ended_at - ended.started_at) / max(took, 1),
-            network_notes=self._worse.notes,
+            network_notes=self._certificates.notes,
             load_machine=self._load.figures(),
             timing=timing_report(self._axes, self._syncs, self._guard.counts),
             distrust=doubts,
@@ -347,11 +344,6 @@ class _Run:
 
     def _teller(self, drive: ServoDrive) -> Callable[[str], None]:
         return lambda text: self._say(f"{drive.name}: {text}", "WARN")
-
-    def _watched(self, axis: str) -> Callable[[CycleRecord], None]:
-        """Where the records of an axis with the bench's own controller go."""
-        say, record = partial(self._say, level="WARN"), self._recorder.record
-        return watched(self._config, axis, self._worse, record, say, self._stop)
 
     def _release(self) -> None:
         """Every way out of a run leads through here."""

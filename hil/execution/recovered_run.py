@@ -7,7 +7,7 @@ from drivers.timebase import Duration, Instant, duration_s
 from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
 from hil.execution import assembly
-from hil.execution.network_guard import certified_plans
+from hil.execution.network_guard import Certificates
 from hil.loop.loop import planned_cycles
 from hil.recording.logger_process import RecordingFailed
 from hil.recording.recovery import recover
@@ -46,6 +46,7 @@ def _times(records: Path) -> tuple[Instant, Duration | None]:
 def recover_run(config: BenchConfig, folder: Path) -> Summary:
     """End the recording of a run of ``config``. Raises BadInput while it is recorded, RecordingFailed."""
     spec = parse_bus_spec(config.bus.spec, config.source)
+    certified = Certificates(config, simulated=spec.simulated).plans()
     started_at, wall_offset = _times(folder / RECORDS_FILE)
     plan = RecordingPlan(
         folder=folder,
@@ -54,7 +55,7 @@ def recover_run(config: BenchConfig, folder: Path) -> Summary:
         bus=config.bus.spec,
         real_time=False,
         deadline=config.loop.deadline,
-        review=assembly.review_plan(config, certified_plans(config, (), spec.simulated), not spec.simulated),
+        review=assembly.review_plan(config, certified, not spec.simulated),
         bench_toml="",
         frames=config.recording.frames,
         segments=tuple(segment.name for segment in config.bus.segment),

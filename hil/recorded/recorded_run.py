@@ -11,7 +11,7 @@ from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.bench_file import load_bench
 from hil.configuration.config import BenchConfig
 from hil.execution import assembly
-from hil.execution.network_guard import certified_plans
+from hil.execution.network_guard import Certificates
 from hil.loop.loop import planned_cycles
 from hil.recording.run_metadata import FIRST_CYCLE
 from hil.rows.record_columns import FORMAT
@@ -81,5 +81,6 @@ def open_run(folder: Path, argument: str = "RUN") -> RecordedRun:
         ) from None
     config = load_bench(folder / BENCH_FILE)
     simulated = parse_bus_spec(config.bus.spec, config.source).simulated
-    review = assembly.review_plan(config, certified_plans(config, (), simulated), not simulated)
+    certified = Certificates(config, simulated=simulated).plans()
+    review = assembly.review_plan(config, certified, not simulated)
     return RecordedRun(folder, config, metadata, summary, review)
