@@ -191,8 +191,8 @@ def run(
         from hil.configuration.quantities import odd_values
         from hil.execution.network_guard import Certificates
 
-        simulated = (bus or config.bus.spec) == "simulated"
-        for note in (*odd_values(config), *Certificates(config, simulated=simulated).doubts()):
+        doubts = Certificates(config.as_run(bus or config.bus.spec, seed)).doubts()
+        for note in (*odd_values(config), *doubts):
             typer.echo(f"hil: note: {note}", err=True)
 
         from hil.execution.bench import run_bench

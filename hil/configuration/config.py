@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from drivers.wire.adapters import SIMULATED
 from hil.configuration.background import BackgroundTables
 from hil.configuration.config_axis import DriveConfig
 from hil.configuration.config_files import Section
@@ -50,7 +51,7 @@ class BusSegment(Section):
 class Bus(Section):
     """``[bus]``"""
 
-    spec: str = Field(default="simulated", min_length=1)
+    spec: str = Field(default=SIMULATED, min_length=1)
     """``simulated``, ``hub:NAME``, ``socketcan:can0``, or INTERFACE:CHANNEL of python-can."""
     bitrate_bit_s: BitRate = 1_000_000
     background: BackgroundTables = ()
@@ -219,6 +220,11 @@ class BenchConfig(Section):
         return self._source
 
     @property
+    def simulated(self) -> bool:
+        """Whether the bench makes its bus and its drives itself."""
+        return self.bus.spec == SIMULATED
+
+    @property
     def axes(self) -> tuple[str, ...]:
         """Names of the axes, in the order in which the loop serves them."""
         return tuple(sorted(self.drive))
@@ -232,10 +238,6 @@ class BenchConfig(Section):
         """Whether the position travels with the speed of its own SYNC, before it: where positions are
         commanded or closed over, if it comes with every SYNC."""
         return self.drive[axis].mode != "cst" and self.loop.position_every_cycles == 1
-
-    def axes_on(self, segment: str | None) -> tuple[str, ...]:
-        """The axes whose drives are on a segment; None: the first one."""
-        return tuple(axis for axis in self.axes if self.drive[axis].segment == segment)
 
     def bitrate_of(self, axis: str) -> int:
         """Bit rate of the segment that the drive of ``axis`` is on, bit/s."""
@@ -256,16 +258,14 @@ class BenchConfig(Section):
         """This bench with other faults."""
         return self.model_copy(update={"faults": faults})
 
-    def resolved_text(self, *, bus_spec: str | None = None, seed: int | None = None) -> str:
-        """This bench as one TOML file: every default written out, motor and fault plan inline.
+    def as_run(self, bus_spec: str, seed: int | None) -> "BenchConfig":
+        """This bench as it is run: on that bus, and with that seed if there is one."""
+        bench = self.bench if seed is None else self.bench.model_copy(update={"seed": seed})
+        return self.model_copy(update={"bus": self.bus.model_copy(update={"spec": bus_spec}), "bench": bench})
 
-        ``bus_spec``, ``seed``: what the command line put in place of the file's.
-        """
+    def resolved_text(self) -> str:
+        """This bench as one TOML file: every default written out, motor and fault plan inline."""
         tables = self.model_dump(mode="json", exclude_none=True, exclude={"faults"})
-        if bus_spec is not None:
-            tables["bus"]["spec"] = bus_spec
-        if seed is not None:
-            tables["bench"]["seed"] = seed
         if self.faults:
             tables["faults"] = self.faults.tables
         return toml_text(tables)

@@ -33,15 +33,15 @@ class KnownLoop:
     """Of the bench file, that says so."""
 
 
-def current_loop_of(config: BenchConfig, axis: str, *, simulated: bool) -> KnownLoop | None:
+def current_loop_of(config: BenchConfig, axis: str) -> KnownLoop | None:
     """The loop of an axis' drive; None: nobody has measured it.
 
-    ``simulated``: the bench makes the drive itself, as its file says. Any other drive is known by what
-    commissioning measured. The factors that set the simulated motor off from its file are left out: they are
-    there to show what a design makes of a motor that it does not know.
+    A simulated drive is as the bench file says, any other one is known by what commissioning measured. The
+    factors that set the simulated motor off from its file are left out: they are there to show what a design
+    makes of a motor that it does not know.
     """
     drive, key = config.drive[axis], f"drive.{axis}"
-    if simulated:
+    if config.simulated:
         return _simulated(drive, key)
     measured = None if drive.commissioned is None else drive.commissioned.current_loop
     if measured is None:

@@ -16,27 +16,20 @@ from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
 from hil.configuration.quantities import odd_values
 from hil.execution import assembly
-from hil.execution.axis_code import (
-    AxisCode,
-    axis_code,
-    channels_of,
-    keep_sources,
-    sources_text,
-    with_kept_sources,
-)
+from hil.execution.axis_code import AxisCode, axis_code
 from hil.execution.bus_guard import BusGuard
 from hil.execution.commissioned_drive import write_commissioned
 from hil.execution.conclusion import Conclusion
 from hil.execution.connecting import connect
 from hil.execution.drive_settings import data_sheets, drive_settings, identity_notes
-from hil.execution.kept_signals import keep_signals
 from hil.execution.network_guard import Certificates
+from hil.execution.recorded_bench import keep_files, recording_plan
 from hil.execution.segments import listen_for_syncs, masters, record_frames
 from hil.execution.simulated_drives import simulated_drives
 from hil.execution.stopping_drives import stop_all
 from hil.execution.sync_source import check_sync_source, sync_producer
 from hil.execution.timing_report import distrust, timing_report
-from hil.execution.world import World, check_time, open_world
+from hil.execution.world import World, WorldPlan, check_time, open_world
 from hil.load.load_machines import LoadMachines
 from hil.loop.axis import Axis
 from hil.loop.axis_roles import Controller
@@ -91,25 +84,26 @@ def run_bench(
     _check_axes(config, controllers)
     sheets = data_sheets(config)
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
-    certificates = Certificates(config, controllers, simulated=spec.simulated)
+    config = config.as_run(str(spec), seed)
+    certificates = Certificates(config, controllers)
     certificates.check(network, allow_uncertified)
     paced = check_time(spec, time)
     check_sync_source(config, spec)
-    code = axis_code(config, controllers, real_time=paced or not spec.simulated)
-    seed = config.bench.seed if seed is None else seed
+    code = axis_code(config, controllers, real_time=paced or not config.simulated)
     log = FaultLog() if config.fault_plan is not None else None
-    world_plan = assembly.world_plan(config, spec, paced, seed, log)
-    devices = simulated_drives(config, seed) if spec.simulated else []
+    world_plan = WorldPlan.of_bench(config, spec, paced, log)
+    devices = simulated_drives(config) if config.simulated else []
     with stop_signals(stop) as asked, open_world(world_plan, devices) as world:
         folder = (record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
-        plan = assembly.recording_plan(
-            with_kept_sources(config, code), world, folder, seed, str(spec), view, certificates.plans()
+        plan = replace(
+            recording_plan(config, folder, code, certificates.plans(), real_time=world.real_time),
+            started_at=world.clock.now(),
+            wall_offset=world.wall_offset,
+            view=view,
         )
-        plan = replace(plan, channels=channels_of(code), sources=sources_text(code))
         recorder = recording(plan)
         if folder is not None:
-            keep_sources(code, folder)
-            keep_signals(config, folder)
+            keep_files(config, code, folder)
         if log is not None:
             log.send_to(recorder.fault_block)
         planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
@@ -132,7 +126,7 @@ def _check_axes(config: BenchConfig, controllers: Mapping[str, Controller]) -> N
     for name in controllers:
         if name not in config.axes:
             expected = f"one of the bench's axes: {', '.join(config.axes)}"
-            raise BadInput(config.source or "bench", "controllers", name, expected)
+            raise BadInput(config.source, "controllers", name, expected)
 
 
 class _Run:

@@ -196,17 +196,15 @@ _ON_THE_DRIVE: Final = (DriveFault.kind, SafeTorqueOff.kind)
 class Certificates:
     """What the controllers of a bench were made for: held against the bench, its drives and its network.
 
-    Those of ``replaced`` axes are not the bench's, and say nothing. ``simulated``: the bench makes its drives
-    itself.
+    Those of ``replaced`` axes are not the bench's, and say nothing.
     """
 
-    def __init__(self, config: BenchConfig, replaced: Collection[str] = (), *, simulated: bool) -> None:
+    def __init__(self, config: BenchConfig, replaced: Collection[str] = ()) -> None:
         self.refuse = True
         """Whether a network that is worse ends the run, instead of being told."""
         self.notes: list[str] = []
         """In what bench, drives or network were found to be worse, where the run goes on."""
         self._config = config
-        self._simulated = simulated
         self._own = [axis for axis in config.axes if axis not in replaced]
         self._made_for = {
             axis: controller.made_for
@@ -276,7 +274,7 @@ class Certificates:
         return NetworkGuard(axis, allowed(wanted, period), period, record, self.refuse, note, stopping)
 
     def _loop(self, axis: str) -> KnownLoop | None:
-        return current_loop_of(self._config, axis, simulated=self._simulated)
+        return current_loop_of(self._config, axis)
 
     def _axis_faults(self, axis: str) -> list[_Fault]:
         """Where bench and drive of an axis are other than what its controller was made for."""
@@ -315,7 +313,7 @@ class Certificates:
         """Premises that bench and drive of an axis do not keep, as :mod:`hil.reviewing.premises` has them."""
         for key, value, expected in self._axis_faults(axis):
             yield f"{key}: {value}, expected {expected}"
-        if self._simulated:
+        if self._config.simulated:
             for name in ("resistance_factor", "inductance_factor"):
                 if (factor := getattr(self._config.drive[axis].simulation, name)) != 1.0:
                     key = f"drive.{axis}.simulation.{name}"

@@ -34,7 +34,7 @@ from virtual_bus.hosting.devices import serve
 from virtual_bus.hosting.injection import Faults
 
 
-def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
+def simulated_drives(config: BenchConfig) -> list[SimulatedServo]:
     """The drives of a bench, for its own simulated bus. Raises BadInput for one that cannot be made so."""
     drives = []
     for name in config.axes:
@@ -53,7 +53,7 @@ def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
             load=_load_of(config, name),
         )
         try:
-            drives.append(SimulatedServo(wanted.node, wanted.motor.parameters, parameters, seed))
+            drives.append(SimulatedServo(wanted.node, wanted.motor.parameters, parameters, config.bench.seed))
         except ValueError as error:
             key = f"drive.{name}.simulation.lacks"
             expected = "objects that the simulated drive has and could do without"

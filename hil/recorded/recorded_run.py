@@ -7,11 +7,10 @@ from pathlib import Path
 from drivers.bounded_file import NoSuchFile
 from drivers.errors import BadInput
 from drivers.timebase import duration_s
-from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.bench_file import load_bench
 from hil.configuration.config import BenchConfig
-from hil.execution import assembly
 from hil.execution.network_guard import Certificates
+from hil.execution.recorded_bench import review_plan
 from hil.loop.loop import planned_cycles
 from hil.recording.run_metadata import FIRST_CYCLE
 from hil.rows.record_columns import FORMAT
@@ -80,7 +79,5 @@ def open_run(folder: Path, argument: str = "RUN") -> RecordedRun:
             argument, "", str(folder), f"a run with its {SUMMARY_FILE}", "hil recover ends it"
         ) from None
     config = load_bench(folder / BENCH_FILE)
-    simulated = parse_bus_spec(config.bus.spec, config.source).simulated
-    certified = Certificates(config, simulated=simulated).plans()
-    review = assembly.review_plan(config, certified, not simulated)
+    review = review_plan(config, Certificates(config).plans(), real_time=not config.simulated)
     return RecordedRun(folder, config, metadata, summary, review)

@@ -38,6 +38,4 @@ def test_a_drive_within_the_range_of_the_file_runs_and_one_outside_is_refused(tm
         drive = tables["drive"]["axis1"]
         drive |= {"motor": MOTOR, "controller": str(out)}
         drive["simulation"] = {"current_bandwidth_hz": bandwidth_hz}
-        assert (
-            len(Certificates(bench_from(tables, "bench.toml", tmp_path), simulated=True).faults({})) == faults
-        )
+        assert len(Certificates(bench_from(tables, "bench.toml", tmp_path)).faults({})) == faults

@@ -82,7 +82,7 @@ def test_the_gain_is_for_the_current_loop_of_the_design_alone() -> None:
             drive = config.drive["axis1"]
             simulation = drive.simulation.model_copy(update={"current_bandwidth_hz": bandwidth_hz})
             axes = {"axis1": drive.model_copy(update={"simulation": simulation})}
-            plan = Certificates(config.model_copy(update={"drive": axes}), simulated=True).plans()["axis1"]
+            plan = Certificates(config.model_copy(update={"drive": axes})).plans()["axis1"]
             assert plan.samples_alone
             assert plan.unknown == unknown
 

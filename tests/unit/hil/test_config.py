@@ -112,7 +112,7 @@ def test_resolved_text_is_the_same_bench_in_one_file() -> None:
 
 
 def test_resolved_text_holds_what_the_command_line_changed() -> None:
-    raw = tomllib.loads(load_bench(BENCH).resolved_text(bus_spec="hub:a", seed=7))
+    raw = tomllib.loads(load_bench(BENCH).as_run("hub:a", 7).resolved_text())
     assert (raw["bus"]["spec"], raw["bench"]["seed"]) == ("hub:a", 7)
 
 

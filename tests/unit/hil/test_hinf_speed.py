@@ -68,10 +68,8 @@ def test_a_loop_that_saturates_winds_nothing_up() -> None:
 
 def test_a_run_refuses_a_motor_that_it_was_not_made_for() -> None:
     heavier = LING2012.model_dump(mode="json")
-    assert Certificates(CASE.config(table(made_for=True)), simulated=True).faults({}) == []
+    assert Certificates(CASE.config(table(made_for=True))).faults({}) == []
     heavier["mechanics"]["inertia_kg_m2"] *= 2.0
-    (fault,) = Certificates(
-        Case("heavier", heavier, 1e-3).config(table(made_for=True)), simulated=True
-    ).faults({})
+    (fault,) = Certificates(Case("heavier", heavier, 1e-3).config(table(made_for=True))).faults({})
     assert isinstance(fault, BadInput)
     assert "inertia" in str(fault)

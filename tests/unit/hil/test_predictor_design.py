@@ -66,10 +66,10 @@ def test_a_run_refuses_a_drive_and_a_period_that_it_was_not_made_for() -> None:
     assert isinstance(controller, PredictorController)
     assert controller.made_for is not None
     whole = controller.model_dump(mode="json", exclude_none=True)
-    assert Certificates(CASE.config(whole), simulated=True).faults({}) == []
+    assert Certificates(CASE.config(whole)).faults({}) == []
     heavier = copy.deepcopy(CASE.motor)
     heavier["mechanics"]["inertia_kg_m2"] *= 2.0
-    (fault,) = Certificates(Case("heavier", heavier, PERIOD_S).config(whole), simulated=True).faults({})
+    (fault,) = Certificates(Case("heavier", heavier, PERIOD_S).config(whole)).faults({})
     assert isinstance(fault, BadInput)
     assert "inertia" in str(fault)
 
