@@ -18,16 +18,19 @@ from hil.configuration.quantities import odd_values
 from hil.execution import assembly
 from hil.execution.axis_code import AxisCode, axis_code
 from hil.execution.bus_guard import BusGuard
-from hil.execution.commissioned_drive import write_commissioned
 from hil.execution.conclusion import Conclusion
-from hil.execution.connecting import connect
-from hil.execution.drive_settings import data_sheets, drive_settings, identity_notes
+from hil.execution.drives import (
+    connect,
+    data_sheets,
+    drive_settings,
+    identity_notes,
+    stop_all,
+    write_commissioned,
+)
 from hil.execution.network_guard import Certificates
 from hil.execution.recorded_bench import keep_files, recording_plan
-from hil.execution.segments import listen_for_syncs, masters, record_frames
+from hil.execution.segments import check_sync_source, listen_for_syncs, masters, record_frames, sync_producer
 from hil.execution.simulated_drives import simulated_drives
-from hil.execution.stopping_drives import stop_all
-from hil.execution.sync_source import check_sync_source, sync_producer
 from hil.execution.timing_report import distrust, timing_report
 from hil.execution.world import World, WorldPlan, check_time, open_world
 from hil.load.load_machines import LoadMachines

@@ -23,7 +23,7 @@ from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_S, NS_PER_US, Instant
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_checks import standard_plan
-from hil.execution.drive_settings import data_sheets
+from hil.execution.drives import data_sheets
 from hil.rows.frame_names import frame_name
 from hil.rows.records_file import RECORDS_FILE, read_metadata
 from hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE
