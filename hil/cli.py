@@ -153,7 +153,7 @@ def _bench_to_run(bench: Path, controllers: Sequence[str], replay_faults: Path |
     if replay_faults is None:
         return config
     named_by = NamedBy("--replay-faults", "", str(replay_faults))
-    return config.with_faults(load_faults(replay_faults, named_by))
+    return config.model_copy(update={"faults": load_faults(replay_faults, named_by)})
 
 
 @app.command(cls=RunCommand)

@@ -5,7 +5,7 @@ of a file are reported together. Times are seconds or whole microseconds, the un
 is the last part of a key's name.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
@@ -19,7 +19,9 @@ from hil.configuration.quantities import HeartbeatTimeout
 from hil.configuration.references import Load, Reference
 from hil.configuration.toml_text import toml_text
 from hil.verdict.verdict import VerdictLimits
-from virtual_bus.hosting.injection import Faults as InjectedFaults
+from virtual_bus.faults.fault_log import FAULTS_FILE
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.hosting.injection import Faults
 
 BitRate = Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000]
 """The bit rates of CiA 301 5.1, and 100 kbit/s, which is common."""
@@ -182,14 +184,6 @@ class Guard(Section):
     """Error frames become frequent, 16 within a second."""
 
 
-class Faults(Section):
-    """``[faults]``: what the bench does to the frames of its own bus connection."""
-
-    tables: dict[str, Any]
-    """The plan written out, or where the recorded faults are found beside the resolved bench file."""
-    plan: InjectedFaults
-
-
 class BenchConfig(Section):
     """A whole bench file, checked; paths are resolved and what they name is loaded."""
 
@@ -203,6 +197,7 @@ class BenchConfig(Section):
     load_machine: LoadMachineConfig | None = None
     """The instrument that makes the load of its axis; without it a simulated drive's own load object does."""
     faults: Faults | None = None
+    """What befalls frames at the bench's own bus connection, the drives that it simulates, and the host."""
     verdict: VerdictConfig = VerdictConfig()
     recording: RecordingConfig = RecordingConfig()
     guard: Guard = Guard()
@@ -249,15 +244,6 @@ class BenchConfig(Section):
             (each.bitrate_bit_s for each in self.bus.segment if each.name == segment), self.bus.bitrate_bit_s
         )
 
-    @property
-    def fault_plan(self) -> InjectedFaults | None:
-        """The faults of the bench's own bus; None: none."""
-        return self.faults.plan if self.faults else None
-
-    def with_faults(self, faults: Faults) -> "BenchConfig":
-        """This bench with other faults."""
-        return self.model_copy(update={"faults": faults})
-
     def as_run(self, bus_spec: str, seed: int | None) -> "BenchConfig":
         """This bench as it is run: on that bus, and with that seed if there is one."""
         bench = self.bench if seed is None else self.bench.model_copy(update={"seed": seed})
@@ -266,6 +252,8 @@ class BenchConfig(Section):
     def resolved_text(self) -> str:
         """This bench as one TOML file: every default written out, motor and fault plan inline."""
         tables = self.model_dump(mode="json", exclude_none=True, exclude={"faults"})
-        if self.faults:
-            tables["faults"] = self.faults.tables
+        if isinstance(self.faults, FaultPlan):
+            tables["faults"] = self.faults.as_tables()
+        elif self.faults is not None:
+            tables["faults"] = {"plan": FAULTS_FILE}  # beside it, in the recording
         return toml_text(tables)

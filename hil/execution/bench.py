@@ -93,7 +93,7 @@ def run_bench(
     paced = check_time(spec, time)
     check_sync_source(config, spec)
     code = axis_code(config, controllers, real_time=paced or not config.simulated)
-    log = FaultLog() if config.fault_plan is not None else None
+    log = FaultLog() if config.faults is not None else None
     world_plan = WorldPlan.of_bench(config, spec, paced, log)
     devices = simulated_drives(config) if config.simulated else []
     with stop_signals(stop) as asked, open_world(world_plan, devices) as world:
@@ -110,7 +110,7 @@ def run_bench(
         if log is not None:
             log.send_to(recorder.fault_block)
         planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
-        conclusion = Conclusion(config.axes, config.fault_plan, planned)
+        conclusion = Conclusion(config.axes, config.faults, planned)
         with conclusion.explaining(lambda: concluded(recorder.close(conclusion.outcome))):
             run = _Run(
                 config, world, recorder, conclusion, asked, progress, code, certificates, devices, sheets

@@ -318,7 +318,7 @@ class Certificates:
                 if (factor := getattr(self._config.drive[axis].simulation, name)) != 1.0:
                     key = f"drive.{axis}.simulation.{name}"
                     yield f"{key}: {factor:g}, expected 1, the motor as its file has it"
-        faults = self._config.fault_plan
+        faults = self._config.faults
         plan = faults.as_tables() if isinstance(faults, FaultPlan) else {}
         for kind in _ON_THE_DRIVE:
             if kind in plan:

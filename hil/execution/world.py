@@ -126,7 +126,7 @@ class WorldPlan:
             spec,
             config.bus.bitrate_bit_s,
             paced,
-            config.fault_plan,
+            config.faults,
             config.bench.seed,
             fault_log=fault_log,
             background=config.bus.background,

@@ -59,7 +59,8 @@ class BenchRunner:
                 tables["faults"] = dict(faults)
         config = bench_from(tables, made.source, made.folder)
         if faults is not None and not isinstance(faults, Mapping):
-            config = config.with_faults(load_faults(Path(faults), NamedBy("faults", "", str(faults))))
+            plan = load_faults(Path(faults), NamedBy("faults", "", str(faults)))
+            config = config.model_copy(update={"faults": plan})
         return config
 
     def __call__(
