@@ -73,21 +73,21 @@ def closed_loop(motor: PmsmParameters, controller: CurrentController) -> tuple[S
     return complementary(plant, designed), margins(series(plant, designed)).phase_margin_rad_s
 
 
-def certified_loop(wanted: MadeFor) -> CurrentLoop | None:
+def certified_loop(made_for: MadeFor) -> CurrentLoop | None:
     """For which loops the certificates hold; None: the file does not name its plant."""
-    if wanted.current_loop is not None or wanted.plant is None:
-        return wanted.current_loop
-    winding_hz = wanted.plant.resistance_ohm / wanted.plant.inductance_q_h / math.tau
+    if made_for.current_loop is not None or made_for.plant is None:
+        return made_for.current_loop
+    winding_hz = made_for.plant.resistance_ohm / made_for.plant.inductance_q_h / math.tau
     return CurrentLoop(bandwidth_hz=winding_hz, bandwidth_min_hz=winding_hz, bandwidth_max_hz=winding_hz)
 
 
-def loop_fault(wanted: MadeFor, loop: KnownLoop, made_for_key: str) -> tuple[str, object, str] | None:
+def loop_fault(made_for: MadeFor, loop: KnownLoop, made_for_key: str) -> tuple[str, object, str] | None:
     """Key, value and what was expected, where the certificates do not hold for the drive's ``loop``."""
-    certified = certified_loop(wanted)
+    certified = certified_loop(made_for)
     if certified is None or (loop.order == certified.order and certified.covers(loop.bandwidth_hz)):
         return None
     by = f"for which {made_for_key}.current_loop certifies the controller"
-    if wanted.current_loop is None:
+    if made_for.current_loop is None:
         by = f"R/L of the winding, as {made_for_key} names no current_loop"
     found = f"{loop.bandwidth_hz:.5g} Hz" + ("" if loop.order == 1 else f", of order {loop.order}")
     return loop.key, found, f"a loop of first order of {range_text(certified)}, {by}"

@@ -4,13 +4,14 @@ from collections.abc import Callable
 
 from drivers.canopen.cob_ids import SYNC
 from drivers.cia402.bench_modes import BENCH_MODES
-from drivers.exchange import Drive
+from drivers.cia402.servo import ServoDrive
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Duration
 from hil.configuration.config import BenchConfig
 from hil.configuration.mode_checks import quantity_of
+from hil.execution.axis_code import AxisCode
 from hil.loop.axis import Axis, AxisParts
-from hil.loop.axis_roles import Compensator, Controller, LoadMachine
+from hil.loop.axis_roles import LoadMachine
 from hil.loop.loop import Actuation, LoopTiming
 from hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord
@@ -28,11 +29,7 @@ COMMAND_FRAMES = {mode: Frame(0x201, bytes(4 if mode == "cst" else 6)) for mode 
 
 def loop_timing(config: BenchConfig) -> LoopTiming:
     """The loop's times; the latencies are those of the first segment while it is idle."""
-    return timing_at(config, config.bus.bitrate_bit_s)
-
-
-def timing_at(config: BenchConfig, bitrate: int) -> LoopTiming:
-    """The loop's times with the latencies of an idle segment of that bit rate, bit/s."""
+    bitrate = config.bus.bitrate_bit_s
     return LoopTiming(
         period=config.loop.period,
         decide_after=config.loop.decide_after,
@@ -69,7 +66,7 @@ def reference_profile(config: BenchConfig, axis: str) -> ReferenceProfile:
     return ReferenceProfile([entry.segment() for entry in entries], quantity_of(config, axis))
 
 
-def _guard(config: BenchConfig, axis: str, period_s: float) -> SafetyGuard:
+def _guard(config: BenchConfig, axis: str) -> SafetyGuard:
     """The host limits of one axis, of the quantity that its drive is given."""
     drive = config.drive[axis]
     limits = drive.limits
@@ -89,49 +86,43 @@ def _guard(config: BenchConfig, axis: str, period_s: float) -> SafetyGuard:
             limits.set_acceleration_max_rad_s2,
             limits.dropouts_consecutive_max,
         )
-    return SafetyGuard(guarded, period_s)
+    return SafetyGuard(guarded, config.loop.period / NS_PER_S)
 
 
 def axis(
     config: BenchConfig,
     number: int,
-    drive: Drive,
-    reading_bytes: int,
+    drive: ServoDrive,
+    code: AxisCode,
     load_machine: LoadMachine | None,
     timing: LoopTiming,
     syncs: SyncLog,
     record: Callable[[CycleRecord], None],
     tell: Callable[[str], None],
-    controller: Controller,
-    compensator: Compensator,
 ) -> Axis:
-    """The ``number``-th axis of the bench, on ``drive``.
+    """The ``number``-th axis of the bench, on ``drive``, which is configured.
 
-    ``reading_bytes``: length of the frame that carries the speed. ``syncs``: of its segment. ``tell``: takes
-    what is to be said of the drive's clock.
+    ``syncs``: of its segment. ``tell``: takes what is to be said of the drive's clock.
     """
     name = config.axes[number]
-    wanted = config.drive[name]
-    period_s = timing.period / NS_PER_S
-    own = timing_at(config, config.bitrate_of(name))
-    later = own.sync_latency - timing.sync_latency
+    mode, segment, bitrate = config.drive[name].mode, config.drive[name].segment, config.bitrate_of(name)
+    later = sync_latency(bitrate) - sync_latency(config.bus.bitrate_bit_s)
     if timing.actuation is Actuation.ON_ARRIVAL:
         # The commands of a cycle go out one after the other, in the order of the axes.
-        earlier = [other for other in config.axes[:number] if config.drive[other].segment == wanted.segment]
-        bitrate = config.bitrate_of(name)
-        later = command_latency(bitrate, wanted.mode) - timing.command_latency
-        later += sum(command_duration(bitrate, config.drive[other].mode) for other in earlier)
+        earlier = [config.drive[other] for other in config.axes[:number]]
+        later = command_latency(bitrate, mode) - timing.command_latency
+        later += sum(command_duration(bitrate, each.mode) for each in earlier if each.segment == segment)
     parts = AxisParts(
         name=name,
         drive=drive,
-        controller=controller,
-        compensator=compensator,
-        guard=_guard(config, name, period_s),
+        controller=code.controller,
+        compensator=code.compensator,
+        guard=_guard(config, name),
         reference=reference_profile(config, name),
         load=ReferenceProfile([entry.segment() for entry in config.load.get(name, ())], Quantity.TORQUE),
         load_machine=load_machine,
         syncs=syncs,
-        transit=shortest_transit(reading_bytes, config.bitrate_of(name)),
+        transit=shortest_transit(drive.reading_bytes, bitrate),
         deadline=config.loop.deadline,
         horizon=config.loop.horizon_periods,
         tell=tell,

@@ -225,14 +225,12 @@ class _Run:
                 config,
                 number,
                 drive,
-                drive.reading_bytes,
+                self._code[drive.name],
                 self._load.find(drive, self._say),
                 timing,
                 syncs[config.drive[drive.name].segment],
                 self._certificates.watched(drive.name, self._recorder.record, warn, self._stop),
                 self._teller(drive),
-                self._code[drive.name].controller,
-                self._code[drive.name].compensator,
             )
             for number, drive in enumerate(self._drives)
         ]

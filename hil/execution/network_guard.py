@@ -56,46 +56,46 @@ class Allowed:
     """Longest time for which a sample acts, [Ling2012] (2.13)."""
 
 
-def allowed(wanted: MadeFor, period: Duration) -> Allowed:
-    """The worst network within ``wanted``; of a constant delay alone losses and delay share the age."""
-    if wanted.losses_in_a_row_max is not None and wanted.delay_max_us is not None:
-        delay = Duration(wanted.delay_max_us * NS_PER_US)
-        losses = wanted.losses_in_a_row_max
+def allowed(made_for: MadeFor, period: Duration) -> Allowed:
+    """The worst network within ``made_for``; of a constant delay alone losses and delay share the age."""
+    if made_for.losses_in_a_row_max is not None and made_for.delay_max_us is not None:
+        delay = Duration(made_for.delay_max_us * NS_PER_US)
+        losses = made_for.losses_in_a_row_max
         return Allowed(losses, delay, Duration((losses + 1) * period + delay))
-    age = Duration(wanted.delay_us * NS_PER_US)
+    age = Duration(made_for.delay_us * NS_PER_US)
     return Allowed(max(0, age // period - 1), Duration(age - period), age)
 
 
 _Fault = tuple[str, object, str]
 
 
-def _bench_faults(config: BenchConfig, drive: DriveConfig, wanted: MadeFor, key: str) -> list[_Fault]:
+def _bench_faults(config: BenchConfig, drive: DriveConfig, made_for: MadeFor, key: str) -> list[_Fault]:
     faults: list[_Fault] = []
     period_us = config.loop.period_us
-    if wanted.period_us is not None and wanted.period_us != period_us:
-        faults.append((f"{key}.period_us", wanted.period_us, f"loop.period_us = {period_us}"))
-    if wanted.period_us is None and 2 * period_us > wanted.delay_us:
+    if made_for.period_us is not None and made_for.period_us != period_us:
+        faults.append((f"{key}.period_us", made_for.period_us, f"loop.period_us = {period_us}"))
+    if made_for.period_us is None and 2 * period_us > made_for.delay_us:
         expected = f"at least two periods of {period_us} us: a sample acts that long without any loss"
-        faults.append((f"{key}.delay_us", wanted.delay_us, expected))
-    if wanted.strategy is not None:
+        faults.append((f"{key}.delay_us", made_for.delay_us, expected))
+    if made_for.strategy is not None:
         compensator = drive.compensator
         agreed = compensator.delay_us if isinstance(compensator, StampCompensator) else None
-        if wanted.strategy != compensator.kind or agreed != wanted.agreed_delay_us:
+        if made_for.strategy != compensator.kind or agreed != made_for.agreed_delay_us:
             expected = f"the bench's compensator, {compensator.kind}"
             expected += f" at {agreed} us" if agreed is not None else ""
-            at = f" at {wanted.agreed_delay_us} us" if wanted.agreed_delay_us is not None else ""
-            faults.append((f"{key}.strategy", f"{wanted.strategy}{at}", expected))
-    if wanted.plant is not None:
+            at = f" at {made_for.agreed_delay_us} us" if made_for.agreed_delay_us is not None else ""
+            faults.append((f"{key}.strategy", f"{made_for.strategy}{at}", expected))
+    if made_for.plant is not None:
         motor = drive.motor.parameters
         for name in DesignPlant.model_fields:
-            value, real = getattr(wanted.plant, name), getattr(motor, name)
+            value, real = getattr(made_for.plant, name), getattr(motor, name)
             if abs(value - real) > _RELATIVE * abs(real):
                 faults.append((f"{key}.plant.{name}", value, f"that of the motor {motor.name}, {real:g}"))
     return faults
 
 
-def _network_faults(network: Network, wanted: MadeFor, period: Duration) -> list[_Fault]:
-    limits = allowed(wanted, period)
+def _network_faults(network: Network, made_for: MadeFor, period: Duration) -> list[_Fault]:
+    limits = allowed(made_for, period)
     delay_us = limits.delay_max // NS_PER_US
     faults: list[_Fault] = []
     if network.period_us != period // NS_PER_US:
@@ -230,10 +230,10 @@ class Certificates:
         if self._made_for:
             unknown = [commands_unknown(network, source) for source, network in networks.items()]
             faults = [fault for fault in unknown if fault is not None]
-        for axis, wanted in self._made_for.items():
+        for axis, made_for in self._made_for.items():
             faults += [BadInput(config.source, *fault, REMEDY) for fault in self._axis_faults(axis)]
             for source, network in networks.items():
-                worse = _network_faults(network, wanted, config.loop.period)
+                worse = _network_faults(network, made_for, config.loop.period)
                 faults += [BadInput(source, *fault, REMEDY) for fault in worse]
         return faults
 
@@ -243,8 +243,8 @@ class Certificates:
         unknown = [
             f"{axis}: the bandwidth of the drive's current loop is not known, its controller is certified "
             f"for {range_text(certified)}; hil commission measures it"
-            for axis, wanted in self._made_for.items()
-            if (certified := certified_loop(wanted)) is not None and self._loop(axis) is None
+            for axis, made_for in self._made_for.items()
+            if (certified := certified_loop(made_for)) is not None and self._loop(axis) is None
         ]
         return unknown + [
             f"{axis}: {text}"
@@ -256,14 +256,14 @@ class Certificates:
 
     def plans(self) -> dict[str, CertifiedPlan]:
         """What the run is held against in its figures, by axis with a certified controller."""
-        return {axis: self._plan(axis, wanted) for axis, wanted in self._made_for.items()}
+        return {axis: self._plan(axis, made_for) for axis, made_for in self._made_for.items()}
 
     def watched(
         self, axis: str, record: Record, tell: Callable[[str], None], stopping: Callable[[], bool]
     ) -> Record:
         """Where the records of an axis go: past a guard, if its controller was made for a network."""
-        wanted = self._made_for.get(axis)
-        if wanted is None:
+        made_for = self._made_for.get(axis)
+        if made_for is None:
             return record
 
         def note(text: str) -> None:
@@ -271,26 +271,26 @@ class Certificates:
             tell(text)
 
         period = self._config.loop.period
-        return NetworkGuard(axis, allowed(wanted, period), period, record, self.refuse, note, stopping)
+        return NetworkGuard(axis, allowed(made_for, period), period, record, self.refuse, note, stopping)
 
     def _loop(self, axis: str) -> KnownLoop | None:
         return current_loop_of(self._config, axis)
 
     def _axis_faults(self, axis: str) -> list[_Fault]:
         """Where bench and drive of an axis are other than what its controller was made for."""
-        key, wanted = f"drive.{axis}.controller.made_for", self._made_for[axis]
-        faults = _bench_faults(self._config, self._config.drive[axis], wanted, key)
+        key, made_for = f"drive.{axis}.controller.made_for", self._made_for[axis]
+        faults = _bench_faults(self._config, self._config.drive[axis], made_for, key)
         loop = self._loop(axis)
-        if loop is not None and (outside := loop_fault(wanted, loop, key)) is not None:
+        if loop is not None and (outside := loop_fault(made_for, loop, key)) is not None:
             faults.append(outside)
         return faults
 
-    def _plan(self, axis: str, wanted: MadeFor) -> CertifiedPlan:
+    def _plan(self, axis: str, made_for: MadeFor) -> CertifiedPlan:
         config, drive = self._config, self._config.drive[axis]
         assert isinstance(drive.controller, _Certified)
         certificate = drive.controller.certificate
-        limits, loop = allowed(wanted, config.loop.period), self._loop(axis)
-        certified = certified_loop(wanted)
+        limits, loop = allowed(made_for, config.loop.period), self._loop(axis)
+        certified = certified_loop(made_for)
         slew = drive.limits.torque_slew_max_nm_s
         return CertifiedPlan(
             period_us=config.loop.period_us,
@@ -301,12 +301,12 @@ class Certificates:
             if certified is None
             else (certified.bandwidth_min_hz, certified.bandwidth_max_hz),
             bandwidth_hz=None if loop is None else loop.bandwidth_hz,
-            torque_rms_nm_max=wanted.torque_rms_nm_max,
+            torque_rms_nm_max=made_for.torque_rms_nm_max,
             age_us=limits.age_max / NS_PER_US,
             torque_step_max_nm=None if slew is None else slew * config.loop.period / NS_PER_S,
             samples_alone=isinstance(certificate, LossCertificate),
             left=tuple(self._left(axis)),
-            unknown=tuple(_unknown(drive, wanted, certificate, loop)),
+            unknown=tuple(_unknown(drive, made_for, certificate, loop)),
         )
 
     def _left(self, axis: str) -> Iterator[str]:
@@ -327,18 +327,18 @@ class Certificates:
 
 def _unknown(
     drive: DriveConfig,
-    wanted: MadeFor,
+    made_for: MadeFor,
     certificate: Certificate | LossCertificate | None,
     own: KnownLoop | None,
 ) -> Iterator[str]:
     """Premises of which nobody knows whether bench and drive keep them, in words."""
     if isinstance(certificate, LossCertificate):
-        made = certified_loop(wanted)
+        made = certified_loop(made_for)
         if made is not None and own is not None and not made.is_that_of_the_design(own.bandwidth_hz):
             yield f"bandwidth: gain certified for a current loop of {made.bandwidth_hz:g} Hz alone"
         if isinstance(drive.controller, HinfSection) and drive.compensator.kind != "arrival":
             yield f"compensator: certified for arrival, the bench's is {drive.compensator.kind}"
     elif certificate is not None and certificate.sequences is None:
         yield "sampling: certified for a constant delay alone"
-    if own is None and certified_loop(wanted) is not None:
+    if own is None and certified_loop(made_for) is not None:
         yield "bandwidth: that of the drive's current loop is not known"

@@ -53,25 +53,19 @@ ATTEMPTS: Final = 2
 def simulated_drives(config: BenchConfig) -> list[SimulatedServo]:
     """The drives of a bench, for its own simulated bus. Raises BadInput for one that cannot be made so."""
     drives = []
-    for name in config.axes:
-        wanted = config.drive[name]
-        simulation = wanted.simulation
+    for axis in config.axes:
+        drive = config.drive[axis]
+        rate_hz = drive.simulation.inner_rate_hz
         parameters = DriveParameters(
-            inner_rate_hz=simulation.inner_rate_hz,
-            encoder_counts_per_revolution=simulation.encoder_counts_per_revolution,
-            current_bandwidth_hz=simulation.current_bandwidth_hz,
-            clock_drift_ppm=simulation.clock_drift_ppm,
-            controller_q=_at_rate(wanted.current_control.controller, simulation.inner_rate_hz),
-            controller_d=_at_rate(wanted.current_control.controller_d, simulation.inner_rate_hz),
-            resistance_factor=simulation.resistance_factor,
-            inductance_factor=simulation.inductance_factor,
-            lacks=simulation.lacks,
-            load=_load_of(config, name),
+            **drive.simulation.model_dump(),
+            controller_q=_at_rate(drive.current_control.controller, rate_hz),
+            controller_d=_at_rate(drive.current_control.controller_d, rate_hz),
+            load=_load_of(config, axis),
         )
         try:
-            drives.append(SimulatedServo(wanted.node, wanted.motor.parameters, parameters, config.bench.seed))
+            drives.append(SimulatedServo(drive.node, drive.motor.parameters, parameters, config.bench.seed))
         except ValueError as error:
-            key = f"drive.{name}.simulation.lacks"
+            key = f"drive.{axis}.simulation.lacks"
             expected = "objects that the simulated drive has and could do without"
             raise BadInput(config.source, key, str(error), expected, "see docs/simulated-drive.md") from None
     return drives

@@ -12,9 +12,9 @@ from drivers.cia402.servo import ServoDrive
 from drivers.errors import BadInput, PeerFault, TransferAborted
 from drivers.instruments.dynamometer import Dynamometer, LineCounts, LoadReading
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
+from drivers.wire.adapters import SIMULATED
 from drivers.wire.serial_line import ByteLine, open_line
-from hil.configuration.config import BenchConfig
-from hil.configuration.config_load_machine import SIMULATED, LoadMachineConfig
+from hil.configuration.config import BenchConfig, LoadMachineConfig
 from hil.configuration.references import Load, SignalFile
 from hil.load.simulated_load import load_table
 from hil.loop.axis_roles import LoadMachine
