@@ -171,7 +171,7 @@ def _bench_to_run(bench: Path, controllers: Sequence[str], replay_faults: Path |
     if replay_faults is None:
         return config
     named_by = NamedBy("--replay-faults", "", str(replay_faults))
-    return config.with_faults(load_faults(replay_faults, named_by))
+    return config.model_copy(update={"faults": load_faults(replay_faults, named_by)})
 
 
 @app.command(cls=RunCommand)
@@ -207,10 +207,10 @@ def run(
         config = _bench_to_run(bench, controller or (), replay_faults)
 
         from hil.configuration.quantities import odd_values
-        from hil.execution.network_guard import loop_doubts
+        from hil.execution.network_guard import Certificates
 
-        simulated = (bus or config.bus.spec) == "simulated"
-        for note in (*odd_values(config), *loop_doubts(config, (), simulated)):
+        doubts = Certificates(config.as_run(bus or config.bus.spec, seed)).doubts()
+        for note in (*odd_values(config), *doubts):
             typer.echo(f"hil: note: {note}", err=True)
 
         from hil.execution.bench import run_bench

@@ -223,7 +223,7 @@ def unknown_world(
         chosen = all_steps()[: len(names) if last_step is None else names.index(last_step) + 1]
         return [Watching(step, spy) if spied and step.name == "delays" else step for step in chosen]
 
-    fault_plan = None if faults is None else faults_from(faults, "faults").plan
+    fault_plan = None if faults is None else faults_from(faults, "faults")
     plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, fault_plan, seed)
     with open_world(plan, [cast(SimulatedNode, spy) if spied else servo]) as world:
         world.faults.start(world.clock.now())

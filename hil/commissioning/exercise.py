@@ -20,17 +20,12 @@ from hil.execution.bus_guard import BusGuard
 from hil.execution.segments import sync_log
 from hil.loop.axis import Axis, AxisParts
 from hil.loop.axis_roles import Controller
-from hil.loop.clock_map import ClockMap
-from hil.loop.command_meter import CommandMeter
 from hil.loop.context import Context, SetPoint
-from hil.loop.delay import DelayMeter
 from hil.loop.loop import Loop, LoopTiming
-from hil.loop.order_attribution import OrderAttribution
 from hil.loop.pace import OwnSync
 from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
 from hil.loop.scenario import Quantity, ReferenceProfile, Segment
-from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 from hil.reviewing.network_meter import runs_of
 
@@ -279,7 +274,6 @@ class Exerciser:
         records: list[CycleRecord],
     ) -> Axis:
         limits, port, period = self.limits, self.port, self.timing.period
-        transit = self.timing.sync_latency  # less than a reading takes, as no frame is shorter than a SYNC
         parts = AxisParts(
             name=port.drive.name,
             drive=port,
@@ -290,12 +284,12 @@ class Exerciser:
             load=ReferenceProfile([], Quantity.TORQUE),
             load_machine=None,
             syncs=syncs,
-            # A new map each time: between exercises the clocks part too far for the rate of the last one.
-            by_stamp=StampAttribution(syncs, ClockMap(), period, transit, _unsaid),
-            by_order=OrderAttribution(syncs, period, transit, _unsaid),
-            meter=DelayMeter(Duration(5 * period), _HORIZON),
-            commands=CommandMeter(_HORIZON, syncs),
+            transit=self.timing.sync_latency,  # less than a reading takes: no frame is shorter than a SYNC
+            deadline=Duration(5 * period),
+            horizon=_HORIZON,
+            tell=_unsaid,
         )
+        # A new axis each time: between exercises the clocks part too far for the rate of the last one.
         return Axis(0, parts, period, records.append)
 
 

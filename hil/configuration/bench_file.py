@@ -10,18 +10,18 @@ from pydantic import ValidationError
 
 from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput, BenchError
-from hil.configuration.config import BenchConfig, Faults
+from hil.configuration.config import BenchConfig
 from hil.configuration.config_checks import cross_faults
-from hil.configuration.config_errors import bad_inputs_of, raise_all, translate
+from hil.configuration.config_errors import bad_inputs_of, raise_all, shown, translate
 from hil.configuration.config_files import validated
 from hil.configuration.controller_kinds import ControllerFile, ControllerSection, StateFeedbackController
 from hil.configuration.current_controller_file import load_current_controller
 from hil.configuration.drive_file import load_drive_file
 from hil.configuration.motor_file import load_motor
 from hil.configuration.signal_file import load_signal
-from virtual_bus.faults.fault_log import FAULTS_FILE
-from virtual_bus.faults.fault_plan import read_fault_plan
+from virtual_bus.faults.fault_plan import FaultPlan, read_fault_plan
 from virtual_bus.faults.replay import read_recorded
+from virtual_bus.hosting.injection import Faults
 
 ENTRY_POINTS = "servobench.controllers"
 """Group of the entry points by which installed packages bring kinds of controllers and compensators."""
@@ -38,16 +38,16 @@ def load_faults(path: Path, named_by: NamedBy | None = None) -> Faults:
     Raises BadInput or BadInputs.
     """
     if path.suffix == ".jsonl":
-        return Faults(tables={"plan": FAULTS_FILE}, plan=read_recorded(path, named_by))
+        return read_recorded(path, named_by)
     return faults_from(read_toml(path, "fault plan", named_by), str(path))
 
 
-def faults_from(tables: Mapping[str, Any], source: str, prefix: str = "") -> Faults:
+def faults_from(tables: Mapping[str, Any], source: str, prefix: str = "") -> FaultPlan:
     """A fault plan from the tables of a file, there under ``prefix``. Raises BadInput or BadInputs."""
     plan, errors = read_fault_plan(tables, source, prefix)
     if errors:
         raise_all(errors)
-    return Faults(tables=plan.as_tables(), plan=plan)
+    return plan
 
 
 def bench_from(raw: Mapping[str, Any], source: str, folder: Path) -> BenchConfig:
@@ -165,7 +165,7 @@ class _Expansion:
                     name: self._entries(f"{table}.{name}", found) for name, found in profiles.items()
                 }
         faults = tables.get("faults")
-        if isinstance(faults, Mapping):
+        if faults is not None:
             tables["faults"] = self._attempt("faults", lambda: self._faults(faults))
         return tables
 
@@ -227,7 +227,9 @@ class _Expansion:
                 tables[part] = self._attempt(named_by.key, load)
         return tables
 
-    def _faults(self, tables: Mapping[str, Any]) -> Faults:
+    def _faults(self, tables: Any) -> Faults:
+        if not isinstance(tables, Mapping):
+            raise BadInput(self._source, "faults", shown(tables), "a table")
         if "plan" not in tables:
             return faults_from(tables, self._source, "faults")
         name = tables["plan"]

@@ -5,28 +5,68 @@ of a file are reported together. Times are seconds or whole microseconds, the un
 is the last part of a key's name.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
+from drivers.instruments.dynamometer import BAUD, DynamometerSettings
+from drivers.instruments.magtrol import Dialect, dialect
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from drivers.wire.adapters import SIMULATED
 from hil.configuration.background import BackgroundTables
 from hil.configuration.config_axis import DriveConfig
 from hil.configuration.config_files import Section
-from hil.configuration.config_load_machine import LoadMachineConfig
-from hil.configuration.quantities import HeartbeatTimeout
+from hil.configuration.quantities import HeartbeatTimeout, Torque
 from hil.configuration.references import Load, Reference
 from hil.configuration.toml_text import toml_text
 from hil.verdict.verdict import VerdictLimits
-from virtual_bus.hosting.injection import Faults as InjectedFaults
+from virtual_bus.faults.fault_log import FAULTS_FILE
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.hosting.injection import Faults
 
 BitRate = Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000]
 """The bit rates of CiA 301 5.1, and 100 kbit/s, which is common."""
-
 Rule = Literal["tell", "stop"]
 """What the bus guard does on what it sees."""
-
 AxisName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+
+
+class LoadMachineConfig(Section):
+    """``[load_machine]``: a serial dynamometer controller."""
+
+    kind: Literal["magtrol_dsp7000", "magtrol_dsp6001"] = Field(
+        description="'magtrol_dsp7000' or 'magtrol_dsp6001'; a DSP7000 in its 6001 mode is the latter"
+    )
+    port: str = Field(
+        min_length=1, description="its serial port, or 'simulated' for one on the simulated drive's shaft"
+    )
+    torque_max_nm: Torque = Field(description="the largest torque that its brake may be asked for, N m")
+    axis: str | None = None
+    """On whose shaft it is; the only axis if absent."""
+    baud: int = Field(default=BAUD, ge=300, le=921_600)
+    channel: Literal[1, 2] = 1
+    """Of a DSP7000 with two."""
+    torque_unit: Literal["N.m", "N.cm", "N.mm", "kg.cm", "g.cm", "oz.in", "oz.ft", "lb.in", "lb.ft"] = "N.m"
+    """What its display is set to."""
+    clockwise_is_positive: bool = True
+    """Whether positive speed of the drive is R on its display."""
+    answer_timeout_ms: int = Field(default=1000, ge=10, le=10_000)
+    """The manuals ask for at least a second; three in a row end the run."""
+    reading_every_ms: int = Field(default=20, ge=1, le=10_000)
+
+    @property
+    def dialect(self) -> Dialect:
+        """How to speak to it."""
+        return dialect(self.kind, self.channel, self.torque_unit, self.clockwise_is_positive)
+
+    @property
+    def settings(self) -> DynamometerSettings:
+        """How its driver is to deal with it."""
+        return DynamometerSettings(
+            self.baud,
+            Duration(self.answer_timeout_ms * NS_PER_MS),
+            Duration(self.reading_every_ms * NS_PER_MS),
+        )
 
 
 class BenchSection(Section):
@@ -50,7 +90,7 @@ class BusSegment(Section):
 class Bus(Section):
     """``[bus]``"""
 
-    spec: str = Field(default="simulated", min_length=1)
+    spec: str = Field(default=SIMULATED, min_length=1)
     """``simulated``, ``hub:NAME``, ``socketcan:can0``, or INTERFACE:CHANNEL of python-can."""
     bitrate_bit_s: BitRate = 1_000_000
     background: BackgroundTables = ()
@@ -181,14 +221,6 @@ class Guard(Section):
     """Error frames become frequent, 16 within a second."""
 
 
-class Faults(Section):
-    """``[faults]``: what the bench does to the frames of its own bus connection."""
-
-    tables: dict[str, Any]
-    """The plan written out, or where the recorded faults are found beside the resolved bench file."""
-    plan: InjectedFaults
-
-
 class BenchConfig(Section):
     """A whole bench file, checked; paths are resolved and what they name is loaded."""
 
@@ -202,6 +234,7 @@ class BenchConfig(Section):
     load_machine: LoadMachineConfig | None = None
     """The instrument that makes the load of its axis; without it a simulated drive's own load object does."""
     faults: Faults | None = None
+    """What befalls frames at the bench's own bus connection, the drives that it simulates, and the host."""
     verdict: VerdictConfig = VerdictConfig()
     recording: RecordingConfig = RecordingConfig()
     guard: Guard = Guard()
@@ -219,6 +252,11 @@ class BenchConfig(Section):
         return self._source
 
     @property
+    def simulated(self) -> bool:
+        """Whether the bench makes its bus and its drives itself."""
+        return self.bus.spec == SIMULATED
+
+    @property
     def axes(self) -> tuple[str, ...]:
         """Names of the axes, in the order in which the loop serves them."""
         return tuple(sorted(self.drive))
@@ -233,10 +271,6 @@ class BenchConfig(Section):
         commanded or closed over, if it comes with every SYNC."""
         return self.drive[axis].mode != "cst" and self.loop.position_every_cycles == 1
 
-    def axes_on(self, segment: str | None) -> tuple[str, ...]:
-        """The axes whose drives are on a segment; None: the first one."""
-        return tuple(axis for axis in self.axes if self.drive[axis].segment == segment)
-
     def bitrate_of(self, axis: str) -> int:
         """Bit rate of the segment that the drive of ``axis`` is on, bit/s."""
         return self.bitrate_on(self.drive[axis].segment)
@@ -247,25 +281,16 @@ class BenchConfig(Section):
             (each.bitrate_bit_s for each in self.bus.segment if each.name == segment), self.bus.bitrate_bit_s
         )
 
-    @property
-    def fault_plan(self) -> InjectedFaults | None:
-        """The faults of the bench's own bus; None: none."""
-        return self.faults.plan if self.faults else None
+    def as_run(self, bus_spec: str, seed: int | None) -> "BenchConfig":
+        """This bench as it is run: on that bus, and with that seed if there is one."""
+        bench = self.bench if seed is None else self.bench.model_copy(update={"seed": seed})
+        return self.model_copy(update={"bus": self.bus.model_copy(update={"spec": bus_spec}), "bench": bench})
 
-    def with_faults(self, faults: Faults) -> "BenchConfig":
-        """This bench with other faults."""
-        return self.model_copy(update={"faults": faults})
-
-    def resolved_text(self, *, bus_spec: str | None = None, seed: int | None = None) -> str:
-        """This bench as one TOML file: every default written out, motor and fault plan inline.
-
-        ``bus_spec``, ``seed``: what the command line put in place of the file's.
-        """
+    def resolved_text(self) -> str:
+        """This bench as one TOML file: every default written out, motor and fault plan inline."""
         tables = self.model_dump(mode="json", exclude_none=True, exclude={"faults"})
-        if bus_spec is not None:
-            tables["bus"]["spec"] = bus_spec
-        if seed is not None:
-            tables["bench"]["seed"] = seed
-        if self.faults:
-            tables["faults"] = self.faults.tables
+        if isinstance(self.faults, FaultPlan):
+            tables["faults"] = self.faults.as_tables()
+        elif self.faults is not None:
+            tables["faults"] = {"plan": FAULTS_FILE}  # beside it, in the recording
         return toml_text(tables)

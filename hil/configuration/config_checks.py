@@ -59,7 +59,7 @@ def _segments(config: BenchConfig) -> Iterator[Fault]:
     for index, name in enumerate(names):
         if name in names[:index]:
             yield f"bus.segment[{index}].name", name, "a name of its own", ""
-    if names and config.bus.spec != "simulated":
+    if names and not config.simulated:
         expected = "no further segments: they are made on the bus 'simulated' only"
         yield "bus.segment", f"{len(names)} on {config.bus.spec}", expected, "a bench has one real bus"
     if names and config.loop.sync != "own":
@@ -127,7 +127,8 @@ def _bus(config: BenchConfig) -> Iterator[Fault]:
     for index, each in enumerate(config.bus.segment):
         buses.append((each.name, f"bus.segment[{index}].bitrate_bit_s", each.bitrate_bit_s))
     for segment, key, bitrate_bit_s in buses:
-        yield from _cycle_fits(config, config.axes_on(segment), key, bitrate_bit_s)
+        axes = [axis for axis in config.axes if config.drive[axis].segment == segment]
+        yield from _cycle_fits(config, axes, key, bitrate_bit_s)
 
 
 def _cycle_fits(config: BenchConfig, axes: Sequence[str], key: str, bitrate_bit_s: int) -> Iterator[Fault]:

@@ -1,17 +1,26 @@
-"""The current loop of a bench's drive: its order, how fast it is, and which key of the bench says so.
+"""The current loop of a bench's drive: its order, how fast it is, which key of the bench says so, and whether
+it is what the controller around it was made for.
 
 The bandwidth is where the open loop has gain 1, over 2 pi: of a loop of first order that is its pole.
 """
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 from design.motor import PmsmParameters
 from design.statespace import StateSpace
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import DriveConfig
+from hil.configuration.controller_kinds import PidController
 from hil.configuration.current_controller_file import CurrentController
 from hil.configuration.speed_controller_file import CurrentLoop, MadeFor
+
+_PHASE_LOST_DEG: Final = 5.0
+"""Of a margin of 50 degrees, the rule's: from here on the answer to a load step is visibly another."""
+_CASCADE: Final = 5.0
+"""Inner bandwidth over outer crossover, at least: the inner loop then costs 11 degrees there."""
+_LOWEST_RAD_S, _HIGHEST_RAD_S, _BISECTIONS = 1e-3, 1e6, 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +33,15 @@ class KnownLoop:
     """Of the bench file, that says so."""
 
 
-def current_loop_of(config: BenchConfig, axis: str, *, simulated: bool) -> KnownLoop | None:
+def current_loop_of(config: BenchConfig, axis: str) -> KnownLoop | None:
     """The loop of an axis' drive; None: nobody has measured it.
 
-    ``simulated``: the bench makes the drive itself, as its file says. Any other drive is known by what
-    commissioning measured. The factors that set the simulated motor off from its file are left out: they are
-    there to show what a design makes of a motor that it does not know.
+    A simulated drive is as the bench file says, any other one is known by what commissioning measured. The
+    factors that set the simulated motor off from its file are left out: they are there to show what a design
+    makes of a motor that it does not know.
     """
     drive, key = config.drive[axis], f"drive.{axis}"
-    if simulated:
+    if config.simulated:
         return _simulated(drive, key)
     measured = None if drive.commissioned is None else drive.commissioned.current_loop
     if measured is None:
@@ -64,21 +73,21 @@ def closed_loop(motor: PmsmParameters, controller: CurrentController) -> tuple[S
     return complementary(plant, designed), margins(series(plant, designed)).phase_margin_rad_s
 
 
-def certified_loop(wanted: MadeFor) -> CurrentLoop | None:
+def certified_loop(made_for: MadeFor) -> CurrentLoop | None:
     """For which loops the certificates hold; None: the file does not name its plant."""
-    if wanted.current_loop is not None or wanted.plant is None:
-        return wanted.current_loop
-    winding_hz = wanted.plant.resistance_ohm / wanted.plant.inductance_q_h / math.tau
+    if made_for.current_loop is not None or made_for.plant is None:
+        return made_for.current_loop
+    winding_hz = made_for.plant.resistance_ohm / made_for.plant.inductance_q_h / math.tau
     return CurrentLoop(bandwidth_hz=winding_hz, bandwidth_min_hz=winding_hz, bandwidth_max_hz=winding_hz)
 
 
-def loop_fault(wanted: MadeFor, loop: KnownLoop, made_for_key: str) -> tuple[str, object, str] | None:
+def loop_fault(made_for: MadeFor, loop: KnownLoop, made_for_key: str) -> tuple[str, object, str] | None:
     """Key, value and what was expected, where the certificates do not hold for the drive's ``loop``."""
-    certified = certified_loop(wanted)
+    certified = certified_loop(made_for)
     if certified is None or (loop.order == certified.order and certified.covers(loop.bandwidth_hz)):
         return None
     by = f"for which {made_for_key}.current_loop certifies the controller"
-    if wanted.current_loop is None:
+    if made_for.current_loop is None:
         by = f"R/L of the winding, as {made_for_key} names no current_loop"
     found = f"{loop.bandwidth_hz:.5g} Hz" + ("" if loop.order == 1 else f", of order {loop.order}")
     return loop.key, found, f"a loop of first order of {range_text(certified)}, {by}"
@@ -88,3 +97,47 @@ def range_text(certified: CurrentLoop) -> str:
     """The bandwidths in words."""
     least_hz, most_hz = certified.bandwidth_min_hz, certified.bandwidth_max_hz
     return f"{least_hz:.5g} Hz and no other" if least_hz == most_hz else f"{least_hz:.5g} to {most_hz:.5g} Hz"
+
+
+def slow_for_pid(own: KnownLoop, pid: PidController, motor: PmsmParameters) -> str:
+    """In what a drive's current loop is too slow for the PID around it; empty if it is not.
+
+    A PID has no certificate. What can be told before the run is the phase that a slower current loop takes
+    from it at its crossover; where its file does not say what it was tuned for, the rule of cascaded loops is
+    left.
+    """
+    that = f"that of this drive has {own.bandwidth_hz:.4g} Hz ({own.key})"
+    own_rad_s = math.tau * own.bandwidth_hz
+    if pid.made_for is None:
+        crossover = crossover_rad_s(pid, motor)
+        if own_rad_s >= _CASCADE * crossover:
+            return ""
+        needed_hz = _CASCADE * crossover / math.tau
+        return (
+            f"its PID crosses over at {crossover:.4g} rad/s, which asks for a current loop of "
+            f"{needed_hz:.4g} Hz or more, five times as fast; {that}"
+        )
+    crossover, made_hz = pid.made_for.crossover_rad_s, pid.made_for.current_loop.bandwidth_hz
+    lost_deg = math.degrees(math.atan(crossover / own_rad_s) - math.atan(crossover / (math.tau * made_hz)))
+    if lost_deg < _PHASE_LOST_DEG:
+        return ""
+    return (
+        f"its PID crosses over at {crossover:.4g} rad/s, tuned for a current loop of {made_hz:.4g} Hz; "
+        f"{that}, which takes about {lost_deg:.0f} degrees from its phase margin"
+    )
+
+
+def crossover_rad_s(pid: PidController, motor: PmsmParameters) -> float:
+    """The highest frequency at which PID and shaft have gain 1, the current loop and delays left out."""
+
+    def gain(omega: float) -> float:
+        s = 1j * omega
+        derivative = pid.derivative_nm_s2_rad * s / (1.0 + pid.derivative_filter_s * s)
+        shaft = motor.inertia_kg_m2 * s + motor.viscous_friction_nm_s
+        return abs((pid.proportional_nm_s_rad + pid.integral_nm_rad / s + derivative) / shaft)
+
+    low, high = math.log(_LOWEST_RAD_S), math.log(_HIGHEST_RAD_S)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if gain(math.exp(middle)) > 1.0 else (low, middle)
+    return math.exp(low)

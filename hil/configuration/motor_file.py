@@ -66,15 +66,8 @@ class MotorFile(Section):
     def parameters(self) -> PmsmParameters:
         """The same in the form that plant and firmware take."""
         return PmsmParameters(
-            name=self.motor.name,
-            resistance_ohm=self.motor.resistance_ohm,
-            inductance_d_h=self.motor.inductance_d_h,
-            inductance_q_h=self.motor.inductance_q_h,
-            flux_linkage_wb=self.motor.flux_linkage_wb,
-            pole_pairs=self.motor.pole_pairs,
-            inertia_kg_m2=self.mechanics.inertia_kg_m2,
-            viscous_friction_nm_s=self.mechanics.viscous_friction_nm_s,
-            coulomb_friction_nm=self.mechanics.coulomb_friction_nm,
+            **self.motor.model_dump(exclude={"transform"}),
+            **self.mechanics.model_dump(),
             transform=Transform(self.motor.transform),
             rated_torque_nm=self.rating.torque_nm,
             rated_speed_rad_s=self.rating.speed_rpm * RAD_S_PER_RPM,

@@ -1,6 +1,6 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,32 +16,27 @@ from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
 from hil.configuration.quantities import odd_values
 from hil.execution import assembly
-from hil.execution.axis_code import (
-    AxisCode,
-    axis_code,
-    channels_of,
-    keep_sources,
-    sources_text,
-    with_kept_sources,
-)
+from hil.execution.axis_code import AxisCode, axis_code
 from hil.execution.bus_guard import BusGuard
-from hil.execution.commissioned_drive import write_commissioned
 from hil.execution.conclusion import Conclusion
-from hil.execution.connecting import connect
-from hil.execution.drive_settings import data_sheets, drive_settings, identity_notes
-from hil.execution.kept_signals import keep_signals
-from hil.execution.network_guard import Uncertified, certified_plans, uncertified, watched
-from hil.execution.segments import listen_for_syncs, masters, record_frames
+from hil.execution.drives import (
+    connect,
+    data_sheets,
+    drive_settings,
+    identity_notes,
+    stop_all,
+    write_commissioned,
+)
+from hil.execution.network_guard import Certificates
+from hil.execution.recorded_bench import keep_files, recording_plan
+from hil.execution.segments import check_sync_source, listen_for_syncs, masters, record_frames, sync_producer
 from hil.execution.simulated_drives import simulated_drives
-from hil.execution.stopping_drives import stop_all
-from hil.execution.sync_source import check_sync_source, sync_producer
 from hil.execution.timing_report import distrust, timing_report
-from hil.execution.world import World, check_time, open_world
+from hil.execution.world import World, WorldPlan, check_time, open_world
 from hil.load.load_machines import LoadMachines
 from hil.loop.axis import Axis
 from hil.loop.axis_roles import Controller
 from hil.loop.loop import Loop, LoopOutcome, LoopTiming, planned_cycles
-from hil.loop.samples import CycleRecord
 from hil.loop.syncs import SyncLog
 from hil.machine.progress import Progress, no_progress
 from hil.machine.realtime import timing_conditions
@@ -92,33 +87,33 @@ def run_bench(
     _check_axes(config, controllers)
     sheets = data_sheets(config)
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
-    replaced = set(controllers)
-    worse = uncertified(config, network, allow_uncertified, replaced, spec.simulated)
+    config = config.as_run(str(spec), seed)
+    certificates = Certificates(config, controllers)
+    certificates.check(network, allow_uncertified)
     paced = check_time(spec, time)
     check_sync_source(config, spec)
-    code = axis_code(config, controllers, real_time=paced or not spec.simulated)
-    seed = config.bench.seed if seed is None else seed
-    log = FaultLog() if config.fault_plan is not None else None
-    world_plan = assembly.world_plan(config, spec, paced, seed, log)
-    devices = simulated_drives(config, seed) if spec.simulated else []
+    code = axis_code(config, controllers, real_time=paced or not config.simulated)
+    log = FaultLog() if config.faults is not None else None
+    world_plan = WorldPlan.of_bench(config, spec, paced, log)
+    devices = simulated_drives(config) if config.simulated else []
     with stop_signals(stop) as asked, open_world(world_plan, devices) as world:
         folder = (record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
-        certified = certified_plans(config, replaced, spec.simulated)
-        plan = assembly.recording_plan(
-            with_kept_sources(config, code), world, folder, seed, str(spec), view, certified
+        plan = replace(
+            recording_plan(config, folder, code, certificates.plans(), real_time=world.real_time),
+            started_at=world.clock.now(),
+            wall_offset=world.wall_offset,
+            view=view,
         )
-        plan = replace(plan, channels=channels_of(code), sources=sources_text(code))
         recorder = recording(plan)
         if folder is not None:
-            keep_sources(code, folder)
-            keep_signals(config, folder)
+            keep_files(config, code, folder)
         if log is not None:
             log.send_to(recorder.fault_block)
         planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
-        conclusion = Conclusion(config.axes, config.fault_plan, planned)
+        conclusion = Conclusion(config.axes, config.faults, planned)
         with conclusion.explaining(lambda: concluded(recorder.close(conclusion.outcome))):
             run = _Run(
-                config, world, recorder, conclusion, asked, progress, code, replaced, worse, devices, sheets
+                config, world, recorder, conclusion, asked, progress, code, certificates, devices, sheets
             )
         with timing_conditions(world.real_time, privileged) as refused:
             try:
@@ -134,7 +129,7 @@ def _check_axes(config: BenchConfig, controllers: Mapping[str, Controller]) -> N
     for name in controllers:
         if name not in config.axes:
             expected = f"one of the bench's axes: {', '.join(config.axes)}"
-            raise BadInput(config.source or "bench", "controllers", name, expected)
+            raise BadInput(config.source, "controllers", name, expected)
 
 
 class _Run:
@@ -149,8 +144,7 @@ class _Run:
         stop: StopRequest,
         progress: Progress,
         code: Mapping[str, AxisCode],
-        replaced: Collection[str],
-        worse: Uncertified,
+        certificates: Certificates,
         servos: Sequence[SimulatedServo],
         sheets: Mapping[str, LoadedDictionary],
     ) -> None:
@@ -161,8 +155,7 @@ class _Run:
         self._stop = stop
         self._progress = progress
         self._code = code
-        self._replaced = replaced
-        self._worse = worse
+        self._certificates = certificates
         self._sheets = sheets
         self._network = CanopenNetwork(world.link, world.clock, config.host.node)
         self._networks, self._master = masters(self._network, world)
@@ -226,19 +219,18 @@ class _Run:
         self._prepare(timing)
         syncs, pace = listen_for_syncs(config, world, self._networks, self._master, timing.period)
         self._syncs = {segment or str(world.link.name): log for segment, log in syncs.items()}
+        warn = partial(self._say, level="WARN")
         self._axes = [
             assembly.axis(
                 config,
                 number,
                 drive,
-                drive.reading_bytes,
+                self._code[drive.name],
                 self._load.find(drive, self._say),
                 timing,
                 syncs[config.drive[drive.name].segment],
-                self._recorder.record if drive.name in self._replaced else self._watched(drive.name),
+                self._certificates.watched(drive.name, self._recorder.record, warn, self._stop),
                 self._teller(drive),
-                self._code[drive.name].controller,
-                self._code[drive.name].compensator,
             )
             for number, drive in enumerate(self._drives)
         ]
@@ -272,7 +264,7 @@ class _Run:
 
     def _prepare(self, timing: LoopTiming) -> None:
         host = self._config.host
-        for note in (*self._worse.notes, *self._worse.doubts, *odd_values(self._config)):
+        for note in (*self._certificates.notes, *self._certificates.doubts(), *odd_values(self._config)):
             self._say(note, "WARN")
         for axis, code in self._code.items():
             for key, kept in code.own.items():
@@ -333,7 +325,7 @@ class _Run:
             self._config.loop,
             bus_load_percent=self._world.load_percent(ended.started_at, ended.ended_at),
             realtime_factor=(ended.ended_at - ended.started_at) / max(took, 1),
-            network_notes=self._worse.notes,
+            network_notes=self._certificates.notes,
             load_machine=self._load.figures(),
             timing=timing_report(self._axes, self._syncs, self._guard.counts),
             distrust=doubts,
@@ -347,11 +339,6 @@ class _Run:
 
     def _teller(self, drive: ServoDrive) -> Callable[[str], None]:
         return lambda text: self._say(f"{drive.name}: {text}", "WARN")
-
-    def _watched(self, axis: str) -> Callable[[CycleRecord], None]:
-        """Where the records of an axis with the bench's own controller go."""
-        say, record = partial(self._say, level="WARN"), self._recorder.record
-        return watched(self._config, axis, self._worse, record, say, self._stop)
 
     def _release(self) -> None:
         """Every way out of a run leads through here."""

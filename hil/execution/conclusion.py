@@ -45,16 +45,16 @@ class Conclusion:
             outcome = _cut_short(outcome, "it ended by a defect of this program", VerdictKind.DEFECT)
         return replace(outcome, drives=tuple(self._ends.values()), emergencies=tuple(self._emergencies))
 
-    def ended(self, loop: LoopOutcome, interrupted_by: str, settings: LoopConfig, **notes: Any) -> None:
+    def ended(self, ended: LoopOutcome, interrupted_by: str, loop: LoopConfig, **notes: Any) -> None:
         """The loop ended as a loop does; ``notes``: fields of :class:`RunOutcome`.
 
         A host that comes back later than readings are waited for has not seen the end of its run.
         """
         self._outcome = replace(self._outcome, **notes)
-        late = loop.ended_at - loop.last_due_at - settings.period
-        if loop.interrupted:
+        late = ended.ended_at - ended.last_due_at - loop.period
+        if ended.interrupted:
             self._outcome = _cut_short(self._outcome, interrupted_by, VerdictKind.INTERRUPTED)
-        elif late > settings.horizon:
+        elif late > loop.horizon:
             reason = (
                 f"the host was away at the end, and came back {late / NS_PER_MS:.0f} ms after the last cycle"
             )

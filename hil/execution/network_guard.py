@@ -6,7 +6,7 @@ the cycle records as they are made.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -15,19 +15,19 @@ from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import DriveConfig
 from hil.configuration.config_errors import raise_all
-from hil.configuration.controller_kinds import StampCompensator, StateFeedbackController
+from hil.configuration.controller_kinds import PidController, StampCompensator, StateFeedbackController
 from hil.configuration.drive_current_loop import (
     KnownLoop,
     certified_loop,
     current_loop_of,
     loop_fault,
     range_text,
+    slow_for_pid,
 )
 from hil.configuration.hinf_section import HinfSection
 from hil.configuration.network_file import Network, commands_unknown, load_network
 from hil.configuration.predictor_section import PredictorController
 from hil.configuration.speed_controller_file import Certificate, DesignPlant, LossCertificate, MadeFor
-from hil.execution.pid_current_loop import slow_loops
 from hil.loop.samples import CycleRecord, Sample
 from hil.rows.recording_plan import CertifiedPlan
 from virtual_bus.faults.fault_plan import FaultPlan
@@ -39,6 +39,8 @@ REMEDY: Final = (
     "--allow-uncertified, which warns instead"
 )
 _RELATIVE = 1e-6
+_Certified = StateFeedbackController | PredictorController | HinfSection
+"""Controllers whose files may say what they were made for."""
 
 Record = Callable[[CycleRecord], None]
 
@@ -54,101 +56,46 @@ class Allowed:
     """Longest time for which a sample acts, [Ling2012] (2.13)."""
 
 
-def made_for(drive: DriveConfig) -> MadeFor | None:
-    """What the controller of an axis was made for, if its file says so."""
-    controller = drive.controller
-    if isinstance(controller, StateFeedbackController | PredictorController | HinfSection):
-        return controller.made_for
-    return None
-
-
-def allowed(wanted: MadeFor, period: Duration) -> Allowed:
-    """The worst network within ``wanted``; of a constant delay alone losses and delay share the age."""
-    if wanted.losses_in_a_row_max is not None and wanted.delay_max_us is not None:
-        delay = Duration(wanted.delay_max_us * NS_PER_US)
-        losses = wanted.losses_in_a_row_max
+def allowed(made_for: MadeFor, period: Duration) -> Allowed:
+    """The worst network within ``made_for``; of a constant delay alone losses and delay share the age."""
+    if made_for.losses_in_a_row_max is not None and made_for.delay_max_us is not None:
+        delay = Duration(made_for.delay_max_us * NS_PER_US)
+        losses = made_for.losses_in_a_row_max
         return Allowed(losses, delay, Duration((losses + 1) * period + delay))
-    age = Duration(wanted.delay_us * NS_PER_US)
+    age = Duration(made_for.delay_us * NS_PER_US)
     return Allowed(max(0, age // period - 1), Duration(age - period), age)
-
-
-def certified_axes(config: BenchConfig, replaced: Collection[str]) -> dict[str, MadeFor]:
-    """What the controllers were made for, by axis; ``replaced``: axes whose controller is not the bench's."""
-    return {
-        axis: wanted
-        for axis in config.axes
-        if axis not in replaced and (wanted := made_for(config.drive[axis])) is not None
-    }
-
-
-def static_faults(
-    config: BenchConfig,
-    networks: Mapping[str, Network],
-    replaced: Collection[str] = (),
-    *,
-    simulated: bool = True,
-) -> list[BadInput]:
-    """What is known to be worse before anything moves; ``networks``: measured ones, by who names them.
-
-    ``replaced``: axes whose controller is not the bench's. ``simulated``: the bench makes its drives itself.
-    """
-    held = certified_axes(config, replaced)
-    faults: list[BadInput] = []
-    if held:
-        unknown = [commands_unknown(network, source) for source, network in networks.items()]
-        faults += [fault for fault in unknown if fault is not None]
-    for axis, wanted in held.items():
-        faults += [
-            BadInput(config.source, *fault, REMEDY) for fault in _axis_faults(config, axis, wanted, simulated)
-        ]
-        for source, network in networks.items():
-            faults += [
-                BadInput(source, *fault, REMEDY)
-                for fault in _network_faults(network, wanted, config.loop.period)
-            ]
-    return faults
 
 
 _Fault = tuple[str, object, str]
 
 
-def _axis_faults(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> list[_Fault]:
-    """Where bench and drive of an axis are other than what its controller was made for."""
-    key = f"drive.{axis}.controller.made_for"
-    faults = _bench_faults(config, config.drive[axis], wanted, key)
-    loop = current_loop_of(config, axis, simulated=simulated)
-    if loop is not None and (outside := loop_fault(wanted, loop, key)) is not None:
-        faults.append(outside)
-    return faults
-
-
-def _bench_faults(config: BenchConfig, drive: DriveConfig, wanted: MadeFor, key: str) -> list[_Fault]:
+def _bench_faults(config: BenchConfig, drive: DriveConfig, made_for: MadeFor, key: str) -> list[_Fault]:
     faults: list[_Fault] = []
     period_us = config.loop.period_us
-    if wanted.period_us is not None and wanted.period_us != period_us:
-        faults.append((f"{key}.period_us", wanted.period_us, f"loop.period_us = {period_us}"))
-    if wanted.period_us is None and 2 * period_us > wanted.delay_us:
+    if made_for.period_us is not None and made_for.period_us != period_us:
+        faults.append((f"{key}.period_us", made_for.period_us, f"loop.period_us = {period_us}"))
+    if made_for.period_us is None and 2 * period_us > made_for.delay_us:
         expected = f"at least two periods of {period_us} us: a sample acts that long without any loss"
-        faults.append((f"{key}.delay_us", wanted.delay_us, expected))
-    if wanted.strategy is not None:
+        faults.append((f"{key}.delay_us", made_for.delay_us, expected))
+    if made_for.strategy is not None:
         compensator = drive.compensator
         agreed = compensator.delay_us if isinstance(compensator, StampCompensator) else None
-        if wanted.strategy != compensator.kind or agreed != wanted.agreed_delay_us:
+        if made_for.strategy != compensator.kind or agreed != made_for.agreed_delay_us:
             expected = f"the bench's compensator, {compensator.kind}"
             expected += f" at {agreed} us" if agreed is not None else ""
-            at = f" at {wanted.agreed_delay_us} us" if wanted.agreed_delay_us is not None else ""
-            faults.append((f"{key}.strategy", f"{wanted.strategy}{at}", expected))
-    if wanted.plant is not None:
+            at = f" at {made_for.agreed_delay_us} us" if made_for.agreed_delay_us is not None else ""
+            faults.append((f"{key}.strategy", f"{made_for.strategy}{at}", expected))
+    if made_for.plant is not None:
         motor = drive.motor.parameters
         for name in DesignPlant.model_fields:
-            value, real = getattr(wanted.plant, name), getattr(motor, name)
+            value, real = getattr(made_for.plant, name), getattr(motor, name)
             if abs(value - real) > _RELATIVE * abs(real):
                 faults.append((f"{key}.plant.{name}", value, f"that of the motor {motor.name}, {real:g}"))
     return faults
 
 
-def _network_faults(network: Network, wanted: MadeFor, period: Duration) -> list[_Fault]:
-    limits = allowed(wanted, period)
+def _network_faults(network: Network, made_for: MadeFor, period: Duration) -> list[_Fault]:
+    limits = allowed(made_for, period)
     delay_us = limits.delay_max // NS_PER_US
     faults: list[_Fault] = []
     if network.period_us != period // NS_PER_US:
@@ -242,132 +189,156 @@ class NetworkGuard:
         self._tell(text)
 
 
-@dataclass(slots=True)
-class Uncertified:
-    """What is done about a run for which a controller's certificate does not hold, and where it does not."""
-
-    refuse: bool
-    notes: list[str] = field(default_factory=list)
-    doubts: list[str] = field(default_factory=list)
-    """What is told at the start and forbids no run."""
-
-
-def watched(
-    config: BenchConfig,
-    axis: str,
-    worse: Uncertified,
-    record: Record,
-    tell: Callable[[str], None],
-    stopping: Callable[[], bool],
-) -> Record:
-    """Where the records of an axis go: past a guard, if its controller was made for a network."""
-    wanted = made_for(config.drive[axis])
-    if wanted is None:
-        return record
-
-    def note(text: str) -> None:
-        worse.notes.append(text)
-        tell(text)
-
-    period = config.loop.period
-    return NetworkGuard(axis, allowed(wanted, period), period, record, worse.refuse, note, stopping)
-
-
-def uncertified(
-    config: BenchConfig, network: Path | None, allow: bool, replaced: Collection[str], simulated: bool
-) -> Uncertified:
-    """Raises BadInput or BadInputs for what is known before the run, unless it is to be let pass."""
-    measured = {} if network is None else {f"--network {network}": load_network(network)}
-    faults = static_faults(config, measured, replaced, simulated=simulated)
-    if faults and not allow:
-        raise_all(faults)
-    doubts = loop_doubts(config, replaced, simulated)
-    return Uncertified(not allow, [str(fault) for fault in faults], doubts)
-
-
-def loop_doubts(config: BenchConfig, replaced: Collection[str], simulated: bool) -> list[str]:
-    """What is to be told of the drives' current loops: unknown ones, and too slow ones for their PID."""
-    unknown = [
-        f"{axis}: the bandwidth of the drive's current loop is not known, its controller is certified for "
-        f"{range_text(certified)}; hil commission measures it"
-        for axis, wanted in certified_axes(config, replaced).items()
-        if (certified := certified_loop(wanted)) is not None
-        and current_loop_of(config, axis, simulated=simulated) is None
-    ]
-    return [*unknown, *slow_loops(config, replaced, simulated)]
-
-
-def certified_plans(
-    config: BenchConfig, replaced: Collection[str], simulated: bool
-) -> dict[str, CertifiedPlan]:
-    """What the run is held against in its figures, by axis with a certified controller."""
-    return {
-        axis: _certified_plan(config, axis, wanted, simulated)
-        for axis, wanted in certified_axes(config, replaced).items()
-    }
-
-
-def _certified_plan(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> CertifiedPlan:
-    drive = config.drive[axis]
-    controller = drive.controller
-    certificate = _certificate(controller)
-    limits, loop = allowed(wanted, config.loop.period), certified_loop(wanted)
-    own = current_loop_of(config, axis, simulated=simulated)
-    slew = drive.limits.torque_slew_max_nm_s
-    return CertifiedPlan(
-        period_us=config.loop.period_us,
-        delay_us=limits.delay_max / NS_PER_US,
-        losses_in_a_row=limits.losses_max,
-        gain=None if certificate is None else certificate.gain,
-        bandwidths_hz=None if loop is None else (loop.bandwidth_min_hz, loop.bandwidth_max_hz),
-        bandwidth_hz=None if own is None else own.bandwidth_hz,
-        torque_rms_nm_max=wanted.torque_rms_nm_max,
-        age_us=limits.age_max / NS_PER_US,
-        torque_step_max_nm=None if slew is None else slew * config.loop.period / NS_PER_S,
-        samples_alone=isinstance(certificate, LossCertificate),
-        left=tuple(_left(config, axis, wanted, simulated)),
-        unknown=tuple(_unknown(drive, wanted, certificate, own)),
-    )
-
-
 _ON_THE_DRIVE: Final = (DriveFault.kind, SafeTorqueOff.kind)
 """Faults of a plan that are none of the network."""
 
 
-def _left(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> Iterator[str]:
-    """Premises that bench and drive of an axis do not keep, as :mod:`hil.reviewing.premises` words them."""
-    for key, value, expected in _axis_faults(config, axis, wanted, simulated):
-        yield f"{key}: {value}, expected {expected}"
-    if simulated:
-        for name in ("resistance_factor", "inductance_factor"):
-            if (factor := getattr(config.drive[axis].simulation, name)) != 1.0:
-                yield f"drive.{axis}.simulation.{name}: {factor:g}, expected 1, the motor as its file has it"
-    plan = config.fault_plan.as_tables() if isinstance(config.fault_plan, FaultPlan) else {}
-    for kind in _ON_THE_DRIVE:
-        if kind in plan:
-            yield f"faults.{kind}: the drive itself was struck"
+class Certificates:
+    """What the controllers of a bench were made for: held against the bench, its drives and its network.
 
+    Those of ``replaced`` axes are not the bench's, and say nothing.
+    """
 
-def _certificate(controller: object) -> Certificate | LossCertificate | None:
-    if isinstance(controller, StateFeedbackController | PredictorController | HinfSection):
-        return controller.certificate
-    return None
+    def __init__(self, config: BenchConfig, replaced: Collection[str] = ()) -> None:
+        self.refuse = True
+        """Whether a network that is worse ends the run, instead of being told."""
+        self.notes: list[str] = []
+        """In what bench, drives or network were found to be worse, where the run goes on."""
+        self._config = config
+        self._own = [axis for axis in config.axes if axis not in replaced]
+        self._made_for = {
+            axis: controller.made_for
+            for axis in self._own
+            if isinstance(controller := config.drive[axis].controller, _Certified)
+            and controller.made_for is not None
+        }
+
+    def check(self, network: Path | None, allow: bool) -> None:
+        """Hold all that is known before the run against it, and a ``network`` that was measured.
+
+        Raises BadInput or BadInputs for what is worse, unless it is to be let pass.
+        """
+        faults = self.faults({} if network is None else {f"--network {network}": load_network(network)})
+        if faults and not allow:
+            raise_all(faults)
+        self.refuse = not allow
+        self.notes += [str(fault) for fault in faults]
+
+    def faults(self, networks: Mapping[str, Network]) -> list[BadInput]:
+        """What is known to be worse before anything moves; ``networks``: measured ones, by who names them."""
+        config, faults = self._config, []
+        if self._made_for:
+            unknown = [commands_unknown(network, source) for source, network in networks.items()]
+            faults = [fault for fault in unknown if fault is not None]
+        for axis, made_for in self._made_for.items():
+            faults += [BadInput(config.source, *fault, REMEDY) for fault in self._axis_faults(axis)]
+            for source, network in networks.items():
+                worse = _network_faults(network, made_for, config.loop.period)
+                faults += [BadInput(source, *fault, REMEDY) for fault in worse]
+        return faults
+
+    def doubts(self) -> list[str]:
+        """What is told of the drives' current loops at the start and forbids no run: unknown ones, and too
+        slow ones for their PID."""
+        unknown = [
+            f"{axis}: the bandwidth of the drive's current loop is not known, its controller is certified "
+            f"for {range_text(certified)}; hil commission measures it"
+            for axis, made_for in self._made_for.items()
+            if (certified := certified_loop(made_for)) is not None and self._loop(axis) is None
+        ]
+        return unknown + [
+            f"{axis}: {text}"
+            for axis in self._own
+            if isinstance(pid := self._config.drive[axis].controller, PidController)
+            and (loop := self._loop(axis)) is not None
+            and (text := slow_for_pid(loop, pid, self._config.drive[axis].motor.parameters))
+        ]
+
+    def plans(self) -> dict[str, CertifiedPlan]:
+        """What the run is held against in its figures, by axis with a certified controller."""
+        return {axis: self._plan(axis, made_for) for axis, made_for in self._made_for.items()}
+
+    def watched(
+        self, axis: str, record: Record, tell: Callable[[str], None], stopping: Callable[[], bool]
+    ) -> Record:
+        """Where the records of an axis go: past a guard, if its controller was made for a network."""
+        made_for = self._made_for.get(axis)
+        if made_for is None:
+            return record
+
+        def note(text: str) -> None:
+            self.notes.append(text)
+            tell(text)
+
+        period = self._config.loop.period
+        return NetworkGuard(axis, allowed(made_for, period), period, record, self.refuse, note, stopping)
+
+    def _loop(self, axis: str) -> KnownLoop | None:
+        return current_loop_of(self._config, axis)
+
+    def _axis_faults(self, axis: str) -> list[_Fault]:
+        """Where bench and drive of an axis are other than what its controller was made for."""
+        key, made_for = f"drive.{axis}.controller.made_for", self._made_for[axis]
+        faults = _bench_faults(self._config, self._config.drive[axis], made_for, key)
+        loop = self._loop(axis)
+        if loop is not None and (outside := loop_fault(made_for, loop, key)) is not None:
+            faults.append(outside)
+        return faults
+
+    def _plan(self, axis: str, made_for: MadeFor) -> CertifiedPlan:
+        config, drive = self._config, self._config.drive[axis]
+        assert isinstance(drive.controller, _Certified)
+        certificate = drive.controller.certificate
+        limits, loop = allowed(made_for, config.loop.period), self._loop(axis)
+        certified = certified_loop(made_for)
+        slew = drive.limits.torque_slew_max_nm_s
+        return CertifiedPlan(
+            period_us=config.loop.period_us,
+            delay_us=limits.delay_max / NS_PER_US,
+            losses_in_a_row=limits.losses_max,
+            gain=None if certificate is None else certificate.gain,
+            bandwidths_hz=None
+            if certified is None
+            else (certified.bandwidth_min_hz, certified.bandwidth_max_hz),
+            bandwidth_hz=None if loop is None else loop.bandwidth_hz,
+            torque_rms_nm_max=made_for.torque_rms_nm_max,
+            age_us=limits.age_max / NS_PER_US,
+            torque_step_max_nm=None if slew is None else slew * config.loop.period / NS_PER_S,
+            samples_alone=isinstance(certificate, LossCertificate),
+            left=tuple(self._left(axis)),
+            unknown=tuple(_unknown(drive, made_for, certificate, loop)),
+        )
+
+    def _left(self, axis: str) -> Iterator[str]:
+        """Premises that bench and drive of an axis do not keep, as :mod:`hil.reviewing.premises` has them."""
+        for key, value, expected in self._axis_faults(axis):
+            yield f"{key}: {value}, expected {expected}"
+        if self._config.simulated:
+            for name in ("resistance_factor", "inductance_factor"):
+                if (factor := getattr(self._config.drive[axis].simulation, name)) != 1.0:
+                    key = f"drive.{axis}.simulation.{name}"
+                    yield f"{key}: {factor:g}, expected 1, the motor as its file has it"
+        faults = self._config.faults
+        plan = faults.as_tables() if isinstance(faults, FaultPlan) else {}
+        for kind in _ON_THE_DRIVE:
+            if kind in plan:
+                yield f"faults.{kind}: the drive itself was struck"
 
 
 def _unknown(
     drive: DriveConfig,
-    wanted: MadeFor,
+    made_for: MadeFor,
     certificate: Certificate | LossCertificate | None,
     own: KnownLoop | None,
 ) -> Iterator[str]:
     """Premises of which nobody knows whether bench and drive keep them, in words."""
     if isinstance(certificate, LossCertificate):
-        made = certified_loop(wanted)
+        made = certified_loop(made_for)
         if made is not None and own is not None and not made.is_that_of_the_design(own.bandwidth_hz):
             yield f"bandwidth: gain certified for a current loop of {made.bandwidth_hz:g} Hz alone"
         if isinstance(drive.controller, HinfSection) and drive.compensator.kind != "arrival":
             yield f"compensator: certified for arrival, the bench's is {drive.compensator.kind}"
     elif certificate is not None and certificate.sequences is None:
         yield "sampling: certified for a constant delay alone"
-    if own is None and certified_loop(wanted) is not None:
+    if own is None and certified_loop(made_for) is not None:
         yield "bandwidth: that of the drive's current loop is not known"

@@ -1,18 +1,17 @@
 """The recording of a run that nobody has ended: what it was to be is in its own bench file."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant, duration_s
-from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
-from hil.execution import assembly
-from hil.execution.network_guard import certified_plans
+from hil.execution.network_guard import Certificates
+from hil.execution.recorded_bench import recording_plan
 from hil.loop.loop import planned_cycles
 from hil.recording.logger_process import RecordingFailed
 from hil.recording.recovery import recover
 from hil.recording.run_folder import read_summary
-from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records_file import RECORDS_FILE, read_metadata
 from hil.rows.run_files import BENCH_FILE, BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH
 from hil.verdict.summary import Summary
@@ -44,24 +43,11 @@ def _times(records: Path) -> tuple[Instant, Duration | None]:
 
 def recover_run(config: BenchConfig, folder: Path) -> Summary:
     """End the recording of a run of ``config``. Raises BadInput while it is recorded, RecordingFailed."""
-    spec = parse_bus_spec(config.bus.spec, config.source)
     started_at, wall_offset = _times(folder / RECORDS_FILE)
-    plan = RecordingPlan(
-        folder=folder,
-        name=config.bench.name,
-        seed=config.bench.seed,
-        bus=config.bus.spec,
-        real_time=False,
-        deadline=config.loop.deadline,
-        review=assembly.review_plan(config, certified_plans(config, (), spec.simulated), not spec.simulated),
-        bench_toml="",
-        frames=config.recording.frames,
-        segments=tuple(segment.name for segment in config.bus.segment),
-        wall_offset=wall_offset,
-        period_us=config.loop.period_us,
+    plan = replace(
+        recording_plan(config, folder, {}, Certificates(config).plans(), real_time=not config.simulated),
         started_at=started_at,
-        observed=assembly.observed_drives(config),
-        notes=assembly.recording_notes(config, config.bus.spec),
+        wall_offset=wall_offset,
     )
     planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
     outcome = RunOutcome(completed=False, reason=_UNKNOWN_END, cycles_planned=planned)

@@ -7,12 +7,17 @@ SYNC goes out on every segment at the same instant. What arrives is handled in t
 the order of the segments where it arrives at one instant.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+
+import can
 
 from drivers.canopen.cob_ids import SYNC
 from drivers.canopen.network import CanopenNetwork
+from drivers.errors import BadInput, BusDown
 from drivers.exchange import Master
-from drivers.timebase import Clock, Duration, Instant
+from drivers.timebase import NS_PER_S, Clock, Duration, Instant
+from drivers.wire.adapters import HUB, SOCKETCAN, BusSpec
 from drivers.wire.frame_port import EchoBasis, FrameTap
 from hil.configuration.config import BenchConfig
 from hil.execution.assembly import command_latency, sync_latency
@@ -134,3 +139,47 @@ def record_frames(world: World, tap_of: Callable[[int], FrameTap]) -> None:
         tap = tap_of(number)
         end.link.tap(tap)
         end.tap_errors(tap.frame)
+
+
+@contextmanager
+def kernel_sync(bus: can.BusABC, period: Duration) -> Iterator[None]:
+    """The bus's own cyclic sender makes SYNCs. Raises BusDown if it cannot."""
+    message = can.Message(arbitration_id=SYNC, is_extended_id=False)
+    try:
+        task = bus.send_periodic(message, period / NS_PER_S)
+    except (can.CanError, OSError, NotImplementedError) as error:
+        raise BusDown("the bus's cyclic sender cannot make SYNCs", str(error)) from error
+    try:
+        yield
+    finally:
+        # If the interface is down, it sends none; the kernel forgets them when the bus is closed.
+        with suppress(can.CanError, OSError):
+            task.stop()
+
+
+def sync_producer(source: str, bus: can.BusABC, period: Duration) -> AbstractContextManager[None]:
+    """Who makes SYNCs on behalf of this process, as long as it is entered; ``source``: ``loop.sync``."""
+    return kernel_sync(bus, period) if source == "kernel" else nullcontext()
+
+
+def check_sync_source(config: BenchConfig, spec: BusSpec) -> None:
+    """Raises BadInput if nobody can make the SYNCs of ``config`` as it wants on the bus ``spec``."""
+    source = config.loop.sync
+    if source == "kernel" and not spec.simulated and spec.interface != SOCKETCAN:
+        expected = f"'own' or 'foreign' on the bus {spec}"
+        why = "only SocketCAN and the bus 'simulated' send cyclic frames by themselves"
+        if spec.interface == HUB:
+            why += "; on a hub it would be a thread of this process"
+        raise BadInput(config.source, "loop.sync", source, expected, why)
+    if source == "foreign" and spec.simulated and not _produces_sync(config):
+        raise BadInput(
+            config.source,
+            "loop.sync",
+            source,
+            "'own' or 'kernel' on the bus 'simulated', where nobody else makes SYNCs",
+            "or let a [[bus.background]] with can_id = 0x080 and bytes_max = 0 make them",
+        )
+
+
+def _produces_sync(config: BenchConfig) -> bool:
+    return any(entry.can_id == SYNC and not entry.extended for entry in config.bus.background)

@@ -1,26 +1,35 @@
-"""Simulated drives as a bench or a command line asks for them."""
+"""Simulated drives as a bench or a command line asks for them.
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+Two nodes with one id answer as one. On a bus with a real drive the second one would be its twin, and follow
+the torques that are meant for it: so a bus that others share is asked first who is there.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any, Final
 
 from design.motor import PmsmParameters
 from design.statespace import StateSpace
 from drivers.bounded_file import NamedBy
-from drivers.canopen.nmt_states import UNCONFIGURED
-from drivers.errors import BadInput
+from drivers.canopen.cob_ids import NODE_BITS, SENT_BY_NODES
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
+from drivers.canopen.objects301 import Cia301
+from drivers.errors import BadInput, NoAnswer, PeerFault
+from drivers.printable import printable
+from drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from drivers.wire.adapters import BusSpec, parse_bus_spec
+from drivers.wire.link import BusLink
 from hil.configuration.config import BenchConfig
 from hil.configuration.current_controller_file import CurrentController, read_current_controller
 from hil.configuration.references import SignalFile
 from hil.execution.device_files import DeviceFiles
-from hil.execution.node_ids_taken import refuse_taken
 from hil.execution.world import WorldPlan, open_world
-from hil.load.load_files import load_table
-from hil.load.simulated_load import SimulatedLoadMachine
+from hil.load.simulated_load import SimulatedLoadMachine, load_table
 from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
 from virtual_bus.device.background import Stream, background_nodes
@@ -33,29 +42,30 @@ from virtual_bus.frame import Device
 from virtual_bus.hosting.devices import serve
 from virtual_bus.hosting.injection import Faults
 
+LISTEN_FOR: Final = Duration(NS_PER_S)
+"""In so long a node with a heartbeat, or in operation, is heard nearly always; the others are asked."""
+ANSWER_LIMIT_S: Final = 0.1
+"""For one answer: a node that boots, or a full bus, takes less."""
+ATTEMPTS: Final = 2
+"""As a frame may be lost."""
 
-def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
+
+def simulated_drives(config: BenchConfig) -> list[SimulatedServo]:
     """The drives of a bench, for its own simulated bus. Raises BadInput for one that cannot be made so."""
     drives = []
-    for name in config.axes:
-        wanted = config.drive[name]
-        simulation = wanted.simulation
+    for axis in config.axes:
+        drive = config.drive[axis]
+        rate_hz = drive.simulation.inner_rate_hz
         parameters = DriveParameters(
-            inner_rate_hz=simulation.inner_rate_hz,
-            encoder_counts_per_revolution=simulation.encoder_counts_per_revolution,
-            current_bandwidth_hz=simulation.current_bandwidth_hz,
-            clock_drift_ppm=simulation.clock_drift_ppm,
-            controller_q=_at_rate(wanted.current_control.controller, simulation.inner_rate_hz),
-            controller_d=_at_rate(wanted.current_control.controller_d, simulation.inner_rate_hz),
-            resistance_factor=simulation.resistance_factor,
-            inductance_factor=simulation.inductance_factor,
-            lacks=simulation.lacks,
-            load=_load_of(config, name),
+            **drive.simulation.model_dump(),
+            controller_q=_at_rate(drive.current_control.controller, rate_hz),
+            controller_d=_at_rate(drive.current_control.controller_d, rate_hz),
+            load=_load_of(config, axis),
         )
         try:
-            drives.append(SimulatedServo(wanted.node, wanted.motor.parameters, parameters, seed))
+            drives.append(SimulatedServo(drive.node, drive.motor.parameters, parameters, config.bench.seed))
         except ValueError as error:
-            key = f"drive.{name}.simulation.lacks"
+            key = f"drive.{axis}.simulation.lacks"
             expected = "objects that the simulated drive has and could do without"
             raise BadInput(config.source, key, str(error), expected, "see docs/simulated-drive.md") from None
     return drives
@@ -196,3 +206,63 @@ def ids_on_the_bus(nodes: Sequence[int], store: FileStore | None) -> list[int]:
 def _announcement(spec: BusSpec, nodes: Sequence[int], motor: PmsmParameters) -> str:
     listed = ", ".join("unconfigured" if node == UNCONFIGURED else str(node) for node in nodes)
     return f"simulated drive on {spec}: node {listed}, motor {motor.name}; Ctrl-C ends it"
+
+
+def refuse_taken(
+    link: BusLink, clock: Clock, nodes: Sequence[int], say: Callable[[str], None], force: bool
+) -> None:
+    """Listen and ask, before the devices of ``nodes`` are put on the bus; ids that are none are passed over.
+
+    Nobody is asked on a hub on which nobody else is. Raises BadInput that names who has such an id; with
+    ``force`` that is said only.
+    """
+    wanted = [node for node in nodes if 1 <= node <= NODE_ID_MAX]
+    if not wanted or _alone(link.bus):
+        return
+    heard = _heard(link, clock, wanted)
+    network = CanopenNetwork(link, clock)
+    taken = [who for node in wanted if (who := _who_is(network, node, heard.get(node, ""))) is not None]
+    if not taken:
+        return
+    there = "; ".join(taken)
+    if not force:
+        remedy = "take another node-ID, or end that one; --force joins nevertheless"
+        raise BadInput("--node", "", there, f"node-IDs that nobody has on {link.name}", remedy)
+    say(f"forced: joining {link.name} although {there}")
+
+
+def _alone(bus: Any) -> bool:
+    """On a hub only: whether nobody else is there. Whoever joins later looks for us."""
+    status = getattr(getattr(bus, "inner", bus), "status", None)
+    return status is not None and bool(getattr(status(), "alone", False))
+
+
+def _heard(link: BusLink, clock: Clock, nodes: Collection[int]) -> dict[int, str]:
+    """What was heard of the nodes, of each the last."""
+    heard: dict[int, str] = {}
+    until = Instant(clock.now() + LISTEN_FOR)
+    while (received := link.recv(until)) is not None:
+        kind, node = SENT_BY_NODES.get(received[0] & ~NODE_BITS), received[0] & NODE_BITS
+        if kind is not None and node in nodes:
+            heard[node] = f"{'an' if kind[0] in 'ES' else 'a'} {kind}"
+        if clock.now() >= until:
+            break
+    return heard
+
+
+def _who_is(network: CanopenNetwork, node: int, heard: str) -> str | None:
+    """The node in words; None if nobody has that id."""
+    answers = True
+    try:
+        network.upload(node, Cia301.DEVICE_TYPE, 0, ANSWER_LIMIT_S, ATTEMPTS)
+    except NoAnswer:
+        answers = False
+    except PeerFault:
+        pass  # an abort is an answer too
+    if not answers:
+        return f"node {node} is there: {heard} was heard" if heard else None
+    name = b""
+    with suppress(PeerFault):
+        name = network.upload(node, Cia301.DEVICE_NAME, 0, ANSWER_LIMIT_S, ATTEMPTS)
+    text = printable(name.split(b"\0", 1)[0].decode("latin-1").strip())
+    return f"node {node} is there: {text or 'an unnamed device'} answers"

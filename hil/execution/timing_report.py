@@ -29,7 +29,7 @@ def distrust(axes: Sequence[Axis], period: Duration) -> tuple[str, ...]:
     """Why what a run says of its timing is not to be trusted; empty if nothing speaks against it."""
     reasons: list[str] = []
     for axis in axes:
-        for health in (axis.parts.by_stamp.health, axis.parts.by_order.health):
+        for health in (axis.by_stamp.health, axis.by_order.health):
             reasons += [f"{axis.parts.name}: {reason}" for reason in _doubts(health, period)]
     return tuple(reasons)
 
@@ -49,15 +49,14 @@ def _doubts(health: Health, period: Duration) -> list[str]:
 
 
 def _axis_report(axis: Axis) -> Report:
-    parts = axis.parts
-    clock = parts.by_stamp.clock
-    stamped, ordered = parts.by_stamp.health, parts.by_order.health
+    clock = axis.by_stamp.clock
+    stamped, ordered = axis.by_stamp.health, axis.by_order.health
     report: Report = {
         "placed": stamped.placed + ordered.placed,
         "by_order": ordered.placed,
         "uncertain": axis.uncertain,
         "duplicates": stamped.duplicates + ordered.duplicates,
-        "unmatched": stamped.unmatched + ordered.unmatched + parts.meter.unmatched,
+        "unmatched": stamped.unmatched + ordered.unmatched + axis.meter.unmatched,
         "error_us_max": max(stamped.error_ns_max, ordered.error_ns_max) / NS_PER_US,
         "clock_steps": stamped.steps,
     }
@@ -68,5 +67,5 @@ def _axis_report(axis: Axis) -> Report:
             "drift_ppm": clock.drift_ppm,
             "drift_error_ppm": clock.drift_error_ppm,
         }
-    report["commands_unexplained"] = parts.commands.unexplained
+    report["commands_unexplained"] = axis.commands.unexplained
     return report

@@ -1,20 +1,22 @@
 """The bus of a run with its clock: simulated with the drives on it, or real with the drives elsewhere."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from drivers.errors import BadInput
 from drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
 from drivers.wire.adapters import BusSpec, open_bus
 from drivers.wire.link import BusLink, StampSource, Tap
+from hil.configuration.background import BackgroundTables
+from hil.configuration.config import BenchConfig, BusSegment
 from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
 from virtual_bus.bus.bus_load import BusLoad
 from virtual_bus.bus.disturbance import BusError
 from virtual_bus.bus.error_message import error_frame_of
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.device.background import Stream, background_nodes
+from virtual_bus.device.background import background_nodes
 from virtual_bus.faults.fault_log import FaultLog
 from virtual_bus.faults.faulty_bus import FaultyBus
 from virtual_bus.faults.frame_fault import Side
@@ -96,16 +98,6 @@ class WorldFaults:
 
 
 @dataclass(frozen=True, slots=True)
-class SegmentPlan:
-    """A segment of a simulated bus, and which nodes are on it."""
-
-    name: str
-    bitrate_bit_s: int
-    nodes: frozenset[int]
-    background: tuple[Stream, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class WorldPlan:
     """Which world to make."""
 
@@ -118,10 +110,29 @@ class WorldPlan:
     side: Side = "host"
     fault_log: FaultLog | None = None
     """Takes what is injected, for a recording."""
-    background: tuple[Stream, ...] = ()
+    background: BackgroundTables = ()
     """Other nodes' traffic on a simulated segment."""
-    segments: tuple[SegmentPlan, ...] = ()
-    """Of a simulated bus beside the first one; the nodes that none of them names are on that."""
+    segments: tuple[BusSegment, ...] = ()
+    """Of a simulated bus beside the first one."""
+    segment_of: Mapping[int, str | None] = field(default_factory=dict)
+    """By node, the name of its segment; of one that is left out it is the first one."""
+
+    @classmethod
+    def of_bench(
+        cls, config: BenchConfig, spec: BusSpec, paced: bool, fault_log: FaultLog | None
+    ) -> "WorldPlan":
+        """The world that a bench runs in, on the bus ``spec``."""
+        return cls(
+            spec,
+            config.bus.bitrate_bit_s,
+            paced,
+            config.faults,
+            config.bench.seed,
+            fault_log=fault_log,
+            background=config.bus.background,
+            segments=config.bus.segment,
+            segment_of={drive.node: drive.segment for drive in config.drive.values()},
+        )
 
 
 def check_time(spec: BusSpec, time: str | None) -> bool:
@@ -153,9 +164,11 @@ class _SimulatedSegment:
     """A segment with what is on it, and the host's link to it."""
 
     def __init__(
-        self, plan: WorldPlan, own: SegmentPlan, devices: Sequence[SimulatedNode], timeline: Timeline
+        self, plan: WorldPlan, own: BusSegment | None, devices: Sequence[SimulatedNode], timeline: Timeline
     ) -> None:
-        self.segment = segment = CanSegment(timeline, own.bitrate_bit_s)
+        """``own``: None for the first one of the plan. ``devices``: of all segments."""
+        name = None if own is None else own.name
+        self.segment = segment = CanSegment(timeline, (own or plan).bitrate_bit_s)
         self.bus = bus = SimulatedBus(segment=segment, receive_own_messages=True)
         clock = SimulatedClock(timeline)
         self.injection: Injection | None = None
@@ -167,18 +180,18 @@ class _SimulatedSegment:
                 plan.fault_log,
                 True,
                 bus.frame_port.port.name.__eq__,
-                own.name or "bus",
+                name or "bus",
             )
             if self.injection.disturber is not None:
                 segment.set_disturb(self.injection.disturber.disturb)
             if self.injection.fates is not None:
                 self.faulty = FaultyBus(bus, self.injection.fates, clock, plan.side)
         for device in devices:
-            self._attach(device)
-        for other in background_nodes(own.background, plan.seed):
+            if plan.segment_of.get(device.node_id) == name:
+                self._attach(device)
+        for other in background_nodes([entry.stream for entry in (own or plan).background], plan.seed):
             AttachedDevice(other, segment, f"background 0x{other.stream.can_id:X}")
-        name = own.name or str(plan.spec)
-        self.link = BusLink(self.faulty or bus, clock, StampSource.MONOTONIC, name)
+        self.link = BusLink(self.faulty or bus, clock, StampSource.MONOTONIC, name or str(plan.spec))
 
     def _attach(self, device: SimulatedNode) -> None:
         injection, segment = self.injection, self.segment
@@ -210,13 +223,7 @@ class _Inboxes:
 
 def _simulated_world(plan: WorldPlan, devices: Sequence[SimulatedNode]) -> World:
     timeline = PacedTimeline(MonotonicClock()) if plan.paced else Timeline()
-    elsewhere = frozenset[int]().union(*(each.nodes for each in plan.segments))
-    nodes = frozenset(device.node_id for device in devices) - elsewhere
-    first = SegmentPlan("", plan.bitrate_bit_s, nodes, plan.background)
-    made = [
-        _SimulatedSegment(plan, own, [device for device in devices if device.node_id in own.nodes], timeline)
-        for own in (first, *plan.segments)
-    ]
+    made = [_SimulatedSegment(plan, own, devices, timeline) for own in (None, *plan.segments)]
     inboxes = _Inboxes(made)
     parts = [(each.injection, each.faulty) for each in made if each.injection is not None]
     return World(

@@ -1,4 +1,6 @@
-"""The load machine of ``hil simulate``: an instrument at a pseudo-terminal, its brake on a drive's shaft."""
+"""Loads of ``hil simulate``: over time from files, or by an instrument at a pseudo-terminal, its brake on a
+drive's shaft.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -7,12 +9,37 @@ from pathlib import Path
 
 from design.motor import PmsmParameters
 from drivers.errors import BadInput
+from hil.configuration.signal_file import Signal, load_signal
+from hil.loop.scenario import Quantity
+from virtual_bus.drive.load_table import LoadTable
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.instruments.dynamometer.brake import Brake, ServoShaft
 from virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
 from virtual_bus.instruments.dynamometer.instrument import Instrument
 from virtual_bus.instruments.serial_line.line_faults import LineFaults
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
+
+OPTION = "--load"
+
+
+def load_table(signal: Signal) -> LoadTable:
+    """What a simulated shaft bears of it."""
+    return LoadTable.of(signal.times_s, signal.levels)
+
+
+def load_tables(asked: Sequence[str], nodes: Sequence[int]) -> dict[int, LoadTable]:
+    """By node, of ``asked``, each NODE=FILE. Raises BadInput."""
+    tables: dict[int, LoadTable] = {}
+    for text in asked:
+        node, _, name = text.partition("=")
+        if not name or not node.isdecimal() or len(node) > 3 or int(node) not in nodes or int(node) in tables:
+            listed = ", ".join(map(str, nodes))
+            raise BadInput(OPTION, "", text, f"NODE=FILE with one of the nodes {listed}, each once")
+        signal = load_signal(Path(name))
+        if signal.quantity is not Quantity.TORQUE:
+            raise BadInput(OPTION, "", text, "a file with torque_nm")
+        tables[int(node)] = load_table(signal)
+    return tables
 
 
 @dataclass(frozen=True, slots=True)

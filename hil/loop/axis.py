@@ -45,11 +45,18 @@ class AxisParts:
     load_machine: LoadMachine | None
     syncs: SyncLog
     """Of the axis's segment."""
-    by_stamp: StampAttribution
-    by_order: OrderAttribution
-    """For readings without a stamp."""
-    meter: DelayMeter
-    commands: CommandMeter
+    transit: Duration
+    """The shortest time that a reading's frame takes on the wire."""
+    deadline: Duration
+    """Oldest usable age of a reading on arrival."""
+    horizon: int
+    """Cycles after which a reading or a command is lost."""
+    tell: Callable[[str], None]
+    """Takes what is to be said of the drive's clock."""
+    settles: Duration = Duration(0)  # noqa: RUF009 - an int
+    """From a command's arrival until it shows at a SYNC."""
+    acts_later: Duration = Duration(0)  # noqa: RUF009 - an int
+    """A command takes so much longer on this axis's segment than the loop reckons."""
 
 
 class Axis:
@@ -61,11 +68,14 @@ class Axis:
         parts: AxisParts,
         period: Duration,
         record: Callable[[CycleRecord], None],
-        acts_later: Duration = Duration(0),  # noqa: B008 - an int
     ) -> None:
-        """``acts_later``: a command takes so much longer on this axis's segment than the loop reckons."""
+        syncs, transit = parts.syncs, parts.transit
         self.parts = parts
-        self.meter = parts.meter
+        self.by_stamp = StampAttribution(syncs, period, transit, parts.tell)
+        self.by_order = OrderAttribution(syncs, period, transit, parts.tell)
+        """For readings without a stamp."""
+        self.meter = DelayMeter(parts.deadline, parts.horizon)
+        self.commands = CommandMeter(parts.horizon, syncs, parts.settles)
         self._number = number
         self._period = period
         self._half_period = period // 2
@@ -73,16 +83,13 @@ class Axis:
         self._record = record
         self._asks_speeds = parts.reference.quantity is Quantity.SPEED
         self._asks_positions = parts.reference.quantity is Quantity.POSITION
-        self._acts_later = acts_later
+        self._acts_later = parts.acts_later
         self._drive = parts.drive
         self._controller = parts.controller
         self._compensator = parts.compensator
         self._context = Context(period, parts.reference)
         self._host = MonotonicClock()
         """For what compensator and controller take, also where time is simulated."""
-        self._by_stamp = parts.by_stamp
-        self._by_order = parts.by_order
-        self._commands = parts.commands
         self.uncertain = 0
         """Rows marked uncertain."""
         self.learned = 0
@@ -103,12 +110,12 @@ class Axis:
     @property
     def wants_probe(self) -> bool:
         """Whether the next SYNC should go out a quarter of a period late, see :class:`OrderAttribution`."""
-        return self._by_order.wants_probe
+        return self.by_order.wants_probe
 
     def probed(self) -> None:
         """The last SYNC has gone out late."""
-        if self._by_order.wants_probe:
-            self._by_order.probed(self.parts.syncs.marks[-1])
+        if self.by_order.wants_probe:
+            self.by_order.probed(self.parts.syncs.marks[-1])
 
     def calibrate(self) -> bool:
         """Take what has come since the last SYNC, and learn from it if it can only answer that one; whether a
@@ -132,9 +139,9 @@ class Axis:
         assert mark.on_bus_at is not None
         self.learned += 1
         if reading.device_time_ns is not None:
-            self._by_stamp.learn(reading, mark)
+            self.by_stamp.learn(reading, mark)
         else:
-            self._by_order.learn(reading, mark)
+            self.by_order.learn(reading, mark)
         self.meter.learn(Duration(reading.received_at - mark.on_bus_at))
 
     def discard(self) -> None:
@@ -225,7 +232,7 @@ class Axis:
         self._drive.check()
         sent = self._drive.write(command)
         if sent is not None:
-            self._commands.sent(sent)
+            self.commands.sent(sent)
             context.sent = command
         began = self._host.now()
         if sent is not None:
@@ -250,7 +257,7 @@ class Axis:
                 return
             sending = None
             if decision.sent is not None:
-                sending = self._commands.outcome(decision.tick.sequence, now)
+                sending = self.commands.outcome(decision.tick.sequence, now)
                 if sending is None:
                     return
             del settled[0]
@@ -280,9 +287,9 @@ class Axis:
     def _take(self, reading: Reading) -> None:
         self._readings += 1
         by_stamp = reading.device_time_ns is not None
-        question = self._by_stamp.question if by_stamp else self._by_order.question
+        question = self.by_stamp.question if by_stamp else self.by_order.question
         was_open = question.open
-        sample = self._by_stamp.place(reading) if by_stamp else self._by_order.place(reading)
+        sample = self.by_stamp.place(reading) if by_stamp else self.by_order.place(reading)
         place = (self._readings - 1) % READINGS_REMEMBERED
         self._placed[place] = None
         if question.cleared:
@@ -311,20 +318,20 @@ class Axis:
         if placed is not None and 0 <= behind < READINGS_REMEMBERED:
             sync_at, received_at = placed
             if 0 <= readback.received_at - received_at < self._half_period:
-                self._commands.told(readback.demand_raw, sync_at)
+                self.commands.told(readback.demand_raw, sync_at)
 
     def _take_change(self, change: DemandChange) -> None:
         """The torque demand when it changed."""
-        clock = self._by_stamp.clock
+        clock = self.by_stamp.clock
         if clock.ready:
             at = clock.place(change.device_time_ns)
-            self._commands.changed(change.demand_raw, at, Duration(clock.error_ns))
+            self.commands.changed(change.demand_raw, at, Duration(clock.error_ns))
 
     def _hold_cycles(self) -> int:
         """How long a row waits, in cycles, for what may still become known of its reading."""
-        if self._by_stamp.question.open or self._by_order.question.open:
+        if self.by_stamp.question.open or self.by_order.question.open:
             return self._held_max
-        return REVOKED if self._by_stamp.spread else 0
+        return REVOKED if self.by_stamp.spread else 0
 
     def _hold(self, fate: Fate) -> None:
         decision = self._decisions.pop(0)
@@ -334,8 +341,8 @@ class Axis:
     def _finish(self, decision: Decision, sending: Sending | None) -> None:
         tick, fate, mark = decision.tick, decision.fate, decision.mark
         assert fate is not None
-        clock = self._by_stamp.clock
-        observation = self._by_order.question.applied(self._by_stamp.question.applied(fate.observation))
+        clock = self.by_stamp.clock
+        observation = self.by_order.question.applied(self.by_stamp.question.applied(fate.observation))
         by_others = isinstance(observation, Dropout) and observation.cause in _SHOWN_BY_OTHERS
         if (mark is not None and not mark.sure) or (by_others and self.meter.doubts(tick.sequence)):
             observation = replaced(observation, certain=False)

@@ -22,8 +22,7 @@ from drivers.exchange import Master
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
 from hil.loop.axis import Axis
 from hil.loop.decision import Tick
-from hil.loop.pace import Pace, Start
-from hil.loop.ticker import ticks_passed
+from hil.loop.pace import Pace, Start, ticks_passed
 
 PROGRESS_EVERY: Final = 50 * NS_PER_MS
 """What is asked so often may call the kernel, which no single cycle does."""

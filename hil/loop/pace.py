@@ -18,7 +18,6 @@ from drivers.exchange import Master
 from drivers.timebase import NS_PER_S, NS_PER_US, Clock, Duration, Instant
 from hil.loop.axis import Axis
 from hil.loop.syncs import SURPLUS, SyncLog
-from hil.loop.ticker import ticks_missed, ticks_passed
 
 CALIBRATION_SYNCS: Final = 16
 """Enough for a first rate of the drive's clock to some 20 ppm, at stamps of 1 us."""
@@ -318,3 +317,19 @@ class HeardSync(Pace):
 def _learn(axes: Sequence[Axis], answered: list[bool]) -> None:
     for number, axis in enumerate(axes):
         answered[number] |= axis.calibrate()
+
+
+def ticks_missed(due_at: Instant, period: Duration, now: Instant) -> int:
+    """How many ticks, from the one at ``due_at`` on, are more than half a period over at ``now``.
+
+    A cycle that wakes late by no more than half a period runs at once. Later than that its SYNC would come
+    closer than half a period to the next one, and tell the drive a false time: the tick is missed. The grid
+    is kept, and nothing is made up for.
+    """
+    late = now - due_at - period // 2
+    return -(-late // period) if late > 0 else 0
+
+
+def ticks_passed(due_at: Instant, period: Duration, handed_at: Instant) -> int:
+    """How many ticks, from the one at ``due_at`` on, have whole periods behind them at ``handed_at``."""
+    return max(0, handed_at - due_at) // period

@@ -54,7 +54,6 @@ class StampAttribution:
     def __init__(
         self,
         syncs: SyncLog,
-        clock: ClockMap,
         period: Duration,
         transit: Duration,
         tell: Tell,
@@ -62,7 +61,7 @@ class StampAttribution:
         """``transit``: the shortest time that a reading's frame takes on the wire. ``tell``: takes events."""
         self.health = Health()
         self.question = Question()
-        self.clock = clock
+        self.clock = clock = ClockMap()
         self.doubtful_error_ns = REMEMBERED * period
         """Of a reading of uncertain place: any SYNC that is remembered may be its own."""
         self._syncs = syncs

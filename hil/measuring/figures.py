@@ -45,7 +45,7 @@ class ClockFigures:
     @staticmethod
     def of(axis: Axis) -> "ClockFigures | None":
         """None for a drive without a clock."""
-        by_stamp = axis.parts.by_stamp
+        by_stamp = axis.by_stamp
         clock = by_stamp.clock
         if not clock.ready:
             return None

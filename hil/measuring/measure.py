@@ -15,10 +15,9 @@ from hil.configuration.config import Guard
 from hil.configuration.motor_file import LING2012
 from hil.execution.bench import RUNS_FOLDER
 from hil.execution.bus_guard import BusGuard
-from hil.execution.connecting import connect
+from hil.execution.drives import connect, stop_all
 from hil.execution.segments import sync_log
 from hil.execution.simulated_drives import drive_parameters
-from hil.execution.stopping_drives import stop_all
 from hil.execution.timing_report import distrust, timing_report
 from hil.execution.world import World, WorldPlan, open_world
 from hil.loop.axis import Axis

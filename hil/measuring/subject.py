@@ -30,16 +30,11 @@ from hil.execution.assembly import command_duration, shortest_transit
 from hil.execution.segments import timing_without_bench
 from hil.loop.axis import Axis, AxisParts
 from hil.loop.axis_roles import Controller
-from hil.loop.clock_map import ClockMap
-from hil.loop.command_meter import CommandMeter
 from hil.loop.context import Context, SetPoint, TorqueSetPoint
-from hil.loop.delay import DelayMeter
 from hil.loop.loop import LoopTiming
-from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import SafetyGuard, TorqueLimits
 from hil.loop.samples import CycleRecord
 from hil.loop.scenario import Quantity, ReferenceProfile
-from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 from hil.measuring.probe import ProbedDrive
 from hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
@@ -230,11 +225,7 @@ class Subject:
         """The axis of the drive, the ``number``-th on the bus; it is configured."""
         request, timing, drive = self._request, self._timing, self.drive
         period = timing.period
-        transit = shortest_transit(drive.reading_bytes, request.bitrate_bit_s)
         unit_nm = drive.rated_torque_nm / 1000.0
-        clock = ClockMap()
-        if self._tells_changes:
-            self.probe.map = clock
 
         def tell(text: str) -> None:
             self.notes.append(text)
@@ -250,13 +241,16 @@ class Subject:
             load=ReferenceProfile([], Quantity.TORQUE),
             load_machine=None,
             syncs=syncs,
-            by_stamp=StampAttribution(syncs, clock, period, transit, tell),
-            by_order=OrderAttribution(syncs, period, transit, tell),
-            meter=DelayMeter(Duration(HORIZON * period), HORIZON),
-            commands=CommandMeter(HORIZON, syncs),
+            transit=shortest_transit(drive.reading_bytes, request.bitrate_bit_s),
+            deadline=Duration(HORIZON * period),
+            horizon=HORIZON,
+            tell=tell,
+            acts_later=Duration(number * command_duration(request.bitrate_bit_s, "cst")),
         )
-        later = Duration(number * command_duration(request.bitrate_bit_s, "cst"))
-        return Axis(number, parts, period, self._record, later)
+        axis = Axis(number, parts, period, self._record)
+        if self._tells_changes:
+            self.probe.map = axis.by_stamp.clock
+        return axis
 
     def _record(self, record: CycleRecord) -> None:
         """Keep a cycle; the memory was taken before, so that none waits for it."""

@@ -9,11 +9,10 @@ from drivers.bounded_file import NoSuchFile
 from drivers.errors import BadInput
 from drivers.rotation import RPM_PER_RAD_S
 from drivers.timebase import duration_s
-from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.bench_file import load_bench
 from hil.configuration.config import BenchConfig
-from hil.execution import assembly
-from hil.execution.network_guard import certified_plans
+from hil.execution.network_guard import Certificates
+from hil.execution.recorded_bench import review_plan
 from hil.loop.loop import planned_cycles
 from hil.recording.lanes import error_limit_rpm
 from hil.recording.row_series import main_lines_of
@@ -88,8 +87,7 @@ def open_run(folder: Path) -> RecordedRun:
             "RUN", "", str(folder), f"a run with its {SUMMARY_FILE}", "hil recover ends it"
         ) from None
     config = load_bench(folder / BENCH_FILE)
-    simulated = parse_bus_spec(config.bus.spec, config.source).simulated
-    review = assembly.review_plan(config, certified_plans(config, (), simulated), not simulated)
+    review = review_plan(config, Certificates(config).plans(), real_time=not config.simulated)
     return RecordedRun(folder, config, metadata, summary, review)
 
 

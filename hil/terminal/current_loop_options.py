@@ -84,11 +84,9 @@ def bench_axis(bench: Path, axis: str | None) -> "tuple[BenchConfig, str]":
 
 def loop_of_bench(config: "BenchConfig", axis: str) -> "KnownLoop":
     """Of the drive that the bench runs on. Raises BadInput where it would have to be measured first."""
-    from drivers.wire.adapters import parse_bus_spec
     from hil.configuration.drive_current_loop import current_loop_of
 
-    simulated = parse_bus_spec(config.bus.spec, config.source).simulated
-    loop = current_loop_of(config, axis, simulated=simulated)
+    loop = current_loop_of(config, axis)
     if loop is None:
         key = f"drive.{axis}.commissioned.current_loop"
         raise _unmeasured(config.source, key, f"the measured loop of a drive on {config.bus.spec}")

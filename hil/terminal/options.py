@@ -88,4 +88,4 @@ def fault_plan(path: Path | None) -> "Faults | None":
     from drivers.bounded_file import NamedBy
     from hil.configuration.bench_file import load_faults
 
-    return load_faults(path, NamedBy("--faults", "", str(path))).plan if path else None
+    return load_faults(path, NamedBy("--faults", "", str(path))) if path else None

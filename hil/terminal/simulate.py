@@ -104,7 +104,7 @@ def simulate(
         from hil.configuration.background import load_background
         from hil.configuration.motor_file import LING2012
         from hil.execution.device_files import DeviceFiles
-        from hil.load.load_files import load_tables
+        from hil.load.simulated_load import load_tables
         from hil.terminal.node_list import node_ids, serial_numbers
 
         files = DeviceFiles(eds, store, export_eds)

@@ -54,7 +54,8 @@ class BenchRunner:
             parts["faults"] = dict(faults) or None
         config = changed.changed(parts).config
         if faults is not None and not isinstance(faults, Mapping):
-            config = config.with_faults(load_faults(Path(faults), NamedBy("faults", "", str(faults))))
+            plan = load_faults(Path(faults), NamedBy("faults", "", str(faults)))
+            config = config.model_copy(update={"faults": plan})
         return config
 
     def __call__(

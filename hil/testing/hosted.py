@@ -52,8 +52,8 @@ class DriveWish:
         if self.faults is None:
             return None
         if isinstance(self.faults, Mapping):
-            return faults_from(self.faults, "faults").plan
-        return load_faults(Path(self.faults), NamedBy("faults", "", str(self.faults))).plan
+            return faults_from(self.faults, "faults")
+        return load_faults(Path(self.faults), NamedBy("faults", "", str(self.faults)))
 
 
 class DriveProcess:

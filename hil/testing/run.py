@@ -18,12 +18,12 @@ from drivers.errors import BenchError
 from drivers.timebase import NS_PER_S
 from hil.configuration.config import BenchConfig
 from hil.recording.memory_recorder import MemoryRecorder
+from hil.recording.run_folder import read_summary
 from hil.rows.event_lines import event_json
 from hil.rows.records import Rows
 from hil.rows.records_file import RECORDS_FILE, read_table, rows_of_table
 from hil.rows.run_files import EVENTS_FILE
 from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
-from hil.recording.run_folder import read_summary
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wire
 from hil.verdict.summary import Summary

@@ -23,7 +23,7 @@ from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_S, Instant
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_checks import standard_plan
-from hil.execution.drive_settings import data_sheets
+from hil.execution.drives import data_sheets
 from hil.reviewing.trace.run_trace import RecordedBus
 from hil.rows.frame_names import frame_name
 from hil.rows.run_files import FRAMES_FILE

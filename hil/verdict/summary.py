@@ -194,7 +194,7 @@ class Summary:
     network_notes: tuple[str, ...] = ()
     """In what the network was worse than a controller was made for."""
     load_machine: Mapping[str, Any] | None = None
-    """Identity, tally, and for each load step torque asked for and measured (:mod:`hil.load.instrument`)."""
+    """Identity, tally, torque asked for and measured at each load step (:mod:`hil.load.load_machines`)."""
     timing: Mapping[str, Any] | None = None
     """What the timing rests on (:mod:`hil.execution.timing_report`)."""
 

@@ -78,8 +78,8 @@ def beside_the_bench(
     """Runs of benches inside have ``nodes`` on their segment; ``copies``: and each drive twice; ``seen`` is
     given each drive."""
 
-    def drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
-        made = [drive for _ in range(1 + copies) for drive in simulated_drives(config, seed)]
+    def drives(config: BenchConfig) -> list[SimulatedServo]:
+        made = [drive for _ in range(1 + copies) for drive in simulated_drives(config)]
         for drive in made:
             seen(drive)
         return made

@@ -104,6 +104,6 @@ def measuring_rig(
     """``faults``: the tables of a fault plan; ``lacks``: what the drives have not."""
     drive = DriveParameters(lacks=lacks)
     servos = [SimulatedServo(node, LING, drive, seed) for node in nodes]
-    plan = faults_from(faults, "plan").plan if faults else None
+    plan = faults_from(faults, "plan") if faults else None
     with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, plan, seed), servos) as world:
         yield Rig(world, servos, folder / "journals")

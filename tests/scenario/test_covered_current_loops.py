@@ -10,7 +10,7 @@ from drivers.bounded_file import read_toml
 from hil.cli import app
 from hil.configuration.bench_file import bench_from, load_controller
 from hil.configuration.motor_file import LING2012
-from hil.execution.network_guard import static_faults
+from hil.execution.network_guard import Certificates
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MOTOR = str(EXAMPLES / "motors" / "ling2012.toml")
@@ -38,4 +38,4 @@ def test_a_drive_within_the_range_of_the_file_runs_and_one_outside_is_refused(tm
         drive = tables["drive"]["axis1"]
         drive |= {"motor": MOTOR, "controller": str(out)}
         drive["simulation"] = {"current_bandwidth_hz": bandwidth_hz}
-        assert len(static_faults(bench_from(tables, "bench.toml", tmp_path), {})) == faults
+        assert len(Certificates(bench_from(tables, "bench.toml", tmp_path)).faults({})) == faults

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from hil.cli import app
 from hil.configuration.motor_file import LING2012
 from hil.configuration.toml_text import toml_text
-from hil.execution.network_guard import certified_plans
+from hil.execution.network_guard import Certificates
 from hil.studies.speed.dynamic import request_of
 from hil.studies.speed.predictor import design_speed_predictor
 from tests.floor_runs import Case
@@ -82,7 +82,7 @@ def test_the_gain_is_for_the_current_loop_of_the_design_alone() -> None:
             drive = config.drive["axis1"]
             simulation = drive.simulation.model_copy(update={"current_bandwidth_hz": bandwidth_hz})
             axes = {"axis1": drive.model_copy(update={"simulation": simulation})}
-            plan = certified_plans(config.model_copy(update={"drive": axes}), (), simulated=True)["axis1"]
+            plan = Certificates(config.model_copy(update={"drive": axes})).plans()["axis1"]
             assert plan.samples_alone
             assert plan.unknown == unknown
 

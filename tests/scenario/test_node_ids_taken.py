@@ -10,7 +10,7 @@ import pytest
 from drivers.errors import AnswersTwice, BadInput, PeerFault
 from drivers.timebase import MonotonicClock
 from drivers.wire.link import BusLink, StampSource
-from hil.execution.node_ids_taken import refuse_taken
+from hil.execution.simulated_drives import refuse_taken
 from hil.pytest_plugin import StartDrive
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.hosted import DriveProcess

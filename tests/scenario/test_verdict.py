@@ -118,8 +118,8 @@ def test_an_emcy_that_nobody_planned_keeps_a_run_from_passing(
 ) -> None:
     drives: list[SimulatedServo] = []
 
-    def made(config: BenchConfig, seed: int) -> list[SimulatedServo]:
-        drives[:] = simulated_drives(config, seed)
+    def made(config: BenchConfig) -> list[SimulatedServo]:
+        drives[:] = simulated_drives(config)
         return drives
 
     monkeypatch.setattr("hil.execution.bench.simulated_drives", made)

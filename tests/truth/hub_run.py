@@ -57,7 +57,7 @@ def run_beside_a_listener(
     config = bench_config(plan, cycles)
     hub = f"truth-{os.getpid()}"
     bench = folder / "bench.toml"
-    bench.write_text(config.resolved_text(bus_spec=f"hub:{hub}"), encoding="utf-8")
+    bench.write_text(config.as_run(f"hub:{hub}", None).resolved_text(), encoding="utf-8")
     with listening(hub, folder / FRAMES):
         drives = DriveProcess(_simulate(hub, plan.axes, folder, drive_faults), folder / "drives.log")
         try:

@@ -14,7 +14,6 @@ from itertools import count
 
 from drivers.timebase import NS_PER_S, Instant
 from drivers.wire.frame_port import EchoBasis
-from hil.loop.clock_map import ClockMap
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.samples import Sample
 from hil.loop.stamp_attribution import StampAttribution
@@ -97,7 +96,7 @@ class _World:
         self.choices = random.Random(seed)
         self.log = log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
         self.told: list[str] = []
-        self.by_stamp = StampAttribution(log, ClockMap(), PERIOD, TRANSIT, self.told.append)
+        self.by_stamp = StampAttribution(log, PERIOD, TRANSIT, self.told.append)
         self.by_order = OrderAttribution(log, PERIOD, TRANSIT, self.told.append)
         self.placed: list[Truth] = []
         self._offset = 777_000_123

@@ -12,17 +12,12 @@ from drivers.wire.frame_port import UNTOLD, EchoBasis
 from hil.control.compensation import Arrival
 from hil.loop.axis import Axis, AxisParts
 from hil.loop.axis_roles import Compensator, Controller
-from hil.loop.clock_map import ClockMap
-from hil.loop.command_meter import CommandMeter
 from hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
-from hil.loop.delay import DelayMeter
 from hil.loop.loop import Actuation, Loop, LoopTiming
-from hil.loop.order_attribution import OrderAttribution
 from hil.loop.pace import OwnSync
 from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord
 from hil.loop.scenario import LevelStep, Quantity, ReferenceProfile
-from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 
 PERIOD = Duration(NS_PER_MS)
@@ -196,10 +191,10 @@ def make_axis(
         load=ReferenceProfile([], Quantity.TORQUE),
         load_machine=None,
         syncs=log,
-        by_stamp=StampAttribution(log, ClockMap(), PERIOD, TRANSIT, tell),
-        by_order=OrderAttribution(log, PERIOD, TRANSIT, tell),
-        meter=DelayMeter(Duration(2 * NS_PER_MS), 10),
-        commands=CommandMeter(10, log),
+        transit=TRANSIT,
+        deadline=Duration(2 * NS_PER_MS),
+        horizon=10,
+        tell=tell,
     )
     return Axis(0, parts, PERIOD, records.append)
 

@@ -14,6 +14,7 @@ from hil.campaign.plan import CampaignPlan
 from hil.campaign.statistics import anytime
 from hil.campaign.sweep_file import sweep_from
 from hil.configuration.config_errors import BadInputs
+from virtual_bus.faults.fault_plan import FaultPlan
 
 LING = Path(__file__).parents[3] / "examples" / "ling2012.toml"
 LOSS: dict[str, Any] = {"key": "faults.loss.0.probability", "values": [0.0, 0.1, 0.2]}
@@ -130,8 +131,8 @@ def test_choices_may_be_tables_rows_and_files() -> None:
     assert [label[keys[0]] for label in labels] == ["arrival, 0.1"] * 2 + ["stamp, 0.2"] * 2
     configs = [found.bench.changed(found.run(number).changes).config for number in range(4)]
     assert [config.drive["axis1"].compensator.kind for config in configs] == ["arrival"] * 2 + ["stamp"] * 2
-    assert configs[0].faults is not None
-    assert "delay" in configs[0].faults.tables
+    assert isinstance(configs[0].faults, FaultPlan)
+    assert "delay" in configs[0].faults.as_tables()
 
 
 def test_a_sweep_is_known_again_by_all_that_it_names(tmp_path: Path) -> None:

@@ -13,8 +13,7 @@ from drivers.errors import BadInput, BenchError, PeerFault
 from hil.configuration.bench_file import load_bench
 from hil.configuration.drive_file import DriveFile, load_drive_file
 from hil.execution.assembly import loop_timing
-from hil.execution.commissioned_drive import write_commissioned
-from hil.execution.drive_settings import drive_settings
+from hil.execution.drives import drive_settings, write_commissioned
 
 FILE = """
 [drive]

@@ -91,7 +91,7 @@ def test_ling2012_example() -> None:
         20_000_000,
     )
     assert config.host.heartbeat_ms == 50
-    assert config.fault_plan is not None
+    assert config.faults is not None
     assert peak_level(config.reference["axis1"]) == 1500.0
 
 
@@ -112,7 +112,7 @@ def test_resolved_text_is_the_same_bench_in_one_file() -> None:
 
 
 def test_resolved_text_holds_what_the_command_line_changed() -> None:
-    raw = tomllib.loads(load_bench(BENCH).resolved_text(bus_spec="hub:a", seed=7))
+    raw = tomllib.loads(load_bench(BENCH).as_run("hub:a", 7).resolved_text())
     assert (raw["bus"]["spec"], raw["bench"]["seed"]) == ("hub:a", 7)
 
 
@@ -143,7 +143,7 @@ def test_controller_may_be_a_file(tmp_path: Path) -> None:
 
 def test_faults_may_be_inline() -> None:
     plan = tomllib.loads((EXAMPLES / "faults" / "demo.toml").read_text())
-    assert load(edited("faults", value=plan)).fault_plan == load(tables()).fault_plan
+    assert load(edited("faults", value=plan)).faults == load(tables()).faults
 
 
 def test_axes_are_in_order_of_name() -> None:

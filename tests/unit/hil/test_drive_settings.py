@@ -8,7 +8,7 @@ from drivers.cia402.drive_setup import Identity
 from drivers.cia402.scaling import ScaleOverride
 from hil.configuration.bench_file import load_bench
 from hil.execution.assembly import loop_timing
-from hil.execution.drive_settings import drive_settings, identity_notes
+from hil.execution.drives import drive_settings, identity_notes
 from tests.unit.drivers.eds_maker import four_pdos, sheet
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "ling2012.toml"

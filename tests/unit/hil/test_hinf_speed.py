@@ -9,7 +9,7 @@ import pytest
 
 from drivers.errors import BadInput
 from hil.configuration.motor_file import LING2012
-from hil.execution.network_guard import static_faults
+from hil.execution.network_guard import Certificates
 from tests.floor_runs import LOAD_AT_S, Case, lost_ratio
 from tests.shaft_run import ShaftRun, run_watched
 
@@ -68,8 +68,8 @@ def test_a_loop_that_saturates_winds_nothing_up() -> None:
 
 def test_a_run_refuses_a_motor_that_it_was_not_made_for() -> None:
     heavier = LING2012.model_dump(mode="json")
-    assert static_faults(CASE.config(table(made_for=True)), {}) == []
+    assert Certificates(CASE.config(table(made_for=True))).faults({}) == []
     heavier["mechanics"]["inertia_kg_m2"] *= 2.0
-    (fault,) = static_faults(Case("heavier", heavier, 1e-3).config(table(made_for=True)), {})
+    (fault,) = Certificates(Case("heavier", heavier, 1e-3).config(table(made_for=True))).faults({})
     assert isinstance(fault, BadInput)
     assert "inertia" in str(fault)

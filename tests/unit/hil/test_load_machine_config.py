@@ -10,7 +10,7 @@ from drivers.errors import BenchError
 from drivers.instruments.dynamometer import LineCounts, LoadReading
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
 from hil.configuration.bench_file import load_bench
-from hil.load.instrument import InstrumentLoadMachine, Wait
+from hil.load.load_machines import InstrumentLoadMachine, Wait
 from hil.recording.verdict_text import verdict_markdown
 from hil.rows.side_rows import EVENT_DTYPE, LoadEvent, event_row, events_of
 from tests.scenario.processes import EXAMPLES

@@ -190,7 +190,7 @@ def test_a_drive_that_stood_still_while_calibrating_has_taught_nothing_wrong(
     drive = FakeDrive(delay)
     axis = make_axis(drive, [])
     make_loop(FakeBus([drive]), [axis]).calibrate()
-    clock = axis.parts.by_stamp.clock
+    clock = axis.by_stamp.clock
     assert clock.offset_ns == -DEVICE_CLOCK_OFFSET_NS
     assert abs(clock.drift_ppm) < 1e-3
     assert axis.learned >= CALIBRATION_SYNCS // 2

@@ -13,7 +13,7 @@ from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
 from hil.configuration.network_file import Network
 from hil.configuration.speed_controller_file import MadeFor
-from hil.execution.network_guard import Allowed, NetworkGuard, allowed, static_faults, uncertified
+from hil.execution.network_guard import Allowed, Certificates, NetworkGuard, allowed
 from hil.loop.samples import (
     CommandFate,
     CycleRecord,
@@ -128,7 +128,7 @@ def test_the_controller_brings_its_compensator() -> None:
     found = stamp.drive["axis1"].compensator
     assert found.kind == "stamp"
     assert found.delay_us == 10_000
-    assert static_faults(stamp, {}) == []
+    assert Certificates(stamp).faults({}) == []
 
 
 def test_history_needs_packets_that_the_bus_does_not_carry() -> None:
@@ -138,9 +138,9 @@ def test_history_needs_packets_that_the_bus_does_not_carry() -> None:
 
 def test_a_bench_as_it_was_made_for_has_no_faults() -> None:
     config = bench(MADE_FOR)
-    assert static_faults(config, {}) == []
+    assert Certificates(config).faults({}) == []
     good = Network(period_us=2000, losses_in_a_row_max=3, delay_max_us=1000)
-    assert static_faults(config, {"n.toml": good}) == []
+    assert Certificates(config).faults({"n.toml": good}) == []
 
 
 @pytest.mark.parametrize(
@@ -151,15 +151,15 @@ def test_a_bench_as_it_was_made_for_has_no_faults() -> None:
     ],
 )
 def test_another_period_or_motor_is_a_fault(change: dict[str, Any], key: str) -> None:
-    faults = static_faults(bench(MADE_FOR | change), {})
+    faults = Certificates(bench(MADE_FOR | change)).faults({})
     assert [fault.key for fault in faults] == [f"drive.axis1.controller.made_for.{key}"]
 
 
 def test_another_compensator_is_a_fault() -> None:
     config = bench(MADE_FOR, "on_sync", compensator={"kind": "stamp", "delay_us": 4000})
-    (fault,) = static_faults(config, {})
+    (fault,) = Certificates(config).faults({})
     assert fault.key.endswith("strategy")
-    assert static_faults(config, {}, {"axis1"}) == []
+    assert Certificates(config, {"axis1"}).faults({}) == []
 
 
 @pytest.mark.parametrize(
@@ -174,17 +174,17 @@ def test_another_compensator_is_a_fault() -> None:
 def test_a_worse_measured_network_is_a_fault(change: dict[str, int], key: str) -> None:
     wanted = {"period_us": 2000, "losses_in_a_row_max": 3, "delay_max_us": 1000, **change}
     network = Network.model_validate(wanted)
-    (fault,) = static_faults(bench(MADE_FOR), {"n.toml": network})
+    (fault,) = Certificates(bench(MADE_FOR)).faults({"n.toml": network})
     assert (fault.source, fault.key) == ("n.toml", key)
 
 
 def test_nothing_is_held_against_a_network_whose_commands_are_not_measured() -> None:
     network = Network(period_us=2000, losses_in_a_row_max=0, delay_max_us=300, commands="not measured")
-    (fault,) = static_faults(bench(MADE_FOR), {"n.toml": network})
+    (fault,) = Certificates(bench(MADE_FOR)).faults({"n.toml": network})
     assert (fault.source, fault.key, fault.value) == ("n.toml", "network.commands", "not measured")
     assert "6074h" in fault.remedy
     assert 'commands = "stated"' in fault.remedy
-    assert static_faults(bench(MADE_FOR), {"n.toml": network}, {"axis1"}) == []
+    assert Certificates(bench(MADE_FOR), {"axis1"}).faults({"n.toml": network}) == []
 
 
 def test_what_a_constant_delay_allows() -> None:
@@ -197,8 +197,8 @@ def test_what_a_constant_delay_allows() -> None:
         watched.feed(1000, None, None, None, 1001)
     config = bench({"delay_us": 9_000})
     fits, fails = (Network(period_us=2000, losses_in_a_row_max=2, delay_max_us=us) for us in (3000, 3001))
-    assert static_faults(config, {"n.toml": fits}) == []
-    assert [fault.key for fault in static_faults(config, {"n.toml": fails})] == ["network"]
+    assert Certificates(config).faults({"n.toml": fits}) == []
+    assert [fault.key for fault in Certificates(config).faults({"n.toml": fails})] == ["network"]
 
 
 def test_current_loops_faster_than_their_rate_allows_are_refused() -> None:
@@ -216,7 +216,7 @@ def test_current_loops_faster_than_their_rate_allows_are_refused() -> None:
     ],
 )
 def test_a_current_loop_that_is_not_certified_is_a_fault(simulation: dict[str, float], key: str) -> None:
-    (fault,) = static_faults(bench(MADE_FOR, simulation=simulation), {})
+    (fault,) = Certificates(bench(MADE_FOR, simulation=simulation)).faults({})
     assert (fault.source, fault.key) == ("bench.toml", f"drive.axis1.simulation.{key}")
     assert "500 to 1200 Hz" in fault.expected
     assert "--allow-uncertified" in fault.remedy
@@ -224,11 +224,11 @@ def test_a_current_loop_that_is_not_certified_is_a_fault(simulation: dict[str, f
 
 def test_a_controller_that_names_no_current_loop_is_for_the_winding_alone() -> None:
     winding = {key: value for key, value in MADE_FOR.items() if key != "current_loop"}
-    (fault,) = static_faults(bench(winding), {})
+    (fault,) = Certificates(bench(winding)).faults({})
     assert fault.key == "drive.axis1.simulation.inner_rate_hz"
     assert fault.value == "800 Hz"
     assert "53.832 Hz and no other" in fault.expected
-    assert static_faults(bench(winding, simulation={"current_bandwidth_hz": 53.83}), {}) == []
+    assert Certificates(bench(winding, simulation={"current_bandwidth_hz": 53.83})).faults({}) == []
 
 
 def test_a_loop_of_higher_order_is_not_what_was_certified() -> None:
@@ -240,11 +240,12 @@ def test_a_loop_of_higher_order_is_not_what_was_certified() -> None:
         "zeros_rad_s": [[-338.0, 0.0]],
         "poles_rad_s": [[0.0, 0.0], [-3000.0, 0.0]],
     }
-    (fault,) = static_faults(bench(MADE_FOR, current_control={"controller": q}), {})
+    (fault,) = Certificates(bench(MADE_FOR, current_control={"controller": q})).faults({})
     assert fault.key == "drive.axis1.current_control.controller"
     assert "of order 3" in str(fault.value)
 
 
+REAL = "socketcan:can0"
 COMMISSIONED: dict[str, Any] = {"drive": {"node": 1, "vendor": 0, "product": 0}}
 
 
@@ -252,25 +253,26 @@ def test_a_drive_that_is_not_simulated_is_known_by_its_commissioning() -> None:
     """The settings of the simulated drive say nothing of a real one."""
     simulation = {"current_bandwidth_hz": 100.0}
     blind = bench(MADE_FOR, simulation=simulation)
-    assert static_faults(blind, {}, simulated=False) == []
-    told = uncertified(blind, None, allow=False, replaced=(), simulated=False)
-    (unknown,) = told.doubts
+    assert Certificates(blind.as_run(REAL, None)).faults({}) == []
+    (unknown,) = Certificates(blind.as_run(REAL, None)).doubts()
     assert "500 to 1200 Hz" in unknown
     assert "hil commission" in unknown
 
     measured = COMMISSIONED | {"current_loop": {"bandwidth_hz": 300.0}}
-    (fault,) = static_faults(bench(MADE_FOR, commissioned=measured), {}, simulated=False)
+    (fault,) = Certificates(bench(MADE_FOR, commissioned=measured).as_run(REAL, None)).faults({})
     assert fault.key == "drive.axis1.commissioned.current_loop.bandwidth_hz"
     assert fault.value == "300 Hz"
     measured = COMMISSIONED | {"current_loop": {"bandwidth_hz": 600.0}}
     fits = bench(MADE_FOR, commissioned=measured, simulation=simulation)
-    assert static_faults(fits, {}, simulated=False) == []
-    assert uncertified(fits, None, allow=False, replaced=(), simulated=False).doubts == []
+    assert Certificates(fits.as_run(REAL, None)).faults({}) == []
+    assert Certificates(fits.as_run(REAL, None)).doubts() == []
 
 
 def test_what_is_not_certified_may_be_let_pass() -> None:
     config = bench(MADE_FOR, simulation={"current_bandwidth_hz": 1300.0})
+    certificates = Certificates(config)
     with pytest.raises(BadInput, match="1300 Hz"):
-        uncertified(config, None, allow=False, replaced=(), simulated=True)
-    (note,) = uncertified(config, None, allow=True, replaced=(), simulated=True).notes
+        certificates.check(None, allow=False)
+    certificates.check(None, allow=True)
+    (note,) = certificates.notes
     assert "1300 Hz" in note

@@ -8,7 +8,7 @@ from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from drivers.wire.link import BusLink, StampSource
 from hil.configuration.motor_file import LING2012
-from hil.execution.node_ids_taken import refuse_taken
+from hil.execution.simulated_drives import refuse_taken
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.device.background import Stream, background_nodes

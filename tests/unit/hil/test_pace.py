@@ -167,7 +167,7 @@ def test_what_came_before_calibration_and_run_is_no_answer_of_theirs() -> None:
     rig.bus.pump(Instant(rig.bus.at + 30 * PERIOD))
     rig.loop.run(Duration(40 * PERIOD), lambda: False, lambda at: None, lambda done: None)
     assert {record.delay for record in rig.records} == {DELAY}
-    assert rig.axis.parts.by_stamp.clock.offset_ns is not None
+    assert rig.axis.by_stamp.clock.offset_ns is not None
     assert rig.causes() == {}
 
 

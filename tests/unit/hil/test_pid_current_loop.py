@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 from drivers.bounded_file import read_toml
 from hil.cli import app
 from hil.configuration.bench_file import bench_from, load_bench
-from hil.execution.network_guard import loop_doubts
-from hil.execution.pid_current_loop import crossover_rad_s, slow_loops
+from hil.configuration.drive_current_loop import crossover_rad_s
+from hil.execution.network_guard import Certificates
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 HINF = EXAMPLES / "azaiz2007_hinf.toml"
@@ -22,7 +22,7 @@ def hinf_with(controller: dict[str, Any] | str) -> list[str]:
     """What is told of the H-infinity bench with another PID."""
     tables = read_toml(HINF, "bench file")
     tables["drive"]["axis1"]["controller"] = controller
-    return list(slow_loops(bench_from(tables, "bench.toml", EXAMPLES), (), simulated=True))
+    return Certificates(bench_from(tables, "bench.toml", EXAMPLES)).doubts()
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_without_made_for_the_gains_tell_it(tuned_for_800_hz: dict[str, Any]) ->
 
 @pytest.mark.parametrize("name", ["azaiz2007_hinf", "azaiz2007", "ling2012", "any_bus", "three_axes"])
 def test_the_shipped_benches_go_well_together(name: str) -> None:
-    assert loop_doubts(load_bench(EXAMPLES / f"{name}.toml"), (), simulated=True) == []
+    assert Certificates(load_bench(EXAMPLES / f"{name}.toml")).doubts() == []
 
 
 def test_the_shipped_controller_is_what_the_command_makes(tmp_path: Path) -> None:
@@ -76,8 +76,8 @@ def test_what_is_not_known_or_not_the_benchs_is_not_judged(tuned_for_800_hz: dic
     tables = read_toml(HINF, "bench file")
     tables["drive"]["axis1"]["controller"] = tuned_for_800_hz
     config = bench_from(tables, "bench.toml", EXAMPLES)
-    assert list(slow_loops(config, {"axis1"}, simulated=True)) == []
-    assert list(slow_loops(config, (), simulated=False)) == []
+    assert Certificates(config, {"axis1"}).doubts() == []
+    assert Certificates(config.as_run("socketcan:can0", None)).doubts() == []
 
 
 def test_the_crossover_of_the_gains_is_close_to_the_designs(tuned_for_800_hz: dict[str, Any]) -> None:

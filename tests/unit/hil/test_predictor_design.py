@@ -12,7 +12,7 @@ from drivers.errors import BadInput
 from hil.configuration.bench_file import load_controller
 from hil.configuration.motor_file import LING2012
 from hil.configuration.predictor_section import PredictorController
-from hil.execution.network_guard import static_faults
+from hil.execution.network_guard import Certificates
 from tests.floor_runs import LOAD_AT_S, PERIOD_S, Case, lost_ratio
 from tests.shaft_run import ShaftRun, run_watched
 
@@ -66,10 +66,10 @@ def test_a_run_refuses_a_drive_and_a_period_that_it_was_not_made_for() -> None:
     assert isinstance(controller, PredictorController)
     assert controller.made_for is not None
     whole = controller.model_dump(mode="json", exclude_none=True)
-    assert static_faults(CASE.config(whole), {}) == []
+    assert Certificates(CASE.config(whole)).faults({}) == []
     heavier = copy.deepcopy(CASE.motor)
     heavier["mechanics"]["inertia_kg_m2"] *= 2.0
-    (fault,) = static_faults(Case("heavier", heavier, PERIOD_S).config(whole), {})
+    (fault,) = Certificates(Case("heavier", heavier, PERIOD_S).config(whole)).faults({})
     assert isinstance(fault, BadInput)
     assert "inertia" in str(fault)
 

@@ -15,6 +15,7 @@ from drivers.errors import BadInput
 from drivers.timebase import NS_PER_US
 from hil import Bench, Run, run
 from hil.testing.wire import ORIGIN
+from virtual_bus.faults.fault_plan import FaultPlan
 
 pytestmark = pytest.mark.long
 
@@ -98,8 +99,8 @@ def test_keys_lead_into_the_files_that_a_bench_names() -> None:
     keys = {"drive.axis1.motor.mechanics.inertia_kg_m2": 0.001, "faults.loss.0.probability": 0.3}
     changed = Bench.load(LING).changed(keys).config
     assert changed.drive["axis1"].motor.parameters.inertia_kg_m2 == 0.001
-    assert changed.faults is not None
-    assert changed.faults.tables["loss"][0]["probability"] == 0.3
+    assert isinstance(changed.faults, FaultPlan)
+    assert changed.faults.as_tables()["loss"][0]["probability"] == 0.3
     assert Bench.load(LING).config.drive["axis1"].motor.parameters.inertia_kg_m2 == 0.0008
 
 

@@ -21,7 +21,7 @@ def bench_lacking(lacks: list[Any]) -> BenchConfig:
 
 
 def test_a_drive_does_without_what_its_table_says() -> None:
-    (drive,) = simulated_drives(bench_lacking(["1013", "1400:5"]), seed=1)
+    (drive,) = simulated_drives(bench_lacking(["1013", "1400:5"]))
     assert drive.dictionary.get(0x1013) is None
     assert drive.dictionary.get(0x1400, 5) is None
     assert drive.dictionary.get(0x6074) is not None
@@ -37,7 +37,7 @@ def test_what_is_no_object_is_refused_with_the_file(lack: str) -> None:
 
 def test_an_object_that_the_drive_has_not_is_refused_before_anything_is_opened() -> None:
     with pytest.raises(BadInput) as caught:
-        simulated_drives(bench_lacking(["5FFF"]), seed=1)
+        simulated_drives(bench_lacking(["5FFF"]))
     assert (caught.value.source, caught.value.key) == ("bench.toml", "drive.axis1.simulation.lacks")
     assert caught.value.value == "5FFF"
 

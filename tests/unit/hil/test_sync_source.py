@@ -11,7 +11,7 @@ from drivers.errors import BadInput, BusDown
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.bench_file import load_bench
-from hil.execution.sync_source import check_sync_source, kernel_sync
+from hil.execution.segments import check_sync_source, kernel_sync
 from tests.unit.hil.test_config import BENCH, edited, load
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus

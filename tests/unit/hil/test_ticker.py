@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import Duration, Instant
-from hil.loop.ticker import ticks_missed
+from hil.loop.pace import ticks_missed
 
 PERIOD = Duration(1000)
 

@@ -1,0 +1,138 @@
+"""The drives of a run: set up as bench, data sheets and commissioning have them; waited for, and stopped."""
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from drivers.canopen.objects import SettingRefused
+from drivers.canopen.sdo import object_name
+from drivers.cia402.bench_modes import BENCH_MODES
+from drivers.cia402.drive_setup import DriveSettings, Identity
+from drivers.cia402.profile import QuickStopOption
+from drivers.cia402.scaling import ScaleOverride
+from drivers.cia402.servo import ServoDrive
+from drivers.errors import NoAnswer, PeerFault
+from drivers.sheets.capability import capability_of
+from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
+from drivers.sheets.identity import told_identity
+from drivers.timebase import NS_PER_MS, duration_s
+from hil.configuration.config import BenchConfig, Host
+from hil.configuration.drive_file import DriveFile
+from hil.loop.loop import Actuation, LoopTiming
+from hil.machine.stopping import StopRequest
+
+_SLICE_S = 0.3
+"""How long a stop signal may wait to be heard."""
+
+
+def data_sheets(config: BenchConfig) -> dict[str, LoadedDictionary]:
+    """The dictionaries of the axes that name one, by axis. Raises BadInput for a file that cannot be read."""
+    return {
+        name: load_dictionary(Path(drive.eds), drive.node)
+        for name, drive in config.drive.items()
+        if drive.eds is not None
+    }
+
+
+def drive_settings(
+    config: BenchConfig, axis: str, timing: LoopTiming, sheet: LoadedDictionary | None
+) -> DriveSettings:
+    """What the drive of an axis is told before it is enabled."""
+    drive, host = config.drive[axis], config.host
+    limits, commissioned = drive.limits, drive.commissioned
+    return DriveSettings(
+        sync_period_ns=timing.period,
+        mode=BENCH_MODES[drive.mode],
+        coherent=config.coherent(axis),
+        synchronous_command=timing.actuation is Actuation.ON_SYNC,
+        position_every_cycles=config.loop.position_every_cycles,
+        demand_changes=config.loop.command_readback == "event",
+        observed=drive.observed,
+        command_timeout_ms=_command_timeout_ms(limits.dropouts_consecutive_max, host, timing),
+        drive_heartbeat_ms=drive.heartbeat_ms,
+        drive_heartbeat_timeout_ms=drive.heartbeat_timeout_ms,
+        host_heartbeat_ms=host.heartbeat_ms,
+        host_heartbeat_timeout_ms=host.heartbeat_timeout_ms,
+        torque_max_nm=limits.torque_max_nm,
+        speed_max_rad_s=limits.speed_max_rad_s,
+        quick_stop_deceleration_rad_s2=limits.quick_stop_deceleration_rad_s2,
+        quick_stop_option=QuickStopOption(2 if commissioned is None else commissioned.stop.option),
+        capability=None if sheet is None else capability_of(sheet),
+        unwatched=drive.unwatched,
+        scale=ScaleOverride() if commissioned is None else commissioned.override,
+    )
+
+
+def _command_timeout_ms(dropouts_max: int, host: Host, timing: LoopTiming) -> int:
+    """As many commands may fail to come as readings: not for longer than the host's heartbeat, nor for less
+    than from one heartbeat to the next, so that a host that is late is not taken for one that is lost.
+    """
+    blind_ms = math.ceil(dropouts_max * timing.period / NS_PER_MS)
+    return min(host.heartbeat_timeout_ms, max(host.heartbeat_ms, blind_ms))
+
+
+def identity_notes(identity: Identity, sheet: LoadedDictionary) -> list[str]:
+    """Where the drive that answers is another one than the sheet is for; what is not told does not differ."""
+    told = told_identity(sheet.dictionary)
+    return [
+        f"the data sheet is for {name} {of_sheet:08X}h, the drive is {of_drive:08X}h"
+        for name, of_sheet, of_drive in told.strangers(identity.vendor, identity.product, identity.revision)
+    ]
+
+
+def connect(drive: ServoDrive, timeout_s: float, stop: StopRequest) -> Identity:
+    """Who answers. Raises NoAnswer after ``timeout_s``, Interrupted once a stop signal has come."""
+    network = drive.network
+    deadline = network.deadline_after(duration_s(timeout_s))
+    while True:
+        stop.check()
+        slice_end = min(deadline, network.deadline_after(duration_s(_SLICE_S)))
+        try:
+            return drive.connect(slice_end)
+        except NoAnswer:
+            if network.clock.now() >= deadline:
+                raise
+            network.pump(slice_end)  # a transfer that fails at once is not to flood the bus with the next
+
+
+def write_commissioned(drive: ServoDrive, file: DriveFile) -> None:
+    """Hold the drive against its file and write the file's objects; the drive is connected and disabled.
+
+    Raises PeerFault if it is another drive, SettingRefused or TransferAborted if it does not take a setting.
+    """
+    identity, marks = drive.identity, file.drive
+    assert identity is not None, "connect comes first"
+    for what, held, wanted in (
+        ("vendor", identity.vendor, marks.vendor),
+        ("product", identity.product, marks.product),
+        ("serial number", identity.serial, marks.serial),
+    ):
+        if wanted and held != wanted:
+            raise PeerFault(
+                f"{drive.name} is not the drive that was commissioned",
+                f"{what} {held}, its drive file says {wanted}",
+                "commission this drive, or take its 'commissioned' out of the bench file",
+            )
+    network, node = drive.network, drive.node_id
+    for setting in file.object:
+        data = bytes.fromhex(setting.bytes)
+        network.download(node, setting.index, setting.sub, data)
+        held_bytes = network.upload(node, setting.index, setting.sub)
+        if held_bytes != data:
+            raise SettingRefused(
+                f"{drive.name} holds {held_bytes.hex()} in {object_name(setting.index, setting.sub)}",
+                f"{setting.bytes} was written to it",
+            )
+
+
+def stop_all(drives: Sequence[ServoDrive]) -> None:
+    """A quick stop to each by RPDO, then by SDO; what fails is tried again, and told, by its release.
+
+    A silent drive holds up the next one that is asked; a drive whose commands cease while another is brought
+    to rest would call that a fault.
+    """
+    for asking in (False, True):
+        for drive in drives:
+            with suppress(PeerFault):
+                drive.stop(asking=asking)
