@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from drivers.exchange import Command
-from hil.commissioning.identify import Mechanics
+from hil.commissioning.identify import Array, Mechanics
 from hil.loop.axis_roles import Controller
 from hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
 
@@ -156,21 +156,17 @@ class SpeedReference(Controller):
         return SpeedSetPoint(context.reference_rad_s)
 
 
-def multisine(
-    frequencies_hz: "np.typing.NDArray[np.float64]", amplitude: float, seed: int
-) -> Callable[[float], float]:
+def multisine(frequencies_hz: Array, amplitude: float, seed: int) -> Callable[[float], float]:
     """Sines of equal size with random phases; their sum has its crest near ``amplitude``."""
     random = np.random.Generator(np.random.PCG64(seed))
     omega = 2.0 * math.pi * frequencies_hz
-    best: tuple[float, np.typing.NDArray[np.float64]] | None = None
     time = np.arange(0.0, 1.0 / float(np.min(frequencies_hz)), 1.0 / (8.0 * float(np.max(frequencies_hz))))
-    for _ in range(20):
-        phases = random.uniform(0.0, 2.0 * math.pi, len(omega))
-        crest = float(np.max(np.abs(np.sin(np.outer(time, omega) + phases).sum(axis=1))))
-        if best is None or crest < best[0]:
-            best = (crest, phases)
-    assert best is not None
-    crest, phases = best
+
+    def crest_of(phases: Array) -> float:
+        return float(np.max(np.abs(np.sin(np.outer(time, omega) + phases).sum(axis=1))))
+
+    phases = min((random.uniform(0.0, 2.0 * math.pi, len(omega)) for _ in range(20)), key=crest_of)
+    crest = crest_of(phases)
 
     def value(time_s: float) -> float:
         return amplitude * float(np.sin(omega * time_s + phases).sum()) / crest

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.errors import LimitExceeded
@@ -14,6 +13,7 @@ from drivers.exchange import Command
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
 from hil.commissioning.drive_port import DrivePort
 from hil.commissioning.excitation import SpeedReference, TimedTorque
+from hil.commissioning.identify import Array
 from hil.commissioning.request import MotionLimits
 from hil.control.compensation import Arrival
 from hil.execution.bus_guard import BusGuard
@@ -28,8 +28,6 @@ from hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
 from hil.loop.scenario import Quantity, ReferenceProfile, Segment
 from hil.loop.syncs import SyncLog
 from hil.reviewing.network_meter import runs_of
-
-Array = NDArray[np.float64]
 
 BLIND_MAX_S: Final = 0.1
 """Without a reading for longer the exercise ends."""

@@ -55,6 +55,7 @@ def write_files(session: Session) -> None:
         )
     journal = session.network.journal
     if journal is not None and journal.contents.changes:
+        assert findings.identity is not None  # the journal names whose it is
         texts[DCF_FILE] = dcf_text(
             findings.settings,
             {ObjectKey(*place): held for place, held in findings.dump.items()} | findings.originals,
@@ -245,7 +246,7 @@ def dcf_text(
     dictionary: ObjectDictionary | None,
     node: int,
     bitrate_bit_s: int,
-    identity: Identity | None,
+    identity: Identity,
 ) -> str:
     """A device configuration file (CiA 306-1).
 
@@ -255,9 +256,15 @@ def dcf_text(
     shown: dict[ObjectKey, bytes | None] = {key: None for key in defaults if key.index in MANDATORY}
     shown |= values
     indices = sorted({key.index for key in shown})
+    device = {
+        "ProductName": identity.device_name,
+        "VendorNumber": f"0x{identity.vendor:08X}",
+        "ProductNumber": f"0x{identity.product:08X}",
+        "RevisionNumber": f"0x{identity.revision:08X}",
+    }
     lines = [
         *_section("FileInfo", {"FileName": "drive.dcf", "FileVersion": 1, "EDSVersion": "4.0"}),
-        *_section("DeviceInfo", _device(identity)),
+        *_section("DeviceInfo", device),
         *_section(
             "DeviceComissioning", {"NodeID": node, "Baudrate": bitrate_bit_s // 1000, "NodeName": "drive"}
         ),
@@ -273,17 +280,6 @@ def dcf_text(
         own = {key: value for key, value in shown.items() if key.index == index}
         lines += _object(index, own, defaults, dictionary)
     return "\n".join(lines) + "\n"
-
-
-def _device(identity: Identity | None) -> dict[str, Any]:
-    if identity is None:
-        return {}
-    return {
-        "ProductName": identity.device_name,
-        "VendorNumber": f"0x{identity.vendor:08X}",
-        "ProductNumber": f"0x{identity.product:08X}",
-        "RevisionNumber": f"0x{identity.revision:08X}",
-    }
 
 
 def _object(

@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hil.commissioning.identify import Array
+
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -14,7 +16,7 @@ class FrequencyResponse:
     """Output over input at the excited lines."""
 
     frequency_hz: Array
-    response: NDArray[np.complexfloating[Any, Any]]
+    response: ComplexArray
     coherence: Array
     """0..1: the part of the output that the input explains."""
 

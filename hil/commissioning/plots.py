@@ -7,15 +7,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from drivers.rotation import RPM_PER_RAD_S
 from hil.commissioning.exercise import Recording
-from hil.commissioning.frequency import FrequencyResponse, StepLag
-from hil.commissioning.identify import Mechanics
+from hil.commissioning.frequency import ComplexArray, FrequencyResponse, StepLag
+from hil.commissioning.identify import Array, Mechanics
 from hil.commissioning.ripple import TorqueByAngle
-
-Array = NDArray[np.float64]
 
 _BLUE, _RED, _GREY = "#1f5fa8", "#c8442c", "#8a8f98"
 
@@ -77,9 +74,7 @@ def draw_current(path: Path, current: Array, torque: Array, slope: float, offset
         ax.legend(frameon=False)
 
 
-def draw_response(
-    path: Path, response: FrequencyResponse, model: NDArray[np.complexfloating[Any, Any]]
-) -> None:
+def draw_response(path: Path, response: FrequencyResponse, model: ComplexArray) -> None:
     """Magnitude, phase and coherence of torque to speed, beside the identified inertia and friction."""
     frequency = response.frequency_hz
     with _figure(path, 3, 9.0, sharex=True) as (magnitude, phase, coherence):

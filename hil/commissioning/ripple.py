@@ -4,12 +4,9 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.commissioning.exercise import Recording, smooth_speed
-from hil.commissioning.identify import Mechanics
-
-Array = NDArray[np.float64]
+from hil.commissioning.identify import Array, Mechanics
 
 _BINS: Final = 72
 """Of 5 degrees: twelve for a period of the sixth harmonic."""
@@ -41,7 +38,7 @@ class TorqueByAngle(NamedTuple):
 
 def torque_by_angle(recordings: Sequence[Recording], mechanics: Mechanics) -> TorqueByAngle:
     """What is left of the torque, by angle: of the samples slow enough for their acceleration to be told."""
-    angles, torques, directions = [], [], []
+    samples = [np.zeros((3, 0))]
     for recording in recordings:
         if len(recording.time) <= _SMOOTHED:
             continue
@@ -56,12 +53,8 @@ def torque_by_angle(recordings: Sequence[Recording], mechanics: Mechanics) -> To
             + mechanics.offset_nm
         )
         left = recording.torque - mechanics.inertia_kg_m2 * acceleration - friction
-        angles.append(np.mod(recording.position, 2.0 * np.pi)[slow])
-        torques.append(left[slow])
-        directions.append(sign[slow])
-    angle, torque, direction = (
-        np.concatenate(each) if each else np.zeros(0) for each in (angles, torques, directions)
-    )
+        samples.append(np.array([np.mod(recording.position, 2.0 * np.pi), left, sign])[:, slow])
+    angle, torque, direction = np.concatenate(samples, axis=1)
     place = np.minimum(_BINS - 1, (angle / (2.0 * np.pi) * _BINS).astype(int))
     means, errors = [], []
     for way in (1.0, -1.0):

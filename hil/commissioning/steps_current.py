@@ -15,7 +15,7 @@ from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
 from drivers.errors import TransferAborted
 from drivers.timebase import Instant
 from hil.commissioning.excitation import TimedTorque
-from hil.commissioning.identify import COVERAGE_FACTOR, slope_error
+from hil.commissioning.identify import COVERAGE_FACTOR, Array, slope_error
 from hil.commissioning.nameplate import compare_constant, rated_current
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.plots import draw_current
@@ -74,10 +74,7 @@ class TorqueConstant(Step):
         torque, current = _paired(readings, currents)
         self._judge(session, torque, current, outcome)
 
-    def _judge(
-        self, session: Session, torque: np.typing.NDArray[np.float64],
-        permille: np.typing.NDArray[np.float64], outcome: StepOutcome,
-    ) -> None:  # fmt: skip
+    def _judge(self, session: Session, torque: Array, permille: Array, outcome: StepOutcome) -> None:
         rating = session.request.nameplate.rating
         rated_a = rated_current(session)[0] or rating.current_a
         if not rated_a:
@@ -169,7 +166,7 @@ def _swing(session: Session) -> list[tuple[Instant, float]]:
 
 def _paired(
     readings: list[tuple[Instant, float]], currents: list[tuple[Instant, int]]
-) -> tuple["np.typing.NDArray[np.float64]", "np.typing.NDArray[np.float64]"]:
+) -> tuple[Array, Array]:
     """Torque and current of the same frame."""
     by_instant = dict(currents)
     pairs = [(torque, by_instant[at]) for at, torque in readings if at in by_instant]

@@ -2,16 +2,23 @@
 
 import math
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.commissioning.command_probe import CommandProbe, switches
 from hil.commissioning.excitation import SpeedGuide, multisine
-from hil.commissioning.frequency import FrequencyResponse, StepLag, frequency_response, lines_hz, step_lag
+from hil.commissioning.frequency import (
+    ComplexArray,
+    FrequencyResponse,
+    StepLag,
+    frequency_response,
+    lines_hz,
+    step_lag,
+)
+from hil.commissioning.identify import Array
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.plots import draw_delays, draw_response
 from hil.commissioning.request import MotionLimits
@@ -21,9 +28,6 @@ from hil.commissioning.steps_mechanics import tells_torque
 from hil.configuration.network_file import DelayFigures, Network
 from hil.loop.scenario import Ramp
 from hil.reviewing.network_meter import runs_of
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 _BLOCK_S: Final = 1.0
 """A period of the multisine: its lines are whole multiples of 1 Hz."""

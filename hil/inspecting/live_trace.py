@@ -26,7 +26,7 @@ def live_frames(
     An adapter that can listen only does; one that cannot acknowledges frames, as every node of a bus, and
     sends none. Raises BadInput, BusDown.
     """
-    opened = open_to_look(ScanPlan(spec, bitrate_bit_s, Duration(0), True, (), False), say)
+    opened = open_to_look(ScanPlan(spec, bitrate_bit_s, Duration(0), passive=True), say)
     clock, bus = MonotonicClock(), opened.bus.bus
     try:
         if isinstance(bus, HubBus):

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable
 
+from drivers.cia402.drive_setup import Identity
 from drivers.errors import TransferAborted
 from hil.commissioning.files import dcf_text
 from hil.commissioning.known_objects import differing, dump, missing, variables
@@ -141,5 +142,5 @@ def test_a_setting_of_three_bytes_keeps_its_sign_in_a_dcf() -> None:
     trim, integer24 = ObjectKey(0x2000, 0), 0x10
     held, before = (value.to_bytes(3, "little", signed=True) for value in (-2, 7))
     described = sheet(variable(trim.index, trim.sub, kind=integer24))
-    text = dcf_text({trim: held}, {trim: before}, described, 1, 500_000, None)
+    text = dcf_text({trim: held}, {trim: before}, described, 1, 500_000, Identity("drive", 1, 2, 3, 4, 402))
     assert "DefaultValue=7\nParameterValue=-2\n" in text
