@@ -163,8 +163,8 @@ def simulate_drive(motor: PmsmParameters, K_d: StateSpace, K_q: StateSpace, step
         load = LOAD_NM if t >= LOAD_AT_S else 0.0
         acceleration = (torque - motor.viscous_friction_nm_s * speed - load) / motor.inertia_kg_m2
         error = SPEED_RAD_S - speed
-        wanted = min(max(KP * error + KI * integral - KD * acceleration, -20.0), 20.0)
-        e_d, e_q = -i_d, wanted - i_q
+        reference_a = min(max(KP * error + KI * integral - KD * acceleration, -20.0), 20.0)
+        e_d, e_q = -i_d, reference_a - i_q
         x_d, x_q = x[4 : 4 + n_d], x[4 + n_d :]
         v_d = float((Kd.C @ x_d)[0]) + Kd.D[0, 0] * e_d - electrical * MOTOR.inductance_q_h * i_q
         v_q = float((Kq.C @ x_q)[0]) + Kq.D[0, 0] * e_q

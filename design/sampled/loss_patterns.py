@@ -116,16 +116,12 @@ def chain_of(loop: SwitchedLoop, pattern: Pattern) -> list[Operation]:
     return list(itertools.chain.from_iterable(loop.chain(step) for step in pattern.steps))
 
 
-def pattern_gain(loop: SwitchedLoop, pattern: Pattern) -> float:
-    """Gain under ``pattern``, rad/s per N m, not above it; inf if unstable."""
-    return float(pattern_gains(loop, [pattern])[0])
-
-
 def pattern_gains(
     loop: SwitchedLoop, patterns: Sequence[Pattern], tolerance: float = 1e-7, near: float | None = None
 ) -> Array:
-    """The same of each, to the relative ``tolerance``: many levels at once, then between two of them.
+    """Gain under each, rad/s per N m, not above it, to the relative ``tolerance``; inf if unstable.
 
+    Many levels at once, then between two of them.
     ``near``: about which gain to look first, rad/s per N m.
     """
     letters = sorted({letter for each in patterns for letter in _split(each.steps)}, key=repr)
@@ -206,7 +202,9 @@ def worst_gain(loop: SwitchedLoop, known: Sequence[Pattern], changed_max: int = 
             break
     if contest.best:
         pattern = pattern_of(loop, _steps(contest.letters, contest.best))
-        worst = max(worst, WorstGain(pattern, pattern_gain(loop, pattern)), key=lambda each: each.gain)
+        worst = max(
+            worst, WorstGain(pattern, float(pattern_gains(loop, [pattern])[0])), key=lambda each: each.gain
+        )
     return worst
 
 

@@ -11,7 +11,7 @@ from hil.configuration.controller_section import AxisController
 from hil.configuration.quantities import Gain, Inertia, ViscousFriction
 from hil.configuration.speed_controller_file import LoopFigures, LossCertificate, MadeFor
 from hil.control.load_filter import FilterNoise
-from hil.control.predictor import LoadCancelling, PredictorSettings
+from hil.control.predictor import LoadCancelling, Predictor
 from hil.control.setup import Setup
 from hil.loop.axis_roles import Controller
 
@@ -55,5 +55,5 @@ class PredictorController(AxisController):
             self.load_noise_max_nm_sqrt_s,
         )
         dead_time = Duration(round(self.dead_time_us * NS_PER_US))
-        settings = PredictorSettings(plant, noise, self.speed_gain_nm_s_rad, self.torque_gain, dead_time)
-        return LoadCancelling(settings, setup.period)
+        predictor = Predictor(plant, noise, dead_time, setup.period)
+        return LoadCancelling(predictor, plant, self.speed_gain_nm_s_rad, self.torque_gain)

@@ -10,7 +10,6 @@ too. The feedback sees a plant without delay, and the load it knows is cancelled
     u = T + k_T (T - T^) + k_omega (omega* - omega^) + J d omega*/dt      T = T_L^ + B omega*
 """
 
-from dataclasses import dataclass
 from typing import Final
 
 from design.speed.predictor_plant import PredictorPlant
@@ -27,38 +26,30 @@ EARLY: Final = 4
 """A command that acts more than such a part of a period from now acts with the next cycle's reference."""
 
 
-@dataclass(frozen=True, slots=True)
-class PredictorSettings:
-    """What a predictor is made for."""
-
-    plant: PredictorPlant
-    noise: FilterNoise
-    speed_gain_nm_s_rad: float
-    """k_omega."""
-    torque_gain: float
-    """k_T, N m/N m."""
-    dead_time: Duration
-    """Of the drive, beside its current loop and its speed filter: from a command's instant to its voltage."""
-
-
 class Predictor(Compensator):
-    """The state at the instant at which the present command will act."""
+    """The state at the instant at which the present command will act.
 
-    def __init__(self, settings: PredictorSettings, period: Duration) -> None:
-        self._settings = settings
+    ``dead_time``: of the drive, beside its current loop and its speed filter: from a command's instant to its
+    voltage.
+    """
+
+    def __init__(
+        self, plant: PredictorPlant, noise: FilterNoise, dead_time: Duration, period: Duration
+    ) -> None:
+        self._plant = plant
+        self._noise = noise
+        self._dead_time = dead_time
         self._period = period
-        self._dead_time = settings.dead_time
         self._begin()
 
     def _begin(self) -> None:
-        settings = self._settings
         self.load_nm = 0.0
         """The load torque, as far as the readings tell."""
         self.innovation_rad_s = 0.0
         """The last reading's speed beside the one that was expected."""
-        self._filter = LoadFilter(settings.plant, settings.noise, self._period * PER_NS)
-        self._motion = ShaftMotion(settings.plant)
-        self._ahead = ShaftMotion(settings.plant)
+        self._filter = LoadFilter(self._plant, self._noise, self._period * PER_NS)
+        self._motion = ShaftMotion(self._plant)
+        self._ahead = ShaftMotion(self._plant)
         self._last: Sample | None = None
         self._at = 0
         """For when the filter's state holds, ns."""
@@ -134,14 +125,16 @@ class Predictor(Compensator):
 
 
 class LoadCancelling(Controller):
-    """Feedback of what its predictor tells, against the load that it knows."""
+    """Feedback of what its predictor tells, against the load that it knows: k_omega, and k_T in N m/N m."""
 
-    def __init__(self, settings: PredictorSettings, period: Duration) -> None:
-        self._predictor = Predictor(settings, period)
-        self._speed_gain = settings.speed_gain_nm_s_rad
-        self._torque_gain = settings.torque_gain
-        self._friction = settings.plant.viscous_friction_nm_s
-        self._inertia = settings.plant.inertia_kg_m2
+    def __init__(
+        self, predictor: Predictor, plant: PredictorPlant, speed_gain_nm_s_rad: float, torque_gain: float
+    ) -> None:
+        self._predictor = predictor
+        self._speed_gain = speed_gain_nm_s_rad
+        self._torque_gain = torque_gain
+        self._friction = plant.viscous_friction_nm_s
+        self._inertia = plant.inertia_kg_m2
 
     def channels(self) -> tuple[str, ...]:
         return ("load_estimate_nm", "innovation_rad_s")

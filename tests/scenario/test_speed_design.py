@@ -26,8 +26,7 @@ from hil.configuration.bench_file import bench_from, load_bench, load_controller
 from hil.configuration.network_file import load_network
 from hil.execution.bench import run_bench
 from hil.studies.papers import reproduction
-from hil.studies.papers import runs as paper_runs
-from hil.studies.papers.runs import LOAD_AT_S, VARIANTS, bench_of
+from hil.studies.papers.reproduction import LOAD_AT_S, VARIANTS, bench_of
 from tests.unit.hil.test_speed_studies import HAND_WRITTEN, MOTOR, run, told
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -142,7 +141,7 @@ def test_reproduction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     known = {"by_losses": [{"lost": 0, "decay_per_s": 1.0, "gamma": None}]}
     monkeypatch.setattr(reproduction, "table2", one_row)
     monkeypatch.setattr(reproduction, "strategies", lambda: {"arrival": known, "history": known})
-    monkeypatch.setattr(paper_runs, "VARIANTS", (VARIANTS[0], *VARIANTS[4:]))
+    monkeypatch.setattr(reproduction, "VARIANTS", (VARIANTS[0], *VARIANTS[4:]))
     found = told("reproduce", "ling2012", "--figures", str(tmp_path))
     assert set(found) >= {"table2", "published_design", "case1", "case2", "case3"}
     (row,) = found["table2"]["published"]

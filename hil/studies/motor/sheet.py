@@ -72,9 +72,9 @@ def data_sheet(sheet: Sheet) -> DataSheet:
 
 def motor_text(sheet: Sheet) -> str:
     """The motor file. Raises BadInput or BadInputs, and InconsistentSheet."""
-    told = list(data_sheet(sheet._replace(winding_c=None)).contradictions())
-    if told:
-        raise InconsistentSheet(told)
+    contradictions = list(data_sheet(sheet._replace(winding_c=None)).contradictions())
+    if contradictions:
+        raise InconsistentSheet(contradictions)
     entered = data_sheet(sheet)
     motor = entered.motor()
     file = MotorFile(

@@ -16,7 +16,7 @@ from design.papers.ling2012 import (
 )
 from drivers.rotation import RAD_S_PER_RPM
 from hil.studies.drawing import draw_all, picture
-from hil.studies.papers.runs import LOAD_AT_S, PaperRun
+from hil.studies.papers.reproduction import LOAD_AT_S, PaperRun
 
 _LABELS = {
     "stamp": "stamp, 5 of 6 lost",

@@ -132,9 +132,9 @@ def _certified_delay(
         return certified_delay_s(model, loop, order), order
     best_s, best_order = 0.0, 0
     for tried in range(ORDER_MAX + 1):
-        found_s = certified_delay_s(model, loop, tried)
-        if found_s > best_s:
-            best_s, best_order = found_s, tried
+        certified_s = certified_delay_s(model, loop, tried)
+        if certified_s > best_s:
+            best_s, best_order = certified_s, tried
         if best_s * CLOSE_ENOUGH >= exact_s:
             break
     return best_s, best_order

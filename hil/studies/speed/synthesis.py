@@ -96,7 +96,7 @@ class DesignResult:
         """For JSON."""
         request, design = self.request, self.design
         floor = peak_floor_rad_s(request.motor, design.delay_s)
-        told: dict[str, Any] = {
+        figures: dict[str, Any] = {
             "feasible": True,
             "gain": design.K.tolist(),
             "current_bandwidth_hz": request.current_bandwidth_hz,
@@ -115,11 +115,11 @@ class DesignResult:
         }
         if self.sampled is not None and request.network is not None:
             share = 100.0 * request.load_nm / request.speed_rad_s
-            told["sampled"] = network_figures(request.network) | sequence_figures(self.sampled, share)
+            figures["sampled"] = network_figures(request.network) | sequence_figures(self.sampled, share)
         if self.bandwidths is not None:
-            told["current_bandwidths"] = asdict(self.bandwidths)
-        told["robustness"] = _robustness(self)
-        return told
+            figures["current_bandwidths"] = asdict(self.bandwidths)
+        figures["robustness"] = _robustness(self)
+        return figures
 
     def _certificate(self) -> dict[str, Any]:
         if self.certified is None:

@@ -14,9 +14,16 @@ from design.delay.delay_loop import Array
 from design.errors import InfeasibleDesign
 from design.papers.ling2012 import MOTOR
 from design.speed.conditioned import Conditioned, conditioned, truncated
-from design.speed.hinf_design import HinfDesign, design_hinf, hinf_robustness
+from design.speed.hinf_design import (
+    HinfDesign,
+    HinfWeights,
+    design_controller,
+    design_hinf,
+    hinf_robustness,
+    sampled_uncertainty,
+    shaft_of,
+)
 from design.speed.hinf_loop import HinfLoop
-from design.speed.hinf_problem import HinfWeights, design_controller, sampled_uncertainty, shaft_of
 from design.speed.predictor_design import PredictorRequest
 from design.speed.predictor_plant import encoder_noise_rad_s, plant_of
 from design.statespace import state_space

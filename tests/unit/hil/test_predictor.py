@@ -13,7 +13,7 @@ from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.control.load_filter import STEP_SIGMAS, FilterNoise
 from hil.control.motion import ShaftMotion
-from hil.control.predictor import LoadCancelling, Predictor, PredictorSettings
+from hil.control.predictor import LoadCancelling, Predictor
 from hil.loop.context import Context, TorqueSetPoint
 from hil.loop.samples import Sample, StateEstimate
 from hil.loop.scenario import Ramp, ReferenceProfile
@@ -22,7 +22,11 @@ Array = NDArray[np.float64]
 PERIOD = Duration(NS_PER_MS)
 PLANT = PredictorPlant(8e-4, 1.85e-3, math.tau * 800.0, math.tau * 500.0)
 NOISE = FilterNoise(0.076, 0.01, 1.2, 1.2)
-SETTINGS = PredictorSettings(PLANT, NOISE, 0.4, 0.2, Duration(100_000))
+DEAD_TIME = Duration(100_000)
+
+
+def predicting(noise: FilterNoise = NOISE) -> Predictor:
+    return Predictor(PLANT, noise, DEAD_TIME, PERIOD)
 
 
 def generator(model: PredictorPlant = PLANT) -> Array:
@@ -113,7 +117,7 @@ class Textbook:
 
 def test_the_filter_is_the_textbooks_through_losses_late_readings_and_fractions_of_a_period() -> None:
     draw = np.random.default_rng(15)
-    predictor, textbook = Predictor(SETTINGS, PERIOD), Textbook()
+    predictor, textbook = predicting(), Textbook()
     speed = 0.0
     first = PERIOD
     predictor.receive(sample(1, first, speed))
@@ -130,18 +134,18 @@ def test_the_filter_is_the_textbooks_through_losses_late_readings_and_fractions_
                 textbook.take(came[1], came[2])
             waiting.clear()
         acts_at = (number + 1) * PERIOD + int(draw.integers(0, 300_000))
-        found, expected = estimate(predictor, acts_at), textbook.ahead(acts_at + SETTINGS.dead_time)
-        assert found.valid_at == acts_at + SETTINGS.dead_time
+        found, expected = estimate(predictor, acts_at), textbook.ahead(acts_at + DEAD_TIME)
+        assert found.valid_at == acts_at + DEAD_TIME
         assert found.velocity_rad_s == pytest.approx(expected[1], abs=1e-3)
         assert found.torque_nm == pytest.approx(expected[0], abs=1e-6)
         assert predictor.load_nm == pytest.approx(textbook.x[3], abs=1e-3)
         torque = float(draw.normal(0.0, 0.5))
         predictor.sent(command(acts_at, torque))
-        textbook.commands.append((acts_at + SETTINGS.dead_time, torque))
+        textbook.commands.append((acts_at + DEAD_TIME, torque))
 
 
 def test_it_predicts_with_what_was_sent_and_not_with_what_was_asked_for() -> None:
-    cut, whole = Predictor(SETTINGS, PERIOD), Predictor(SETTINGS, PERIOD)
+    cut, whole = predicting(), predicting()
     for predictor, torque in ((cut, 0.5), (whole, 2.0)):
         predictor.receive(sample(1, PERIOD, 0.0))
         predictor.sent(command(2 * PERIOD, torque))
@@ -151,7 +155,7 @@ def test_it_predicts_with_what_was_sent_and_not_with_what_was_asked_for() -> Non
 
 
 def test_through_a_dropout_it_runs_on_by_the_model() -> None:
-    predictor = Predictor(SETTINGS, PERIOD)
+    predictor = predicting()
     predictor.receive(sample(1, PERIOD, 100.0))
     found = estimate(predictor, 51 * PERIOD)
     coasting = 100.0 * math.exp(-0.0501 * 1.85e-3 / 8e-4)
@@ -160,7 +164,7 @@ def test_through_a_dropout_it_runs_on_by_the_model() -> None:
 
 
 def test_an_overtaken_reading_changes_nothing() -> None:
-    predictor = Predictor(SETTINGS, PERIOD)
+    predictor = predicting()
     predictor.receive(sample(1, PERIOD, 0.0))
     predictor.receive(sample(3, 3 * PERIOD, 0.1))
     before = estimate(predictor, 4 * PERIOD)
@@ -169,10 +173,10 @@ def test_an_overtaken_reading_changes_nothing() -> None:
 
 
 def test_a_step_of_the_load_is_followed_faster_than_noise_is() -> None:
-    bold = replace(SETTINGS, noise=replace(NOISE, load_nm_sqrt_s=0.5, load_max_nm_sqrt_s=10.0))
+    bold = replace(NOISE, load_nm_sqrt_s=0.5, load_max_nm_sqrt_s=10.0)
 
     def share_of_load(innovation: float) -> float:
-        predictor = Predictor(bold, PERIOD)
+        predictor = predicting(bold)
         predictor.receive(sample(1, PERIOD, 0.0))
         predictor.receive(sample(2, 2 * PERIOD, innovation))
         return predictor.load_nm / innovation
@@ -184,12 +188,12 @@ def test_a_step_of_the_load_is_followed_faster_than_noise_is() -> None:
 
 
 def test_reset_forgets_all() -> None:
-    predictor = Predictor(SETTINGS, PERIOD)
+    predictor = predicting()
     predictor.receive(sample(1, PERIOD, 0.0))
     predictor.receive(sample(2, 2 * PERIOD, 5.0))
     predictor.sent(command(3 * PERIOD, 1.0))
     predictor.reset()
-    fresh = Predictor(SETTINGS, PERIOD)
+    fresh = predicting()
     for each in (predictor, fresh):
         each.receive(sample(1, PERIOD, 1.0))
         each.receive(sample(2, 2 * PERIOD, 1.0))
@@ -204,7 +208,7 @@ def asked(controller: LoadCancelling, context: Context) -> float:
 
 
 def test_the_load_is_cancelled_and_a_ramp_fed_forward() -> None:
-    controller = LoadCancelling(SETTINGS, PERIOD)
+    controller = LoadCancelling(predicting(), PLANT, 0.4, 0.2)
     predictor = controller.observer()
     assert isinstance(predictor, Predictor)
     predictor.load_nm = 0.6

@@ -15,7 +15,6 @@ from drivers.cia402.profile import Mode, supported_mode_bit
 from hil.cli import app
 from hil.recorded.commissioning_page import commissioning_page
 from hil.studies.papers import reproduction
-from hil.studies.papers import runs as paper_runs
 from hil.verdict.verdict import ExitStatus
 from tests.commissioning import LOSS, unknown_world
 from tests.page_text import page_text
@@ -203,7 +202,7 @@ def reproduced() -> str:
         patch.object(reproduction, "table2", lambda: table),
         patch.object(reproduction, "strategies", lambda: strategies),
         patch.object(reproduction, "for_motor", lambda _motor: motor),
-        patch.object(paper_runs, "VARIANTS", [paper_runs.VARIANTS[place] for place in (0, 3, 5)]),
+        patch.object(reproduction, "VARIANTS", [reproduction.VARIANTS[place] for place in (0, 3, 5)]),
         drawn() as pictures,
     ):
         told = run(
