@@ -1,8 +1,6 @@
-"""What the network did to the readings of a run, from its records: ``network.toml`` in the run's folder."""
+"""What the network did to the readings of a run, from its records."""
 
 import math
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -10,17 +8,14 @@ from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_US
 from hil.configuration.network_file import (
-    NETWORK_FILE,
     ClockHealth,
     DelayFigures,
     DelayHistogram,
     Network,
-    network_text,
 )
 from hil.loop.samples import CommandFate, DropoutCause
 from hil.reviewing.histogram import TimeHistogram
 from hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
-from hil.rows.side_rows import RunEvent
 from hil.verdict.summary import Summary
 
 _BARS = 100
@@ -170,28 +165,6 @@ def action_delays_ns(came: Rows, period_ns: int) -> tuple[NDArray[np.int64], NDA
     least: NDArray[np.int64] = acting["command_acts_after"] + behind
     most: NDArray[np.int64] = acting["command_acts_by"] + behind
     return least, most
-
-
-class NetworkKeeper:
-    """network.toml."""
-
-    name = NETWORK_FILE
-
-    def __init__(self, folder: Path, period_us: int, axes: int) -> None:
-        self._path = folder / NETWORK_FILE
-        self._meter = NetworkMeter(period_us, axes)
-
-    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
-        self._meter.add(rows)
-
-    def flush(self) -> None:
-        """Written at the end."""
-
-    def finish(self, summary: Summary) -> None:
-        network = self._meter.network()
-        if network is not None:
-            told = network.model_copy(update={"clocks": clocks_of(summary)})
-            self._path.write_text(network_text(told), encoding="utf-8")
 
 
 def clocks_of(summary: Summary) -> dict[str, ClockHealth]:
