@@ -4,26 +4,17 @@ The log counts from the first cycle, as all files do, but for a slow drive's ent
 power-on of the drive, which in simulated time is the beginning. Entries wait until the first cycle is known.
 """
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import Instant
-from hil.recording.append_file import AppendFile
-from hil.rows.records import Rows
 from hil.rows.run_zero import RunZero
-from hil.rows.side_rows import RunEvent
-from hil.verdict.summary import Summary
 from virtual_bus.faults.fault_log import (
     BLOCK,
     BLOCK_BYTES,
-    FAULTS_FILE,
     KIND_CODES,
     FaultEntry,
     entries_of,
-    entry_line,
 )
 
 BLOCK_DTYPE = np.dtype([("length", "<u4"), ("block", "u1", (BLOCK_BYTES,))])
@@ -55,24 +46,3 @@ class FaultEntries:
         if entry.code not in _SINCE_POWER_ON:
             return entry
         return entry._replace(at_ns=entry.at_ns + self._started_at - zero)
-
-
-class FaultsKeeper:
-    """Writes what :class:`FaultEntries` took last whenever the others get their rows."""
-
-    name = FAULTS_FILE
-
-    def __init__(self, folder: Path, entries: FaultEntries, *, fresh: bool = True) -> None:
-        self._file = AppendFile(folder / FAULTS_FILE, fresh=fresh)
-        self._entries = entries
-
-    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
-        """See :class:`hil.recording.log_files.Keeper`."""
-        self._file.write("".join(f"{entry_line(entry)}\n" for entry in self._entries.fresh).encode())
-
-    def flush(self) -> None:
-        """Nothing is held back."""
-
-    def finish(self, summary: Summary) -> None:  # noqa: ARG002
-        """See :class:`hil.recording.log_files.Keeper`."""
-        self._file.close()

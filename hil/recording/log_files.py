@@ -5,7 +5,6 @@ import socket
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
 from uuid import uuid4
 
 import numpy as np
@@ -13,12 +12,14 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from drivers.timebase import Duration
+from hil.configuration.network_file import NETWORK_FILE, network_text
 from hil.recording.append_file import AppendFile
 from hil.recording.candump import candump_lines, direction_lines
+from hil.recording.faults_file import FaultEntries
 from hil.recording.run_metadata import run_metadata
 from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
 from hil.recording.telemetry import RERUN_FILE, Telemetry
-from hil.reviewing.network_meter import NetworkKeeper
+from hil.reviewing.network_meter import NetworkMeter, clocks_of
 from hil.reviewing.review import Review
 from hil.rows.event_lines import event_json
 from hil.rows.frame_order import FrameOrder
@@ -38,6 +39,7 @@ from hil.rows.side_rows import (
 )
 from hil.verdict.summary import Summary
 from virtual_bus.child_python import python_command, python_environment
+from virtual_bus.faults.fault_log import FAULTS_FILE, entry_line
 
 _BLOCK_ROWS = 8_192
 _LIVE_MEMORY = "256MiB"
@@ -45,22 +47,21 @@ _LOOPBACK = "127.0.0.1"
 LIVE_VIEW = "live view"
 
 
-class Keeper(Protocol):
+class Keeper:
     """Takes what was drained. Every method may raise OSError; it is not called again then."""
 
     name: str
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
         """What came since the last call: (n,) of ROW_DTYPE, (m,) of FRAME_DTYPE, and the events."""
-        ...
+        raise NotImplementedError
 
     def flush(self) -> None:
-        """Bring it to the disk, or to the viewer; about once a second."""
-        ...
+        """Bring it to the disk, or to the viewer; about once a second. Most hold nothing back."""
 
     def finish(self, summary: Summary) -> None:
         """The end of the run."""
-        ...
+        raise NotImplementedError
 
 
 class RowBlocks:
@@ -86,7 +87,7 @@ class RowBlocks:
         return block
 
 
-class RecordsKeeper:
+class RecordsKeeper(Keeper):
     """records.arrow, and what is not yet in it.
 
     Its head is written with the first cycle, when all that it says of the run is known.
@@ -135,7 +136,7 @@ class RecordsKeeper:
             self._writer.begin(run_metadata(self._plan, self._zero.at, self._drives), self._zero.at)
 
 
-class FramesKeeper:
+class FramesKeeper(Keeper):
     """frames.log, and beside it the direction of each frame.
 
     In simulated time the stamps count from the first cycle, so the frames before it wait until that is known.
@@ -166,9 +167,6 @@ class FramesKeeper:
         else:
             self._write(ready)
 
-    def flush(self) -> None:
-        """What is held back cannot be written yet."""
-
     def write_rest(self) -> None:
         """Nothing comes any more. Error: OSError."""
         self._write(np.concatenate((self._early, self._order.rest())))
@@ -192,7 +190,7 @@ class FramesKeeper:
         self._written += frames.size
 
 
-class EventsKeeper:
+class EventsKeeper(Keeper):
     """events.jsonl: one JSON object a line, with the instant in ns since the first cycle."""
 
     name = EVENTS_FILE
@@ -213,9 +211,6 @@ class EventsKeeper:
         lines = [json.dumps(event_json(event, self._zero.at)) + "\n" for event in shown]
         self._file.write("".join(lines).encode())
 
-    def flush(self) -> None:
-        """Nothing is held back."""
-
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
         self._file.close()
 
@@ -226,7 +221,7 @@ class EventsKeeper:
         self._file.restart("".join(lines).encode())
 
 
-class LoadKeeper:
+class LoadKeeper(Keeper):
     """load.csv, if there is a load machine that measures; it does from the first cycle on."""
 
     name = LOAD_FILE
@@ -247,15 +242,47 @@ class LoadKeeper:
                 line = f"{at},{event.axis},{event.torque_nm:.6g},{event.speed_rad_s:.6g}\n"
                 self._file.write(line.encode())
 
-    def flush(self) -> None:
-        """Nothing is held back."""
-
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
         if self._file is not None:
             self._file.close()
 
 
-class RerunKeeper:
+class NetworkKeeper(Keeper):
+    """network.toml."""
+
+    name = NETWORK_FILE
+
+    def __init__(self, folder: Path, period_us: int, axes: int) -> None:
+        self._path = folder / NETWORK_FILE
+        self._meter = NetworkMeter(period_us, axes)
+
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+        self._meter.add(rows)
+
+    def finish(self, summary: Summary) -> None:
+        network = self._meter.network()
+        if network is not None:
+            told = network.model_copy(update={"clocks": clocks_of(summary)})
+            self._path.write_text(network_text(told), encoding="utf-8")
+
+
+class FaultsKeeper(Keeper):
+    """faults.jsonl: what :class:`FaultEntries` took last, whenever the others get their rows."""
+
+    name = FAULTS_FILE
+
+    def __init__(self, folder: Path, entries: FaultEntries, *, fresh: bool = True) -> None:
+        self._file = AppendFile(folder / FAULTS_FILE, fresh=fresh)
+        self._entries = entries
+
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+        self._file.write("".join(f"{entry_line(entry)}\n" for entry in self._entries.fresh).encode())
+
+    def finish(self, summary: Summary) -> None:  # noqa: ARG002
+        self._file.close()
+
+
+class RerunKeeper(Keeper):
     """run.rrd; in a stream of its own, so that no viewer can hold it up."""
 
     name = RERUN_FILE
@@ -288,7 +315,7 @@ class RerunKeeper:
             self._telemetry.take_rows(block)
 
 
-class LiveKeeper:
+class LiveKeeper(Keeper):
     """A Rerun viewer that shows a real-time run while it goes on; served on the loopback only."""
 
     name = LIVE_VIEW

@@ -19,8 +19,8 @@ from pathlib import Path
 import rerun as rr
 
 from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries, FaultsKeeper
-from hil.recording.log_files import LIVE_VIEW, Keeper, open_keepers
+from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
+from hil.recording.log_files import LIVE_VIEW, FaultsKeeper, Keeper, open_keepers
 from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED, LineReader
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import Reserve, write_summary

@@ -24,13 +24,12 @@ from drivers.errors import BadInput
 from drivers.printable import printable
 from drivers.timebase import Instant
 from hil.recording.append_file import AppendFile
-from hil.recording.faults_file import FaultEntries, FaultsKeeper
-from hil.recording.log_files import EventsKeeper, FramesKeeper
+from hil.recording.faults_file import FaultEntries
+from hil.recording.log_files import EventsKeeper, FaultsKeeper, FramesKeeper, NetworkKeeper
 from hil.recording.run_folder import Reserve, write_summary
 from hil.recording.tail import FRAMES_TAIL_FILE, read_tail
 from hil.recording.telemetry import RERUN_FILE, Telemetry
 from hil.recording.whole_records import Rings, first_cycle, whole_records
-from hil.reviewing.network_meter import NetworkKeeper
 from hil.reviewing.review import Review
 from hil.reviewing.trace.run_trace import RecordedBus
 from hil.rows.recording_plan import RecordingPlan

@@ -315,7 +315,7 @@ class Telemetry:
         for path, times, values in lines:
             self._plot(f"/{name}/{path}", times, values)
         for path, times, values in marks_of(rows):
-            self._mark(f"/{name}/{path}", times, values)
+            self._send(f"/{name}/{path}", times, values)
         self._marks[name] += int((rows["fate"] != FATE_SAMPLE).sum())
         if self._live:
             ends = due_at[[0, -1]]
@@ -327,18 +327,13 @@ class Telemetry:
 
     def _plot(self, path: str, due_at: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """Rows of a line: one wide column, and its envelope; values: (n,)."""
-        if not due_at.size:
-            return
         self._send(path, due_at, values)
-        if not self._live:
+        if due_at.size and not self._live:
             self._envelopes.setdefault(path, Envelope()).add(due_at, values)
 
-    def _mark(self, path: str, due_at: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Points beside the lines."""
-        if due_at.size:
-            self._send(path, due_at, values)
-
     def _send(self, path: str, due_at: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        if not due_at.size:
+            return
         if path not in self._styled:
             self._styled.add(path)
             self._stream.log(path, self._style(path), static=True)

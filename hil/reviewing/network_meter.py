@@ -1,8 +1,6 @@
-"""What the network did to the readings of a run, from its records: ``network.toml`` in the run's folder."""
+"""What the network did to the readings of a run, from its records."""
 
 import math
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -10,17 +8,14 @@ from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_US
 from hil.configuration.network_file import (
-    NETWORK_FILE,
     ClockHealth,
     DelayFigures,
     DelayHistogram,
     Network,
-    network_text,
 )
 from hil.loop.samples import CommandFate, DropoutCause
 from hil.reviewing.histogram import TimeHistogram
 from hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
-from hil.rows.side_rows import RunEvent
 from hil.verdict.summary import Summary
 
 _BARS = 100
@@ -29,6 +24,33 @@ ACTING, LOST, _NOT_IDENTIFIABLE = (
 )
 _RUN_MAX = 1000
 """Losses in a row that are counted apart; more count as so many."""
+
+
+class LossRuns:
+    """How often so many in a row were lost, over all axes."""
+
+    def __init__(self, axes: int) -> None:
+        self._ended = np.zeros(_RUN_MAX + 1, np.int64)
+        self._open = [0] * axes
+        """Losses in a row that have not ended yet, by axis."""
+
+    def add(self, axis: int, lost: NDArray[np.bool_]) -> None:
+        """Take in which of the next ones of an axis were lost, (n,)."""
+        kept = np.flatnonzero(~lost)
+        if not kept.size:
+            self._open[axis] += lost.size
+            return
+        lengths = np.diff(kept, prepend=-1) - 1
+        lengths[0] += self._open[axis]
+        self._ended += np.bincount(np.minimum(lengths[lengths > 0], _RUN_MAX), minlength=_RUN_MAX + 1)
+        self._open[axis] = int(lost.size - 1 - kept[-1])
+
+    def counts(self) -> tuple[int, ...]:
+        """Of runs of 1, 2, ... to the longest, with those that have not ended."""
+        counts = self._ended.copy()
+        for length in filter(None, self._open):
+            counts[min(length, _RUN_MAX)] += 1
+        return tuple(np.trim_zeros(counts[1:], "b").tolist())
 
 
 class NetworkMeter:
@@ -43,13 +65,10 @@ class NetworkMeter:
         self._unstamped = np.zeros(axes, np.int64)
         """Acting commands without such a stamp less those with one, by axis."""
         self._command_fates = np.zeros(len(COMMAND_FATES), np.int64)
-        self._command_runs = np.zeros(_RUN_MAX + 1, np.int64)
-        self._commands_open = [0] * axes
+        self._command_runs = LossRuns(axes)
         self._uncertain = 0
         self._fates = np.zeros(len(CAUSES) + 1, np.int64)
-        self._runs = np.zeros(_RUN_MAX + 1, np.int64)
-        self._open = [0] * axes
-        """Losses in a row that have not ended yet, by axis."""
+        self._runs = LossRuns(axes)
 
     def add(self, rows: Rows) -> None:
         """Take in ``rows``: (n,) of ROW_DTYPE, each axis in order of sequence."""
@@ -71,20 +90,18 @@ class NetworkMeter:
         np.add.at(self._unstamped, acting["axis"], np.where(stamped, -1, 1))
         fates = rows["command_fate"]
         self._command_fates += np.bincount(fates[fates != NOTHING], minlength=len(COMMAND_FATES))
-        for axis in range(len(self._open)):
+        for axis in range(self._unstamped.size):
             mine = rows[rows["axis"] == axis]
-            _count_runs(self._runs, self._open, axis, mine["fate"] != FATE_SAMPLE)
+            self._runs.add(axis, mine["fate"] != FATE_SAMPLE)
             told = mine["command_fate"]
-            told = told[(told == ACTING) | (told == LOST)]
-            _count_runs(self._command_runs, self._commands_open, axis, told == LOST)
+            self._command_runs.add(axis, told[(told == ACTING) | (told == LOST)] == LOST)
 
     def network(self) -> Network | None:
         """The network so far; None before the first reading."""
-        runs, longest = _closed(self._runs, self._open)
-        _, command_longest = _closed(self._command_runs, self._commands_open)
         reading = delays_of(self._reading)
         if reading is None:
             return None
+        runs = self._runs.counts()
         stamped = bool((self._unstamped <= 0).all())
         action = delays_of(self._stamped if stamped else self._action)
         acting, lost = (int(self._command_fates[place]) for place in (ACTING, LOST))
@@ -92,10 +109,10 @@ class NetworkMeter:
         total = int(self._fates.sum())
         return Network(
             period_us=self._period_us,
-            losses_in_a_row_max=longest,
+            losses_in_a_row_max=len(runs),
             delay_max_us=math.ceil(reading.max if action is None else action.max),
             commands="not measured" if action is None else "measured",
-            command_losses_in_a_row_max=command_longest,
+            command_losses_in_a_row_max=len(self._command_runs.counts()),
             cycles=total,
             lost=count[DropoutCause.LOST],
             late=count[DropoutCause.LATE],
@@ -103,7 +120,7 @@ class NetworkMeter:
             missed=count[DropoutCause.MISSED],
             uncertain_percent=100.0 * self._uncertain / total,
             loss_percent=100.0 * sum(count.values()) / total,
-            losses_in_a_row=tuple(runs[1 : longest + 1].tolist()),
+            losses_in_a_row=runs,
             reading_delay_us=reading,
             action_delay_us=action,
             action_delay_least_us=delays_of(self._stamped_least if stamped else self._action_least),
@@ -121,28 +138,6 @@ def runs_of(lost: NDArray[np.bool_]) -> tuple[int, ...]:
     edges = np.diff(lost.astype(np.int8), prepend=0, append=0)
     lengths = np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)
     return tuple(np.bincount(lengths)[1:].tolist()) if lengths.size else ()
-
-
-def _count_runs(runs: NDArray[np.int64], still_open: list[int], axis: int, lost: NDArray[np.bool_]) -> None:
-    """Take the runs of ``lost`` into ``runs``; what has not ended stays in ``still_open``, by axis."""
-    if not lost.size:
-        return
-    kept = np.flatnonzero(~lost)
-    if not kept.size:
-        still_open[axis] += lost.size
-        return
-    lengths = np.diff(np.concatenate([[-1], kept])) - 1
-    lengths[0] += still_open[axis]
-    runs += np.bincount(np.minimum(lengths[lengths > 0], _RUN_MAX), minlength=_RUN_MAX + 1)
-    still_open[axis] = int(lost.size - 1 - kept[-1])
-
-
-def _closed(runs: NDArray[np.int64], still_open: list[int]) -> tuple[NDArray[np.int64], int]:
-    """The runs with those that have not ended, and the longest."""
-    closed = runs.copy()
-    for length in still_open:
-        closed[min(length, _RUN_MAX)] += 1 if length else 0
-    return closed, int(np.flatnonzero(closed)[-1]) if closed.any() else 0
 
 
 STAMPED_WITHIN: Final = 4
@@ -177,28 +172,6 @@ def action_delays_ns(came: Rows, period_ns: int) -> tuple[NDArray[np.int64], NDA
     least: NDArray[np.int64] = acting["command_acts_after"] + behind
     most: NDArray[np.int64] = acting["command_acts_by"] + behind
     return least, most
-
-
-class NetworkKeeper:
-    """network.toml."""
-
-    name = NETWORK_FILE
-
-    def __init__(self, folder: Path, period_us: int, axes: int) -> None:
-        self._path = folder / NETWORK_FILE
-        self._meter = NetworkMeter(period_us, axes)
-
-    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
-        self._meter.add(rows)
-
-    def flush(self) -> None:
-        """Written at the end."""
-
-    def finish(self, summary: Summary) -> None:
-        network = self._meter.network()
-        if network is not None:
-            told = network.model_copy(update={"clocks": clocks_of(summary)})
-            self._path.write_text(network_text(told), encoding="utf-8")
 
 
 def clocks_of(summary: Summary) -> dict[str, ClockHealth]:

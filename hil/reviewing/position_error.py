@@ -9,14 +9,11 @@ in csp is reached one period, 60C2h, after it acts; between two the way is strai
 from the second set-point on, lost set-points included.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import Duration
-from hil.reviewing.envelope import Envelope
-from hil.reviewing.speed_error import note_settling
+from hil.reviewing.speed_error import CountedErrors, note_settling
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, NOTHING, Rows
 from hil.verdict.summary import PositionError
@@ -40,12 +37,11 @@ class PositionErrorMeter:
         self._follows = axis.mode == "csp"
         self._last: tuple[float, float, int] | None = None
         self._step_at = _NEVER
-        self._counted, self._square_sum, self._peak = 0, 0.0, 0.0
         self._reached_at = np.empty(0, np.int64)
         self._set_points = np.empty(0)
         self._following_peak: float | None = None
-        self.counted = Envelope()
-        """The errors that count, rad, by their cycles."""
+        self.counted = CountedErrors()
+        """rad."""
         self.settling: list[tuple[int, int]] = []
         """From when to when none counts, ns."""
 
@@ -59,8 +55,8 @@ class PositionErrorMeter:
     def figures(self) -> PositionError:
         """Of all rows so far."""
         return PositionError(
-            peak_rad=self._peak if self._counted else None,
-            rms_rad=math.sqrt(self._square_sum / self._counted) if self._counted else None,
+            peak_rad=self.counted.peak,
+            rms_rad=self.counted.rms,
             following_peak_rad=self._following_peak,
         )
 
@@ -70,14 +66,7 @@ class PositionErrorMeter:
         read = rows[counts]
         passed_s = (read["sampled_at"] - read["due_at"]) / 1e9
         asked = reference[counts] + read["reference_rad_s"] * passed_s
-        error = np.abs(asked - read["position_rad"])
-        if not error.size:
-            return
-        self._counted += error.size
-        self.counted.add(read["due_at"], error)
-        self._peak = max(self._peak, float(error.max()))
-        # from left to right, as in hil.reviewing.speed_error
-        self._square_sum = float(np.cumsum(np.concatenate(([self._square_sum], error * error)))[-1])
+        self.counted.add(read["due_at"], np.abs(asked - read["position_rad"]))
 
     def _stepped_at(self, rows: Rows) -> NDArray[np.int64]:
         """For each row when the last step of the reference was: of position or of speed, by more than the

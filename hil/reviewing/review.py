@@ -167,7 +167,7 @@ class Review:
                 [run.most or None for run in self._runs], [run.at for run in self._runs]
             ),
             "speed_error_peak_percent_max": self._worst_axis(
-                [each.peak_percent for each in errors], [meter.peak_at for meter in self.errors]
+                [each.peak_percent for each in errors], [meter.counted.peak_at for meter in self.errors]
             ),
             "after_load_percent_max": self._worst_axis(
                 [each.after_load_percent for each in errors], [meter.after_load_at for meter in self.errors]

@@ -56,6 +56,34 @@ class AskedChanges:
         return change, load_change, np.abs(change) > self._acceleration_max * elapsed_s * _ROUNDING
 
 
+class CountedErrors(Envelope):
+    """The errors that count, by size."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.peak: float | None = None
+        self.peak_at: int | None = None
+        """The largest, and when its cycle was due, ns; None: there is none."""
+        self._count, self._square_sum = 0, 0.0
+
+    def add(self, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Take in the instants, (n,) ns, at which the cycles were due, and the errors, (n,)."""
+        if not values.size:
+            return
+        super().add(times, values)
+        place = int(values.argmax())
+        if self.peak is None or values[place] > self.peak:
+            self.peak, self.peak_at = float(values[place]), int(times[place])
+        self._count += values.size
+        # cumsum adds from left to right; sum() adds in pairs, whose result depends on the chunk
+        self._square_sum = float(np.cumsum(np.concatenate(([self._square_sum], values * values)))[-1])
+
+    @property
+    def rms(self) -> float | None:
+        """None: there is no error."""
+        return math.sqrt(self._square_sum / self._count) if self._count else None
+
+
 class SpeedErrorMeter:
     """Streaming; any division of the rows into chunks gives the same figures, bit by bit."""
 
@@ -65,19 +93,15 @@ class SpeedErrorMeter:
         self._rows = 0
         self._step_at = _NEVER
         self._reference_changed_row = self._load_changed_row = -1
-        self._counted = 0
-        self._square_sum = 0.0
-        self._peak = self._after_load_peak = 0.0
-        self._after_load_counted = 0
+        self._after_load_peak = 0.0
         self.reference_peak = 0.0
         """Largest reference by size, rad/s; the base of the peak in percent."""
         self.settling: list[tuple[int, int]] = []
         """From when to when the error is not counted, ns; in order, and apart from each other."""
-        self.counted = Envelope()
-        """The size of the error that counts, rad/s."""
-        self.peak_at: int | None = None
+        self.counted = CountedErrors()
+        """rad/s."""
         self.after_load_at: int | None = None
-        """When the cycles of the two peaks were due, ns; None: there is none."""
+        """When the cycle of the largest error after a change of load was due, ns; None: there is none."""
 
     def add(self, rows: Rows) -> None:
         """Take in rows of this axis: (n,) of ROW_DTYPE, in order of sequence."""
@@ -87,10 +111,9 @@ class SpeedErrorMeter:
         error = np.abs(reference - rows["velocity_rad_s"])
         counts, after_load = self._windows(rows)
         self.reference_peak = max(self.reference_peak, float(np.abs(reference).max()))
-        self._take_counted(rows["due_at"][counts], error[counts])
+        self.counted.add(rows["due_at"][counts], error[counts])
         relative = counts & after_load & (reference != 0.0)
         if relative.any():
-            self._after_load_counted += int(relative.sum())
             share = error[relative] / np.abs(reference[relative])
             place = int(share.argmax())
             if self.after_load_at is None or share[place] > self._after_load_peak:
@@ -99,25 +122,15 @@ class SpeedErrorMeter:
 
     def figures(self) -> SpeedError:
         """Of all rows so far."""
-        if not self._counted:
-            return SpeedError(None, None, None, None)
+        peak = self.counted.peak
         return SpeedError(
-            peak_rad_s=self._peak,
-            peak_percent=100.0 * self._peak / self.reference_peak if self.reference_peak else None,
-            rms_rad_s=math.sqrt(self._square_sum / self._counted),
-            after_load_percent=100.0 * self._after_load_peak if self._after_load_counted else None,
+            peak_rad_s=peak,
+            peak_percent=100.0 * peak / self.reference_peak
+            if peak is not None and self.reference_peak
+            else None,
+            rms_rad_s=self.counted.rms,
+            after_load_percent=None if self.after_load_at is None else 100.0 * self._after_load_peak,
         )
-
-    def _take_counted(self, due_at: NDArray[np.int64], error: NDArray[np.float64]) -> None:
-        if not error.size:
-            return
-        self._counted += error.size
-        self.counted.add(due_at, error)
-        place = int(error.argmax())
-        if self.peak_at is None or error[place] > self._peak:
-            self._peak, self.peak_at = float(error[place]), int(due_at[place])
-        # cumsum adds from left to right; sum() adds in pairs, whose result depends on the chunk
-        self._square_sum = float(np.cumsum(np.concatenate(([self._square_sum], error * error)))[-1])
 
     def _windows(self, rows: Rows) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which rows count, and which lie after a change of load under an unchanged reference."""

@@ -174,15 +174,15 @@ Rows = NDArray[np.void]
 _NOTHINGS: Final = ROW.pack(*[math.nan if column.is_real else NOTHING for column in COLUMNS])
 
 
-def _nothing(first: str, last: str) -> bytes:
-    """The fields from ``first`` to ``last`` where there is nothing for them."""
-    return _NOTHINGS[8 * NAMES.index(first) : 8 * NAMES.index(last) + 8]
+def _nothing(first: str, behind: str) -> bytes:
+    """The fields from ``first`` up to that ``behind`` them, where there is nothing for them."""
+    return _NOTHINGS[8 * NAMES.index(first) : 8 * NAMES.index(behind)]
 
 
-_NO_SAMPLE: Final = _nothing("sampled_at", "status_told_at")
-_NO_ESTIMATE: Final = _nothing("estimate_position_rad", "estimate_sequence")
-_NO_COMMAND: Final = _nothing("command_torque_nm", "command_expires_at")
-_NO_SENDING: Final = _nothing("command_raw", "command_acts_by")
+_NO_SAMPLE: Final = _nothing("sampled_at", "delay_ns")
+_NO_ESTIMATE: Final = _nothing("estimate_position_rad", "reference_rad_s")
+_NO_COMMAND: Final = _nothing("command_torque_nm", "command_raw")
+_NO_SENDING: Final = _nothing("command_raw", "clock_offset_ns")
 
 
 def row_of(record: CycleRecord) -> bytes:

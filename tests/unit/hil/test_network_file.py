@@ -8,7 +8,8 @@ import pytest
 from drivers.errors import BadInput, BenchError
 from hil.configuration.network_file import ClockHealth, Network, load_network, network_text
 from hil.loop.samples import CommandFate
-from hil.reviewing.network_meter import NetworkKeeper, NetworkMeter
+from hil.recording.log_files import NetworkKeeper
+from hil.reviewing.network_meter import NetworkMeter
 from hil.rows.records import COMMAND_FATES, FATE_MISSED, ROW_DTYPE, Rows
 from hil.rows.side_rows import FRAME_DTYPE
 from tests.unit.hil.test_summary import summary_with, timing
