@@ -16,7 +16,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from drivers.bounded_file import NoSuchFile, parse_json, read_lines, read_text
+from drivers.bounded_file import NoSuchFile, parse_json, read_text
 from drivers.cia402.objects402 import Object
 from drivers.errors import BadInput
 from drivers.rotation import RPM_PER_RAD_S
@@ -32,6 +32,7 @@ from hil.reviewing.trace.decoder import decode
 from hil.reviewing.trace.known_nodes import KnownNodes
 from hil.reviewing.trace.run_trace import RecordedBus
 from hil.reviewing.trace.trace_entry import TraceEntry
+from hil.rows.event_lines import read_events
 from hil.rows.run_files import (
     COMMISSIONED_FILE,
     COMMISSIONING_FIGURES,
@@ -93,7 +94,7 @@ def commissioning_page(folder: Path) -> Path:
 
 def _write(folder: Path, page: Path) -> None:
     figures = _figures(folder)
-    events = list(_events(folder / COMMISSIONING_RECORDING / EVENTS_FILE))
+    events = list(read_events(folder / COMMISSIONING_RECORDING / EVENTS_FILE))
     zero_ns = next((at_ns for event in events if (at_ns := _zero_ns(event)) is not None), None)
     bus = _Bus(RecordedBus(page.parent), _known(folder), zero_ns)
     end_ns = max([bus.end_ns, *(event["at_ns"] for event in events)])
@@ -131,14 +132,6 @@ def _known(folder: Path) -> KnownNodes:
     return KnownNodes((), {("", drive.drive.node): drive.override})
 
 
-def _events(path: Path) -> Iterator[dict[str, Any]]:
-    for number, line in enumerate(read_lines(path, "log of events") if path.exists() else (), start=1):
-        try:
-            yield parse_json(line, str(path), "an event", f"line {number}")
-        except BadInput:
-            return  # the last one of a commissioning that was killed
-
-
 def _zero_ns(event: Mapping[str, Any]) -> int | None:
     match = _ZERO.search(str(event.get("text", "")))
     return None if match is None else int(match[1]) * NS_PER_S + int(match[2]) * 1000
@@ -153,12 +146,13 @@ class _Bus:
         self.emergencies: list[tuple[int, str]] = []
         self.end_ns = 0
         self._zero_ns = zero_ns
-        held: dict[Object, tuple[list[int], list[float]]] = {index: ([], []) for index in _SIGNALS}
+        held: dict[Object, list[tuple[int, float]]] = {index: [] for index in _SIGNALS}
         for entry in decode(iter(recorded), known):
             if entry.at_ns is not None:
                 self._take(entry, entry.at_ns, held)
-        for index, (times, values) in held.items():
-            if times:
+        for index, points in held.items():
+            if points:
+                times, values = zip(*points, strict=True)
                 self.signals[index] = envelope = Envelope()
                 envelope.add(np.array(times, np.int64), np.array(values))
 
@@ -168,9 +162,7 @@ class _Bus:
             if _SIGNALS[index].plot == plot:
                 yield from envelope.ends() or ()
 
-    def _take(
-        self, entry: TraceEntry, stamp_ns: int, held: Mapping[Object, tuple[list[int], list[float]]]
-    ) -> None:
+    def _take(self, entry: TraceEntry, stamp_ns: int, held: Mapping[Object, list[tuple[int, float]]]) -> None:
         if self._zero_ns is None:
             self._zero_ns = stamp_ns
         at_ns = self.end_ns = stamp_ns - self._zero_ns
@@ -184,9 +176,8 @@ class _Bus:
                 if not self.states or self.states[-1][1] != label:
                     self.states.append((at_ns, label))
             elif entry.kind == "pdo" and value.index in held and value.si is not None:
-                times, values = held[Object(value.index)]
-                times.append(at_ns)
-                values.append(value.si * _SIGNALS[Object(value.index)].scale)
+                index = Object(value.index)
+                held[index].append((at_ns, value.si * _SIGNALS[index].scale))
 
 
 def _send_steps(stream: rr.RecordingStream, events: list[dict[str, Any]], figures: Mapping[str, Any]) -> None:

@@ -9,7 +9,6 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S
 from hil.recorded.comparison import Against
 from hil.recording.page_series import AXIS_COLORS, GREY, TIMELINE, torque_scale
@@ -27,20 +26,17 @@ _APPLICATION: Final = "servobench comparison"
 
 
 def write_comparison(compared: Sequence[Against], markdown: str, path: Path) -> None:
-    """``markdown``: what is told beside the plots. Raises BadInput for a path that cannot be written to."""
+    """``markdown``: what is told beside the plots. Error: OSError."""
     names = [f"{number}_{each.run.folder.name}" for number, each in enumerate(compared)]
-    try:
-        with stream_into(path, _APPLICATION) as stream:
-            for place, (name, each) in enumerate(zip(names, compared, strict=True)):
-                color = AXIS_COLORS[place % len(AXIS_COLORS)]
-                for axis, signal, (times, values) in _signals(compared, each):
-                    shade = GREY if signal.endswith(("/reference", "/load")) else color
-                    _send(stream, f"/{name}/{axis}/{signal}", times, values, name, shade)
-            text = rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN)
-            stream.log("/differences", text, static=True)
-            stream.send_blueprint(_layout(compared, names))
-    except OSError as error:
-        raise BadInput("--out", "", str(path), "a place to write to", str(error)) from None
+    with stream_into(path, _APPLICATION) as stream:
+        for place, (name, each) in enumerate(zip(names, compared, strict=True)):
+            color = AXIS_COLORS[place % len(AXIS_COLORS)]
+            for axis, signal, (times, values) in _signals(compared, each):
+                shade = GREY if signal.endswith(("/reference", "/load")) else color
+                _send(stream, f"/{name}/{axis}/{signal}", times, values, name, shade)
+        text = rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN)
+        stream.log("/differences", text, static=True)
+        stream.send_blueprint(_layout(compared, names))
 
 
 def _signals(compared: Sequence[Against], each: Against) -> Iterator[tuple[str, str, Points]]:

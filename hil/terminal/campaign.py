@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from hil.terminal.exit_status import reported_errors
+from hil.terminal.exit_status import reported_errors, writing
 from hil.terminal.options import JsonOption, flag, valued
 from hil.terminal.output import columns, say, say_written
 from hil.verdict.verdict import ExitStatus
@@ -116,8 +116,9 @@ def report(folder: DirArgument, as_json: JsonOption = False) -> None:
 
         done = Campaign.load(folder)
         place = folder / "report.html"
-        write_report(done, place)
-        write_page(done, folder / CAMPAIGN_PAGE)
+        with writing("DIR", folder):
+            write_report(done, place)
+            write_page(done, folder / CAMPAIGN_PAGE)
         _print(done, as_json)
         say_written(place)
         say_written(folder / CAMPAIGN_PAGE)

@@ -85,13 +85,13 @@ def unit_lines(loaded: LoadedDictionary, fitness: Fitness) -> tuple[tuple[UnitLi
     quirks = quirks_for(identity.vendor or 0, identity.product or 0, name)
     known = apply_quirks(quirks, {key: read(*key) for key in FACTOR_OBJECTS}, ScaleOverride(), read)
     scaling, missing = _as_far_as_told(known.values, known.override)
-    told = {} if scaling is None else {name: getattr(scaling, field) for name, field, _ in _UNITS}
-    sources = {} if scaling is None else {**scaling.sources, **known.sources}
     lines = []
-    for quantity, _, unit in _UNITS:
-        there = quantity in told and quantity not in missing
-        source = sources.get(quantity, "not told") if quantity not in missing else "not told"
-        lines.append(UnitLine(quantity, told[quantity] if there else None, unit, source))
+    for quantity, field, unit in _UNITS:
+        if scaling is None or quantity in missing:
+            lines.append(UnitLine(quantity, None, unit, "not told"))
+            continue
+        sources = {**scaling.sources, **known.sources}
+        lines.append(UnitLine(quantity, getattr(scaling, field), unit, sources.get(quantity, "not told")))
     return tuple(lines), known.notes
 
 

@@ -18,7 +18,7 @@ from drivers.errors import BenchError
 from drivers.timebase import NS_PER_S
 from hil.configuration.config import BenchConfig
 from hil.recording.memory_recorder import MemoryRecorder
-from hil.rows.event_lines import event_json
+from hil.rows.event_lines import event_json, read_events
 from hil.rows.records import Rows
 from hil.rows.records_file import RECORDS_FILE, read_table, rows_of_table
 from hil.rows.run_files import EVENTS_FILE
@@ -126,8 +126,7 @@ class Run:
             events, zero = self._kept.told()
             shown = [each for each in events if isinstance(each, TextEvent | StateEvent | BeginEvent)]
             return [event_json(each, zero) for each in shown]
-        lines = (self._kept / EVENTS_FILE).read_text(encoding="utf-8").splitlines()
-        return sorted(map(json.loads, lines), key=lambda event: event["at_ns"])
+        return sorted(read_events(self._kept / EVENTS_FILE), key=lambda event: event["at_ns"])
 
     @cached_property
     def wire(self) -> Wire:
