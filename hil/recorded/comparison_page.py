@@ -113,12 +113,12 @@ def _column(
     """One plot below the other."""
     views = []
     for (path, words), low_high in zip(_PLOTS.items(), ranges, strict=True):
-        told = f"{words} [{torque_unit}]" if path == "torque/measured" else words
+        of_plot = f"{words} [{torque_unit}]" if path == "torque/measured" else words
         paths = [f"/{name}/{axis}/{path}" for name in names]
         if path == "speed/measured":
             paths.append(f"/{names[0]}/{axis}/speed/reference")
         several = len(names) > 1
-        contents, of_view = [f"+ {each}" for each in paths], told if several else f"{title} · {told}"
+        contents, of_view = [f"+ {each}" for each in paths], of_plot if several else f"{title} · {of_plot}"
         views.append(plot("/", contents, of_view, from_zero(end_s), low_high, legend=several))
     return rrb.Vertical(*views, row_shares=plot_heights(ranges, COLUMN_PX, (0.4, 0.2, 0.2, 0.2)), name=title)
 

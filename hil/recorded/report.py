@@ -83,14 +83,14 @@ def _figures(judged: Judged) -> Iterator[tuple[str, str]]:
 
 
 def _origin(judged: Judged) -> Iterator[tuple[str, str]]:
-    told = judged.run.metadata
+    metadata = judged.run.metadata
     yield "folder", str(judged.run.folder)
     yield "judged by", judged.against
     for key in ("bench", "bus", "seed", "time", "servobench", "commit"):
-        yield key, told.get(key, "-") or "-"
-    for axis, drive in json.loads(told.get("drives", "{}")).items():
+        yield key, metadata.get(key, "-") or "-"
+    for axis, drive in json.loads(metadata.get("drives", "{}")).items():
         yield f"drive of {axis}", drive
-    host = json.loads(told.get("host", "{}"))
+    host = json.loads(metadata.get("host", "{}"))
     yield "host", ", ".join(f"{key} {value}" for key, value in host.items())
 
 
