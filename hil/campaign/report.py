@@ -110,13 +110,10 @@ def _sensitivity(figures: dict[str, Any]) -> str:
     titles = ("key", "of passing: share of variance", "rank correlation", "of the peak error: share", "rank")
     rows = []
     for key, each in figures.items():
-        cells: list[str] = []
-        for name in ("passed", PEAK):
-            cells += [
-                _percent(each[name]["share_of_variance"]),
-                _number(each[name]["rank_correlation"]),
-            ]
-        rows.append((key, *cells))
+        of_passing, of_peak = (
+            (_percent(one["share_of_variance"]), _number(one["rank_correlation"])) for one in each.values()
+        )
+        rows.append((key, *of_passing, *of_peak))
     return "<h2>What matters</h2>" + _table(titles, rows)
 
 

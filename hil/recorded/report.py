@@ -130,11 +130,8 @@ def _html(judged: Judged) -> str:
 
 def _html_row(tag: str, cells: Sequence[str]) -> str:
     classes = {LimitResult.KEPT.value: " class=kept", LimitResult.BROKEN.value: " class=broken"}
-    return (
-        "<tr>"
-        + "".join(f"<{tag}{classes.get(cell, '')}>{html.escape(cell)}</{tag}>" for cell in cells)
-        + "</tr>"
-    )
+    row = "".join(f"<{tag}{classes.get(cell, '')}>{html.escape(cell)}</{tag}>" for cell in cells)
+    return f"<tr>{row}</tr>"
 
 
 def _markdown(judged: Judged) -> str:
