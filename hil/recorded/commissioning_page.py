@@ -14,7 +14,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from drivers.bounded_file import NoSuchFile, parse_json, read_text
 from drivers.cia402.objects402 import Object
@@ -23,9 +22,9 @@ from drivers.rotation import RPM_PER_RAD_S
 from drivers.timebase import NS_PER_S
 from hil.configuration.drive_file import load_drive_file
 from hil.recording.lanes import lane_colors
-from hil.recording.page_series import BLUE, GREEN, GREY, TIMELINE, Color
+from hil.recording.page_series import BLUE, GREEN, GREY, Color
 from hil.recording.plot_scale import COLUMN_PX, about, lanes_px, plot_heights
-from hil.recording.rerun_page import framed, from_zero, plot, stream_into
+from hil.recording.rerun_page import event_list, framed, from_zero, plot, run_times, send_line, stream_into
 from hil.recording.telemetry import RERUN_FILE
 from hil.reviewing.envelope import Envelope
 from hil.reviewing.trace.decoder import decode
@@ -198,13 +197,7 @@ def _send_bus(stream: rr.RecordingStream, bus: _Bus) -> None:
     _send_lane(stream, _DRIVE, times, labels, lane_colors("axis drive", ["axis"]))
     _send_texts(stream, [(at, "WARN", text) for at, text in bus.emergencies])
     for index, envelope in bus.signals.items():
-        signal, path = _SIGNALS[index], _path(index)
-        style = rr.SeriesLines(
-            names=signal.name, colors=signal.color, widths=1.2, aggregation_policy="MinMax"
-        )
-        stream.log(path, style, static=True)
-        at, values = envelope.points()
-        stream.send_columns(path, _times(at), rr.Scalars.columns(scalars=values))
+        send_line(stream, _path(index), envelope.points(), _SIGNALS[index].name, _SIGNALS[index].color)
 
 
 def _send_lane(
@@ -214,18 +207,14 @@ def _send_lane(
         return
     names, shades = list(colors), np.array(list(colors.values()), np.uint32)
     stream.log(path, rr.StateConfiguration(values=names, labels=names, colors=shades), static=True)
-    stream.send_columns(path, _times(times), rr.StateChange.columns(state=labels))
+    stream.send_columns(path, run_times(times), rr.StateChange.columns(state=labels))
 
 
 def _send_texts(stream: rr.RecordingStream, told: list[tuple[int, str, str]]) -> None:
     if told:
         texts = [f"{at / NS_PER_S:.3f} s  {text}" for at, _, text in told]
         rows = rr.TextLog.columns(text=texts, level=[level for _, level, _ in told])
-        stream.send_columns(_EVENTS, _times([at for at, _, _ in told]), rows)
-
-
-def _times(instants: NDArray[np.int64] | list[int]) -> list[rr.TimeColumn]:
-    return [rr.TimeColumn(TIMELINE, duration=np.asarray(instants, np.int64).astype("timedelta64[ns]"))]
+        stream.send_columns(_EVENTS, run_times([at for at, _, _ in told]), rows)
 
 
 def _path(index: Object) -> str:
@@ -275,12 +264,9 @@ def _layout(bus: _Bus, end_s: float) -> rrb.Blueprint:
     lanes = rrb.StateTimelineView(
         origin="/", contents=[f"+ {_STEP}", f"+ {_DRIVE}"], name="Steps and states", time_view=axis
     )
-    columns = rrb.archetypes.TextLogColumns(
-        timeline_columns=[TIMELINE], text_log_columns=["LogLevel", "Body"]
-    )
     right = rrb.Vertical(
         rrb.TextDocumentView(origin=_FIGURES, name="What came of it"),
-        rrb.TextLogView(origin=_EVENTS, name="Events", columns=columns),
+        event_list(_EVENTS),
         row_shares=[6.5, 3.5],
     )
     states_px = lanes_px(2)
