@@ -198,8 +198,8 @@ def run(
     Exit status: 0 passed, or nothing was asked; 1 not passed; 2 bad input; 3 bus, drive or safety; 4 not
     trustworthy; 5 not recorded; 6 cut short or not measured; 130 ended by a signal. docs/verdict.md
     """
-    told = RunObject(as_json)
-    with reported_errors(told.failed):
+    run_object = RunObject(as_json)
+    with reported_errors(run_object.failed):
         if no_record and (record is not None or live):
             raise BadInput("--no-record", "", True, "neither --record nor --view beside it")
         if live and missing_display():
@@ -229,11 +229,11 @@ def run(
                 progress=progress,
                 network=network,
                 allow_uncertified=allow_uncertified,
-                concluded=told.concluded,
+                concluded=run_object.concluded,
             )
         finally:
             progress.clear()
-        told.print(summary)
+        run_object.print(summary)
         if not as_json:
             from hil.terminal.report import print_run
 

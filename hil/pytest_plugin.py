@@ -192,11 +192,11 @@ def servo_drive(servo_bus: str, servo_host: "DriveHost") -> Iterator[MakeDrive]:
 
 def _recordings(request: pytest.FixtureRequest, temporary: pytest.TempPathFactory) -> Path:
     """Where the runs of a test are recorded: a folder that no other test has."""
-    wanted = request.config.getoption(RECORD_OPTION)
-    if wanted is None:
+    record = request.config.getoption(RECORD_OPTION)
+    if record is None:
         return temporary.mktemp("bench")
     name = re.sub(r"[^A-Za-z0-9_.-]+", "_", request.node.nodeid).strip("_")
-    folder = Path(request.config.invocation_params.dir, wanted, name)
+    folder = Path(request.config.invocation_params.dir, record, name)
     again = 1
     while folder.exists():
         again += 1

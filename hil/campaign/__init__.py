@@ -10,17 +10,10 @@ if TYPE_CHECKING:
     from hil.campaign.campaign import Campaign, CampaignProgress, run_campaign
     from hil.campaign.plan import CampaignPlan
 
-_HOMES = {
-    "Campaign": "hil.campaign.campaign",
-    "CampaignPlan": "hil.campaign.plan",
-    "CampaignProgress": "hil.campaign.campaign",
-    "run_campaign": "hil.campaign.campaign",
-}
-
 __all__ = ["Campaign", "CampaignPlan", "CampaignProgress", "run_campaign"]
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
+    if name in __all__:
+        return getattr(import_module("hil.campaign.campaign"), name)
     raise AttributeError(f"module 'hil.campaign' has no attribute {name!r}")

@@ -335,9 +335,9 @@ def _run(
 
 def _record_failures(campaign: Campaign) -> None:
     """The first runs that did not pass leave a recording; with a check those of which it says something."""
-    wanted = campaign.plan.sweep.campaign.failures_recorded
+    most = campaign.plan.sweep.campaign.failures_recorded
     failed = np.flatnonzero(~campaign.column("passed").astype(bool))
-    for number in (list(campaign.found) if campaign.plan.own.checks else failed)[:wanted]:
+    for number in (list(campaign.found) if campaign.plan.own.checks else failed)[:most]:
         folder = campaign.folder / FAILURES_FOLDER / f"run-{number:09d}"
         if not (folder / "summary.json").exists():
             shutil.rmtree(folder, ignore_errors=True)  # what a killed campaign has left of a recording

@@ -9,10 +9,7 @@ from typing import Any, Final, TypeVar
 
 from drivers.errors import BadInput, BenchError
 from hil.campaign.sweep_file import Own
-from hil.configuration.config import BenchConfig
 from hil.control.own_code import OwnCodeFailed, object_of, source_of
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.verdict.summary import Summary
 
 EXPECTED: Final = "a function, as MODULE:NAME or FILE.py:NAME beside the sweep file"
 T = TypeVar("T")
@@ -69,11 +66,6 @@ class OwnFunctions:
             return source_of(self._names[key])[1]
         except ValueError as error:
             raise BadInput(self._source, f"own.{key}", self._names[key], EXPECTED, str(error)) from error
-
-
-def run_seen(config: BenchConfig, kept: Path | MemoryRecorder, summary: Summary) -> Any:
-    """A :class:`hil.Run`, which is above this floor: found as code of one's own finds it."""
-    return _function("hil:Run")(config, kept, summary=summary)
 
 
 @cache

@@ -77,17 +77,17 @@ def _colors(values: NDArray[np.float64], *, is_rate: bool) -> NDArray[np.uint8]:
     low, high = (0.0, 1.0) if is_rate or not finite.size else (float(finite.min()), float(finite.max()))
     shares = (values - low) / (high - low) if high > low else np.full(values.shape, 0.5)
     shades = colormaps["RdYlGn" if is_rate else "viridis_r"](np.nan_to_num(shares))
-    told = np.where(np.isfinite(values)[..., None], shades[..., :3], _GREY / 255.0)
-    return np.asarray(np.round(255.0 * told), np.uint8)
+    rgb = np.where(np.isfinite(values)[..., None], shades[..., :3], _GREY / 255.0)
+    return np.asarray(np.round(255.0 * rgb), np.uint8)
 
 
 def _labels(values: NDArray[np.float64], worst: NDArray[np.int64], *, is_rate: bool) -> rr.Points2D:
     """In each cell its value, and its worst run."""
     places, labels = [], []
     for (row, column), value in np.ndenumerate(values):
-        told = "none" if not np.isfinite(value) else f"{value:.2f}" if is_rate else f"{value:.3g} %"
+        label = "none" if not np.isfinite(value) else f"{value:.2f}" if is_rate else f"{value:.3g} %"
         places.append((column + 0.5, row + 0.5))
-        labels.append(f"{told} · run {worst[row, column]}" if worst[row, column] >= 0 else told)
+        labels.append(f"{label} · run {worst[row, column]}" if worst[row, column] >= 0 else label)
     return rr.Points2D(places, labels=labels, colors=_INK, radii=0.02, show_labels=True)
 
 

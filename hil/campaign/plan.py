@@ -133,20 +133,16 @@ class CampaignPlan:
         digest.update(json.dumps(self.sweep.model_dump(mode="json"), sort_keys=True).encode())
         digest.update(self.bench.config.resolved_text().encode())
         digest.update("".join(self.own.digests).encode())
-        for axis in self.axes:
-            for choice in axis.choices:
-                if not all(isinstance(value, int | float) for value in choice.values()):
-                    digest.update(self.bench.changed(choice).config.resolved_text().encode())
+        for choice in (choice for axis in self.axes for choice in axis.choices):
+            if not all(isinstance(value, int | float) for value in choice.values()):
+                digest.update(self.bench.changed(choice).config.resolved_text().encode())
         return digest.hexdigest()
 
     def _check_choices(self) -> None:
         """Each choice, the others at their first: no key that the bench has not, no value out of range."""
         first = self.run(0).changes
-        for axis in self.axes:
-            for choice in axis.choices:
-                _ = self.bench.changed({**first, **choice}).config
-        if not self.axes:
-            _ = self.bench.changed(first).config
+        for choice in [choice for axis in self.axes for choice in axis.choices] or [{}]:
+            _ = self.bench.changed({**first, **choice}).config
 
     @cached_property
     def _even(self) -> NDArray[np.float64]:

@@ -85,12 +85,12 @@ def _pairs(pairs: list[dict[str, Any]]) -> str:
     rows = []
     for each in pairs:
         change = each["peak_percent_second_less_first"]
-        told = f"{_number(change['mean'])} % ({_number(change['low'])} to {_number(change['high'])})"
-        told = told if change["mean"] is not None else "-"
+        shift = f"{_number(change['mean'])} % ({_number(change['low'])} to {_number(change['high'])})"
+        shift = shift if change["mean"] is not None else "-"
         shown = [
             each[key] for key in ("first", "second", "pairs", "passed_first_alone", "passed_second_alone")
         ]
-        rows.append((*shown, f"{each['p_value']:.3g}", told))
+        rows.append((*shown, f"{each['p_value']:.3g}", shift))
     return "<h2>Pairs on the same draws and seeds</h2>" + _table(titles, rows)
 
 
@@ -110,13 +110,10 @@ def _sensitivity(figures: dict[str, Any]) -> str:
     titles = ("key", "of passing: share of variance", "rank correlation", "of the peak error: share", "rank")
     rows = []
     for key, each in figures.items():
-        cells: list[str] = []
-        for name in ("passed", PEAK):
-            cells += [
-                _percent(each[name]["share_of_variance"]),
-                _number(each[name]["rank_correlation"]),
-            ]
-        rows.append((key, *cells))
+        of_passing, of_peak = (
+            (_percent(one["share_of_variance"]), _number(one["rank_correlation"])) for one in each.values()
+        )
+        rows.append((key, *of_passing, *of_peak))
     return "<h2>What matters</h2>" + _table(titles, rows)
 
 

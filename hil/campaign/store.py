@@ -67,10 +67,8 @@ class RunStore:
         for path in sorted(self._runs.glob("part-*.parquet")):
             data = path.read_bytes()
             if path.name != _PART.format(expected, _checksum(data)):
-                wanted = (
-                    f"the part that begins with run {expected}, and BLAKE2b {_checksum(data)} in its name"
-                )
-                raise BadInput(str(path), "", path.name, wanted, "it is damaged, or one before it is missing")
+                due = f"the part that begins with run {expected}, and BLAKE2b {_checksum(data)} in its name"
+                raise BadInput(str(path), "", path.name, due, "it is damaged, or one before it is missing")
             part = pq.read_table(pa.BufferReader(data), schema=self.schema)
             expected += part.num_rows
             parts.append(part)

@@ -14,24 +14,24 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
-from drivers.bounded_file import NoSuchFile, parse_json, read_lines, read_text
+from drivers.bounded_file import NoSuchFile, parse_json, read_text
 from drivers.cia402.objects402 import Object
 from drivers.errors import BadInput
 from drivers.rotation import RPM_PER_RAD_S
 from drivers.timebase import NS_PER_S
 from hil.configuration.drive_file import load_drive_file
 from hil.recording.lanes import lane_colors
-from hil.recording.page_series import BLUE, GREEN, GREY, TIMELINE, Color
+from hil.recording.page_series import BLUE, GREEN, GREY, Color
 from hil.recording.plot_scale import COLUMN_PX, about, lanes_px, plot_heights
-from hil.recording.rerun_page import framed, from_zero, plot, stream_into
+from hil.recording.rerun_page import event_list, framed, from_zero, plot, run_times, send_line, stream_into
 from hil.recording.telemetry import RERUN_FILE
 from hil.reviewing.envelope import Envelope
 from hil.reviewing.trace.decoder import decode
 from hil.reviewing.trace.known_nodes import KnownNodes
 from hil.reviewing.trace.run_trace import RecordedBus
 from hil.reviewing.trace.trace_entry import TraceEntry
+from hil.rows.event_lines import read_events
 from hil.rows.run_files import (
     COMMISSIONED_FILE,
     COMMISSIONING_FIGURES,
@@ -93,7 +93,7 @@ def commissioning_page(folder: Path) -> Path:
 
 def _write(folder: Path, page: Path) -> None:
     figures = _figures(folder)
-    events = list(_events(folder / COMMISSIONING_RECORDING / EVENTS_FILE))
+    events = list(read_events(folder / COMMISSIONING_RECORDING / EVENTS_FILE))
     zero_ns = next((at_ns for event in events if (at_ns := _zero_ns(event)) is not None), None)
     bus = _Bus(RecordedBus(page.parent), _known(folder), zero_ns)
     end_ns = max([bus.end_ns, *(event["at_ns"] for event in events)])
@@ -131,14 +131,6 @@ def _known(folder: Path) -> KnownNodes:
     return KnownNodes((), {("", drive.drive.node): drive.override})
 
 
-def _events(path: Path) -> Iterator[dict[str, Any]]:
-    for number, line in enumerate(read_lines(path, "log of events") if path.exists() else (), start=1):
-        try:
-            yield parse_json(line, str(path), "an event", f"line {number}")
-        except BadInput:
-            return  # the last one of a commissioning that was killed
-
-
 def _zero_ns(event: Mapping[str, Any]) -> int | None:
     match = _ZERO.search(str(event.get("text", "")))
     return None if match is None else int(match[1]) * NS_PER_S + int(match[2]) * 1000
@@ -153,12 +145,13 @@ class _Bus:
         self.emergencies: list[tuple[int, str]] = []
         self.end_ns = 0
         self._zero_ns = zero_ns
-        held: dict[Object, tuple[list[int], list[float]]] = {index: ([], []) for index in _SIGNALS}
+        held: dict[Object, list[tuple[int, float]]] = {index: [] for index in _SIGNALS}
         for entry in decode(iter(recorded), known):
             if entry.at_ns is not None:
                 self._take(entry, entry.at_ns, held)
-        for index, (times, values) in held.items():
-            if times:
+        for index, points in held.items():
+            if points:
+                times, values = zip(*points, strict=True)
                 self.signals[index] = envelope = Envelope()
                 envelope.add(np.array(times, np.int64), np.array(values))
 
@@ -168,9 +161,7 @@ class _Bus:
             if _SIGNALS[index].plot == plot:
                 yield from envelope.ends() or ()
 
-    def _take(
-        self, entry: TraceEntry, stamp_ns: int, held: Mapping[Object, tuple[list[int], list[float]]]
-    ) -> None:
+    def _take(self, entry: TraceEntry, stamp_ns: int, held: Mapping[Object, list[tuple[int, float]]]) -> None:
         if self._zero_ns is None:
             self._zero_ns = stamp_ns
         at_ns = self.end_ns = stamp_ns - self._zero_ns
@@ -184,9 +175,8 @@ class _Bus:
                 if not self.states or self.states[-1][1] != label:
                     self.states.append((at_ns, label))
             elif entry.kind == "pdo" and value.index in held and value.si is not None:
-                times, values = held[Object(value.index)]
-                times.append(at_ns)
-                values.append(value.si * _SIGNALS[Object(value.index)].scale)
+                index = Object(value.index)
+                held[index].append((at_ns, value.si * _SIGNALS[index].scale))
 
 
 def _send_steps(stream: rr.RecordingStream, events: list[dict[str, Any]], figures: Mapping[str, Any]) -> None:
@@ -207,13 +197,7 @@ def _send_bus(stream: rr.RecordingStream, bus: _Bus) -> None:
     _send_lane(stream, _DRIVE, times, labels, lane_colors("axis drive", ["axis"]))
     _send_texts(stream, [(at, "WARN", text) for at, text in bus.emergencies])
     for index, envelope in bus.signals.items():
-        signal, path = _SIGNALS[index], _path(index)
-        style = rr.SeriesLines(
-            names=signal.name, colors=signal.color, widths=1.2, aggregation_policy="MinMax"
-        )
-        stream.log(path, style, static=True)
-        at, values = envelope.points()
-        stream.send_columns(path, _times(at), rr.Scalars.columns(scalars=values))
+        send_line(stream, _path(index), envelope.points(), _SIGNALS[index].name, _SIGNALS[index].color)
 
 
 def _send_lane(
@@ -223,18 +207,14 @@ def _send_lane(
         return
     names, shades = list(colors), np.array(list(colors.values()), np.uint32)
     stream.log(path, rr.StateConfiguration(values=names, labels=names, colors=shades), static=True)
-    stream.send_columns(path, _times(times), rr.StateChange.columns(state=labels))
+    stream.send_columns(path, run_times(times), rr.StateChange.columns(state=labels))
 
 
 def _send_texts(stream: rr.RecordingStream, told: list[tuple[int, str, str]]) -> None:
     if told:
         texts = [f"{at / NS_PER_S:.3f} s  {text}" for at, _, text in told]
         rows = rr.TextLog.columns(text=texts, level=[level for _, level, _ in told])
-        stream.send_columns(_EVENTS, _times([at for at, _, _ in told]), rows)
-
-
-def _times(instants: NDArray[np.int64] | list[int]) -> list[rr.TimeColumn]:
-    return [rr.TimeColumn(TIMELINE, duration=np.asarray(instants, np.int64).astype("timedelta64[ns]"))]
+        stream.send_columns(_EVENTS, run_times([at for at, _, _ in told]), rows)
 
 
 def _path(index: Object) -> str:
@@ -284,12 +264,9 @@ def _layout(bus: _Bus, end_s: float) -> rrb.Blueprint:
     lanes = rrb.StateTimelineView(
         origin="/", contents=[f"+ {_STEP}", f"+ {_DRIVE}"], name="Steps and states", time_view=axis
     )
-    columns = rrb.archetypes.TextLogColumns(
-        timeline_columns=[TIMELINE], text_log_columns=["LogLevel", "Body"]
-    )
     right = rrb.Vertical(
         rrb.TextDocumentView(origin=_FIGURES, name="What came of it"),
-        rrb.TextLogView(origin=_EVENTS, name="Events", columns=columns),
+        event_list(_EVENTS),
         row_shares=[6.5, 3.5],
     )
     states_px = lanes_px(2)

@@ -143,10 +143,6 @@ class Against:
             "lateness_p99_us": figures.lateness_us.p99,
         }
 
-    def apart(self, signal: str) -> list[Difference]:
-        """Of all axes."""
-        return [signals[signal] for signals in self.differences.values() if signals[signal].count]
-
 
 def compare_runs(runs: Sequence[RecordedRun], tolerances: Tolerances | None = None) -> list[Against]:
     """The first one beside itself, then each other. Raises BadInput for runs that share no axis or period."""
@@ -257,7 +253,8 @@ def _regressions(base: Against, other: Against, tolerances: Tolerances) -> Itera
 
 
 def _speed_apart(other: Against) -> dict[str, float | None]:
-    apart = other.apart("velocity_rad_s")
+    of_axes = [signals["velocity_rad_s"] for signals in other.differences.values()]
+    apart = [each for each in of_axes if each.count]
     return {
         "speed_difference_rms_rad_s": max((each.rms or 0.0 for each in apart), default=None),
         "speed_difference_max_rad_s": max((each.largest for each in apart), default=None),

@@ -7,14 +7,12 @@ from typing import Final
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
-from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S
 from hil.recorded.comparison import Against
-from hil.recording.page_series import AXIS_COLORS, GREY, TIMELINE, torque_scale
+from hil.recording.page_series import AXIS_COLORS, GREY, torque_scale
 from hil.recording.plot_scale import COLUMN_PX, Range, about, around_zero, plot_heights
-from hil.recording.rerun_page import framed, from_zero, plot, stream_into
+from hil.recording.rerun_page import framed, from_zero, plot, send_line, stream_into
 from hil.reviewing.envelope import Points
 
 _PLOTS: Final = {
@@ -27,20 +25,17 @@ _APPLICATION: Final = "servobench comparison"
 
 
 def write_comparison(compared: Sequence[Against], markdown: str, path: Path) -> None:
-    """``markdown``: what is told beside the plots. Raises BadInput for a path that cannot be written to."""
+    """``markdown``: what is told beside the plots. Error: OSError."""
     names = [f"{number}_{each.run.folder.name}" for number, each in enumerate(compared)]
-    try:
-        with stream_into(path, _APPLICATION) as stream:
-            for place, (name, each) in enumerate(zip(names, compared, strict=True)):
-                color = AXIS_COLORS[place % len(AXIS_COLORS)]
-                for axis, signal, (times, values) in _signals(compared, each):
-                    shade = GREY if signal.endswith(("/reference", "/load")) else color
-                    _send(stream, f"/{name}/{axis}/{signal}", times, values, name, shade)
-            text = rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN)
-            stream.log("/differences", text, static=True)
-            stream.send_blueprint(_layout(compared, names))
-    except OSError as error:
-        raise BadInput("--out", "", str(path), "a place to write to", str(error)) from None
+    with stream_into(path, _APPLICATION) as stream:
+        for place, (name, each) in enumerate(zip(names, compared, strict=True)):
+            color = AXIS_COLORS[place % len(AXIS_COLORS)]
+            for axis, signal, points in _signals(compared, each):
+                shade = GREY if signal.endswith(("/reference", "/load")) else color
+                send_line(stream, f"/{name}/{axis}/{signal}", points, name, shade)
+        text = rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN)
+        stream.log("/differences", text, static=True)
+        stream.send_blueprint(_layout(compared, names))
 
 
 def _signals(compared: Sequence[Against], each: Against) -> Iterator[tuple[str, str, Points]]:
@@ -60,20 +55,6 @@ def _torque(compared: Sequence[Against], axis: str) -> tuple[float, str]:
     """Scale and unit of all runs, by the first that has the axis."""
     plans = (plan for each in compared for plan in each.run.review.axes if plan.name == axis)
     return torque_scale(next(plans))
-
-
-def _send(
-    stream: rr.RecordingStream,
-    path: str,
-    times: NDArray[np.int64],
-    values: NDArray[np.float64],
-    name: str,
-    color: tuple[int, int, int],
-) -> None:
-    style = rr.SeriesLines(names=name, colors=color, widths=1.2, aggregation_policy="MinMax")
-    stream.log(path, style, static=True)
-    column = rr.TimeColumn(TIMELINE, duration=times.astype("timedelta64[ns]"))
-    stream.send_columns(path, [column], rr.Scalars.columns(scalars=values))
 
 
 def _layout(compared: Sequence[Against], names: Sequence[str]) -> rrb.Blueprint:
@@ -117,12 +98,12 @@ def _column(
     """One plot below the other."""
     views = []
     for (path, words), low_high in zip(_PLOTS.items(), ranges, strict=True):
-        told = f"{words} [{torque_unit}]" if path == "torque/measured" else words
+        of_plot = f"{words} [{torque_unit}]" if path == "torque/measured" else words
         paths = [f"/{name}/{axis}/{path}" for name in names]
         if path == "speed/measured":
             paths.append(f"/{names[0]}/{axis}/speed/reference")
         several = len(names) > 1
-        contents, of_view = [f"+ {each}" for each in paths], told if several else f"{title} · {told}"
+        contents, of_view = [f"+ {each}" for each in paths], of_plot if several else f"{title} · {of_plot}"
         views.append(plot("/", contents, of_view, from_zero(end_s), low_high, legend=several))
     return rrb.Vertical(*views, row_shares=plot_heights(ranges, COLUMN_PX, (0.4, 0.2, 0.2, 0.2)), name=title)
 

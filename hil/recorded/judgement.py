@@ -65,20 +65,20 @@ def judge_run(run: RecordedRun, against: Path | None = None) -> Judged:
 
 
 def _judged(run: RecordedRun, figures: Figures, limits: VerdictLimits) -> Summary:
-    told = run.summary
-    first = told.verdict.findings[0] if told.verdict.findings else None
-    completed = told.verdict.completed or first is None
+    recorded = run.summary
+    first = recorded.verdict.findings[0] if recorded.verdict.findings else None
+    completed = recorded.verdict.completed or first is None
     outcome = RunOutcome(
-        bus_load_percent=told.bus_load_percent,
-        realtime_factor=told.realtime_factor,
+        bus_load_percent=recorded.bus_load_percent,
+        realtime_factor=recorded.realtime_factor,
         completed=completed,
         reason="" if first is None or completed else first.text,
         cause=VerdictKind.CUT_SHORT if first is None or completed else first.outcome,
         cycles_planned=run.cycles_planned,
-        drives=told.drives,
-        network_notes=told.network_notes,
-        load_machine=told.load_machine,
-        timing=told.timing,
+        drives=recorded.drives,
+        network_notes=recorded.network_notes,
+        load_machine=recorded.load_machine,
+        timing=recorded.timing,
     )
     summary = summarise(
         figures,
@@ -86,21 +86,21 @@ def _judged(run: RecordedRun, figures: Figures, limits: VerdictLimits) -> Summar
         limits,
         str(run.folder),
         run.config.bench.seed,
-        tuple([*told.recording_faults, *_other_rows(told, figures)]),
+        tuple([*recorded.recording_faults, *_other_rows(recorded, figures)]),
         list(_certified(figures)),
     )
-    for finding in told.verdict.findings:
+    for finding in recorded.verdict.findings:
         if finding.outcome not in _OF_LIMITS and finding not in summary.verdict.findings:
             summary = summary.also(finding)
     return summary
 
 
-def _other_rows(told: Summary, figures: Figures) -> Iterator[str]:
+def _other_rows(recorded: Summary, figures: Figures) -> Iterator[str]:
     """Why the rows are not those that the summary was made of."""
-    if figures.cycles != told.cycles:
-        yield f"{RECORDS_FILE} has {figures.cycles} cycles, the run had {told.cycles}"
-    elif figures.digest != told.digest:
-        yield f"{RECORDS_FILE} has the digest {figures.digest}, the run had {told.digest}"
+    if figures.cycles != recorded.cycles:
+        yield f"{RECORDS_FILE} has {figures.cycles} cycles, the run had {recorded.cycles}"
+    elif figures.digest != recorded.digest:
+        yield f"{RECORDS_FILE} has the digest {figures.digest}, the run had {recorded.digest}"
 
 
 def _certified(figures: Figures) -> Iterator[Demand]:
@@ -108,14 +108,14 @@ def _certified(figures: Figures) -> Iterator[Demand]:
 
     Where a premise was left its own line says so; the certified figure is not asked for then.
     """
-    for axis, told in figures.certificates.items():
+    for axis, certificate in figures.certificates.items():
         for name in ("delay_us", "losses_in_a_row"):
-            pair: dict[str, Any] = told[name]
+            pair: dict[str, Any] = certificate[name]
             if pair["certified"] is not None:
                 yield Demand(f"certified_{name}", axis, pair["seen"], pair["certified"])
-        gain: dict[str, Any] = told["gain_rad_s_nm"]
+        gain: dict[str, Any] = certificate["gain_rad_s_nm"]
         if gain["certified"] is None:
             continue
-        yield Demand("certified_commands_at_a_limit", axis, float(told["commands_at_a_limit"]), 0.0)
-        if not told["premises_left"]:
+        yield Demand("certified_commands_at_a_limit", axis, float(certificate["commands_at_a_limit"]), 0.0)
+        if not certificate["premises_left"]:
             yield Demand("certified_gain_rad_s_nm", axis, gain["seen_at_least"], gain["certified"])

@@ -77,9 +77,9 @@ def open_run(folder: Path) -> RecordedRun:
         if not (folder / name).is_file():
             raise BadInput("RUN", "", str(folder), f"the folder of a run, with its {name}")
     metadata = read_metadata(folder / RECORDS_FILE)
-    told = metadata.get("format", "none")
-    if not told.isdigit() or not 1 <= int(told) <= int(FORMAT):
-        raise BadInput("RUN", "format", told, f"a recording of format 1 to {FORMAT}")
+    written_in = metadata.get("format", "none")
+    if not written_in.isdigit() or not 1 <= int(written_in) <= int(FORMAT):
+        raise BadInput("RUN", "format", written_in, f"a recording of format 1 to {FORMAT}")
     try:
         summary = read_summary(folder)
     except NoSuchFile:

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from drivers.bounded_file import parse_json
 from drivers.errors import BadInput
 from drivers.printable import printable
 from drivers.timebase import NS_PER_S
 from hil.recorded.judgement import Judged
 from hil.recorded.paper import histogram_figure, paper_figure, svg_text
+from hil.rows.event_lines import read_events
 from hil.rows.run_files import EVENTS_FILE
 from hil.verdict.summary import Percentiles, metric_title
 from hil.verdict.summary_text import certificate_rows, timing_lines
@@ -34,14 +34,11 @@ Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
 
 def write_report(judged: Judged, path: Path) -> None:
-    """Raises BadInput for a path that cannot be written to."""
+    """Raises BadInput for a path that ends otherwise, OSError."""
     if path.suffix not in SUFFIXES:
         raise BadInput("--report", "", str(path), f"a file that ends in {' or '.join(SUFFIXES)}")
     text = _html(judged) if path.suffix == ".html" else _markdown(judged)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BadInput("--report", "", str(path), "a place to write to", error.strerror or "") from None
+    path.write_text(text, encoding="utf-8")
 
 
 def _tables(judged: Judged) -> Iterator[Table]:
@@ -86,28 +83,24 @@ def _figures(judged: Judged) -> Iterator[tuple[str, str]]:
 
 
 def _origin(judged: Judged) -> Iterator[tuple[str, str]]:
-    told = judged.run.metadata
+    metadata = judged.run.metadata
     yield "folder", str(judged.run.folder)
     yield "judged by", judged.against
     for key in ("bench", "bus", "seed", "time", "servobench", "commit"):
-        yield key, told.get(key, "-") or "-"
-    for axis, drive in json.loads(told.get("drives", "{}")).items():
+        yield key, metadata.get(key, "-") or "-"
+    for axis, drive in json.loads(metadata.get("drives", "{}")).items():
         yield f"drive of {axis}", drive
-    host = json.loads(told.get("host", "{}"))
+    host = json.loads(metadata.get("host", "{}"))
     yield "host", ", ".join(f"{key} {value}" for key, value in host.items())
 
 
 def _events(path: Path) -> Iterator[tuple[str, str, str]]:
     """What was worth more than a note, the last ones."""
-    rows: list[tuple[str, str, str]] = []
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else ():
-        try:
-            event = parse_json(line, EVENTS_FILE, "an event")
-            if event.get("level") in ("WARN", "ERROR", "CRITICAL"):
-                at = f"{event['at_ns'] / NS_PER_S:.6f}"
-                rows.append((at, str(event["level"]), printable(str(event["text"]))))
-        except (BadInput, ValueError, KeyError, TypeError, AttributeError):
-            continue  # a line that was cut off is no event
+    rows = [
+        (f"{event['at_ns'] / NS_PER_S:.6f}", str(event["level"]), printable(str(event["text"])))
+        for event in read_events(path)
+        if event.get("level") in ("WARN", "ERROR", "CRITICAL") and "text" in event
+    ]
     yield from rows[-_EVENTS_MAX:]
 
 
@@ -137,11 +130,8 @@ def _html(judged: Judged) -> str:
 
 def _html_row(tag: str, cells: Sequence[str]) -> str:
     classes = {LimitResult.KEPT.value: " class=kept", LimitResult.BROKEN.value: " class=broken"}
-    return (
-        "<tr>"
-        + "".join(f"<{tag}{classes.get(cell, '')}>{html.escape(cell)}</{tag}>" for cell in cells)
-        + "</tr>"
-    )
+    row = "".join(f"<{tag}{classes.get(cell, '')}>{html.escape(cell)}</{tag}>" for cell in cells)
+    return f"<tr>{row}</tr>"
 
 
 def _markdown(judged: Judged) -> str:

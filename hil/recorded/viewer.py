@@ -70,10 +70,10 @@ class HeadlessViewer:
         """Put a page in front. Raises BadInput for one that is not there."""
         shown = self._client.get_blueprint()
         pages = _pages(shown.blueprint)
-        wanted = pages.get(page.casefold())
-        if wanted is None:
+        tabs_in_front = pages.get(page.casefold())
+        if tabs_in_front is None:
             raise BadInput("--page", "", page, f"one of {', '.join(pages)}")
-        for tabs, page_path in wanted:
+        for tabs, page_path in tabs_in_front:
             shown.blueprint[tabs]["ContainerBlueprint"]["active_tab"] = page_path
         self._client.set_blueprint(shown.blueprint, store_id=shown.store_id)
 
@@ -205,8 +205,8 @@ def _pages(blueprint: dict[str, Any]) -> dict[str, list[tuple[str, str]]]:
     pages: dict[str, list[tuple[str, str]]] = {}
 
     def inside(path: str) -> list[str]:
-        told = containers.get(path, {}).get("contents", [])
-        return [each.strip("/") for each in ([told] if isinstance(told, str) else told)]
+        contents = containers.get(path, {}).get("contents", [])
+        return [each.strip("/") for each in ([contents] if isinstance(contents, str) else contents)]
 
     def look_in(path: str, above: list[tuple[str, str]], name: str) -> None:
         for inner in inside(path):
@@ -240,8 +240,8 @@ def _gone(process: "subprocess.Popen[bytes]") -> PeerFault:
     """What a viewer that does not run said."""
     subprocess.run(["kill", "--", f"-{process.pid}"], check=False, stderr=subprocess.DEVNULL)
     said = (process.communicate()[1] or b"").decode(errors="replace").strip().splitlines()
-    told = next((line for line in said if "adapter" in line or "panicked" in line), "".join(said[-1:]))
-    return PeerFault("the Rerun viewer does not run here", printable(told)[:_EVIDENCE_MAX], _REMEDY)
+    complaint = next((line for line in said if "adapter" in line or "panicked" in line), "".join(said[-1:]))
+    return PeerFault("the Rerun viewer does not run here", printable(complaint)[:_EVIDENCE_MAX], _REMEDY)
 
 
 def _free_port() -> int:

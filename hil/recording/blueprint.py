@@ -12,9 +12,9 @@ from typing import Any, Final
 import rerun.blueprint as rrb
 
 from hil.recording.lanes import STATE_ROOT
-from hil.recording.page_series import AXIS_COLORS, LIMITS, OVERVIEW, SERIES, TIMELINE, torque_scale
+from hil.recording.page_series import AXIS_COLORS, LIMITS, OVERVIEW, SERIES, torque_scale
 from hil.recording.plot_scale import COLUMN_PX, Range, lanes_px, plot_heights
-from hil.recording.rerun_page import framed, plot
+from hil.recording.rerun_page import event_list, framed, plot
 from hil.rows.recording_plan import RecordingPlan
 
 VERDICT, HISTOGRAM, EVENTS = "/verdict", "/delay_histogram", "/events"
@@ -240,9 +240,6 @@ class Pages:
         return [] if self._whole is None else sorted(self._whole.tracks.items())
 
     def _right(self) -> rrb.Vertical:
-        columns = rrb.archetypes.TextLogColumns(
-            timeline_columns=[TIMELINE], text_log_columns=["LogLevel", "Body"]
-        )
         histograms = [
             rrb.BarChartView(
                 origin=f"{HISTOGRAM}/{name}",
@@ -257,7 +254,7 @@ class Pages:
         return rrb.Vertical(
             rrb.TextDocumentView(origin=VERDICT, name="Verdict"),
             histograms[0] if len(histograms) == 1 else rrb.Tabs(*histograms),
-            rrb.TextLogView(origin=EVENTS, name="Events", columns=columns),
+            event_list(EVENTS),
             row_shares=[5.6, 1.7, 2.7],
         )
 

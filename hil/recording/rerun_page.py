@@ -6,11 +6,14 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from hil.recording.page_series import TIMELINE
 from hil.recording.plot_scale import Range
+from hil.reviewing.envelope import Points
 
 
 def framed(content: rrb.Container, timeline: str = TIMELINE, *, follows: bool = False) -> rrb.Blueprint:
@@ -36,7 +39,7 @@ def plot(
     legend: bool | None = None,
     overrides: dict[Any, Any] | None = None,
 ) -> rrb.TimeSeriesView:
-    """Lines over the time, all of them from their begin to their end; ``low_high``: None: as they reach."""
+    """Lines over time, whole; ``low_high``: the range of their values, None: as far as they reach."""
     boundary = rrb.TimeRangeBoundary
     return rrb.TimeSeriesView(
         origin=origin,
@@ -50,11 +53,34 @@ def plot(
     )
 
 
+def event_list(origin: str) -> rrb.TextLogView:
+    """Entries with their level; their texts begin with their time."""
+    columns = rrb.archetypes.TextLogColumns(
+        timeline_columns=[TIMELINE], text_log_columns=["LogLevel", "Body"]
+    )
+    return rrb.TextLogView(origin=origin, name="Events", columns=columns)
+
+
 def from_zero(end_s: float) -> rrb.TimeAxis:
     """From 0 to ``end_s``, with a little margin."""
     boundary = rrb.TimeRangeBoundary
     window = rrb.TimeRange(boundary.absolute(seconds=-0.02 * end_s), boundary.absolute(seconds=1.02 * end_s))
     return rrb.TimeAxis(link="Independent", view_range=window)
+
+
+def run_times(instants: NDArray[np.int64] | Sequence[int]) -> list[rr.TimeColumn]:
+    """Instants of the run time, ns, (n,)."""
+    return [rr.TimeColumn(TIMELINE, duration=np.asarray(instants, np.int64).astype("timedelta64[ns]"))]
+
+
+def send_line(
+    stream: rr.RecordingStream, path: str, points: Points, name: str, color: tuple[int, int, int]
+) -> None:
+    """A line of a plot, whole."""
+    style = rr.SeriesLines(names=name, colors=color, widths=1.2, aggregation_policy="MinMax")
+    stream.log(path, style, static=True)
+    times, values = points
+    stream.send_columns(path, run_times(times), rr.Scalars.columns(scalars=values))
 
 
 @contextmanager

@@ -1,6 +1,14 @@
 """The entries of events.jsonl."""
 
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from drivers.bounded_file import parse_json
+from drivers.errors import BadInput
 from drivers.timebase import Instant
+from hil.rows.run_files import EVENTS_FILE
 from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 
 
@@ -12,3 +20,13 @@ def event_json(event: TextEvent | StateEvent | BeginEvent, zero: Instant) -> dic
     if isinstance(event, BeginEvent):
         return {**at, "begin": True}
     return {**at, "track": event.track, "state": event.label}
+
+
+def read_events(path: Path) -> Iterator[dict[str, Any]]:
+    """The entries of an events.jsonl as they stand; what is none, such as a line that was cut off, is passed
+    over."""
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else ():
+        with suppress(BadInput):
+            event = parse_json(line, EVENTS_FILE, "an event")
+            if isinstance(event, dict) and isinstance(event.get("at_ns"), int):
+                yield event

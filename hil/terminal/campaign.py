@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from hil.terminal.exit_status import reported_errors
+from hil.terminal.exit_status import reported_errors, writing
 from hil.terminal.options import JsonOption, flag, valued
 from hil.terminal.output import columns, say, say_written
 from hil.verdict.verdict import ExitStatus
@@ -116,8 +116,9 @@ def report(folder: DirArgument, as_json: JsonOption = False) -> None:
 
         done = Campaign.load(folder)
         place = folder / "report.html"
-        write_report(done, place)
-        write_page(done, folder / CAMPAIGN_PAGE)
+        with writing("DIR", folder):
+            write_report(done, place)
+            write_page(done, folder / CAMPAIGN_PAGE)
         _print(done, as_json)
         say_written(place)
         say_written(folder / CAMPAIGN_PAGE)
@@ -157,7 +158,6 @@ class _ProgressLine:
     """On stderr: one line on a terminal, else one in so many runs."""
 
     def __init__(self) -> None:
-        self._shown = False
         self._percent = -1
         self._last: CampaignProgress | None = None
         self._on_terminal = sys.stderr.isatty()
@@ -167,7 +167,7 @@ class _ProgressLine:
         percent = 100 * at.done // at.planned
         if percent == self._percent and not self._on_terminal:
             return
-        self._percent, self._shown = percent, True
+        self._percent = percent
         text = (
             f"{at.done}/{at.planned} runs  {at.passed} passed  {at.runs_per_s:.1f}/s  "
             f"{_duration(at.left_s)} left at most"
@@ -178,7 +178,7 @@ class _ProgressLine:
             say(text)
 
     def end(self) -> None:
-        if self._shown and self._on_terminal:
+        if self._last is not None and self._on_terminal:
             print(file=sys.stderr, flush=True)
         if self._last is not None:
             say(f"{self._last.runs_per_s:.1f} runs a second")
@@ -201,7 +201,10 @@ def _print(done: "Campaign", as_json: bool) -> None:
 
     table = columns("point", "runs", "passed", "pass rate", "interval", right=("runs", "passed", "pass rate"))
     for point in figures["points"]:
-        table.add_row(point["point"] or "all", *_cells(point))
+        rate, low, high = (point[name] for name in ("rate", "low", "high"))
+        shown = "-" if rate is None else f"{100 * rate:.2f} %"
+        counts = (str(point[name]) for name in ("runs", "passed"))
+        table.add_row(point["point"] or "all", *counts, shown, f"{100 * low:.2f} to {100 * high:.2f} %")
     Console(width=110, soft_wrap=True).print(table)
     typer.echo(f"{figures['passed']} of {figures['runs']} runs passed, {figures['planned']} were planned")
     if "failure" in figures:
@@ -215,9 +218,3 @@ def _print(done: "Campaign", as_json: bool) -> None:
     typer.echo(
         f"intervals of {100 * figures['confidence']:g} %, {figures['interval']}; campaign {done.folder}"
     )
-
-
-def _cells(point: dict[str, Any]) -> tuple[str, ...]:
-    rate, low, high = (point[name] for name in ("rate", "low", "high"))
-    shown = "-" if rate is None else f"{100 * rate:.2f} %"
-    return str(point["runs"]), str(point["passed"]), shown, f"{100 * low:.2f} to {100 * high:.2f} %"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.exit_status import reported_errors
+from hil.terminal.exit_status import reported_errors, writing
 from hil.terminal.options import JsonOption, valued
 from hil.terminal.output import put, say_written
 from hil.verdict.verdict import ExitStatus
@@ -54,7 +54,8 @@ def compare(
         if rrd is not None:
             from hil.recorded.comparison_page import write_comparison
 
-            write_comparison(compared, "```\n" + "\n".join(lines) + "\n```\n", rrd)
+            with writing("--rrd", rrd):
+                write_comparison(compared, "```\n" + "\n".join(lines) + "\n```\n", rrd)
             say_written(rrd)
         raise typer.Exit(_status(compared))
 

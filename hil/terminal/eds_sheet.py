@@ -8,6 +8,7 @@ from drivers.canopen.objects301 import MANUFACTURER
 from drivers.canopen.pdo import PdoMap, mapping_text
 from drivers.canopen.pdo_budget import Budget, budget_of, content_of
 from drivers.canopen.pdo_capability import PdoSlot
+from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
 from drivers.cia402.profile import Mode
 from drivers.cia402.quirky_units import apply_quirks
@@ -20,10 +21,7 @@ from drivers.sheets.fitness import FileIdentity, Fitness
 from drivers.timebase import NS_PER_US, Duration
 from drivers.vendors.families import quirks_for
 
-MODES = {
-    "cst": Mode.CYCLIC_SYNCHRONOUS_TORQUE,
-    "csv": Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
-    "csp": Mode.CYCLIC_SYNCHRONOUS_POSITION,
+MODES = BENCH_MODES | {
     "pt": Mode.PROFILE_TORQUE,
     "pv": Mode.PROFILE_VELOCITY,
     "pp": Mode.PROFILE_POSITION,
@@ -43,15 +41,15 @@ def plan_for(
     loaded: LoadedDictionary, fitness: Fitness, node_id: int, mode: str | None, period_us: int, bitrate: int
 ) -> Planned | None:
     """The plan for a mode, or for the best that the drive has; None if it has none at all."""
-    wanted = MODES[mode] if mode is not None else fitness.best.mode if fitness.best is not None else None
-    if wanted is None:
+    chosen = MODES[mode] if mode is not None else fitness.best.mode if fitness.best is not None else None
+    if chosen is None:
         return None
     try:
-        result = plan_pdos(capability_of(loaded), node_id, PlanWish(wanted))
+        result = plan_pdos(capability_of(loaded), node_id, PlanWish(chosen))
     except PlanImpossible as error:
-        return Planned(wanted.title, None, None, error.evidence or error.summary)
+        return Planned(chosen.title, None, None, error.evidence or error.summary)
     budget = budget_of([result.plan], Duration(period_us * NS_PER_US), bitrate)
-    return Planned(wanted.title, result, budget)
+    return Planned(chosen.title, result, budget)
 
 
 _UNITS = (
@@ -85,13 +83,13 @@ def unit_lines(loaded: LoadedDictionary, fitness: Fitness) -> tuple[tuple[UnitLi
     quirks = quirks_for(identity.vendor or 0, identity.product or 0, name)
     known = apply_quirks(quirks, {key: read(*key) for key in FACTOR_OBJECTS}, ScaleOverride(), read)
     scaling, missing = _as_far_as_told(known.values, known.override)
-    told = {} if scaling is None else {name: getattr(scaling, field) for name, field, _ in _UNITS}
-    sources = {} if scaling is None else {**scaling.sources, **known.sources}
     lines = []
-    for quantity, _, unit in _UNITS:
-        there = quantity in told and quantity not in missing
-        source = sources.get(quantity, "not told") if quantity not in missing else "not told"
-        lines.append(UnitLine(quantity, told[quantity] if there else None, unit, source))
+    for quantity, field, unit in _UNITS:
+        if scaling is None or quantity in missing:
+            lines.append(UnitLine(quantity, None, unit, "not told"))
+            continue
+        sources = {**scaling.sources, **known.sources}
+        lines.append(UnitLine(quantity, getattr(scaling, field), unit, sources.get(quantity, "not told")))
     return tuple(lines), known.notes
 
 
@@ -117,7 +115,7 @@ def _as_far_as_told(
 
 def sheet(file: Path, loaded: LoadedDictionary, fitness: Fitness, planned: Planned | None) -> dict[str, Any]:
     """What ``hil eds --json`` prints."""
-    made: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "file": str(file),
         "serves": fitness.serves,
         "obstacles": list(fitness.obstacles),
@@ -152,8 +150,8 @@ def sheet(file: Path, loaded: LoadedDictionary, fitness: Fitness, planned: Plann
         },
     }
     if planned is not None:
-        made["plan"] = _plan(planned)
-    return made
+        figures["plan"] = _plan(planned)
+    return figures
 
 
 def _identity(identity: FileIdentity) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.exit_status import reported_errors
+from hil.terminal.exit_status import reported_errors, writing
 from hil.terminal.options import RunArgument, flag, valued
 from hil.terminal.output import say_written
 
@@ -52,18 +52,15 @@ def picture(
             from hil.recorded.paper import paper_figure, save_figure
             from hil.recorded.recorded_run import open_run, signals_of
 
-            save_figure(paper_figure(signals_of(open_run(run)), *window), out)
+            figure = paper_figure(signals_of(open_run(run)), *window)
+            with writing("OUT", out):
+                save_figure(figure, out)
         else:
             if out.suffix != ".png":
                 raise BadInput("OUT", "", str(out), "a file that ends in .png, or --paper")
             from hil.recorded.viewer import draw_page
 
-            _write(out, draw_page(run, page, at, window))
+            png = draw_page(run, page, at, window)
+            with writing("OUT", out):
+                out.write_bytes(png)
         say_written(out)
-
-
-def _write(out: Path, png: bytes) -> None:
-    try:
-        out.write_bytes(png)
-    except OSError as error:
-        raise BadInput("OUT", "", str(out), "a place to write to", error.strerror or "") from None

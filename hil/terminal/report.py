@@ -46,7 +46,7 @@ def print_run(
         padding=(0, 1),
     )
     console.print(panel)
-    for line in recording_lines(Path(summary.recording) if summary.recording else None):
+    for line in recording_lines(summary.recording):
         console.print(Text(line), soft_wrap=True)
 
 
@@ -120,12 +120,11 @@ def _number(value: float | None) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def recording_lines(recording: Path | None) -> list[str]:
-    """Where the recording is and the command that opens it; ``recording``: a folder, or the .rrd itself."""
-    if recording is None:
+def recording_lines(folder: str) -> list[str]:
+    """Where the recording is and the command that opens it; ``folder``: its own, empty if there is none."""
+    if not folder:
         return ["Recording  none was asked for"]
-    path = recording if recording.suffix == ".rrd" else recording / "run.rrd"
-    place = _shortest(path)
+    place = _shortest(Path(folder) / "run.rrd")
     return [f"Recording  {place}", f"Open with  {viewer_command()} {place}"]
 
 

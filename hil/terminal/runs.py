@@ -42,8 +42,8 @@ def runs(
         from hil.reviewing.run_index import RunFilter, list_runs
 
         local = None if since is None else since.astimezone()
-        wanted = RunFilter(bench, drive, controller, verdict, commit, local)
-        listed = list_runs(folder, wanted)
+        chosen = RunFilter(bench, drive, controller, verdict, commit, local)
+        listed = list_runs(folder, chosen)
         put({"runs": [run.as_json() for run in listed]}, as_json, lambda _figures: _print(listed, folder))
 
 

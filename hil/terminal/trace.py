@@ -54,20 +54,20 @@ def trace(
     with reported_errors():
         from hil.reviewing.trace.trace_entry import TraceSelection
 
-        wanted = TraceSelection(node, _kinds(kind), from_s, to_s)
+        selection = TraceSelection(node, _kinds(kind), from_s, to_s)
         sheets = [_sheet(text) for text in eds or ()]
         if live:
             if source is not None or bus is None:
                 raise BadInput("--live", "", str(source or ""), "--bus SPEC, and no RUN or LOG beside it")
-            _follow(bus, bitrate, sheets, wanted, as_json)
+            _follow(bus, bitrate, sheets, selection, as_json)
         elif source is None or bus is not None:
             raise BadInput("hil trace", "", str(bus or ""), "a RUN or LOG, or --live --bus SPEC")
         else:
-            _read(source, differences, sheets, wanted, as_json)
+            _read(source, differences, sheets, selection, as_json)
 
 
 def _read(
-    source: Path, differences: bool, sheets: "list[SheetFile]", wanted: "TraceSelection", as_json: bool
+    source: Path, differences: bool, sheets: "list[SheetFile]", selection: "TraceSelection", as_json: bool
 ) -> None:
     from hil.reviewing.trace.bus_log import BusLog
     from hil.reviewing.trace.decoder import decode
@@ -85,13 +85,13 @@ def _read(
         known, frames, zero_ns = KnownNodes(sheets), iter(log), None
     if (first := next(frames, None)) is not None:
         zero_ns = first.at_ns if zero_ns is None else zero_ns
-        _print(wanted, decode(chain((first,), frames), known), zero_ns or 0, as_json)
+        _print(selection, decode(chain((first,), frames), known), zero_ns or 0, as_json)
     for note in log.notes():
         say(f"hil: note: {source}: {note}")
 
 
 def _follow(
-    bus: str, bitrate: int | None, sheets: "list[SheetFile]", wanted: "TraceSelection", as_json: bool
+    bus: str, bitrate: int | None, sheets: "list[SheetFile]", selection: "TraceSelection", as_json: bool
 ) -> None:
     from drivers.wire.adapters import parse_bus_spec
     from hil.inspecting.live_trace import live_frames
@@ -101,13 +101,13 @@ def _follow(
 
     spec, known = parse_bus_spec(bus, "--bus"), KnownNodes(sheets)
     with stop_signals() as stop, closing(live_frames(spec, bitrate, stop, say)) as frames:
-        _print(wanted, decode(frames, known), 0, as_json)
+        _print(selection, decode(frames, known), 0, as_json)
 
 
-def _print(wanted: "TraceSelection", entries: "Iterable[TraceEntry]", zero_ns: int, as_json: bool) -> None:
+def _print(selection: "TraceSelection", entries: "Iterable[TraceEntry]", zero_ns: int, as_json: bool) -> None:
     """Line by line; whoever reads them may have enough (``| head``)."""
     try:
-        for entry in wanted.of(entries, zero_ns):
+        for entry in selection.of(entries, zero_ns):
             write_line(json.dumps(entry.as_json(zero_ns)) if as_json else _line(entry, zero_ns))
         sys.stdout.flush()
     except BrokenPipeError:

@@ -22,6 +22,8 @@ from hil.testing.wire import Wire, intended_frames
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 
+__tracebackhide__ = True
+"""Of this file, for pytest: a claim that does not hold is shown where the test makes it."""
 ENABLE_LIMIT_S = 5.0
 _PERIOD_NS = NS_PER_MS
 _PERIOD_LIVE_NS = 10 * NS_PER_MS
@@ -115,8 +117,8 @@ class DriveRig:
             self.network.send_sync()
             while self.network.pump_one(due):
                 for reading in self.client.take_readings():
-                    wanted = torque_nm(reading) if callable(torque_nm) else torque_nm
-                    self.client.write(Command(self.network.sync_count, wanted, due, due))
+                    torque = torque_nm(reading) if callable(torque_nm) else torque_nm
+                    self.client.write(Command(self.network.sync_count, torque, due, due))
                     taken.append(reading)
             self.client.check()
         return taken
@@ -127,15 +129,14 @@ class DriveRig:
 
     def assert_reaches(self, state: State, *, within_s: float) -> float:
         """The drive comes into ``state``; returns after how long it was seen there, s."""
-        __tracebackhide__ = True
         began, seen = self.clock.now(), list[str]()
         while True:
-            found = self.state()
+            now = self.state()
             took_s = (self.clock.now() - began) / NS_PER_S
-            label = "no state of CiA 402" if found is None else found.value
+            label = "no state of CiA 402" if now is None else now.value
             if not seen or seen[-1] != label:
                 seen.append(label)
-            if found is state:
+            if now is state:
                 return took_s
             if took_s > within_s:
                 raise AssertionError(
@@ -146,12 +147,11 @@ class DriveRig:
 
     def assert_stays(self, state: State, *, for_s: float) -> None:
         """The drive is in ``state`` now and does not leave it."""
-        __tracebackhide__ = True
         began = self.clock.now()
         while (held_s := (self.clock.now() - began) / NS_PER_S) < for_s:
-            found = self.state()
-            if found is not state:
-                label = "no state of CiA 402" if found is None else f"'{found.value}'"
+            now = self.state()
+            if now is not state:
+                label = "no state of CiA 402" if now is None else f"'{now.value}'"
                 raise AssertionError(
                     f"node {self.node}: {label} after {held_s:.3f} s, to stay in '{state.value}' for "
                     f"{for_s:g} s{self._emergencies()}"
@@ -164,7 +164,6 @@ class DriveRig:
         NMT, SYNC, heartbeats, SDO, and the PDOs of the plan in their lengths. ``allow``: patterns of
         :mod:`hil.testing.wire` of what else may be there, e.g. ``"081#*"`` for the EMCY of node 1.
         """
-        __tracebackhide__ = True
         self.wire.assert_only(intended_frames(self.network.node_id, self.node, self._plan_written()), allow)
 
     def assert_controlwords(self, *words: int) -> None:
@@ -172,13 +171,12 @@ class DriveRig:
 
         By every RPDO that carries one, and by SDO; a word that is repeated in a row counts once.
         """
-        __tracebackhide__ = True
         seen = self.wire.controlwords(self.node, self._plan_written())
         if [command.word for command in seen] != [*words]:
-            wanted = " ".join(f"{word:04X}h" for word in words) or "none"
+            expected = " ".join(f"{word:04X}h" for word in words) or "none"
             lines = [f"  {(at - self.wire.zero) / NS_PER_S:.6f} s {word:04X}h" for at, word in seen]
             raise AssertionError(
-                f"node {self.node}: controlwords {wanted} expected, the host sent"
+                f"node {self.node}: controlwords {expected} expected, the host sent"
                 + ("\n".join([":", *lines]) if lines else " none")
             )
 

@@ -43,10 +43,9 @@ def run(
     PeerFault or RecordingFailed with the drives at rest again and all kept that was recorded.
     """
     from drivers.errors import BadInput
-    from drivers.timebase import utc_stamp
     from drivers.wire.adapters import parse_bus_spec
     from hil.configuration.bench_tables import Bench
-    from hil.execution.bench import RUNS_FOLDER, run_bench
+    from hil.execution.bench import run_bench
     from hil.machine.progress import no_progress
     from hil.recording.memory_recorder import MemoryRecorder
     from hil.recording.recorder import recorder_of
@@ -55,9 +54,7 @@ def run(
     from hil.testing.signals import with_signals
 
     config = with_signals(Bench.of(bench).changed(changes or {}), signals or {}).config
-    below_runs = RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}"
-    folder = Path(below_runs if record is True else record) if record else None
-    if folder is None and not parse_bus_spec(bus or config.bus.spec, "bus").simulated:
+    if not record and not parse_bus_spec(bus or config.bus.spec, "bus").simulated:
         raise BadInput("run", "record", False, "a folder: on a bus in real time another process records")
     memory: list[MemoryRecorder] = []
 
@@ -70,14 +67,14 @@ def run(
         bus_spec=bus,
         time=time,
         seed=seed,
-        record=folder,
+        record=None if isinstance(record, bool) else Path(record),
         progress=progress or no_progress,
-        keep=folder is not None,
+        keep=bool(record),
         controllers=controllers,
         network=None if network is None else Path(network),
         allow_uncertified=allow_uncertified,
         privileged=False,
         stop=stop,
-        recording=recorder_of if folder is not None else in_memory,
+        recording=recorder_of if record else in_memory,
     )
-    return Run(config, folder or memory[0], summary=summary)
+    return Run(config, Path(summary.recording) if record else memory[0], summary=summary)

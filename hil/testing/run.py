@@ -19,7 +19,7 @@ from drivers.timebase import NS_PER_S
 from hil.configuration.config import BenchConfig
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.recording.run_folder import read_summary
-from hil.rows.event_lines import event_json
+from hil.rows.event_lines import event_json, read_events
 from hil.rows.records import Rows
 from hil.rows.records_file import RECORDS_FILE, read_table, rows_of_table
 from hil.rows.run_files import EVENTS_FILE
@@ -29,6 +29,8 @@ from hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wi
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunVerdict, VerdictKind
 
+__tracebackhide__ = True
+"""Of this file, for pytest: a claim that does not hold is shown where the test makes it."""
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -38,7 +40,6 @@ def _claim(method: Callable[Concatenate["Run", P], R]) -> Callable[Concatenate["
 
     @wraps(method)
     def told(run: "Run", /, *given: P.args, **named: P.kwargs) -> R:
-        __tracebackhide__ = True
         try:
             return method(run, *given, **named)
         except AssertionError as error:
@@ -126,8 +127,7 @@ class Run:
             events, zero = self._kept.told()
             shown = [each for each in events if isinstance(each, TextEvent | StateEvent | BeginEvent)]
             return [event_json(each, zero) for each in shown]
-        lines = (self._kept / EVENTS_FILE).read_text(encoding="utf-8").splitlines()
-        return sorted(map(json.loads, lines), key=lambda event: event["at_ns"])
+        return sorted(read_events(self._kept / EVENTS_FILE), key=lambda event: event["at_ns"])
 
     @cached_property
     def wire(self) -> Wire:
@@ -156,7 +156,6 @@ class Run:
     @_claim
     def assert_passed(self) -> None:
         """The run passed, by every condition of docs/verdict.md: something was asked, and all was kept."""
-        __tracebackhide__ = True
         verdict = self.summary.verdict
         if verdict.outcome is VerdictKind.NOTHING_ASKED:
             raise AssertionError(f"{self.config.source or 'the bench'} has no limit in [verdict] to keep")
@@ -178,7 +177,6 @@ class Run:
         A stretch between two changes that is shorter than ``within_s`` is not judged. Returns how long each
         settling took, s.
         """
-        __tracebackhide__ = True
         self._assert_completed()
         history = self.axis(axis)
         band_rad_s = self._scale(history) * band_percent / 100.0
@@ -189,10 +187,7 @@ class Run:
         ]
         if not judged:
             raise AssertionError(f"{history.name}: no stretch of {within_s:g} s after a change to settle in")
-        took_s = []
-        for stretch in judged:  # no comprehension: pytest would show its frame
-            took_s.append(_settling_s(history, stretch, within_s, band_rad_s, band_percent))
-        return took_s
+        return [_settling_s(history, stretch, within_s, band_rad_s, band_percent) for stretch in judged]
 
     @_claim
     def assert_error_below(
@@ -209,7 +204,6 @@ class Run:
 
         ``percent``: of the largest |reference|. ``rms_rad_s``: the root of its mean square instead.
         """
-        __tracebackhide__ = True
         if percent is None and rad_s is None and rms_rad_s is None:
             raise ValueError("give at least one of percent, rad_s and rms_rad_s")
         self._assert_completed()
@@ -245,7 +239,6 @@ class Run:
         That is: the run was completed, a set-point went out in every cycle, and the drive stayed in OPERATION
         ENABLED. With fewer than ``at_least`` dropouts nothing was shown, which fails too.
         """
-        __tracebackhide__ = True
         self._assert_completed()
         history = self.axis(axis)
         causes, gaps = history.dropouts(), history.gaps()
@@ -272,7 +265,6 @@ class Run:
     @_claim
     def assert_reached(self, state: State, *, by_s: float | None = None, axis: str | None = None) -> None:
         """The drive was seen in ``state``, from enabling it to its release; ``by_s``: no later than then."""
-        __tracebackhide__ = True
         name = self.axis(axis).name
         seen = self._states(name)
         times = [at_s for at_s, label in seen if label == state.value]
@@ -287,7 +279,6 @@ class Run:
     @_claim
     def assert_stayed(self, state: State, *, axis: str | None = None) -> None:
         """Every reading of the loop tells ``state``."""
-        __tracebackhide__ = True
         _stayed(self.axis(axis), state)
 
     @_claim
@@ -297,7 +288,6 @@ class Run:
         NMT, SYNC, heartbeats, SDO, and the PDOs of the bench in their lengths: an EMCY, a PDO that nobody
         asked for or another node's frame fails. ``allow``: patterns of :mod:`hil.testing.wire`.
         """
-        __tracebackhide__ = True
         rules: list[Intended] = []
         if self.config.loop.sync != "own":
             rules.append(Intended("080#", False))
@@ -316,7 +306,6 @@ class Run:
         return name
 
     def _assert_completed(self) -> None:
-        __tracebackhide__ = True
         verdict = self.summary.verdict
         if not verdict.completed:
             raise AssertionError(f"the run was cut short: {verdict.reason}")
@@ -340,7 +329,6 @@ class Run:
 
 
 def _stayed(history: AxisHistory, state: State) -> None:
-    __tracebackhide__ = True
     for at_s, seen in history.states():
         if seen is not state:
             label = "no state of CiA 402" if seen is None else f"'{seen.value}'"
@@ -364,7 +352,6 @@ def _chosen(history: AxisHistory, after_s: float | None) -> list[Stretch]:
 def _settling_s(
     history: AxisHistory, stretch: Stretch, within_s: float, band_rad_s: float, band_percent: float
 ) -> float:
-    __tracebackhide__ = True
     part = slice(stretch.first, stretch.end)
     since_s = history.time_s[part] - stretch.at_s
     error = np.abs(history.error_rad_s[part])

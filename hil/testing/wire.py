@@ -28,6 +28,8 @@ from hil.reviewing.trace.run_trace import RecordedBus
 from hil.rows.frame_names import frame_name
 from hil.rows.run_files import FRAMES_FILE
 
+__tracebackhide__ = True
+"""Of this file, for pytest: a claim that does not hold is shown where the test makes it."""
 ORIGIN = Instant(0)
 SHOWN_MAX = 5
 """Frames that a message lists."""
@@ -120,7 +122,6 @@ class Wire:
 
     def assert_seen(self, pattern: str, *, times: int | None = None, sent: bool | None = None) -> None:
         """A frame matches; ``times``: exactly so many do."""
-        __tracebackhide__ = True
         frames = self.find(pattern, sent=sent)
         if times is None and not frames:
             raise AssertionError(f"no frame {pattern} among {len(self.frames)}{self._list(self.frames)}")
@@ -129,14 +130,12 @@ class Wire:
 
     def assert_none(self, pattern: str, *, sent: bool | None = None) -> None:
         """No frame matches."""
-        __tracebackhide__ = True
         frames = self.find(pattern, sent=sent)
         if frames:
             raise AssertionError(f"{len(frames)} frames {pattern}, none expected{self._list(frames)}")
 
     def assert_sequence(self, *patterns: str, sent: bool | None = None) -> None:
         """Frames that match come in this order; others may be between them."""
-        __tracebackhide__ = True
         place = 0
         for number, pattern in enumerate(patterns):
             matches = _compiled(pattern).fullmatch
@@ -152,7 +151,6 @@ class Wire:
 
     def assert_only(self, intended: Sequence["Intended"], allow: Sequence[str] = ()) -> None:
         """Every frame is one of those ``intended``, or matches a pattern of ``allow``."""
-        __tracebackhide__ = True
         sent = _accepts([rule.pattern for rule in intended if rule.sent is not False] + [*allow])
         received = _accepts([rule.pattern for rule in intended if rule.sent is not True] + [*allow])
         frames = [frame for frame in self.frames if not (sent if frame.sent else received)(frame.text)]

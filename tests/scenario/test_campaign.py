@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -284,6 +285,15 @@ def test_its_page_has_every_run_and_a_cell_s_worst_run(done: Campaign, tmp_path:
     write_page(done, tmp_path / "one_key.rrd")
     _, text = columns(tmp_path / "one_key.rrd", "/summary", "TextDocument:text")
     assert "hil campaign replay" in str(text)
+
+
+def test_a_report_that_cannot_be_written_is_no_defect(done: Campaign, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(done.folder, out)
+    (out / "report.html").mkdir()
+    told = CliRunner().invoke(app, ["campaign", "report", str(out)])
+    assert told.exit_code == 2, told.output
+    assert "expected a place to write to; Is a directory" in told.stderr
 
 
 def test_claims_hold_with_their_confidence(servo_campaign: CampaignRunner, done: Campaign) -> None:

@@ -116,3 +116,13 @@ def test_the_recording_holds_both_runs(runs: tuple[Path, Path], tmp_path: Path) 
     compare(*runs, "--rrd", out)
     paths = {str(chunk.entity_path) for chunk in RrdReader(out).stream()}
     assert {"/0_one/axis1/speed/measured", "/1_other/axis1/speed/measured", "/differences"} <= paths
+
+
+def test_a_place_that_takes_no_recording_is_named_by_its_option(
+    runs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "both.rrd"
+    out.mkdir()
+    found = CliRunner().invoke(app, ["compare", *map(str, runs), "--rrd", str(out)])
+    assert found.exit_code == 2
+    assert "hil: error: --rrd" in found.stderr

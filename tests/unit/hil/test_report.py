@@ -129,9 +129,9 @@ def test_recording_is_named_with_the_command_that_opens_it(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     expected = ["Recording  runs/x/run.rrd", f"Open with  {viewer_command()} runs/x/run.rrd"]
-    assert recording_lines(Path("runs/x")) == expected
-    assert recording_lines(tmp_path / "runs" / "x" / "run.rrd") == expected
-    assert recording_lines(None) == ["Recording  none was asked for"]
+    assert recording_lines("runs/x") == expected
+    assert recording_lines(str(tmp_path / "runs" / "x")) == expected
+    assert recording_lines("") == ["Recording  none was asked for"]
 
 
 class Terminal(io.StringIO):
