@@ -15,7 +15,6 @@ from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
 from hil.execution.bench import run_bench
-from hil.machine.progress import no_progress
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
@@ -84,12 +83,6 @@ def run(config: BenchConfig) -> Rows:
 
     run_bench(
         config,
-        bus_spec=None,
-        time=None,
-        seed=None,
-        record=None,
-        view=False,
-        progress=no_progress,
         recording=in_memory,
     )
     return recorders[0].rows()

@@ -14,7 +14,6 @@ from hil.configuration.config import BenchConfig
 from hil.execution import bench, world
 from hil.execution.bench import run_bench
 from hil.execution.world import World, WorldPlan
-from hil.machine.progress import no_progress
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
@@ -70,12 +69,6 @@ def run_watched(config: BenchConfig, load_at_s: float, load_nm: float) -> ShaftR
     with patch.object(bench, "open_world", open_world):
         run_bench(
             config,
-            bus_spec=None,
-            time=None,
-            seed=None,
-            record=None,
-            view=False,
-            progress=no_progress,
             recording=in_memory,
         )
     times, speeds = zip(*seen, strict=True)

@@ -14,7 +14,6 @@ from hil.configuration.config import BenchConfig
 from hil.configuration.config_errors import BadInputs
 from hil.control.own_code import OwnCodeFailed
 from hil.execution.bench import run_bench
-from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted, StopRequest
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.recording.recorder_choice import recorder_of
@@ -206,12 +205,8 @@ class Workshop:
         try:
             return run_bench(
                 config,
-                bus_spec=None,
-                time=None,
                 seed=planned.seed,
                 record=record,
-                view=False,
-                progress=no_progress,
                 keep=record is not None,
                 allow_uncertified=self._plan.sweep.campaign.allow_uncertified,
                 privileged=False,

@@ -38,7 +38,7 @@ from hil.loop.axis import Axis
 from hil.loop.axis_roles import Controller
 from hil.loop.loop import Loop, LoopOutcome, LoopTiming, planned_cycles
 from hil.loop.syncs import SyncLog
-from hil.machine.progress import Progress
+from hil.machine.progress import Progress, no_progress
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.recording.fault_report import write_fault_report
@@ -57,12 +57,12 @@ RUNS_FOLDER = Path("runs")
 def run_bench(
     config: BenchConfig,
     *,
-    bus_spec: str | None,
-    time: str | None,
-    seed: int | None,
-    record: Path | None,
-    view: bool,
-    progress: Progress,
+    bus_spec: str | None = None,
+    time: str | None = None,
+    seed: int | None = None,
+    record: Path | None = None,
+    view: bool = False,
+    progress: Progress = no_progress,
     keep: bool = True,
     controllers: Mapping[str, Controller] | None = None,
     network: Path | None = None,

@@ -57,11 +57,7 @@ def _outcome(
     try:
         run_bench(
             bench_from(made.tables, made.source, made.folder),
-            bus_spec=None,
-            time=None,
-            seed=None,
             record=folder,
-            view=False,
             progress=progress,
             privileged=False,
             stop=stop,

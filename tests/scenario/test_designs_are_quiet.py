@@ -10,7 +10,6 @@ from drivers.errors import BadInput
 from hil.configuration.bench_file import bench_from
 from hil.configuration.motor_file import LING2012
 from hil.execution.bench import run_bench
-from hil.machine.progress import no_progress
 from hil.rows.run_files import EVENTS_FILE
 from hil.studies.speed.controller_text import plant_of
 from hil.verdict.verdict import LimitResult
@@ -52,12 +51,7 @@ def test_a_design_for_54_hz_is_refused_on_the_default_drive_of_800(tmp_path: Pat
     with pytest.raises(BadInput, match=r"inner_rate_hz: found '800 Hz', expected .* 53\.83 Hz and no other"):
         run_bench(
             config,
-            bus_spec=None,
-            time=None,
-            seed=None,
             record=tmp_path / "refused",
-            view=False,
-            progress=no_progress,
         )
     assert not (tmp_path / "refused").exists()
 
@@ -72,8 +66,7 @@ def test_where_it_is_let_pass_its_limit_cycle_is_an_event_and_judged(tmp_path: P
     config = bench_from(tables, "bench.toml", Path())
     folder = tmp_path / "run"
     result = run_bench(
-        config, bus_spec=None, time=None, seed=None, record=folder, view=False, progress=no_progress,
-        allow_uncertified=True,
+        config, record=folder, allow_uncertified=True,
     )  # fmt: skip
     assert (result.torque_rms_nm or 0.0) > 1.0
     assert not result.verdict.passed

@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 from drivers.errors import BadInput, BenchError, DriveInFault, PeerFault, PowerLost
 from hil.cli import app
 from hil.execution.bench import run_bench
-from hil.machine.progress import no_progress
 from hil.pytest_plugin import StartDrive
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
@@ -174,11 +173,7 @@ def test_faults_that_cannot_act_on_a_real_time_bus_are_refused_with_what_to_do(
         run_bench(
             config,
             bus_spec="virtual:0",
-            time=None,
-            seed=None,
             record=tmp_path / "r",
-            view=False,
-            progress=no_progress,
         )
 
 

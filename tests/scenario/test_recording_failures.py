@@ -15,7 +15,6 @@ from hil.configuration.bench_file import load_bench
 from hil.execution import bench as bench_module
 from hil.execution.bench import run_bench
 from hil.execution.bus_guard import BusGuard
-from hil.machine.progress import no_progress
 from hil.recording.logger_process import RecordingFailed
 from hil.recording.recorder import Recorder, start_recording
 from hil.recording.tail import TAIL_FILE, read_tail
@@ -110,11 +109,7 @@ def run_and_kill(
     recording = config.recording.model_copy(update={"on_failure": on_failure})
     return run_bench(
         config.model_copy(update={"recording": recording}),
-        bus_spec=None,
-        time=None,
-        seed=None,
         record=tmp_path / "run",
-        view=False,
         progress=progress,
         privileged=False,
         recording=start,
@@ -153,12 +148,7 @@ def test_a_run_that_cannot_be_set_up_leaves_a_recording_that_has_ended(
     with pytest.raises(type(error)):
         run_bench(
             load_bench(LING2012),
-            bus_spec=None,
-            time=None,
-            seed=None,
             record=tmp_path / "run",
-            view=False,
-            progress=no_progress,
             concluded=told.append,
         )
     assert [summary.verdict.exit_status for summary in told] == [status]

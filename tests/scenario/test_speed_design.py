@@ -12,7 +12,6 @@ from drivers.errors import LimitExceeded
 from hil.configuration.bench_file import bench_from, load_bench, load_controller
 from hil.configuration.network_file import load_network
 from hil.execution.bench import run_bench
-from hil.machine.progress import no_progress
 from hil.studies.papers import reproduction
 from hil.studies.papers import runs as paper_runs
 from hil.studies.papers.runs import VARIANTS, bench_tables
@@ -81,8 +80,7 @@ def test_from_measured_network_to_running_controller(tmp_path: Path) -> None:
 
 def _bench(tables: dict[str, Any], record: Path, **options: Any) -> dict[str, Any]:
     summary = run_bench(
-        bench_from(tables, "bench.toml", Path()), bus_spec=None, time=None, seed=None, record=record,
-        view=False, progress=no_progress, **options,
+        bench_from(tables, "bench.toml", Path()), record=record, **options,
     )  # fmt: skip
     return summary.as_json()
 

@@ -12,7 +12,6 @@ from hil.configuration.config import BenchConfig
 from hil.execution import bench, world
 from hil.execution.bench import run_bench
 from hil.execution.world import World, WorldPlan
-from hil.machine.progress import no_progress
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
@@ -52,11 +51,6 @@ def run_with_taps(config: BenchConfig, clock_starts_at_us: int | None = None) ->
             run_bench(
                 config,
                 bus_spec="simulated",
-                time=None,
-                seed=None,
-                record=None,
-                view=False,
-                progress=no_progress,
                 privileged=False,
                 recording=in_memory,
             )

@@ -35,7 +35,6 @@ from drivers.timebase import NS_PER_S
 from hil.configuration.bench_file import bench_from
 from hil.configuration.motor_file import LING2012
 from hil.execution.bench import run_bench
-from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted
 from hil.rows.records_file import RECORDS_FILE, read_records
 from hil.verdict.verdict import VerdictKind
@@ -168,9 +167,7 @@ def _run(variant: Variant, folder: Path, tell: Callable[[str], None]) -> PaperRu
     config = bench_from(bench_tables(variant), f"{variant.case} {variant.name}", Path())
     tell(f"{variant.case}, {variant.name}: on the simulated bench")
     record = folder / config.bench.name
-    summary = run_bench(
-        config, bus_spec=None, time=None, seed=None, record=record, view=False, progress=no_progress
-    )
+    summary = run_bench(config, record=record)
     if ended_by := summary.verdict.of(VerdictKind.INTERRUPTED):
         raise Interrupted("; ".join(ended_by))
     time_s, error = _errors(record)

@@ -4,7 +4,6 @@ from pathlib import Path
 
 from hil.configuration.bench_file import load_bench
 from hil.execution.bench import run_bench
-from hil.machine.progress import no_progress
 
 BENCH = Path(__file__).parents[3] / "examples" / "ling2012.toml"
 
@@ -14,5 +13,5 @@ def short_run(folder: Path, duration_s: float = 0.3, seed: int | None = None) ->
     bench = load_bench(BENCH)
     cut = bench.bench.model_copy(update={"duration_s": duration_s})
     short = bench.model_copy(update={"bench": cut, "load": {}})
-    run_bench(short, bus_spec=None, time=None, seed=seed, record=folder, view=False, progress=no_progress)
+    run_bench(short, seed=seed, record=folder)
     return folder
