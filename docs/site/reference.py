@@ -23,7 +23,8 @@ from virtual_bus.faults.register import TABLES
 _FILES = (
     "The tables `motor`, `commissioned`, `controller` and `current_control.controller` and the lists "
     "`faults.plan` and `background` may stand in files of their own: the key is then the path of the file, "
-    "relative to the bench file."
+    "relative to the bench file. `[faults]` holds the tables of a [fault plan](faults.md), or `plan`, the "
+    "path of one or of a run's `faults.jsonl`."
 )
 _BOUNDS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from drivers.canopen.cob_ids import BROADCASTS, EMERGENCY, NODE_BITS, SYNC
-from drivers.canopen.pdo import PdoPlan
+from drivers.canopen.pdo import PdoPlan, frame_bits_max
 from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.observed import NUMBERS, with_observed
 from drivers.cia402.pdo_plans import mode_plan
@@ -21,10 +21,6 @@ from hil.configuration.observed_objects import observed_faults
 from hil.configuration.references import Load, LoadStep, SignalFile, SineReference
 from hil.loop.scenario import Quantity
 
-FRAME_BITS_WITHOUT_DATA = 47
-"""Of a data frame with 11-bit identifier, stuff bits apart, interframe space included (ISO 11898-1)."""
-STUFFED_BITS_WITHOUT_DATA = 34
-"""Of those, the bits from the start of the frame to its CRC; each four after the first five may add one."""
 LOAD_DELAY_MAX_S = (1 << 32) * NS_PER_US // NS_PER_S
 """Of 2100h:5, 32 bits of microseconds."""
 TOLERANCE = 1.0 + 1e-9
@@ -184,12 +180,6 @@ def _time_of_frames_us(plans: Sequence[PdoPlan], period_us: int, bitrate_bit_s: 
     period = Duration(period_us * NS_PER_US)
     frames = [(0, 1.0), *(frame for plan in plans for frame in plan.frames_a_cycle(period))]
     return math.ceil(sum(share * frame_bits_max(length) for length, share in frames) * 1e6 / bitrate_bit_s)
-
-
-def frame_bits_max(length: int) -> int:
-    """Of a data frame with ``length`` bytes in the worst case, stuff bits and interframe space included."""
-    stuffed = STUFFED_BITS_WITHOUT_DATA + 8 * length
-    return FRAME_BITS_WITHOUT_DATA + 8 * length + (stuffed - 1) // 4
 
 
 def _background(config: BenchConfig) -> Iterator[Fault]:

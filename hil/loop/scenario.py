@@ -163,11 +163,6 @@ class ReferenceProfile:
         self._starts_s = [segment.at_s for segment in self._segments]
         self._start_levels = self._levels_at_starts()
 
-    @property
-    def change_times_s(self) -> tuple[float, ...]:
-        """When a new segment begins, s."""
-        return tuple(self._starts_s)
-
     def count_from(self, position_rad: float) -> None:
         """Where the shaft is when the run begins, counted as in a reading; for the axis alone to call. Of
         no meaning for a speed or a torque."""

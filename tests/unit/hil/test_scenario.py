@@ -20,7 +20,6 @@ def test_segments_follow_each_other_in_time_whatever_their_order() -> None:
     assert profile.value(2.25) == pytest.approx(12.5)
     assert profile.value(3.5) == 20.0
     assert profile.value(4.5) == pytest.approx(23.0)
-    assert profile.change_times_s == (1.0, 2.0, 4.0)
 
 
 def test_a_segment_that_is_cut_off_hands_over_the_speed_it_had_reached() -> None:
