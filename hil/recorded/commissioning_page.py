@@ -132,9 +132,9 @@ def _known(folder: Path) -> KnownNodes:
 
 
 def _events(path: Path) -> Iterator[dict[str, Any]]:
-    for number, line in enumerate(read_lines(path, "log of events") if path.exists() else (), start=1):
+    for line in read_lines(path, "log of events") if path.exists() else ():
         try:
-            yield parse_json(line, str(path), "an event", f"line {number}")
+            yield parse_json(line, str(path), "an event")
         except BadInput:
             return  # the last one of a commissioning that was killed
 
