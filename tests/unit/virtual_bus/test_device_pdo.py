@@ -123,6 +123,12 @@ def test_rpdo_deadline_runs_from_the_first_reception() -> None:
     (cleared,) = bench.put(RPDO1, bytes(6))
     assert cleared.data[:2] == b"\x00\x00"
     assert ("restored", CommunicationLoss.RPDO_DEADLINE, 0, 200 * MS) in bench.application.calls
+    bench.run_until_ms(210)
+    assert bench.put(RPDO1, bytes(6)) == []
+    assert [call[0] for call in bench.application.calls if call[0] in ("loss", "restored")] == [
+        "loss",
+        "restored",
+    ], "each once"
 
 
 @pytest.mark.parametrize("kind", [1, 2, 3, 240])
