@@ -30,8 +30,10 @@ TEST_TIMEOUT_S: Final = 60.0
 """Of one unit test, which takes a few seconds: beyond that a loop has no end."""
 FILE_TIMEOUT_S: Final = 120.0
 """Of one file of the other tests: beyond that the next is more likely to see the mutant."""
-_BLIND: Final = tuple(f"tests/{part}/" for part in ("unit", "vcan", "dask", "code_mutants"))
-"""What is judged by its calls, needs another machine, or is about this tool."""
+_BLIND: Final = tuple(
+    f"tests/{part}" for part in ("unit/", "vcan/", "dask/", "code_mutants/", "scenario/test_compile")
+)
+"""What is judged by its calls, needs another machine, is about this tool, or fails for any edited module."""
 
 
 class Kept:
