@@ -130,7 +130,7 @@ rehearsals: $(TOOLS) compile
 	@$(BIN)/python -m tests.rehearsals --seconds $(SECONDS)
 
 # Interpreted, in a copy of its own: the checkout and its compiled modules are left alone.
-mutate: $(TOOLS)
+mutate: $(TOOLS) compile
 	@$(BIN)/python -m tests.code_mutants --seconds $(SECONDS)
 
 pictures: $(TOOLS) compile

@@ -108,8 +108,13 @@ def affordable(request: MeasureRequest) -> tuple[bool, int]:
             budget = budget_of(plans, request.period, request.bitrate_bit_s)
             if budget.load_percent <= LOAD_LIMIT_PERCENT:
                 return changes, every
-    shortest_us = -(-budget.busy_ns * 100.0 // (LOAD_LIMIT_PERCENT * NS_PER_US))
-    expected = f"at least {shortest_us:.0f}, so that the PDOs take {LOAD_LIMIT_PERCENT:g} % of the bus"
+    shortest_us = request.period_us
+    while budget.load_percent > LOAD_LIMIT_PERCENT:  # a longer cycle has more frames that go by their timers
+        shortest_us = max(
+            shortest_us + 1, math.ceil(budget.busy_ns * 100.0 / (LOAD_LIMIT_PERCENT * NS_PER_US))
+        )
+        budget = budget_of(plans, Duration(shortest_us * NS_PER_US), request.bitrate_bit_s)
+    expected = f"at least {shortest_us}, so that the PDOs take {LOAD_LIMIT_PERCENT:g} % of the bus"
     raise BadInput("--period-us", "", request.period_us, expected, "or fewer nodes at a time")
 
 

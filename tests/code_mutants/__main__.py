@@ -6,6 +6,7 @@ Leaves with 1 if a safety mutant survives that is not argued equivalent, or an a
 import argparse
 from collections import Counter
 from dataclasses import asdict
+from functools import partial
 from itertools import islice
 
 from drivers.timebase import NS_PER_S, MonotonicClock
@@ -24,6 +25,7 @@ from tests.code_mutants.sample import (
     others,
     room_of,
     sample,
+    slow,
     tests_in,
 )
 from tests.code_mutants.workshop import ROOT, Fate, Workshop, Workshops, workshops
@@ -99,16 +101,23 @@ def _hold_sample(shops: Workshops, options: argparse.Namespace) -> None:
     def hold(shop: Workshop, mutant: Mutant) -> tuple[Mutant, Fate, str] | None:
         if clock.now() >= ends_at:
             return None
+        own = f"tests/unit/{room_of(mutant)}/"
         tests = callers(mutant, calls)
-        home = [test for test in tests if test.startswith(f"tests/unit/{room_of(mutant)}/")]
-        fate = Fate(kept.answer([str(mutant)], home, lambda: judged(shop, mutant, home, calls).value))
+        home = [test for test in tests if test.startswith(own)]
+        late = [test for test in slow(mutant, calls) if test.startswith(own)]
+        fate = Fate.SURVIVED
+        for judges in filter(None, (home, late)):
+            if fate is Fate.SURVIVED:
+                fate = Fate(kept.answer([str(mutant)], judges, partial(judged, shop, mutant, judges, calls)))
         by = ""
         if fate is Fate.SURVIVED and options.suite:
-            beyond = [test for test in tests if test not in home] + others(mutant, calls)
+            beyond = [test for test in tests + slow(mutant, calls) if not test.startswith(own)] + others(
+                mutant
+            )
             question = [str(mutant), f"{options.suite} s"]
             by = kept.answer(question, beyond, lambda: killer(shop, mutant, beyond, options.suite))
         if fate is Fate.SURVIVED:
-            print(f"survived  {mutant}{'' if home else ' (no unit test calls it)'}", end="")
+            print(f"survived  {mutant}{'' if home or late else ' (no unit test calls it)'}", end="")
             print(f"  killed by {by}" if by else "", flush=True)
         return mutant, fate, by
 

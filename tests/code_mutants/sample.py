@@ -24,14 +24,16 @@ from tests.code_mutants.workshop import ROOT, SHORTEST_S, Fate, Workshop
 
 KEPT: Final = ROOT / "build" / "code_mutants.jsonl"
 MAPPING_TIMEOUT_S: Final = 180.0
-"""Of a unit test file while its calls are noted. One that takes longer, as it runs whole commands, would take
-as long again for each mutant: it judges with the other tests."""
+"""Of a unit test file while its calls are noted. One that takes longer, as it runs whole commands, judges
+what the others let pass."""
 TEST_TIMEOUT_S: Final = 60.0
 """Of one unit test, which takes a few seconds: beyond that a loop has no end."""
 FILE_TIMEOUT_S: Final = 120.0
 """Of one file of the other tests: beyond that the next is more likely to see the mutant."""
-_BLIND: Final = tuple(f"tests/{part}/" for part in ("vcan", "dask", "code_mutants"))
-"""What needs another machine, or is about this tool."""
+_BLIND: Final = tuple(
+    f"tests/{part}" for part in ("unit/", "vcan/", "dask/", "code_mutants/", "scenario/test_compile")
+)
+"""What is judged by its calls, needs another machine, is about this tool, or fails for any edited module."""
 
 
 class Kept:
@@ -126,13 +128,17 @@ def callers(mutant: Mutant, calls: Calls) -> list[str]:
     return sorted(found, key=lambda test: calls[test].count)
 
 
-def others(mutant: Mutant, calls: Calls) -> list[str]:
-    """Tests whose calls are not known that reach the mutant's file: the fewer imports away the sooner,
-    then those that name it or its command, then those that reach least."""
+def slow(mutant: Mutant, calls: Calls) -> list[str]:
+    """The unit test files whose calls are not known that reach the mutant's file."""
     file = mutant.place.file
-    known = {test for test, called in calls.items() if called.lines}
-    tests = [test for test in tests_in("tests") if test not in known and not test.startswith(_BLIND)]
-    found = [test for test in tests if file in reached(test)]
+    return [test for test, called in calls.items() if not called.lines and file in reached(test)]
+
+
+def others(mutant: Mutant) -> list[str]:
+    """The tests that are no unit tests and reach the mutant's file: the fewer imports away the sooner, then
+    those that name it or its command, then those that reach least."""
+    file = mutant.place.file
+    found = [test for test in tests_in("tests") if not test.startswith(_BLIND) and file in reached(test)]
 
     def order(test: str) -> tuple[int, bool, int]:
         named = Path(file).stem in (ROOT / test).read_text(encoding="utf-8")
@@ -149,7 +155,8 @@ def judged(shop: Workshop, mutant: Mutant, tests: list[str], calls: Calls) -> Fa
     if not tests:
         return Fate.SURVIVED
     limit_s = max(SHORTEST_S, 10.0 * sum(calls[test].seconds for test in tests))
-    asked = [f"--timeout={TEST_TIMEOUT_S:.0f}", *tests]
+    each_s = TEST_TIMEOUT_S if all(calls[test].lines for test in tests) else MAPPING_TIMEOUT_S
+    asked = [f"--timeout={each_s:.0f}", *tests]
     pure = not mutant.function_line  # a compiled module holds the constants of others
     status = shop.status_of(mutant, asked, limit_s, pure)
     late = status == "timeout" or "Timeout (>" in shop.said()

@@ -10,7 +10,7 @@ from tests.code_mutants.argued import Arguments, read_arguments
 from tests.code_mutants.imports import reached
 from tests.code_mutants.mutations import Mutant, Place, mutants_of
 from tests.code_mutants.safety import MODULE, SAFETY, Gone, Guarded, mutants_in
-from tests.code_mutants.sample import Called, Kept, callers, killer, others, room_of, sample
+from tests.code_mutants.sample import Called, Kept, callers, killer, others, room_of, sample, slow
 from tests.code_mutants.workshop import ROOT
 
 SOURCE = '''"""ä text."""
@@ -156,14 +156,14 @@ def test_what_numba_compiles_is_judged_by_who_imports_it() -> None:
 def test_all_other_tests_that_reach_a_mutant_judge_it_the_nearest_first() -> None:
     file = "hil/campaign/figures.py"
     (mutant, *_) = mutants_of(file, (ROOT / file).read_text(encoding="utf-8"))
-    slow, known = "tests/unit/hil/test_told.py", "tests/unit/hil/test_campaign_claims.py"
-    tests = others(mutant, {slow: Called(180.0, {}), known: called(hil=[1])})
+    tests = others(mutant)
     assert tests[0] == "tests/scenario/test_campaign.py"
-    assert slow in tests
-    assert known not in tests
     assert "tests/scenario/test_determinism.py" in tests, "it runs hil"
     assert "tests/oracle/test_plant.py" not in tests
-    assert [test for test in tests if test.startswith("tests/vcan")] == []
+    assert [test for test in tests if test.startswith(("tests/unit", "tests/vcan"))] == []
+    long, known, far = (f"tests/unit/hil/test_{name}.py" for name in ("told", "campaign_claims", "toml_text"))
+    unmapped = Called(180.0, {})
+    assert slow(mutant, {long: unmapped, known: called(hil=[1]), far: unmapped}) == [long]
 
 
 def test_imports_are_followed_by_name_by_text_and_by_command() -> None:

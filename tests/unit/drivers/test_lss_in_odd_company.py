@@ -99,6 +99,41 @@ def test_a_slave_that_only_says_yes_is_none_at_all() -> None:
         list(LssMaster(bench.network).search())
 
 
+class Unasked:
+    """A slave that takes part in fast scans and is selected by its address, but answers no inquiry."""
+
+    def __init__(self, address: LssAddress) -> None:
+        self._address = address
+        self._part = 0
+        self._selected: list[int] = []
+
+    def __call__(self, request: bytes) -> bytes | None:
+        command, number = request[0], int.from_bytes(request[1:5], "little")
+        if command == 0x51:
+            return b"\x4f" if self._is_meant(number, *request[5:8]) else None
+        if command == 0x40:
+            self._selected.clear()
+        if 0x40 <= command <= 0x43:
+            self._selected.append(number)
+            return b"\x44" if tuple(self._selected) == self._address else None
+        return None
+
+    def _is_meant(self, number: int, bit: int, part: int, following: int) -> bool:
+        if bit == 0x80:
+            self._part = 0
+            return True
+        if part != self._part or (self._address[part] ^ number) >> bit:
+            return False
+        if not bit:
+            self._part = following
+        return True
+
+
+def test_a_device_that_answers_no_inquiry_is_found_if_it_answers_to_its_address() -> None:
+    address = LssAddress(0x319, 2, 3, 0x80000001)
+    assert list(LssMaster(with_slave(Unasked(address)).network).search(limit=1)) == [address]
+
+
 def test_two_devices_of_one_identity_are_told() -> None:
     bench = Bench()
     for _ in range(2):

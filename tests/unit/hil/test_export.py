@@ -65,7 +65,8 @@ def test_parquet_has_all_that_records_arrow_has(run: Path) -> None:
 
 def test_csv_read_by_pandas(run: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    assert export(run, "--to", "csv", "--out", str(path)).exit_code == 0
+    done = export(run, "--to", "csv", "--out", str(path), "--json")
+    assert (done.exit_code, json.loads(done.stdout)["rows"]) == (0, 800)
     again, table = pd.read_csv(path), table_of(run)
     assert len(again) == 800
     assert {"due_at_ns", "velocity_rad_s", "delay_ns", "command_torque_nm"} < set(again.columns)

@@ -96,6 +96,13 @@ def test_they_are_chosen_by(lab: Path, arguments: list[str], benches: list[str])
     assert [run["bench"] for run in listed(str(lab), *arguments)] == benches
 
 
+def test_nothing_below_a_recording_and_nothing_deep_down_is_looked_at(lab: Path) -> None:
+    make(lab / "c" / "inside", "inside", datetime(2026, 1, 4, tzinfo=UTC))
+    make(lab.joinpath(*"123456"), "deep", datetime(2026, 1, 5, tzinfo=UTC))
+    make(lab.joinpath(*"1234567"), "too deep", datetime(2026, 1, 6, tzinfo=UTC))
+    assert [run["bench"] for run in listed(str(lab))] == ["first", "second", "third", "deep"]
+
+
 def test_every_verdict_can_be_asked_for(lab: Path) -> None:
     for kind in VerdictKind:
         path = lab / "c" / "summary.json"

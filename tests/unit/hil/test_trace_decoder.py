@@ -107,12 +107,27 @@ def test_a_sub_block_that_is_sent_again_and_its_crc() -> None:
     for acknowledged in ((2,), (1, 1), (0, 2)):
         (entry,) = traced(*block(crc, acknowledged))
         assert (entry.data, dict(entry.details)["notes"]) == (b"abcdefghij", []), acknowledged
+        assert (entry.frames, entry.last) == (len(block(crc, acknowledged)),) * 2
     (wrong,) = traced(*block(crc ^ 1))
     assert "its CRC is" in wrong.text
     lines = block(crc)
     del lines[2]
     (gap,) = traced(*lines)
     assert "segments are missing" in gap.text
+
+
+def test_every_frame_of_a_block_from_the_server_counts() -> None:
+    """An upload of 10 bytes, whose second segment comes again after the first acknowledgement."""
+    lines = [
+        "601#A00020007F000000", "581#C60020000A000000", "601#A300000000000000",
+        "581#0161626364656667", "581#8268696A00000000", "601#A2017F0000000000",
+        "581#8168696A00000000", "601#A2017F0000000000",
+    ]  # fmt: skip
+    crc = crc_hqx(b"abcdefghij", 0).to_bytes(2, "little").hex()
+    lines += [f"581#D1{crc}0000000000", "601#A100000000000000"]
+    (entry,) = traced(*lines)
+    assert (entry.data, dict(entry.details)["notes"]) == (b"abcdefghij", [])
+    assert (entry.frames, entry.first, entry.last) == (len(lines), 1, len(lines))
 
 
 def test_a_transfer_without_end_does_not_fill_the_memory() -> None:

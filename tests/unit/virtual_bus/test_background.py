@@ -30,6 +30,7 @@ def queued(stream: Stream, until: int, seed: int = 1) -> list[tuple[int, Frame]]
     while node.wake_at is not None and node.wake_at <= until:
         at = node.wake_at
         found += [(int(at), frame) for frame in node.wake(at)]
+    assert node.skipped == 0, "each wake-up was in time"
     return found
 
 
