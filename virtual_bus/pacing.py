@@ -7,6 +7,7 @@ from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
 from virtual_bus.timeline import Timeline
 
 CATCH_UP_MAX: Final = Duration(50 * NS_PER_MS)
+"""A longer lag, of a machine that stood still, is not made up: the run would follow at full speed."""
 
 
 class PacedTimeline(Timeline):

@@ -26,6 +26,7 @@ NDBool = NDArray[np.bool_]
 
 _PIECES_R, _PIECES_L = 6, 3
 _HALVINGS = 14
+"""Of the interval from 0 to 1 / spread, so that mu is known to 1/16384 of it."""
 _GRID = 240
 _REFINEMENTS, _PEAKS = 4, 5
 

@@ -21,6 +21,7 @@ ORDER_MAX = 6
 CLOSE_ENOUGH = 1.001
 """Certified over exact gain at which no higher order is tried."""
 _DELAY_TOLERANCE_S = 1e-7
+"""A tenth of a bit time at 1 Mbit/s: no delay of a bus is known as well."""
 _STABLE_MARGIN = 1e-9
 
 

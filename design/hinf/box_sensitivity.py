@@ -27,6 +27,7 @@ RELATIVE = 5e-4
 """How near the bound comes to what is reached."""
 _INTERVALS = 600
 _INTERVALS_MAX = 2_000_000
+"""Held open at once; beyond them the bound is infinite, which is true if not close."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,7 @@ from design.statespace import Array, ComplexArray, StateSpace, connect, lower_lf
 GAMMA_MIN_RELATIVE = 1e-10
 """How far apart, relative, the last feasible and the last infeasible gamma of the search are."""
 _DOUBLINGS_MAX = 60
+"""Up to 1e18 times the first gamma, more than rounding leaves of any plant."""
 _TRIES = 3
 """Steps of regula falsi in which the interval is to shrink to a quarter, as two halvings would."""
 _KEPT_MIN = 0.2

@@ -43,6 +43,7 @@ from design.sampled.sequence_inequalities import (
 _STRICT = 1e-6
 """Margin demanded of the solver, in the same coordinates."""
 _BISECTIONS = 14
+"""At most: two first tries and twelve halvings, to 1/4096 of the worst known, about the tolerance."""
 _DECAY_TOLERANCE = 2e-4
 _COARSE_FROM, _COARSE_TOLERANCE = 24, 1e-2
 """States from which on a problem takes a minute, and the decay's tolerance there: its half fewer problems."""

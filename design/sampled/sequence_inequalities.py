@@ -33,7 +33,9 @@ _FIRST_PARTS = (0.0, 0.2, 0.5, 1.0)
 _TOLERANCE = 1e-8
 """Of the solver, relative; whether it is reached or not, what it returns is proved anew."""
 _DOUBLINGS = 14
+"""A pattern is repeated 2^14 times: by then what an error leaves behind has faded, or is beyond bounds."""
 _ROUND = 1e-6
+"""Added to correlations of 1: Cholesky needs them positive definite, and entries may go together wholly."""
 
 Build = Callable[[Sequence[Sequence[int]]], LmiProblem]
 """The problem of the corners chosen of each edge; its unknowns P0, P1 .., its objective the last."""

@@ -23,6 +23,7 @@ SENSITIVITY_PEAK = 1.4
 _GRID = 2000
 """Frequencies up to half the rate: S is flat between two of them, even with a delay of 100 periods."""
 _BISECTIONS = 50
+"""Halvings that leave 2^-50 of an interval: a double has 53 bits."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,6 +35,7 @@ _MARGIN_STEP = 0.1
 """Of a period: where within the delay margin the loop must be stable. Between stable delays lie unstable
 ones, half a period wide."""
 _MARGIN_REACH = 1.1
+"""Of the delay margin: the last instant of the grid lies at its end or beyond."""
 _INERTIAS_BORNE = (0.66, 0.7, 1.3, 1.35)
 """With which it must be stable: a little beyond +-30 %, so that there it is well damped."""
 _QUIET_SHARE = 0.75
@@ -45,9 +46,11 @@ in seven is taken for a step, and the gains calm down within some."""
 _SLOWEST, _FASTEST = 1e-2, 3e2
 """Walks that are looked at, in rated torques per root of s; they are the ends of a bisection."""
 _BISECTIONS = 10
+"""Halvings of the ratio, 3e4: they leave 1 % of a walk."""
 _ALLOWED, _TIE = 0.1, 0.1
 """What another inertia may cost of the ratio beside the motor's own, and the weight of that alone."""
 WORST = 1e3
+"""The ratio of weights that stabilise nothing: beyond all that stable ones reach, and finite for a search."""
 
 
 @dataclass(frozen=True, slots=True)
