@@ -35,6 +35,7 @@ def suggested(
     )
     session: Any = SimpleNamespace(
         mechanics=Mechanics(J, B, 0.05, 0.0, 0.0, 0.0, 0.0, 10, 0.0),
+        configured=True,
         found=found,
         drive=SimpleNamespace(rated_torque_nm=RATED_NM),
         request=SimpleNamespace(

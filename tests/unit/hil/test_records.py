@@ -125,6 +125,8 @@ def changed(record: AnyRecord) -> Iterator[tuple[str, AnyRecord]]:
 def _another(value: Any) -> object:
     if isinstance(value, Enum):
         return next(other for other in type(value) if other is not value)
+    if isinstance(value, bool):
+        return not value
     return (*value, 5.0) if isinstance(value, tuple) else value + 1
 
 
