@@ -20,7 +20,11 @@ DEEP = "[" * 100_000
 
 
 @pytest.mark.parametrize("name", READERS)
-@pytest.mark.parametrize("text", ["", "{", "[]", "null", DEEP, '{"sweep": 1e999}', "\udcff"])
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "null", DEEP, '{"sweep": 1e999}', "\udcff"],
+    ids=["empty", "open", "list", "null", "deep", "infinite", "not UTF-8"],
+)
 def test_a_damaged_file_is_refused_by_name(name: str, text: str, tmp_path: Path) -> None:
     (tmp_path / "recording").mkdir()
     (tmp_path / name).write_text(text, encoding="utf-8", errors="surrogateescape")
