@@ -3,10 +3,12 @@
 A test of the group "real time", or on vcan, needs a machine that wakes a process in time. One that failed
 while the machine did not (see :mod:`tests.stillness`) says nothing yet, and is tried again, three times in
 all. A failure on a machine that kept its time stands; so does what was told wrongly, however late all were.
+Beside other workers these tests are in the first, which `make test` lets go before the others.
 """
 
 from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,6 +28,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if _is_in_real_time(item):
             item.add_marker(pytest.mark.flaky(reruns=TRIES - 1, condition=_is_excused))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """The first worker gets the largest group, which is that of real time."""
+    if config.getoption("dist") != "loadgroup":
+        return None
+    from xdist.scheduler import LoadGroupScheduling
+
+    class FirstWorkerFirst(LoadGroupScheduling):
+        def schedule(self) -> None:
+            by_name = sorted(self.assigned_work.items(), key=lambda entry: str(entry[0].gateway.id))
+            self.assigned_work = dict(by_name)
+            super().schedule()
+
+    return FirstWorkerFirst(config, log)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
