@@ -16,8 +16,6 @@ from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
 
-pytestmark = pytest.mark.xdist_group("real time")
-
 BENCH = EXAMPLES / "ling2012.toml"
 PLANS = sorted(path.stem for path in (EXAMPLES / "faults").glob("*.toml"))
 ENDS_IN_FAULT = {
@@ -206,6 +204,7 @@ at_s = 3.5
 """
 
 
+@pytest.mark.xdist_group("real time")
 @pytest.mark.servo_bus("hub")
 def test_a_plan_acts_at_the_drives_side_of_a_real_time_bus(
     servo_bench: BenchRunner, servo_process: StartDrive

@@ -22,7 +22,7 @@ from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES, hub_name, observer, quiet_environment, serving
 from tests.scenario.test_data_sheet_run import changes, sheet
 
-pytestmark = pytest.mark.xdist_group("real time")
+real_time = pytest.mark.xdist_group("real time")
 
 PROJECT = EXAMPLES / "drive_tests"
 TUTORIAL = EXAMPLES.parent / "docs" / "tutorial-pytest.md"
@@ -91,6 +91,7 @@ def test_only_failed_runs_are_drawn(tmp_path: Path) -> None:
     assert drawn == [Path("bad/run-1")]
 
 
+@real_time
 def test_its_tests_pass_on_another_bus_by_an_option(tmp_path: Path) -> None:
     shutil.copytree(PROJECT, tmp_path / "project", ignore=shutil.ignore_patterns("__pycache__"))
     status, said = run_pytest(tmp_path / "project", "-q", "--servo-bus", "hub", "-k", "torque_turns")
@@ -135,6 +136,7 @@ def test_a_claim_that_is_not_true_fails_with_figures_and_without_our_insides(tmp
     assert "hil/testing" not in said, "only the test's own lines are shown"
 
 
+@real_time
 def test_a_drive_process_that_fails_by_itself_fails_the_test(tmp_path: Path) -> None:
     text = """
         import os
@@ -198,6 +200,7 @@ def test_a_bus_that_is_not_there_skips_by_marker_and_fails_by_option(tmp_path: P
     assert "none9 is not up; ip link set none9 up type can" in said
 
 
+@real_time
 @pytest.mark.servo_bus("simulated", "hub")
 def test_a_drive_is_made_from_a_data_sheet(servo_bus: str, servo_drive: MakeDrive) -> None:
     rig = servo_drive(node=5, eds=REHEARSED)
@@ -258,6 +261,7 @@ class Watching(Controller):
         self.locked |= {line.split()[1] for line in lines if line.startswith("VmLck")}
 
 
+@real_time
 @pytest.mark.servo_bus("hub")
 def test_a_bench_in_real_time_asks_nothing_of_the_kernel_for_the_test_process(
     servo_bench: BenchRunner,
@@ -285,6 +289,7 @@ def test_ctrl_c_during_a_bench_ends_pytest_and_not_only_the_bench(servo_bench: B
         servo_bench(EXAMPLES / "any_bus.toml", controllers={"axis1": Impatient()})
 
 
+@real_time
 @pytest.mark.servo_bus("hub")
 def test_drives_of_a_foreign_master_are_processes_and_end_with_the_test(
     servo_bus: str, servo_process: StartDrive
@@ -296,6 +301,7 @@ def test_drives_of_a_foreign_master_are_processes_and_end_with_the_test(
     assert process.stop() == 0
 
 
+@real_time
 def test_drives_that_are_there_are_used_by_an_option(tmp_path: Path) -> None:
     text = """
         import pytest
