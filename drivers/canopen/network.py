@@ -13,7 +13,7 @@ import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST
-from drivers.canopen.frame_pump import NEVER, FramePump, Handler
+from drivers.canopen.frame_pump import FramePump, Handler
 from drivers.canopen.life_signs import LifeSigns
 from drivers.canopen.nmt import Emergency, NodeStatus, parse_emergency
 from drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand
@@ -27,7 +27,7 @@ from drivers.canopen.sdo import (
     object_name,
 )
 from drivers.errors import AnswersTwice, NoAnswer, TransferAborted
-from drivers.timebase import NS_PER_S, Clock, Duration, Instant
+from drivers.timebase import NEVER, NS_PER_S, Clock, Duration, Instant
 from drivers.wire.link import BusLink
 
 MASTER_NODE_ID = 127

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from enum import Enum
 from struct import Struct, calcsize
 
-from drivers.canopen.cob_ids import RPDOS, TPDOS
+from drivers.canopen.cob_ids import CAN_ID, NO_RTR, NOT_VALID, RPDOS, TPDOS
 from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION
+from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION, mapping_word
 from drivers.canopen.sdo import object_name
 from drivers.errors import TransferAborted
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
@@ -21,9 +21,6 @@ EVENT_DRIVEN = 255
 EVERY_SYNC = 1
 SYNCHRONOUS_MAX = 240
 
-NOT_VALID = 1 << 31
-_NO_REMOTE = 1 << 30
-_COB_ID = 0x7FF
 _PDOS_LOOKED_AT = 4
 """Predefined connection set: the PDOs that may be alive without anybody having asked for them."""
 _WRITTEN, _SWITCHED_OFF = " written", " switched off"
@@ -83,7 +80,7 @@ class PdoEntry:
     @property
     def mapping_word(self) -> int:
         """The UNSIGNED32 of the mapping parameter: index, sub-index, length."""
-        return self.index << 16 | self.sub << 8 | self.bits
+        return mapping_word(self.index, self.sub, self.bits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,8 +245,8 @@ def differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
     texts = []
     if cob_id & NOT_VALID:
         texts.append(f"{pdo.name} is switched off")
-    if cob_id & _COB_ID != pdo.cob_id:
-        texts.append(f"{pdo.name} has identifier {cob_id & _COB_ID:03X}h instead of {pdo.cob_id:03X}h")
+    if cob_id & CAN_ID != pdo.cob_id:
+        texts.append(f"{pdo.name} has identifier {cob_id & CAN_ID:03X}h instead of {pdo.cob_id:03X}h")
     kind = objects.read_if_there(pdo.communication_index, 2, "B")
     if kind not in (None, pdo.transmission_type):
         texts.append(f"{pdo.name} has transmission type {kind} instead of {pdo.transmission_type}")
@@ -304,7 +301,7 @@ def _write_pdo(objects: RemoteObjects, pdo: PdoMap) -> None:
     """The standard's procedure on a PDO that is switched off."""
     held = objects.read(pdo.communication_index, 1)
     # Bit 30 (no remote frames) is kept: some drives refuse the other value. It is reserved in an RPDO.
-    remote = held & _NO_REMOTE if pdo.direction is PdoDirection.TRANSMIT else 0
+    remote = held & NO_RTR if pdo.direction is PdoDirection.TRANSMIT else 0
     kind = objects.read_if_there(pdo.communication_index, 2, "B")
     if kind not in (None, pdo.transmission_type):
         objects.write(pdo.communication_index, 2, "B", pdo.transmission_type)
@@ -315,7 +312,7 @@ def _write_pdo(objects: RemoteObjects, pdo: PdoMap) -> None:
         for sub, entry in enumerate(pdo.entries, start=1):
             objects.write(pdo.mapping_index, sub, "I", entry.mapping_word)
         objects.write(pdo.mapping_index, 0, "B", len(pdo.entries))
-    if held & (NOT_VALID | _COB_ID) != pdo.cob_id:
+    if held & (NOT_VALID | CAN_ID) != pdo.cob_id:
         objects.write(pdo.communication_index, 1, "I", pdo.cob_id | remote)
 
 

@@ -7,8 +7,10 @@ only, may have identifiers or transmission types that cannot be changed, and few
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from drivers.canopen.cob_ids import CAN_ID, NOT_VALID
 from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.pdo import NOT_VALID, Key, PdoDirection, PdoEntry, key_of
+from drivers.canopen.objects301 import mapping_word
+from drivers.canopen.pdo import Key, PdoDirection, PdoEntry, key_of
 from drivers.canopen.sdo import object_name
 
 ENTRIES_MAX = 64
@@ -47,7 +49,7 @@ class PdoSlot:
     @property
     def identifier(self) -> int | None:
         """The 11-bit identifier; None if there is none yet."""
-        return None if self.cob_id is None or not self.cob_id & 0x7FF else self.cob_id & 0x7FF
+        return (self.cob_id or 0) & CAN_ID or None
 
     @property
     def keys(self) -> set[Key]:
@@ -78,7 +80,7 @@ class MappedObject:
     @property
     def word(self) -> int:
         """Its mapping word."""
-        return self.index << 16 | self.sub << 8 | self.bits
+        return mapping_word(self.index, self.sub, self.bits)
 
     def __str__(self) -> str:
         name = object_name(self.index, self.sub)

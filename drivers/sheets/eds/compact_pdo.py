@@ -1,8 +1,8 @@
 """PDOs that have no sections of their own: CompactPDO in [DeviceInfo] (CiA 306-1 clause 4.5.3)."""
 
+from drivers.canopen.cob_ids import NOT_VALID
 from drivers.canopen.data_types import DataType
 from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION
-from drivers.canopen.pdo import NOT_VALID
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry
 from drivers.sheets.eds.information import DeviceInformation

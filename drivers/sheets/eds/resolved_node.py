@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from drivers.canopen.cob_ids import EMERGENCY, RPDOS, TPDOS
+from drivers.canopen.cob_ids import CAN_ID, EMERGENCY, RPDOS, TPDOS
 from drivers.canopen.objects301 import RPDO_COMMUNICATION, TPDO_COMMUNICATION, Cia301
 from drivers.sheets.eds.entries import Entry
 from drivers.sheets.eds.numbers import Formula
@@ -20,14 +20,13 @@ _PREDEFINED: Final[dict[tuple[int, int], int]] = {
 """COB-IDs of the predefined connection set without the node-ID (CiA 301, 7.3.5)."""
 _WITNESSES_MIN: Final = 3
 """So many identifiers have to be those of one node: two may be by chance, or by somebody's wish."""
-_IDENTIFIER: Final = 0x7FF
 
 
 def free_of_node(objects: Mapping[int, EdsObject], sections: Sections, log: RepairLog) -> None:
     """Let the identifiers of the predefined connection set follow the node-ID, if all that are plain numbers
     are those of one and the same node."""
     plain = list(_plain(objects))
-    nodes = {(value & _IDENTIFIER) - base for _, base, value in plain}
+    nodes = {(value & CAN_ID) - base for _, base, value in plain}
     if len(plain) < _WITNESSES_MIN or len(nodes) != 1:
         return
     (node,) = nodes
@@ -46,5 +45,5 @@ def _plain(objects: Mapping[int, EdsObject]) -> Iterator[tuple[Entry, int, int]]
     for (index, sub), base in _PREDEFINED.items():
         entry = objects[index].entries.get(sub) if index in objects else None
         value = None if entry is None else entry.default.value
-        if entry is not None and isinstance(value, int) and value & _IDENTIFIER:
+        if entry is not None and isinstance(value, int) and value & CAN_ID:
             yield entry, base, value
