@@ -15,7 +15,7 @@ from drivers.canopen.objects import RemoteObjects, SettingRefused
 from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION, mapping_word
 from drivers.canopen.sdo import object_name
 from drivers.errors import TransferAborted
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
+from drivers.timebase import NS_PER_MS, Duration
 
 EVENT_DRIVEN = 255
 EVERY_SYNC = 1
@@ -168,10 +168,6 @@ class PdoPlan:
         """All that the drive sends, then all that it receives."""
         return iter((*self.tpdos, *self.observed, *self.rpdos))
 
-    def frames_a_cycle(self, period_ns: Duration) -> tuple[tuple[int, float], ...]:
-        """Of each PDO its data bytes, and how often it travels in a cycle of one SYNC and one command."""
-        return tuple(((pdo.bits + 7) // 8, pdo.times_a_cycle(period_ns)) for pdo in self)
-
     def tpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
         """The first TPDO that carries an object."""
         return next((pdo for pdo in self.tpdos if pdo.place_of(index, sub) is not None), None)
@@ -179,24 +175,6 @@ class PdoPlan:
     def rpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
         """The first RPDO that carries an object."""
         return next((pdo for pdo in self.rpdos if pdo.place_of(index, sub) is not None), None)
-
-
-def frame_bits_max(data_bytes: int) -> int:
-    """Longest a classical frame with an 11-bit identifier can be, bits, interframe space included.
-
-    ISO 11898-1: 34 + 8 n bits are subject to stuffing, one stuff bit for the first five and then one for
-    every four; 13 bits follow that are not.
-    """
-    stuffed = 34 + 8 * data_bytes
-    return stuffed + (stuffed - 1) // 4 + 13
-
-
-def bus_load_percent_max(plans: Iterable[PdoPlan], period_ns: Duration, bitrate_bit_s: int) -> float:
-    """Share of the bus that SYNC, sent every ``period_ns``, and the PDOs of all plans take at most."""
-    bits = float(frame_bits_max(0))
-    for plan in plans:
-        bits += sum(share * frame_bits_max(length) for length, share in plan.frames_a_cycle(period_ns))
-    return 100.0 * bits * NS_PER_S / (bitrate_bit_s * period_ns)
 
 
 def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:

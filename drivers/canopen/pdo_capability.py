@@ -92,7 +92,7 @@ class PdoCapability:
     """All PDOs of a drive, and the objects that they could carry."""
 
     slots: tuple[PdoSlot, ...]
-    objects: Mapping[tuple[int, int], MappedObject] = field(default_factory=dict)
+    objects: Mapping[Key, MappedObject] = field(default_factory=dict)
     dummies: tuple[int, ...] = ()
     """Data types that serve as placeholders."""
     flags_tell: bool = True
@@ -121,7 +121,7 @@ class PdoCapability:
         return entry if flexible else None
 
 
-def capability_of_drive(objects: RemoteObjects, wanted: Mapping[tuple[int, int], str]) -> PdoCapability:
+def capability_of_drive(objects: RemoteObjects, wanted: Mapping[Key, str]) -> PdoCapability:
     """As a drive without a dictionary tells it over SDO, its mappings taken for fixed.
 
     ``wanted``: objects the bench would map, with their ``struct`` characters. Pumps the network.
@@ -132,11 +132,15 @@ def capability_of_drive(objects: RemoteObjects, wanted: Mapping[tuple[int, int],
             slot = _slot_of_drive(objects, direction, number)
             if slot is not None:
                 slots.append(slot)
-    known = {
-        (index, sub): MappedObject(index, sub, PdoEntry(index, sub, code).bits, code, True, True, True)
-        for (index, sub), code in wanted.items()
+    return PdoCapability(tuple(slots), objects_of(wanted))
+
+
+def objects_of(codes: Mapping[Key, str]) -> dict[Key, MappedObject]:
+    """Objects of these types, as they would be that any PDO may carry."""
+    return {
+        key: MappedObject(*key, PdoEntry(*key, code).bits, code, True, True, True)
+        for key, code in codes.items()
     }
-    return PdoCapability(tuple(slots), known)
 
 
 def _slot_of_drive(objects: RemoteObjects, direction: PdoDirection, number: int) -> PdoSlot | None:

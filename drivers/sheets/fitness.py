@@ -14,8 +14,8 @@ from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
 from drivers.canopen.sdo import object_name
 from drivers.cia402.bench_modes import run_words
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
-from drivers.cia402.pdo_plans import NEEDED_OBJECTS
+from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
+from drivers.cia402.pdo_plans import NEEDED_OBJECTS, PlanWish
 from drivers.cia402.profile import DRIVE_PROFILE, Mode, other_profile, supported_mode_bit
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary, held, held_number

@@ -17,7 +17,8 @@ from drivers.canopen.pdo import PdoDirection, PdoPlan
 from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.objects402 import Object
 from drivers.cia402.observed import with_observed
-from drivers.cia402.pdo_planner import PlanWish, plan_pdos
+from drivers.cia402.pdo_planner import plan_pdos
+from drivers.cia402.pdo_plans import PlanWish
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_S, Instant
