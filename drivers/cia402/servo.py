@@ -3,8 +3,7 @@
 from typing import Final
 
 from drivers.canopen.error_control import ErrorControl
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt_control import CHANGE_LIMIT, change_nmt, nobody_there
+from drivers.canopen.network import CHANGE_LIMIT, CanopenNetwork
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
 from drivers.canopen.objects301 import Cia301
@@ -98,7 +97,7 @@ class ServoDrive(Drive):
                 break
             except NoAnswer as error:
                 if clock.now() >= deadline:
-                    raise nobody_there(self.network, self.node_id, self.control.title) from error
+                    raise self.network.nobody_there(self.node_id, self.control.title) from error
         self.identity = identity = read_identity(self.objects)
         self.network.refuse_two(self.node_id)
         self.control.make = (identity.vendor, identity.device_name)
@@ -359,7 +358,7 @@ class ServoDrive(Drive):
             self.network.pump(Instant(self.network.command(command, self.node_id) + _SETTLE_NS))
             return
         heartbeat = Duration(settings.drive_heartbeat_ms * NS_PER_MS)
-        change_nmt(self.network, self.node_id, self.control.title, command, wanted, heartbeat)
+        self.network.change_nmt(self.node_id, self.control.title, command, wanted, heartbeat)
 
     def _moving(self) -> Motion:
         if self.motion is None:

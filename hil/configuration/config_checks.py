@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from drivers.canopen.cob_ids import BROADCASTS, EMERGENCY, NODE_BITS, SYNC
 from drivers.canopen.pdo import PdoPlan
 from drivers.canopen.pdo_budget import budget_of
-from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.observed import NUMBERS, with_observed
 from drivers.cia402.pdo_planner import mode_plan
 from drivers.cia402.pdo_plans import PlanWish
+from drivers.cia402.profile import BENCH_MODES
 from drivers.errors import MISSING, BadInput
 from drivers.key_advice import nearest
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
