@@ -17,9 +17,14 @@ from drivers.canopen.sdo import object_name
 from drivers.errors import TransferAborted
 from drivers.timebase import NS_PER_MS, Duration
 
+BITS_MAX = 64
+"""Of a PDO: the eight octets of a classical frame."""
+
+# Transmission types (CiA 301 7.5.2.35, 7.5.2.37).
 EVENT_DRIVEN = 255
 EVERY_SYNC = 1
 SYNCHRONOUS_MAX = 240
+"""1 to 240: with every so many SYNCs."""
 
 _PDOS_LOOKED_AT = 4
 """Predefined connection set: the PDOs that may be alive without anybody having asked for them."""
@@ -103,8 +108,8 @@ class PdoMap:
             raise ValueError(f"PDO number {self.number} is not in 1..512")
         if not 0x180 <= self.cob_id <= 0x57F:
             raise ValueError(f"identifier {self.cob_id:03X}h is not in the range of PDOs")
-        if not self.entries or self.bits > 64:
-            raise ValueError(f"{self.name} maps {self.bits} bits, 8 to 64 fit")
+        if not self.entries or self.bits > BITS_MAX:
+            raise ValueError(f"{self.name} maps {self.bits} bits, 8 to {BITS_MAX} fit")
 
     @property
     def name(self) -> str:

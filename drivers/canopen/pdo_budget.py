@@ -10,6 +10,7 @@ from drivers.timebase import NS_PER_S, Duration
 LOAD_LIMIT_PERCENT = 80.0
 """Above it heartbeats, EMCYs and SDOs wait too long: with 20 % left one SDO transfer fits in two cycles."""
 _SDO_BYTES = 8
+"""Every SDO frame is full (CiA 301 7.2.4.3)."""
 
 
 class BudgetLine(NamedTuple):

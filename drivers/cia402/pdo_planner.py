@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from drivers.canopen.pdo import (
+    BITS_MAX,
     EVENT_DRIVEN,
     EVERY_SYNC,
     SYNCHRONOUS_MAX,
@@ -48,8 +49,6 @@ from drivers.cia402.pdo_plans import (
 from drivers.cia402.profile import Mode
 from drivers.errors import PeerFault
 
-_BITS_MAX = 64
-
 
 class PlanImpossible(PeerFault):
     """The drive's PDOs cannot carry what the loop needs; ``evidence`` says which of it."""
@@ -73,7 +72,7 @@ class _Bin:
     """What it is filled for; None outside a layout."""
 
     def takes(self, entry: PdoEntry) -> bool:
-        full = sum(known.bits for known in self.entries) + entry.bits > _BITS_MAX
+        full = sum(known.bits for known in self.entries) + entry.bits > BITS_MAX
         return not full and len(self.entries) < self.slot.entries_max
 
 

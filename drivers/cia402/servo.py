@@ -42,6 +42,7 @@ from drivers.exchange import (
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
+"""For a ramp of nearly so long. A drive that turns on after it is left to its own watch over the host."""
 _CONNECT_TRY_S: Final = 0.1
 """A drive that is there answers within milliseconds; one that boots is asked again soon."""
 _SETTLE_NS: Final = 50 * NS_PER_MS

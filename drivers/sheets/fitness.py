@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import canopen.objectdictionary as od
 
 from drivers.canopen.objects301 import FIRST_OBJECT, Cia301, is_mapping
-from drivers.canopen.pdo import key_of, mapping_text
+from drivers.canopen.pdo import BITS_MAX, key_of, mapping_text
 from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
 from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
@@ -24,7 +24,6 @@ from drivers.sheets.identity import told_identity
 
 _NAMED_MAX = 4
 """Contradictions of a kind that are named one by one; the others are counted."""
-_PDO_BITS = 64
 INTERPOLATION_DATA = 0x60C1
 AXIS_STEP = 0x800
 """CiA 402-2: the objects of a second axis lie so much higher."""
@@ -299,8 +298,8 @@ def _of_mapping(slot: PdoSlot, capability: PdoCapability) -> Iterable[str]:
     if wrong:
         yield f"the mapping of {slot.name} in the file cannot be: {_some(wrong)}"
     total = sum(word & 0xFF for word in slot.mapping)
-    if total > _PDO_BITS:
-        yield f"the mapping of {slot.name} in the file has {total} bits, and a PDO holds {_PDO_BITS}"
+    if total > BITS_MAX:
+        yield f"the mapping of {slot.name} in the file has {total} bits, and a PDO holds {BITS_MAX}"
 
 
 def _of_count(index: int, entry: Any) -> str:

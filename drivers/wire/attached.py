@@ -16,6 +16,7 @@ from drivers.wire.adapters import SOCKETCAN, socketcan_links
 
 COMMAND = ("ip", "-json", "-details", "link", "show")
 _TIMEOUT_S = 5.0
+"""A program that tells of a few interfaces needs milliseconds; one that hangs is taken for absent."""
 _SYSFS = Path("/sys/class/net")
 
 
