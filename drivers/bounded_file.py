@@ -29,6 +29,7 @@ WORD_MAX = 256
 """Characters of a key or number. Turning digits into an integer takes the square of their number, and
 CPython refuses more than 4300."""
 INTEGER_MIN, INTEGER_MAX = -(2**63), 2**63 - 1
+"""What TOML v1.0 has for an integer."""
 
 _TOKEN = re.compile(
     r"""(?P<text>\"\"\"|'''|"|')|(?P<comment>\#)|(?P<open>[\[{])|(?P<close>[\]}])|(?P<dot>\.)|(?P<gap>[,=:\n])"""

@@ -28,6 +28,7 @@ SDO_TIMEOUT_S: Final = 0.2
 SDO_ATTEMPTS: Final = 3
 """As for :data:`ROUNDS`, and the device is known to be there: it may be busy."""
 _UPLOAD = 0x40
+"""Command of a request for an object's value (initiate upload, CiA 301 7.2.4.3.5)."""
 _ASKED_FOR = bytes((Cia301.DEVICE_TYPE & 0xFF, Cia301.DEVICE_TYPE >> 8, 0))
 """Index and sub-index as they stand in a request and in its answer."""
 

@@ -1,4 +1,4 @@
-"""CANopen's predefined connection set, CiA 301 7.3.5: which identifier means what."""
+"""CANopen's predefined connection set, CiA 301 7.3.5: which identifier means what; and COB-IDs in objects."""
 
 from typing import Final
 
@@ -29,3 +29,25 @@ RPDOS: Final = {0x200: "RPDO1", 0x300: "RPDO2", 0x400: "RPDO3", 0x500: "RPDO4"}
 SENT_BY_NODES: Final = TPDOS | {EMERGENCY: "EMCY", SDO_ANSWER: "SDO answer", ERROR_CONTROL: "heartbeat"}
 SERVICES: Final = SENT_BY_NODES | RPDOS | {SDO_REQUEST: "SDO request"}
 """By function code."""
+
+# A COB-ID as an object holds it (CiA 301 7.5.2.5, 7.5.2.17, 7.5.2.35, 7.5.2.37).
+NOT_VALID: Final = 1 << 31
+NO_RTR: Final = 1 << 30
+"""Of a TPDO; reserved in an RPDO."""
+EXTENDED: Final = 1 << 29
+CAN_ID: Final = 0x7FF
+
+_RESTRICTED: Final = (
+    range(0x080),
+    range(0x101, 0x181),
+    range(0x581, 0x600),
+    range(0x601, 0x680),
+    range(0x6E0, 0x700),
+    range(0x701, 0x800),
+)
+"""NMT, reserved, TIME's and TPDO's neighbours, default SDO, reserved, NMT error control, reserved."""
+
+
+def restricted(can_id: int) -> bool:
+    """Whether no SYNC, TIME, EMCY, PDO or SDO may be configured to this CAN-ID (CiA 301, 7.3.5, table 40)."""
+    return any(can_id in ids for ids in _RESTRICTED)

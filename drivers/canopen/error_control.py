@@ -18,6 +18,7 @@ _REQUESTS: Final = 5
 """Of node guarding within a time-out. A lost answer costs two: its own, and the next, whose toggle bit then
 does not fit; a lost request costs one."""
 _FACTOR_MAX: Final = 0xFF
+"""100Dh, the life time factor, is an UNSIGNED8."""
 _PROBES: Final = 3
 """On a bus that loses one frame in ten, a device that answers is taken for one that does not in 1 of 150."""
 _PROBE: Final = Duration(20 * NS_PER_MS)

@@ -1,14 +1,11 @@
 """The master's inner loop: frames from the link to whoever listens, and housekeeping when it is due."""
 
 from collections.abc import Callable
-from typing import Final
 
 from drivers.canopen.cob_ids import SYNC
 from drivers.exchange import Master
-from drivers.timebase import Clock, Instant
+from drivers.timebase import NEVER, Clock, Instant
 from drivers.wire.link import BusLink
-
-NEVER: Final = Instant(1 << 62)
 
 Handler = Callable[[bytes, Instant], None]
 """Takes the data of a frame and its instant."""

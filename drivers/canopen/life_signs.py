@@ -3,8 +3,7 @@
 from typing import Final
 
 from drivers.canopen.cob_ids import ERROR_CONTROL
-from drivers.canopen.frame_pump import NEVER
-from drivers.timebase import Clock, Duration, Instant
+from drivers.timebase import NEVER, Clock, Duration, Instant
 from drivers.wire.link import BusLink
 
 _OPERATIONAL: Final = b"\x05"

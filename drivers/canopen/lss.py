@@ -26,13 +26,17 @@ PATIENCE_NS = Duration(500 * NS_PER_MS)
 BOOT_NS = Duration(5 * NS_PER_S)
 """Wait for the boot-up message of a device that got its node-ID: slow drives take seconds."""
 ATTEMPTS = 4
+"""Of a part of an address. The wait doubles from each to the next, to eight times what the first took."""
 TRIALS = 3
+"""Questions by which it is measured how long the slowest device takes."""
 ASK_AGAIN = 2
 """So often a question that nobody answers is asked, where an answer that is lost would cost a device."""
 DEVICES_MAX = 127
+"""As many as there are node-IDs to give."""
 LATE_BY = 4
 """An answer is given so many times the time that the slowest one of a trial took."""
 
+# Command specifiers, and the two values of a state and of a bit that are asked for (CiA 305).
 _SWITCH_GLOBAL, _CONFIGURE_NODE_ID, _STORE = 0x04, 0x11, 0x17
 _SELECT_VENDOR, _SELECTED = 0x40, 0x44
 _IDENTIFY_UNCONFIGURED, _IDENTIFIED_UNCONFIGURED = 0x4C, 0x50
@@ -73,9 +77,8 @@ _EVERYWHERE = _Branch((), 0, 32)
 class LssMaster:
     """The master's side, on a network that is pumped while it waits."""
 
-    def __init__(self, network: CanopenNetwork, answer: Duration = ANSWER_NS) -> None:
+    def __init__(self, network: CanopenNetwork) -> None:
         self._network = network
-        self._answer = answer
         self._answers: list[bytes] = []
         self._followed: tuple[int, ...] | None = None
         """The parts that devices have confirmed, which are asked for the next one now."""
@@ -93,7 +96,7 @@ class LssMaster:
 
     def any_unconfigured(self) -> bool:
         """Whether a device without node-ID is there (identify non-configured remote slaves)."""
-        return self._ask(bytes((_IDENTIFY_UNCONFIGURED,)), self._answer, _IDENTIFIED_UNCONFIGURED) is not None
+        return self._ask(bytes((_IDENTIFY_UNCONFIGURED,)), ANSWER_NS, _IDENTIFIED_UNCONFIGURED) is not None
 
     def search(self, limit: int = DEVICES_MAX) -> Iterator[LssAddress]:
         """Every device without node-ID, the lowest address first; each may be assigned one before the next is
@@ -139,7 +142,7 @@ class LssMaster:
             self.to_waiting()
         deadline = self._network.deadline_after(BOOT_NS)
         while status.boot_ups == boot_ups and self._network.clock.now() < deadline:
-            self._network.pump(min(deadline, self._network.deadline_after(self._answer)))
+            self._network.pump(min(deadline, self._network.deadline_after(ANSWER_NS)))
         return status.boot_ups != boot_ups
 
     # ---- inside ---------------------------------------------------------------------------------------
@@ -152,11 +155,11 @@ class LssMaster:
         for _ in range(TRIALS):
             asked_at = clock.now()
             request = _SCAN.pack(_FAST_SCAN, 0, _SCAN_RESET, 0, 0)
-            if self._ask(request, Duration(LATE_BY * self._answer), _IDENTIFIED) is not None:
+            if self._ask(request, Duration(LATE_BY * ANSWER_NS), _IDENTIFIED) is not None:
                 answered = True
                 slowest = max(slowest, clock.now() - asked_at)
-                self._network.pump(Instant(clock.now() + self._answer))
-        return Duration(max(self._answer, LATE_BY * slowest)) if answered else None
+                self._network.pump(Instant(clock.now() + ANSWER_NS))
+        return Duration(max(ANSWER_NS, LATE_BY * slowest)) if answered else None
 
     def _descend(self, branch: _Branch, wait: Duration) -> LssAddress | None:
         """The lowest address on ``branch``, its device in configuration state; None if nobody is there."""
@@ -283,7 +286,7 @@ class LssMaster:
         if first is None:
             return []
         self._answers.clear()
-        self._network.pump(Instant(self._network.clock.now() + self._answer))
+        self._network.pump(Instant(self._network.clock.now() + ANSWER_NS))
         return [first, *(answer for answer in self._answers if len(answer) == 8 and answer[0] == request[0])]
 
     def _send(self, request: bytes) -> None:

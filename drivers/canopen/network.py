@@ -13,10 +13,10 @@ import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST
-from drivers.canopen.frame_pump import NEVER, FramePump, Handler
+from drivers.canopen.frame_pump import FramePump, Handler
 from drivers.canopen.life_signs import LifeSigns
 from drivers.canopen.nmt import Emergency, NodeStatus, parse_emergency
-from drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand
+from drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand, NmtState
 from drivers.canopen.sdo import (
     SDO_ATTEMPTS,
     AnswerQueue,
@@ -27,10 +27,13 @@ from drivers.canopen.sdo import (
     object_name,
 )
 from drivers.errors import AnswersTwice, NoAnswer, TransferAborted
-from drivers.timebase import NS_PER_S, Clock, Duration, Instant
+from drivers.timebase import NEVER, NS_PER_S, Clock, Duration, Instant
 from drivers.wire.link import BusLink
 
+CHANGE_LIMIT = Duration(NS_PER_S)
+"""Time for a change of state, two heartbeats apart."""
 MASTER_NODE_ID = 127
+"""The highest there is: its heartbeat, 77Fh, gives way to those of all nodes."""
 SURPLUS_BORNE = 2
 """SDO answers too many of which nothing is made: an adapter may repeat a frame. Two nodes give one for each
 request, and a dozen are needed to connect."""
@@ -146,6 +149,38 @@ class CanopenNetwork(canopen.Network):
             self.listen(ERROR_CONTROL + node_id, known.heard)
             self.listen(EMERGENCY + node_id, lambda data, at: self._on_emergency(node_id, data, at))
         return known
+
+    def change_nmt(
+        self, node_id: int, title: str, command: NmtCommand, wanted: NmtState, heartbeat_ns: Duration
+    ) -> None:
+        """Send an NMT command until a later heartbeat shows its effect; raises NoAnswer if none does."""
+        status = self.status(node_id)
+        patience = 2 * heartbeat_ns
+        deadline = self.deadline_after(Duration(CHANGE_LIMIT + 2 * patience))
+        while self.clock.now() < deadline:
+            sent_at = self.command(command, node_id)
+            resend_at = Instant(sent_at + patience)
+            while self.pump_one(resend_at):
+                beat_at = status.heartbeat_at
+                if status.state is wanted and beat_at is not None and beat_at > sent_at:
+                    return
+        seen = "no heartbeat" if status.state is None else f"its heartbeat says {status.state.name}"
+        raise NoAnswer(f"{title} did not become {wanted.name}", seen, "check its supply and the cable")
+
+    def nobody_there(self, node_id: int, title: str) -> NoAnswer:
+        """The error for a node that answers no SDO, with who else was heard."""
+        others = sorted(set(self.scanner.nodes) - {node_id})
+        heard = (
+            f"heard on the bus: nodes {', '.join(map(str, others))}" if others else "nothing heard on the bus"
+        )
+        if self.status(node_id).heartbeat_at is not None:
+            heard = "its heartbeat is there, but it answers no SDO"
+        return NoAnswer(
+            f"{title} does not answer",
+            heard,
+            "check that it is powered, its node id, the bit rate and the wiring; "
+            f"hil scan --bus {self.link.name} shows who is there",
+        )
 
     def watch(self, node_id: int, timeout_ns: Duration) -> None:
         """Note the node as lost (``status(node_id).lost_at``) if it is silent for longer; 0: no watch."""

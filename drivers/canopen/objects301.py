@@ -59,6 +59,11 @@ class Cia301(IntEnum):
 MANDATORY: Final = (Cia301.DEVICE_TYPE, Cia301.ERROR_REGISTER, Cia301.IDENTITY)
 
 
+def mapping_word(index: int, sub: int, bits: int) -> int:
+    """One entry of a PDO mapping parameter (CiA 301 7.5.2.36)."""
+    return index << 16 | sub << 8 | bits
+
+
 def is_mapping(index: int) -> bool:
     """A PDO mapping parameter."""
     return index in PDO_PARAMETERS and bool(index & MAPPING_OFFSET)

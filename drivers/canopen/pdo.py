@@ -10,20 +10,22 @@ from dataclasses import dataclass
 from enum import Enum
 from struct import Struct, calcsize
 
-from drivers.canopen.cob_ids import RPDOS, TPDOS
+from drivers.canopen.cob_ids import CAN_ID, NO_RTR, NOT_VALID, RPDOS, TPDOS
 from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION
+from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION, mapping_word
 from drivers.canopen.sdo import object_name
 from drivers.errors import TransferAborted
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
+from drivers.timebase import NS_PER_MS, Duration
 
+BITS_MAX = 64
+"""Of a PDO: the eight octets of a classical frame."""
+
+# Transmission types (CiA 301 7.5.2.35, 7.5.2.37).
 EVENT_DRIVEN = 255
 EVERY_SYNC = 1
 SYNCHRONOUS_MAX = 240
+"""1 to 240: with every so many SYNCs."""
 
-NOT_VALID = 1 << 31
-_NO_REMOTE = 1 << 30
-_COB_ID = 0x7FF
 _PDOS_LOOKED_AT = 4
 """Predefined connection set: the PDOs that may be alive without anybody having asked for them."""
 _WRITTEN, _SWITCHED_OFF = " written", " switched off"
@@ -83,7 +85,7 @@ class PdoEntry:
     @property
     def mapping_word(self) -> int:
         """The UNSIGNED32 of the mapping parameter: index, sub-index, length."""
-        return self.index << 16 | self.sub << 8 | self.bits
+        return mapping_word(self.index, self.sub, self.bits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +108,8 @@ class PdoMap:
             raise ValueError(f"PDO number {self.number} is not in 1..512")
         if not 0x180 <= self.cob_id <= 0x57F:
             raise ValueError(f"identifier {self.cob_id:03X}h is not in the range of PDOs")
-        if not self.entries or self.bits > 64:
-            raise ValueError(f"{self.name} maps {self.bits} bits, 8 to 64 fit")
+        if not self.entries or self.bits > BITS_MAX:
+            raise ValueError(f"{self.name} maps {self.bits} bits, 8 to {BITS_MAX} fit")
 
     @property
     def name(self) -> str:
@@ -171,10 +173,6 @@ class PdoPlan:
         """All that the drive sends, then all that it receives."""
         return iter((*self.tpdos, *self.observed, *self.rpdos))
 
-    def frames_a_cycle(self, period_ns: Duration) -> tuple[tuple[int, float], ...]:
-        """Of each PDO its data bytes, and how often it travels in a cycle of one SYNC and one command."""
-        return tuple(((pdo.bits + 7) // 8, pdo.times_a_cycle(period_ns)) for pdo in self)
-
     def tpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
         """The first TPDO that carries an object."""
         return next((pdo for pdo in self.tpdos if pdo.place_of(index, sub) is not None), None)
@@ -182,24 +180,6 @@ class PdoPlan:
     def rpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
         """The first RPDO that carries an object."""
         return next((pdo for pdo in self.rpdos if pdo.place_of(index, sub) is not None), None)
-
-
-def frame_bits_max(data_bytes: int) -> int:
-    """Longest a classical frame with an 11-bit identifier can be, bits, interframe space included.
-
-    ISO 11898-1: 34 + 8 n bits are subject to stuffing, one stuff bit for the first five and then one for
-    every four; 13 bits follow that are not.
-    """
-    stuffed = 34 + 8 * data_bytes
-    return stuffed + (stuffed - 1) // 4 + 13
-
-
-def bus_load_percent_max(plans: Iterable[PdoPlan], period_ns: Duration, bitrate_bit_s: int) -> float:
-    """Share of the bus that SYNC, sent every ``period_ns``, and the PDOs of all plans take at most."""
-    bits = float(frame_bits_max(0))
-    for plan in plans:
-        bits += sum(share * frame_bits_max(length) for length, share in plan.frames_a_cycle(period_ns))
-    return 100.0 * bits * NS_PER_S / (bitrate_bit_s * period_ns)
 
 
 def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:
@@ -248,8 +228,8 @@ def differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
     texts = []
     if cob_id & NOT_VALID:
         texts.append(f"{pdo.name} is switched off")
-    if cob_id & _COB_ID != pdo.cob_id:
-        texts.append(f"{pdo.name} has identifier {cob_id & _COB_ID:03X}h instead of {pdo.cob_id:03X}h")
+    if cob_id & CAN_ID != pdo.cob_id:
+        texts.append(f"{pdo.name} has identifier {cob_id & CAN_ID:03X}h instead of {pdo.cob_id:03X}h")
     kind = objects.read_if_there(pdo.communication_index, 2, "B")
     if kind not in (None, pdo.transmission_type):
         texts.append(f"{pdo.name} has transmission type {kind} instead of {pdo.transmission_type}")
@@ -304,7 +284,7 @@ def _write_pdo(objects: RemoteObjects, pdo: PdoMap) -> None:
     """The standard's procedure on a PDO that is switched off."""
     held = objects.read(pdo.communication_index, 1)
     # Bit 30 (no remote frames) is kept: some drives refuse the other value. It is reserved in an RPDO.
-    remote = held & _NO_REMOTE if pdo.direction is PdoDirection.TRANSMIT else 0
+    remote = held & NO_RTR if pdo.direction is PdoDirection.TRANSMIT else 0
     kind = objects.read_if_there(pdo.communication_index, 2, "B")
     if kind not in (None, pdo.transmission_type):
         objects.write(pdo.communication_index, 2, "B", pdo.transmission_type)
@@ -315,7 +295,7 @@ def _write_pdo(objects: RemoteObjects, pdo: PdoMap) -> None:
         for sub, entry in enumerate(pdo.entries, start=1):
             objects.write(pdo.mapping_index, sub, "I", entry.mapping_word)
         objects.write(pdo.mapping_index, 0, "B", len(pdo.entries))
-    if held & (NOT_VALID | _COB_ID) != pdo.cob_id:
+    if held & (NOT_VALID | CAN_ID) != pdo.cob_id:
         objects.write(pdo.communication_index, 1, "I", pdo.cob_id | remote)
 
 

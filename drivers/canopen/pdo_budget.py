@@ -4,12 +4,13 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from drivers.canopen.cob_ids import SYNC
-from drivers.canopen.pdo import PdoMap, PdoPlan, frame_bits_max, mapping_text
+from drivers.canopen.pdo import PdoMap, PdoPlan, mapping_text
 from drivers.timebase import NS_PER_S, Duration
 
 LOAD_LIMIT_PERCENT = 80.0
 """Above it heartbeats, EMCYs and SDOs wait too long: with 20 % left one SDO transfer fits in two cycles."""
 _SDO_BYTES = 8
+"""Every SDO frame is full (CiA 301 7.2.4.3)."""
 
 
 class BudgetLine(NamedTuple):
@@ -69,6 +70,16 @@ def budget_of(plans: Iterable[PdoPlan], period_ns: Duration, bitrate_bit_s: int)
             share, length = pdo.times_a_cycle(period_ns), (pdo.bits + 7) // 8
             lines.append(_line(pdo.name, pdo.cob_id, length, bitrate_bit_s, share, content_of(pdo)))
     return Budget(tuple(lines), period_ns, bitrate_bit_s)
+
+
+def frame_bits_max(data_bytes: int) -> int:
+    """Longest a classical frame with an 11-bit identifier can be, bits, interframe space included.
+
+    ISO 11898-1: 34 + 8 n bits are subject to stuffing, one stuff bit for the first five and then one for
+    every four; 13 bits follow that are not.
+    """
+    stuffed = 34 + 8 * data_bytes
+    return stuffed + (stuffed - 1) // 4 + 13
 
 
 def content_of(pdo: PdoMap) -> str:

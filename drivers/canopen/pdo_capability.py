@@ -7,8 +7,10 @@ only, may have identifiers or transmission types that cannot be changed, and few
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from drivers.canopen.cob_ids import CAN_ID, NOT_VALID
 from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.pdo import NOT_VALID, Key, PdoDirection, PdoEntry, key_of
+from drivers.canopen.objects301 import mapping_word
+from drivers.canopen.pdo import Key, PdoDirection, PdoEntry, key_of
 from drivers.canopen.sdo import object_name
 
 ENTRIES_MAX = 64
@@ -47,7 +49,7 @@ class PdoSlot:
     @property
     def identifier(self) -> int | None:
         """The 11-bit identifier; None if there is none yet."""
-        return None if self.cob_id is None or not self.cob_id & 0x7FF else self.cob_id & 0x7FF
+        return (self.cob_id or 0) & CAN_ID or None
 
     @property
     def keys(self) -> set[Key]:
@@ -78,7 +80,7 @@ class MappedObject:
     @property
     def word(self) -> int:
         """Its mapping word."""
-        return self.index << 16 | self.sub << 8 | self.bits
+        return mapping_word(self.index, self.sub, self.bits)
 
     def __str__(self) -> str:
         name = object_name(self.index, self.sub)
@@ -90,7 +92,7 @@ class PdoCapability:
     """All PDOs of a drive, and the objects that they could carry."""
 
     slots: tuple[PdoSlot, ...]
-    objects: Mapping[tuple[int, int], MappedObject] = field(default_factory=dict)
+    objects: Mapping[Key, MappedObject] = field(default_factory=dict)
     dummies: tuple[int, ...] = ()
     """Data types that serve as placeholders."""
     flags_tell: bool = True
@@ -119,7 +121,7 @@ class PdoCapability:
         return entry if flexible else None
 
 
-def capability_of_drive(objects: RemoteObjects, wanted: Mapping[tuple[int, int], str]) -> PdoCapability:
+def capability_of_drive(objects: RemoteObjects, wanted: Mapping[Key, str]) -> PdoCapability:
     """As a drive without a dictionary tells it over SDO, its mappings taken for fixed.
 
     ``wanted``: objects the bench would map, with their ``struct`` characters. Pumps the network.
@@ -130,11 +132,15 @@ def capability_of_drive(objects: RemoteObjects, wanted: Mapping[tuple[int, int],
             slot = _slot_of_drive(objects, direction, number)
             if slot is not None:
                 slots.append(slot)
-    known = {
-        (index, sub): MappedObject(index, sub, PdoEntry(index, sub, code).bits, code, True, True, True)
-        for (index, sub), code in wanted.items()
+    return PdoCapability(tuple(slots), objects_of(wanted))
+
+
+def objects_of(codes: Mapping[Key, str]) -> dict[Key, MappedObject]:
+    """Objects of these types, as they would be that any PDO may carry."""
+    return {
+        key: MappedObject(*key, PdoEntry(*key, code).bits, code, True, True, True)
+        for key, code in codes.items()
     }
-    return PdoCapability(tuple(slots), known)
 
 
 def _slot_of_drive(objects: RemoteObjects, direction: PdoDirection, number: int) -> PdoSlot | None:

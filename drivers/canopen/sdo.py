@@ -28,6 +28,7 @@ SDO_ATTEMPTS = 6
 
 _HEADER = Struct("<BHB")
 _ABORT = Struct("<BHBL")
+# First bytes of initiate download, of its answer, and of an abort (CiA 301 7.2.4.3.3, 7.2.4.3.17).
 _EXPEDITED_DOWNLOAD = 0x23
 _DOWNLOADED = 0x60
 _ABORTED = 0x80
@@ -91,8 +92,8 @@ class AnswerQueue:
 class PumpedSdoClient(SdoClient):
     """canopen's SDO client on the default channel of one node, waiting by pumping."""
 
-    def __init__(self, pump: Pump, node_id: int, dictionary: ObjectDictionary | None = None) -> None:
-        super().__init__(SDO_REQUEST + node_id, SDO_ANSWER + node_id, dictionary or ObjectDictionary())  # type: ignore[no-untyped-call]
+    def __init__(self, pump: Pump, node_id: int) -> None:
+        super().__init__(SDO_REQUEST + node_id, SDO_ANSWER + node_id, ObjectDictionary())  # type: ignore[no-untyped-call]
         self.network: Any = pump
         self.responses: Any = AnswerQueue(pump)
         self.answers = Owed(SDO_ATTEMPTS)
@@ -162,9 +163,13 @@ class DownloadPost:
     """Posted downloads to one node, one at a time and in order (CiA 301 7.2.4: one transfer per channel)."""
 
     ATTEMPTS = 5
+    """On a bus that loses one frame in ten, request or answer are lost 19 times in 100, five times in a row
+    once in 4000."""
     TIMEOUT_NS = Duration(20_000_000)
     """Wait for the confirmation of one attempt."""
     WAITING_MAX = 64
+    """Of different objects, as one to the same replaces the other: nobody here writes as many without
+    waiting, unless none is confirmed."""
 
     def __init__(self, node_id: int, send: Callable[[int, bytes], Instant]) -> None:
         self.in_flight: PostedDownload | None = None

@@ -15,15 +15,15 @@ from drivers.canopen.pdo_capability import PdoCapability, capability_of_drive
 from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
 from drivers.cia402.observed import NOTHING, Observed
-from drivers.cia402.pdo_planner import PlanImpossible, PlanWish, features_of, plan_pdos
+from drivers.cia402.pdo_planner import PlanImpossible, mode_plan, plan_pdos
 from drivers.cia402.pdo_plans import (
     DEMAND,
     STAMP,
+    STANDARD,
     TORQUE,
     Features,
+    PlanWish,
     choices,
-    limits_of,
-    mode_plan,
     status_timer_ms,
 )
 from drivers.cia402.profile import (
@@ -69,7 +69,7 @@ class DriveSettings:
 
     sync_period_ns: Duration
     plan: PdoPlan | None = None
-    """None: one for :attr:`capability`, else :func:`drivers.cia402.pdo_plans.mode_plan`."""
+    """None: one for :attr:`capability`, else :func:`drivers.cia402.pdo_planner.mode_plan`."""
     capability: PdoCapability | None = None
     """What the drive's dictionary says of its PDOs; None if there is no dictionary."""
     mode: Mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
@@ -77,7 +77,7 @@ class DriveSettings:
     synchronous_command: bool = False
     """The drive applies the set-point at the next SYNC, not on arrival. Without effect beside ``plan``."""
     position_every_cycles: int = 1
-    """As in :func:`drivers.cia402.pdo_plans.mode_plan`. Without effect beside ``plan``."""
+    """As in :class:`drivers.cia402.pdo_plans.PlanWish`. Without effect beside ``plan``."""
     coherent: bool = False
     """As in :func:`drivers.cia402.pdo_plans.layout`. Without effect beside ``plan``."""
     command_timeout_ms: int | None = None
@@ -273,7 +273,8 @@ def map_pdos(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, 
         refused = [f"a PDO plan that tells more was not taken: {refusals[0].evidence}"] if refusals else []
         return plan, refused + notes + written
     if settings.capability is None and objects.read_if_there(*TORQUE) is None:
-        plan = _without_torque(_standard_plan(objects, settings, _able(objects, settings)))
+        wish = replace(_wish(settings), features=_able(objects, settings))
+        plan = _without_torque(mode_plan(objects.node_id, wish))
         return plan, ["no 6077h: readings carry no torque", *write_plan(objects, plan)]
     return _map_as_held(objects, settings, refusals[0])
 
@@ -300,13 +301,11 @@ def _planned(
     objects: RemoteObjects, settings: DriveSettings, features: Features
 ) -> tuple[PdoPlan, list[str]]:
     """A plan that uses no more than ``features``, and what it lacks."""
-    wish = replace(_wish(settings), features=features)
-    if settings.capability is not None:
-        result = plan_pdos(settings.capability, objects.node_id, wish)
-        return result.plan, list(result.notes)
-    plan = _standard_plan(objects, settings, features)
-    torque_mode = wish.torque_mode and not wish.coherent
-    return plan, limits_of(features_of(plan), torque_mode=torque_mode)
+    node, wish = objects.node_id, replace(_wish(settings), features=features)
+    result = plan_pdos(settings.capability or STANDARD, node, wish)
+    if settings.capability is None and settings.demand_changes and all(features):
+        return mode_plan(node, wish, demand_changes=True), list(result.notes)
+    return result.plan, list(result.notes)
 
 
 def _wish(settings: DriveSettings) -> PlanWish:
@@ -319,26 +318,11 @@ def _wish(settings: DriveSettings) -> PlanWish:
     )
 
 
-def _standard_plan(objects: RemoteObjects, settings: DriveSettings, features: Features) -> PdoPlan:
-    return mode_plan(
-        objects.node_id,
-        settings.mode,
-        device_stamp=features.stamp,
-        demand=features.demand,
-        status_on_change=features.status_on_change,
-        synchronous_command=settings.synchronous_command,
-        position_every_cycles=settings.position_every_cycles,
-        status_timer_ms=status_timer_ms(settings.drive_heartbeat_timeout_ms),
-        coherent=settings.coherent,
-        demand_changes=settings.demand_changes and all(features),
-    )
-
-
 def _map_as_held(
     objects: RemoteObjects, settings: DriveSettings, refusal: PeerFault
 ) -> tuple[PdoPlan, list[str]]:
     """The mappings that the drive holds, used as they are; raises ``refusal`` if they do not serve."""
-    standard = _standard_plan(objects, settings, Features())
+    standard = mode_plan(objects.node_id, _wish(settings), demand_changes=settings.demand_changes)
     wanted = {(entry.index, entry.sub): entry.code for pdo in standard for entry in pdo.entries}
     try:
         result = plan_pdos(capability_of_drive(objects, wanted), objects.node_id, _wish(settings))

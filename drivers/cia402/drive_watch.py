@@ -15,10 +15,13 @@ from drivers.timebase import NS_PER_MS, Duration
 
 _ENABLED_BITS: Final = 0x6F
 _ENABLED: Final = 0x27
+"""OPERATION ENABLED, as :data:`drivers.cia402.profile.STATUS_PATTERNS` has it (CiA 402-2)."""
 _VOLTAGE: Final = 0x10
+"""Bit 4 of the statusword, voltage enabled."""
 _INTERLOCK: Final = 1 << 3
 """Of 60FDh (CiA 402-2): where a drive shows safe torque off."""
 _UNWATCHED: Final = Duration(1 << 62)
+"""No silence is as long."""
 
 
 class DriveWatch:

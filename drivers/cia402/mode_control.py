@@ -6,10 +6,9 @@ drive neither jumps nor turns by an old value.
 """
 
 from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.cia402.bench_modes import run_words
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import TARGETS
-from drivers.cia402.profile import Control, Mode, State, supported_mode_bit
+from drivers.cia402.profile import Control, Mode, State, run_words, supported_mode_bit
 from drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
 from drivers.errors import TransferAborted
 from drivers.timebase import Instant

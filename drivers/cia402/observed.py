@@ -5,13 +5,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan, write_plan
+from drivers.canopen.pdo import BITS_MAX, PdoDirection, PdoEntry, PdoMap, PdoPlan, write_plan
 from drivers.canopen.sdo import object_name
 from drivers.errors import PeerFault, TransferAborted
 
 NUMBERS = range(1, 5)
 """TPDOs with an identifier of their own by the predefined connection set."""
-_BITS_MAX = 64
 _REMEDY = "take it out of the bench file's observe"
 
 
@@ -49,7 +48,7 @@ def _packed(entries: Iterable[PdoEntry]) -> list[tuple[PdoEntry, ...]]:
     pdos: list[tuple[PdoEntry, ...]] = []
     for entry in entries:
         last = pdos[-1] if pdos else ()
-        if not pdos or sum(each.bits for each in last) + entry.bits > _BITS_MAX:
+        if not pdos or sum(each.bits for each in last) + entry.bits > BITS_MAX:
             pdos.append((entry,))
         else:
             pdos[-1] = (*last, entry)

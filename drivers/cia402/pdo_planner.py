@@ -4,6 +4,8 @@
     fixed PDOs      those that carry the needed objects are taken as they are, with what else they carry
     both            objects that no flexible PDO may carry are looked for in the fixed ones
 
+A drive without a dictionary is taken for one whose four PDOs each way take whatever CiA 402-2 has.
+
 The loop needs velocity, position, statusword and, if the drive tells it, torque; and to send the controlword
 and the set-point of a mode. PDOs that fit no layout tell all of it with every SYNC.
 """
@@ -12,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from drivers.canopen.pdo import (
+    BITS_MAX,
     EVENT_DRIVEN,
     EVERY_SYNC,
     SYNCHRONOUS_MAX,
@@ -24,55 +27,31 @@ from drivers.canopen.pdo import (
 )
 from drivers.canopen.pdo_capability import MappedObject, PdoCapability, PdoSlot
 from drivers.canopen.sdo import object_name
-from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import (
-    ALL,
+    CONTROL,
     CURRENT,
     DEMAND,
     POSITION,
     STAMP,
+    STANDARD,
+    STANDARD_CODES,
     STATUS,
-    STATUS_TIMER_MS,
     TARGETS,
     TORQUE,
     VELOCITY,
-    Features,
     Group,
+    PlanWish,
     choices,
+    features_of,
     layout,
     limits_of,
 )
 from drivers.cia402.profile import Mode
 from drivers.errors import PeerFault
 
-_BITS_MAX = 64
-CONTROL: Key = (Object.CONTROLWORD, 0)
-
 
 class PlanImpossible(PeerFault):
     """The drive's PDOs cannot carry what the loop needs; ``evidence`` says which of it."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlanWish:
-    """What the loop wants of a drive."""
-
-    mode: Mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
-    synchronous_command: bool = False
-    """The drive applies the set-point at the next SYNC, not on arrival."""
-    position_every_cycles: int = 1
-    """Above 1 the position comes with every so many SYNCs only."""
-    features: Features = ALL
-    """What may be used of what the drive can tell."""
-    status_timer_ms: int = STATUS_TIMER_MS
-    coherent: bool = False
-    """All values of one SYNC in a reading; see :func:`drivers.cia402.pdo_plans.layout`."""
-
-    @property
-    def torque_mode(self) -> bool:
-        """The set-point is a torque."""
-        target = TARGETS.get(self.mode)
-        return target is not None and target.index == Object.TARGET_TORQUE
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +72,45 @@ class _Bin:
     """What it is filled for; None outside a layout."""
 
     def takes(self, entry: PdoEntry) -> bool:
-        full = sum(known.bits for known in self.entries) + entry.bits > _BITS_MAX
+        full = sum(known.bits for known in self.entries) + entry.bits > BITS_MAX
         return not full and len(self.entries) < self.slot.entries_max
+
+
+def mode_plan(node_id: int, wish: PlanWish, *, demand_changes: bool = False) -> PdoPlan:
+    """The plan for one mode, for a drive that can map what is asked for.
+
+    TPDO1: velocity and the drive's own stamp 1013h. TPDO2: torque, position and, in a torque mode, the torque
+    demand 6074h; with every so many SYNCs, above 1 so that three drives at 1 kHz fit 1 Mbit/s. TPDO3: the
+    statusword on change, and by its event timer. RPDO1: controlword and the set-point of the mode.
+    :mod:`drivers.cia402.pdo_plans` has what becomes of it by ``wish.features`` and ``wish.coherent``.
+    ``demand_changes``: a TPDO4 with 6074h and 1013h, sent whenever they change: when a command began to act.
+    """
+    plan = plan_pdos(STANDARD, node_id, wish).plan
+    if not demand_changes:
+        return plan
+    transmit = PdoDirection.TRANSMIT
+    entries = tuple(PdoEntry(*key, STANDARD_CODES[key]) for key in (DEMAND, STAMP))
+    change = PdoMap(transmit, 4, transmit.default_cob_id(4, node_id), entries, EVENT_DRIVEN)
+    return replace(plan, tpdos=(*plan.tpdos, change))
+
+
+def all_modes_plan(node_id: int, *, synchronous_command: bool = False) -> PdoPlan:
+    """The plan for a drive that changes between the cyclic modes: an RPDO for each set-point.
+
+    Each carries the controlword as well, so one frame a cycle does in every mode.
+    """
+    modes = (
+        Mode.CYCLIC_SYNCHRONOUS_TORQUE,
+        Mode.CYCLIC_SYNCHRONOUS_POSITION,
+        Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
+    )
+    plans = [mode_plan(node_id, PlanWish(mode, synchronous_command)) for mode in modes]
+    receive = PdoDirection.RECEIVE
+    rpdos = tuple(
+        replace(plan.rpdos[0], number=number, cob_id=receive.default_cob_id(number, node_id))
+        for number, plan in enumerate(plans, start=1)
+    )
+    return replace(plans[0], rpdos=rpdos)
 
 
 def plan_pdos(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult:
@@ -137,16 +153,6 @@ def _plan(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult
     plan = PdoPlan(tpdos, rpdos)
     notes += limits_of(features_of(plan), torque_mode=wish.torque_mode and not wish.coherent)
     return PlanResult(plan, tuple(notes))
-
-
-def features_of(plan: PdoPlan) -> Features:
-    """What a plan makes use of."""
-    speed, status = plan.tpdo_with(*VELOCITY), plan.tpdo_with(*STATUS)
-    return Features(
-        stamp=speed is not None and speed.place_of(*STAMP) is not None,
-        demand=any(pdo.synchronous and pdo.place_of(*DEMAND) is not None for pdo in plan.tpdos),
-        status_on_change=status is not None and not status.synchronous,
-    )
 
 
 def _torque(capability: PdoCapability, notes: list[str]) -> Key | None:
@@ -340,8 +346,9 @@ class _Planner:
             alone = POSITION in keys and not keys & {STATUS, VELOCITY}
             kind = wish.position_every_cycles if alone else EVERY_SYNC
             kind = self._type(each.slot, kind)
-            if kind > SYNCHRONOUS_MAX:
-                self._check_inhibit(each.slot)
+            if kind > SYNCHRONOUS_MAX and each.slot.inhibit_time:
+                named = f"{each.slot.name} is not synchronous and has an inhibit time"
+                self._notes.append(f"{named} of {each.slot.inhibit_time / 10:g} ms")
             made.append(self._map(each, kind))
         return tuple(made)
 
@@ -357,11 +364,6 @@ class _Planner:
             return held
         self._notes.append(f"{slot.name} keeps its transmission type {held}, {wanted} was wanted")
         return held
-
-    def _check_inhibit(self, slot: PdoSlot) -> None:
-        if slot.inhibit_time:
-            text = f"{slot.name} is not synchronous and has an inhibit time of {slot.inhibit_time / 10:g} ms"
-            self._notes.append(text)
 
     def _map(self, each: _Bin, kind: int) -> PdoMap:
         slot = each.slot

@@ -11,6 +11,7 @@ The layouts of the TPDOs, the best first:
     coherent                                    every SYNC, behind 6041h 6077h 6064h with every SYNC
 """
 
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from drivers.canopen.objects301 import Cia301
@@ -21,9 +22,9 @@ from drivers.canopen.pdo import (
     Key,
     PdoDirection,
     PdoEntry,
-    PdoMap,
     PdoPlan,
 )
+from drivers.canopen.pdo_capability import ENTRIES_MAX, PdoCapability, PdoSlot, objects_of
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
 
@@ -33,6 +34,7 @@ TORQUE: Final[Key] = (Object.TORQUE_ACTUAL_VALUE, 0)
 CURRENT: Final[Key] = (Object.CURRENT_ACTUAL_VALUE, 0)
 POSITION: Final[Key] = (Object.POSITION_ACTUAL_VALUE, 0)
 DEMAND: Final[Key] = (Object.TORQUE_DEMAND, 0)
+CONTROL: Final[Key] = (Object.CONTROLWORD, 0)
 STAMP: Final[Key] = (Cia301.HIGH_RESOLUTION_TIME_STAMP, 0)
 
 STATUS_INHIBIT_100US: Final = 10
@@ -144,13 +146,9 @@ def limits_of(features: Features, *, torque_mode: bool) -> list[str]:
     return limits
 
 
-_CONTROLWORD = PdoEntry(Object.CONTROLWORD, 0, "H")
 _TORQUE = PdoEntry(Object.TARGET_TORQUE, 0, "h")
 _POSITION = PdoEntry(Object.TARGET_POSITION, 0, "i")
 _VELOCITY = PdoEntry(Object.TARGET_VELOCITY, 0, "i")
-_CODES: dict[Key, str] = {STATUS: "H", VELOCITY: "i", TORQUE: "h", POSITION: "i", DEMAND: "h", STAMP: "I"}
-"""Types of CiA 402-2 and CiA 301."""
-
 TARGETS: dict[Mode, PdoEntry] = {
     Mode.PROFILE_POSITION: _POSITION,
     Mode.PROFILE_VELOCITY: _VELOCITY,
@@ -166,82 +164,56 @@ NEEDED_OBJECTS: Final[dict[Mode, int]] = {
 }
 """What a drive cannot have a mode without: the object of its set-point, or of the method of homing."""
 
-
-def mode_plan(
-    node_id: int,
-    mode: Mode,
-    *,
-    device_stamp: bool,
-    demand: bool = True,
-    status_on_change: bool = True,
-    synchronous_command: bool = False,
-    position_every_cycles: int = 1,
-    status_timer_ms: int = STATUS_TIMER_MS,
-    coherent: bool = False,
-    demand_changes: bool = False,
-) -> PdoPlan:
-    """The plan for one mode, for a drive that can map what is asked for.
-
-    TPDO1: velocity and, with ``device_stamp``, the drive's own stamp 1013h. TPDO2: torque, position and,
-    with ``demand`` in a torque mode, the torque demand 6074h; with every ``position_every_cycles``-th SYNC,
-    above 1 so that three drives at 1 kHz fit 1 Mbit/s. TPDO3: the statusword on change, and every
-    ``status_timer_ms``. RPDO1: controlword and the set-point of the mode, applied on arrival or, if
-    ``synchronous_command``, at the next SYNC.
-
-    ``status_on_change``: see :mod:`drivers.cia402.pdo_plans`, which also says what ``coherent`` is.
-    ``demand_changes``: a TPDO4 with 6074h and 1013h, sent whenever they change: when a command began to act.
-    """
-    target = TARGETS.get(mode)
-    command = (_CONTROLWORD,) if target is None else (_CONTROLWORD, target)
-    able = Features(device_stamp, demand and target is _TORQUE, status_on_change)
-    tpdos = _actual_values(node_id, able, position_every_cycles, status_timer_ms, coherent)
-    if demand_changes:
-        tpdos = (*tpdos, _demand_changes(node_id))
-    return PdoPlan(tpdos, _commands(node_id, (command,), synchronous_command))
-
-
-def all_modes_plan(node_id: int, *, device_stamp: bool, synchronous_command: bool = False) -> PdoPlan:
-    """The plan for a drive that changes between the cyclic modes: an RPDO for each set-point.
-
-    Each carries the controlword as well, so one frame a cycle does in every mode.
-    """
-    commands = tuple((_CONTROLWORD, target) for target in (_TORQUE, _POSITION, _VELOCITY))
-    tpdos = _actual_values(node_id, ALL._replace(stamp=device_stamp), 1, STATUS_TIMER_MS, coherent=False)
-    return PdoPlan(tpdos, _commands(node_id, commands, synchronous_command))
-
-
-def _actual_values(
-    node_id: int, able: Features, position_every_cycles: int, timer_ms: int, coherent: bool
-) -> tuple[PdoMap, ...]:
-    features = choices(able, position_every_cycles)[0]
-    groups = layout(features, TORQUE, position_every_cycles, timer_ms, coherent=coherent)
-    transmit = PdoDirection.TRANSMIT
-    return tuple(
-        PdoMap(
-            transmit,
-            number,
-            transmit.default_cob_id(number, node_id),
-            tuple(PdoEntry(*key, _CODES[key]) for key in group.keys),
-            group.transmission_type,
-            group.inhibit_time_100us,
-            group.event_timer_ms,
+STANDARD_CODES: dict[Key, str] = {
+    **dict.fromkeys((STATUS, CONTROL), "H"),
+    **dict.fromkeys((VELOCITY, POSITION), "i"),
+    **dict.fromkeys((TORQUE, DEMAND), "h"),
+    STAMP: "I",
+    **{(target.index, target.sub): target.code for target in TARGETS.values()},
+}
+"""Types of CiA 402-2 and CiA 301."""
+STANDARD = PdoCapability(
+    tuple(
+        PdoSlot(
+            *(direction, number, None, True, None, True, (), True, ENTRIES_MAX),
+            inhibit_writable=True,
+            event_timer_writable=True,
         )
-        for number, group in enumerate(groups, start=1)
-    )
+        for direction in PdoDirection
+        for number in range(1, 5)
+    ),
+    objects_of(STANDARD_CODES),
+)
+"""What a drive without a dictionary is asked for."""
 
 
-def _demand_changes(node_id: int) -> PdoMap:
-    transmit = PdoDirection.TRANSMIT
-    entries = (PdoEntry(*DEMAND, "h"), PdoEntry(Cia301.HIGH_RESOLUTION_TIME_STAMP, 0, "I"))
-    return PdoMap(transmit, 4, transmit.default_cob_id(4, node_id), entries, EVENT_DRIVEN)
+@dataclass(frozen=True, slots=True)
+class PlanWish:
+    """What the loop wants of a drive."""
+
+    mode: Mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
+    synchronous_command: bool = False
+    """The drive applies the set-point at the next SYNC, not on arrival."""
+    position_every_cycles: int = 1
+    """Above 1 the position comes with every so many SYNCs only."""
+    features: Features = ALL
+    """What may be used of what the drive can tell."""
+    status_timer_ms: int = STATUS_TIMER_MS
+    coherent: bool = False
+    """All values of one SYNC in a reading; see :func:`layout`."""
+
+    @property
+    def torque_mode(self) -> bool:
+        """The set-point is a torque."""
+        target = TARGETS.get(self.mode)
+        return target is not None and target.index == Object.TARGET_TORQUE
 
 
-def _commands(
-    node_id: int, commands: tuple[tuple[PdoEntry, ...], ...], synchronous: bool
-) -> tuple[PdoMap, ...]:
-    receive = PdoDirection.RECEIVE
-    kind = EVERY_SYNC if synchronous else EVENT_DRIVEN
-    return tuple(
-        PdoMap(receive, number, receive.default_cob_id(number, node_id), entries, kind)
-        for number, entries in enumerate(commands, start=1)
+def features_of(plan: PdoPlan) -> Features:
+    """What a plan makes use of."""
+    speed, status = plan.tpdo_with(*VELOCITY), plan.tpdo_with(*STATUS)
+    return Features(
+        stamp=speed is not None and speed.place_of(*STAMP) is not None,
+        demand=any(pdo.synchronous and pdo.place_of(*DEMAND) is not None for pdo in plan.tpdos),
+        status_on_change=status is not None and not status.synchronous,
     )

@@ -10,6 +10,7 @@ Object indices are in :mod:`drivers.cia402.objects402`, error codes in :mod:`dri
 """
 
 from collections import deque
+from collections.abc import Collection
 from enum import Enum, IntEnum
 from typing import Final, NamedTuple
 
@@ -262,6 +263,28 @@ class Mode(IntEnum):
 def supported_mode_bit(mode: Mode) -> int:
     """The bit of 0x6502 that says that ``mode`` is supported; 0 for NONE, which has no bit."""
     return 1 << (mode - 1) if mode > 0 else 0
+
+
+BENCH_MODES: Final = {
+    "cst": Mode.CYCLIC_SYNCHRONOUS_TORQUE,
+    "csv": Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
+    "csp": Mode.CYCLIC_SYNCHRONOUS_POSITION,
+}
+"""The modes in which a bench runs a drive, by ``drive.NAME.mode`` of a bench file."""
+
+BENCH_RULE: Final = (
+    '`hil run` needs cyclic synchronous torque (`mode = "cst"`), velocity (`"csv"`) or position (`"csp"`); a '
+    "drive with none of them can be commissioned, not run"
+)
+"""In one set of words for every command and for the README."""
+
+
+def run_words(modes: Collection[Mode]) -> str:
+    """What `hil run` can do with a drive that has ``modes``."""
+    usable = [f'"{key}"' for key, mode in BENCH_MODES.items() if mode in modes]
+    if not usable:
+        return BENCH_RULE
+    return f"`hil run` can use it with mode = {' or '.join(usable)}"
 
 
 class AbortConnectionOption(IntEnum):

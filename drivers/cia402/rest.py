@@ -14,6 +14,7 @@ REST_FOR: Final = Duration(100 * NS_PER_MS)
 """A shaft that is slow for so long rests. A single reading may be that of one that turns round, or that a
 load begins to turn: 0.01 N m give the motor of [Ling2012] 1 rad/s in 80 ms."""
 _POLL: Final = Duration(10 * NS_PER_MS)
+"""Ten readings in :data:`REST_FOR`."""
 
 
 def slow(objects: RemoteObjects, assembler: ReadingAssembler | None) -> bool:

@@ -3,8 +3,7 @@
 from typing import Final
 
 from drivers.canopen.error_control import ErrorControl
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt_control import CHANGE_LIMIT, change_nmt, nobody_there
+from drivers.canopen.network import CHANGE_LIMIT, CanopenNetwork
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
 from drivers.canopen.objects301 import Cia301
@@ -43,6 +42,7 @@ from drivers.exchange import (
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
+"""For a ramp of nearly so long. A drive that turns on after it is left to its own watch over the host."""
 _CONNECT_TRY_S: Final = 0.1
 """A drive that is there answers within milliseconds; one that boots is asked again soon."""
 _SETTLE_NS: Final = 50 * NS_PER_MS
@@ -98,7 +98,7 @@ class ServoDrive(Drive):
                 break
             except NoAnswer as error:
                 if clock.now() >= deadline:
-                    raise nobody_there(self.network, self.node_id, self.control.title) from error
+                    raise self.network.nobody_there(self.node_id, self.control.title) from error
         self.identity = identity = read_identity(self.objects)
         self.network.refuse_two(self.node_id)
         self.control.make = (identity.vendor, identity.device_name)
@@ -359,7 +359,7 @@ class ServoDrive(Drive):
             self.network.pump(Instant(self.network.command(command, self.node_id) + _SETTLE_NS))
             return
         heartbeat = Duration(settings.drive_heartbeat_ms * NS_PER_MS)
-        change_nmt(self.network, self.node_id, self.control.title, command, wanted, heartbeat)
+        self.network.change_nmt(self.node_id, self.control.title, command, wanted, heartbeat)
 
     def _moving(self) -> Motion:
         if self.motion is None:

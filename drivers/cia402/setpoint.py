@@ -15,6 +15,7 @@ from drivers.wire.link import BusLink
 
 _TORQUE_RAW_MAX: Final = 0x7FFF
 _VELOCITY_RAW_MAX: Final = 0x7FFF_FFFF
+"""6071h is an INTEGER16, 60FFh an INTEGER32 (CiA 402-2)."""
 _WORD: Final = 1 << 32
 _HALF_WORD: Final = 1 << 31
 _TARGET_TORQUE: Final = int(Object.TARGET_TORQUE)

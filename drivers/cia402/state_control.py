@@ -23,8 +23,10 @@ from drivers.errors import DriveInFault, PeerFault
 from drivers.timebase import NS_PER_MS, Duration, Instant
 
 NONE_SENT = -1
+"""In the place of a controlword, which is an UNSIGNED16."""
 FAULTY = (State.FAULT, State.FAULT_REACTION)
 POLL_NS = NS_PER_MS
+"""Between two requests for a statusword by SDO: two frames of at most 135 bits, a quarter of 1 Mbit/s."""
 _RESEND_NS = 50 * NS_PER_MS
 """A controlword that shows no effect for so long is sent again."""
 _ASK_S = 0.01
@@ -35,6 +37,7 @@ _FAULT_SPAN = Duration(100 * NS_PER_MS)
 """The EMCY of a fault is no longer before the statusword that tells of it: the event timer of such a TPDO, or
 the SDO that asks for it, takes less."""
 _EMERGENCIES_KEPT = 8
+"""The last ones, among which that of a fault is looked for; the network keeps all."""
 _EMERGENCIES_SHOWN = 2
 
 

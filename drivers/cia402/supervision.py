@@ -15,8 +15,7 @@ from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.command_watch import ACTUAL_MARGIN_RAW, DEMAND_MARGIN_RAW, CommandWatch
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import features_of
-from drivers.cia402.pdo_plans import TARGETS
+from drivers.cia402.pdo_plans import TARGETS, features_of
 from drivers.cia402.profile import Mode, State
 from drivers.cia402.readings import ReadingAssembler
 from drivers.errors import BusDown, PeerFault, TransferAborted

@@ -9,6 +9,7 @@ from drivers.rotation import RAD_S_PER_RPM
 _TOLERANCE: Final = 0.005
 """Relative. Wider, and half of all factors would be some product of slips and powers of ten."""
 _TURN: Final = 360.0
+"""The greatest slip that is tried together with a power of ten."""
 
 
 class Slip(NamedTuple):

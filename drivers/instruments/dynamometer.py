@@ -22,9 +22,11 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
 from drivers.wire.serial_line import ByteLine, LineFull
 
 BITS_A_BYTE = 10
+"""A start bit, eight of data, a stop bit."""
 BAUD = 9600
 ANSWER_TIMEOUT = Duration(NS_PER_S)
 READING_EVERY = Duration(20 * NS_PER_MS)
+"""A request of 4 bytes and an answer of 15 take 19.8 ms at 9600 baud."""
 ATTEMPTS_MAX = 3
 """Requests for one reading before the instrument counts as lost."""
 SPOILT_MAX = 10
@@ -38,7 +40,9 @@ RELEASE_S = 3
 RESIDUE_NM, RESIDUE_SHARE = 0.02, 0.05
 """What may be left of a load, of itself and of the largest one asked for: drag and the instrument's zero."""
 _LINE_BYTES_MAX = 256
+"""Kept of a line without an end; a data string has 15."""
 _STEP_NS = 5 * NS_PER_MS
+"""While it waits: a quarter of :data:`READING_EVERY`."""
 
 
 class LoadReading(NamedTuple):
@@ -82,15 +86,13 @@ class LineCounts:
 class Dynamometer:
     """One load machine on one serial line."""
 
-    def __init__(
-        self, line: ByteLine, clock: Clock, dialect: Dialect, settings: DynamometerSettings | None = None
-    ) -> None:
+    def __init__(self, line: ByteLine, clock: Clock, dialect: Dialect, settings: DynamometerSettings) -> None:
         self.identity = ""
         self.tally = LineCounts()
         self._line = line
         self._clock = clock
         self._dialect = dialect
-        self._settings = settings or DynamometerSettings()
+        self._settings = settings
         self._rest = b""
         self._asked_at: Instant | None = None
         self._late = self._spoilt = 0

@@ -12,6 +12,7 @@ from drivers.canopen.pdo_capability import ENTRIES_MAX, MappedObject, PdoCapabil
 from drivers.sheets.dictionary import LoadedDictionary, held_by
 
 _PDOS_MAX = 64
+"""Those of the first axis: 512 are there for eight. The largest of six makers' data sheets has 8."""
 _WRITABLE = ("rw", "wo", "rwr", "rww")
 _TRANSMITTED = ("ro", "rw", "rwr", "const")
 _RECEIVED = ("wo", "rw", "rww")

@@ -13,7 +13,7 @@ from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from drivers.bounded_file import read_bytes
 from drivers.errors import BadInput
-from drivers.sheets.eds.compact_pdo import add_compact_pdos
+from drivers.sheets.eds.connection_set import add_compact_pdos, free_of_node
 from drivers.sheets.eds.information import (
     Commissioning,
     DeviceInformation,
@@ -28,7 +28,6 @@ from drivers.sheets.eds.model import to_canopen
 from drivers.sheets.eds.objects import EdsObject, build_objects
 from drivers.sheets.eds.repairs import NoDataSheet, RepairLog
 from drivers.sheets.eds.repairs import Repair as Repair
-from drivers.sheets.eds.resolved_node import free_of_node
 from drivers.sheets.eds.sections import Sections, object_of, read_sections
 from drivers.sheets.eds.text import lines_of
 from drivers.sheets.eds.xml_sections import NoXmlSheet, read_xml_sections

@@ -4,24 +4,26 @@ An obstacle is what no bench can do without. Everything else degrades by itself,
 lost: of real dictionaries of drives one in four defines 603Fh, one in three 6091h.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import canopen.objectdictionary as od
 
-from drivers.canopen.objects301 import Cia301
+from drivers.canopen.objects301 import FIRST_OBJECT, Cia301, is_mapping
+from drivers.canopen.pdo import BITS_MAX, key_of, mapping_text
 from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
 from drivers.canopen.sdo import object_name
-from drivers.cia402.bench_modes import run_words
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
-from drivers.cia402.pdo_plans import NEEDED_OBJECTS
-from drivers.cia402.profile import DRIVE_PROFILE, Mode, other_profile, supported_mode_bit
+from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
+from drivers.cia402.pdo_plans import NEEDED_OBJECTS, PlanWish
+from drivers.cia402.profile import DRIVE_PROFILE, Mode, other_profile, run_words, supported_mode_bit
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary, held, held_number
-from drivers.sheets.doubts import doubts
 from drivers.sheets.identity import told_identity
 
+_NAMED_MAX = 4
+"""Contradictions of a kind that are named one by one; the others are counted."""
 INTERPOLATION_DATA = 0x60C1
 AXIS_STEP = 0x800
 """CiA 402-2: the objects of a second axis lie so much higher."""
@@ -266,3 +268,52 @@ def _remarks(
     if _axes(dictionary) > 1:
         texts.append(f"it has {_axes(dictionary)} axes; the bench uses the first")
     return tuple(texts)
+
+
+# ---- what contradicts itself, beyond the form: the values stay as they are, and are told ------------------
+
+
+def doubts(dictionary: od.ObjectDictionary, capability: PdoCapability) -> tuple[str, ...]:
+    """Default mappings that cannot be, and objects whose sub-index 0 is not their highest sub-index."""
+    all_doubts = [doubt for slot in capability.slots for doubt in _of_mapping(slot, capability)]
+    counts = [doubt for index, entry in dictionary.items() if (doubt := _of_count(index, entry))]
+    if counts:
+        all_doubts.append(f"sub-index 0 is not the highest sub-index: {_some(counts)}")
+    return tuple(all_doubts)
+
+
+def _of_mapping(slot: PdoSlot, capability: PdoCapability) -> Iterable[str]:
+    wrong = []
+    for word in slot.mapping:
+        key, bits, named = key_of(word), word & 0xFF, mapping_text([word])
+        if key[0] < FIRST_OBJECT:
+            if key[0] not in capability.dummies:
+                wrong.append(f"{named} is no placeholder that it offers")
+            continue
+        entry = capability.objects.get(key)
+        if entry is None:
+            wrong.append(f"{named} is no object of its own with a length")
+        elif entry.bits != bits:
+            wrong.append(f"{named} has {entry.bits} bits")
+    if wrong:
+        yield f"the mapping of {slot.name} in the file cannot be: {_some(wrong)}"
+    total = sum(word & 0xFF for word in slot.mapping)
+    if total > BITS_MAX:
+        yield f"the mapping of {slot.name} in the file has {total} bits, and a PDO holds {BITS_MAX}"
+
+
+def _of_count(index: int, entry: Any) -> str:
+    # sub-index 0 of these counts the entries in use (CiA 301 7.5.2.3, 7.5.2.36, 7.5.2.38)
+    in_use = index == Cia301.ERROR_HISTORY or is_mapping(index)
+    if isinstance(entry, od.ODVariable) or in_use:
+        return ""
+    first = entry.subindices.get(0)
+    if first is None or first.access_type not in ("ro", "const") or not isinstance(first.default, int):
+        return ""
+    highest = max(entry.subindices)
+    return "" if first.default == highest else f"{index:04X}h says {first.default} and has {highest}"
+
+
+def _some(named: list[str]) -> str:
+    more = len(named) - _NAMED_MAX
+    return "; ".join(named[:_NAMED_MAX]) + (f"; and {more} more" if more > 0 else "")

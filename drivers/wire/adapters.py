@@ -59,7 +59,9 @@ _OPENING_FAILURES = (
 """What python-can's interfaces raise without their driver or device."""
 _NETWORK_LINKS = Path("/sys/class/net")
 _ARPHRD_CAN = "280"
+"""Hardware type of an interface (linux/if_arp.h)."""
 _IFF_UP = 1
+"""Flag of an interface (linux/if.h)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +130,7 @@ def parse_bus_spec(text: str, source: str = "--bus", key: str = "") -> BusSpec:
     return BusSpec(interface, channel, line_baud)
 
 
-def open_bus(spec: BusSpec, bitrate_bit_s: int, source: str = "--bus", *, for_link: bool = True) -> OpenBus:
+def open_bus(spec: BusSpec, bitrate_bit_s: int, *, for_link: bool = True) -> OpenBus:
     """Open a real-time bus. Raises BusDown with the remedy, or BadInput for what can never be opened.
 
     ``for_link``: a :class:`~drivers.wire.link.BusLink` uses it, so own frames come back where they bear the
@@ -139,7 +141,7 @@ def open_bus(spec: BusSpec, bitrate_bit_s: int, source: str = "--bus", *, for_li
     """
     if spec.simulated:
         raise BadInput(
-            source, "", str(spec), "a real-time bus", "use hub:NAME for a simulated bus in real time"
+            "--bus", "", str(spec), "a real-time bus", "use hub:NAME for a simulated bus in real time"
         )
     try:
         bus = _OPENERS.get(spec.interface, _open_other)(spec, bitrate_bit_s, for_link)

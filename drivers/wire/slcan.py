@@ -15,7 +15,7 @@ from typing import NoReturn
 import can
 from can.typechecking import CanFilters
 
-from drivers.timebase import NS_PER_MS, Clock, Duration, Instant, MonotonicClock, instant_after
+from drivers.timebase import NEVER, NS_PER_MS, Clock, Duration, Instant, MonotonicClock, instant_after
 from drivers.wire.frame_port import FramePort, WireFrame, accepts
 from drivers.wire.message import frame_of, message_of
 from drivers.wire.serial_line import LineFull, LineGone, SerialLine
@@ -42,7 +42,6 @@ LEAVING_NS = Duration(10 * NS_PER_MS)
 OPENING_ATTEMPTS = 12
 """Requests of 250 ms: boards that start anew when their port is opened need two seconds."""
 _AWAITED_MAX = 1024
-_NEVER = Instant(1 << 62)
 _TELLING = (b"V", b"N", b"F")
 """Commands whose answer bears their letter, so that it tells to what it belongs."""
 
@@ -151,7 +150,7 @@ class SlcanBus(can.BusABC):
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next message; None after ``timeout`` seconds."""
-        until = _NEVER if timeout is None else instant_after(self._clock.now(), timeout)
+        until = NEVER if timeout is None else instant_after(self._clock.now(), timeout)
         received = self._receive(until)
         if received is None:
             return None

@@ -7,6 +7,7 @@ that was asked for (Z1; ms, 0..59999). The lines of error states and bus errors 
 Linux's slcan driver understands, an extension of some firmwares.
 """
 
+import re
 from enum import IntFlag
 from typing import NamedTuple
 
@@ -17,8 +18,14 @@ _BITRATES_BIT_S = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 8
 BITRATE_CODES = {bitrate: code for code, bitrate in enumerate(_BITRATES_BIT_S)}
 """bit/s -> n of the command Sn."""
 STAMP_PERIOD_MS = 60_000
+"""The stamps of Z1 count to 59999."""
 LINE_LENGTH_MAX = 128
 """Of a line that is still taken for one; the longest frame has 30 characters."""
+
+_END = re.compile(b"([\r\a])")
+_FRAME = re.compile(rb"([trTR])((?<=[tr])[0-9A-Fa-f]{3}|(?<=[TR])[0-9A-Fa-f]{8})([0-8])([0-9A-Fa-f]*)")
+"""Kind, identifier, length, and what stands behind it: data, and the digits of a stamp."""
+_STATUS = re.compile(rb"F([0-9A-Fa-f]{2})")
 
 
 class SlcanStatus(IntFlag):
@@ -67,16 +74,8 @@ class LineSplitter:
 
     def feed(self, data: bytes) -> list[SlcanLine]:
         """The lines that ``data`` completes."""
-        lines: list[SlcanLine] = []
-        rest = self._rest + data
-        while True:
-            end, bell = rest.find(CR), rest.find(BEL)
-            if end < 0 or 0 <= bell < end:
-                end = bell
-            if end < 0:
-                break
-            lines.append(SlcanLine(rest[:end], rest[end : end + 1] == BEL))
-            rest = rest[end + 1 :]
+        *pieces, rest = _END.split(self._rest + data)
+        lines = [SlcanLine(text, end == BEL) for text, end in zip(pieces[::2], pieces[1::2], strict=True)]
         if len(rest) > LINE_LENGTH_MAX:
             self.overlong += 1
             rest = b""
@@ -100,33 +99,22 @@ def decode_frame(text: bytes) -> WireFrame | None:
 
     The protocol has no checksum: a line in which digits were changed into other digits passes.
     """
-    kind = text[:1]
-    if kind in (b"t", b"r"):
-        head, limit = 5, 0x7FF
-    elif kind in (b"T", b"R"):
-        head, limit = 10, 0x1FFFFFFF
-    else:
+    match = _FRAME.fullmatch(text)
+    if match is None:
         return None
-    length = text[head - 1 : head]
-    if len(length) != 1 or not b"0" <= length <= b"8":
+    kind, digits, length, rest = match.groups()
+    can_id, extended, remote = int(digits, 16), kind in b"TR", kind in b"rR"
+    end = 0 if remote else 2 * int(length)
+    if can_id > (0x1FFFFFFF if extended else 0x7FF) or len(rest) not in (end, end + 4):
         return None
-    dlc = length[0] - 0x30
-    remote = kind in (b"r", b"R")
-    end = head if remote else head + 2 * dlc
-    if len(text) not in (end, end + 4):
-        return None
-    can_id, data = _hex(text[1 : head - 1]), _data(text[head:end])
-    if can_id is None or can_id > limit or data is None or (len(text) > end and _hex(text[end:]) is None):
-        return None
-    return WireFrame(can_id, data, kind in (b"T", b"R"), remote, dlc if remote else 0)
+    data = bytes.fromhex(rest[:end].decode("ascii"))
+    return WireFrame(can_id, data, extended, remote, int(length) if remote else 0)
 
 
 def decode_status(text: bytes) -> SlcanStatus | None:
     """The flags in an answer ``Fxx``; None if it is none."""
-    if len(text) != 3 or text[:1] != b"F":
-        return None
-    flags = _hex(text[1:])
-    return None if flags is None else SlcanStatus(flags & 0xEF)
+    match = _STATUS.fullmatch(text)
+    return None if match is None else SlcanStatus(int(match[1], 16) & 0xEF)
 
 
 def is_error_report(text: bytes) -> bool:
@@ -134,24 +122,3 @@ def is_error_report(text: bytes) -> bool:
     if text[:1] == b"s":
         return len(text) == 8 and text[1:2] in (b"a", b"w", b"p", b"b") and text[2:].isdigit()
     return text[:1] == b"e" and text[1:2].isdigit() and len(text) == 2 + text[1] - 0x30
-
-
-def _hex(text: bytes) -> int | None:
-    """Digits only: Python's own ``int`` would let signs, blanks and underscores pass."""
-    if not text.isalnum():
-        return None
-    try:
-        return int(text, 16)
-    except ValueError:
-        return None
-
-
-def _data(text: bytes) -> bytes | None:
-    if not text:
-        return b""
-    if not text.isalnum():
-        return None
-    try:
-        return bytes.fromhex(text.decode("ascii"))
-    except ValueError:
-        return None

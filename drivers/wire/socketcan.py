@@ -28,7 +28,9 @@ RECEIVE_BUFFER_BYTES = 4 << 20
 _FRAME = Struct("=IB3x8s")
 """struct can_frame: identifier with flags, length, data."""
 _EXTENDED, _REMOTE = 0x80000000, 0x40000000
+"""CAN_EFF_FLAG and CAN_RTR_FLAG of linux/can.h."""
 _SO_RCVBUFFORCE = 33
+"""asm-generic/socket.h."""
 _FIRST_COMPARISONS = 8
 """Of the clocks, before the first frame: one alone is off by half of what the processor did in between, seen
 as 105 us on a busy machine; every frame adds one more."""
@@ -111,9 +113,7 @@ class SocketcanPort(FramePort):
 class StampedSocketcanBus(SocketcanBus):
     """A SocketCAN interface with a ``frame_port``."""
 
-    def __init__(
-        self, channel: str, clock: Clock | None = None, receive_own_messages: bool = False, **options: Any
-    ) -> None:
+    def __init__(self, channel: str, receive_own_messages: bool = False, **options: Any) -> None:
         try:
             super().__init__(channel=channel, receive_own_messages=receive_own_messages, **options)
         except OSError:
@@ -124,7 +124,7 @@ class StampedSocketcanBus(SocketcanBus):
         self._enlarge_buffer()
         with suppress(OSError):  # a kernel without them: the software stamps stay
             self.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPING, HARDWARE_STAMPS)
-        self.frame_port = SocketcanPort(self.socket, clock or MonotonicClock(), receive_own_messages)
+        self.frame_port = SocketcanPort(self.socket, MonotonicClock(), receive_own_messages)
 
     def _enlarge_buffer(self) -> None:
         """Beyond net.core.rmem_max where the process may, up to it where not; losses are counted."""

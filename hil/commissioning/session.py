@@ -9,10 +9,12 @@ from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 from canopen.objectdictionary import ObjectDictionary
 
-from drivers.canopen.pdo import PdoPlan, bus_load_percent_max
+from drivers.canopen.pdo import PdoPlan
+from drivers.canopen.pdo_budget import budget_of
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.lapses import lapses
-from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.pdo_planner import mode_plan
+from drivers.cia402.pdo_plans import PlanWish
 from drivers.cia402.profile import Mode
 from drivers.cia402.scaling import Scaling
 from drivers.cia402.servo import ServoDrive
@@ -260,11 +262,11 @@ class Session:
 
     def choose_period(self, mode: Mode) -> tuple[Duration, float]:
         """The shortest period that the bus bears, ns, and its load in percent."""
-        plan = mode_plan(self.request.node, mode, device_stamp=True, coherent=True)
+        plan = mode_plan(self.request.node, PlanWish(mode, coherent=True))
         wanted = self.request.period_us
         for period_us in (wanted,) if wanted is not None else PERIODS_US:
             period = Duration(period_us * NS_PER_US)
-            load = bus_load_percent_max([plan], period, self.request.bitrate_bit_s)
+            load = budget_of([plan], period, self.request.bitrate_bit_s).load_percent
             if load <= BUS_LOAD_MAX_PERCENT:
                 return period, load
         raise StepFailed(

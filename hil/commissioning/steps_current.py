@@ -8,9 +8,11 @@ import numpy as np
 
 from drivers.canopen.objects import SettingRefused
 from drivers.canopen.objects301 import Cia301
-from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan, bus_load_percent_max
+from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan
+from drivers.canopen.pdo_budget import budget_of
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.pdo_planner import mode_plan
+from drivers.cia402.pdo_plans import Features, PlanWish
 from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
 from drivers.errors import TransferAborted
 from drivers.timebase import Instant
@@ -127,14 +129,14 @@ def _plan_with_current(session: Session) -> PdoPlan:
     assert mode is not None
     node = session.request.node
     stamped = session.objects.read_if_there(Cia301.HIGH_RESOLUTION_TIME_STAMP) is not None
-    base = mode_plan(node, mode, device_stamp=stamped, coherent=True)
+    base = mode_plan(node, PlanWish(mode, coherent=True, features=Features(stamp=stamped)))
     actual, speed = base.tpdos
     status, *rest = actual.entries
     current = PdoEntry(Object.CURRENT_ACTUAL_VALUE, 0, "h")
     transmit = PdoDirection.TRANSMIT
     third = PdoMap(transmit, 3, transmit.default_cob_id(3, node), (status,))
     plan = PdoPlan((replace(actual, entries=(current, *rest)), speed, third), base.rpdos)
-    load = bus_load_percent_max([plan], session.found.period, session.request.bitrate_bit_s)
+    load = budget_of([plan], session.found.period, session.request.bitrate_bit_s).load_percent
     if load > 90.0:
         raise StepFailed("the bus has no room for the current", f"{load:.0f} % load")
     return plan

@@ -9,7 +9,7 @@ from design.delay.speed_loop import Feedback, speed_model
 from design.errors import DesignError
 from design.motor import PmsmParameters, Transform
 from design.speed.speed_design import least_gain
-from drivers.canopen.pdo import bus_load_percent_max
+from drivers.canopen.pdo_budget import budget_of
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_US, Duration
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
@@ -139,7 +139,7 @@ def _period_us(session: Session) -> int:
     needed_us = _ROOM * ((findings.reading_delay_us or 0.0) + 0.5 * (findings.effect_delay_us or 0.0))
     for period_us in (500, *PERIODS_US):
         period = Duration(period_us * NS_PER_US)
-        load = bus_load_percent_max([findings.plan], period, session.request.bitrate_bit_s)
+        load = budget_of([findings.plan], period, session.request.bitrate_bit_s).load_percent
         if load <= _LOAD_MAX_PERCENT and period_us >= needed_us:
             return period_us
     return PERIODS_US[-1]

@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from drivers.canopen.pdo import bus_load_percent_max
+from drivers.canopen.pdo_budget import budget_of
 from drivers.cia402.drive_setup import write_optional
 from drivers.cia402.mode_control import ModeRefused
 from drivers.cia402.objects402 import Object
@@ -55,7 +55,7 @@ class SetUp(Step):
         for pdo in plan:
             mapped = " ".join(f"{entry.index:04X}h/{entry.bits}" for entry in pdo.entries)
             outcome.say(f"{pdo.name} {pdo.cob_id:03X}h type {pdo.transmission_type}: {mapped}")
-        load = bus_load_percent_max([plan], session.found.period, session.request.bitrate_bit_s)
+        load = budget_of([plan], session.found.period, session.request.bitrate_bit_s).load_percent
         outcome.say(
             f"mode {mode.name.lower().replace('_', ' ')}; at most {load:.0f} % bus load; all read back"
         )

@@ -4,10 +4,12 @@ import math
 from collections.abc import Iterator, Sequence
 
 from drivers.canopen.cob_ids import BROADCASTS, EMERGENCY, NODE_BITS, SYNC
-from drivers.canopen.pdo import PdoPlan, frame_bits_max
-from drivers.cia402.bench_modes import BENCH_MODES
+from drivers.canopen.pdo import PdoPlan
+from drivers.canopen.pdo_budget import budget_of
 from drivers.cia402.observed import NUMBERS, with_observed
-from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.pdo_planner import mode_plan
+from drivers.cia402.pdo_plans import PlanWish
+from drivers.cia402.profile import BENCH_MODES
 from drivers.errors import MISSING, BadInput
 from drivers.key_advice import nearest
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
@@ -143,14 +145,12 @@ def _cycle_fits(config: BenchConfig, axes: Sequence[str], key: str, bitrate_bit_
 def standard_plan(config: BenchConfig, axis: str) -> PdoPlan:
     """The PDOs of a drive without a data sheet, with what is observed if that fits."""
     drive = config.drive[axis]
-    plan = mode_plan(
-        drive.node,
+    wish = PlanWish(
         BENCH_MODES[drive.mode],
-        device_stamp=True,
         position_every_cycles=config.loop.position_every_cycles,
         coherent=config.coherent(axis),
-        demand_changes=config.loop.command_readback == "event",
     )
+    plan = mode_plan(drive.node, wish, demand_changes=config.loop.command_readback == "event")
     return with_observed(plan, drive.node, drive.observed) or plan
 
 
@@ -177,9 +177,7 @@ def _observed(config: BenchConfig) -> Iterator[Fault]:
 
 def _time_of_frames_us(plans: Sequence[PdoPlan], period_us: int, bitrate_bit_s: int) -> int:
     """Of a cycle of so long, with the most stuff bits."""
-    period = Duration(period_us * NS_PER_US)
-    frames = [(0, 1.0), *(frame for plan in plans for frame in plan.frames_a_cycle(period))]
-    return math.ceil(sum(share * frame_bits_max(length) for length, share in frames) * 1e6 / bitrate_bit_s)
+    return math.ceil(budget_of(plans, Duration(period_us * NS_PER_US), bitrate_bit_s).busy_ns / NS_PER_US)
 
 
 def _background(config: BenchConfig) -> Iterator[Fault]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from drivers.canopen.cob_ids import SYNC
-from drivers.cia402.bench_modes import BENCH_MODES
+from drivers.cia402.profile import BENCH_MODES
 from drivers.cia402.servo import ServoDrive
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Duration

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from drivers.canopen.objects import SettingRefused
 from drivers.canopen.sdo import object_name
-from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.drive_setup import DriveSettings, Identity
-from drivers.cia402.profile import QuickStopOption
+from drivers.cia402.profile import BENCH_MODES, QuickStopOption
 from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import NoAnswer, PeerFault

@@ -13,10 +13,9 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.errors import MISSING, BadInput, BusDown, NoAnswer, PeerFault
 from drivers.timebase import Duration, MonotonicClock
 from drivers.wire.adapters import HUB, SOCKETCAN, BusSpec, OpenBus, open_bus
+from drivers.wire.attached import CanLink, SerialPort, can_links, serial_adapters
 from drivers.wire.bitrate import can_listen_only, detect_bitrate, open_listening
-from drivers.wire.can_links import CanLink, can_links
 from drivers.wire.link import BusLink, StampSource
-from drivers.wire.serial_adapters import SerialPort, serial_adapters
 from virtual_bus.bus.hub import HubBus
 from virtual_bus.bus.hub_place import HubPlace, known_hubs
 

@@ -18,8 +18,8 @@ from drivers.canopen.pdo import PdoPlan
 from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, budget_of
 from drivers.cia402.drive_setup import DriveSettings, read_scaling
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import features_of
-from drivers.cia402.pdo_plans import DEMAND, STAMP, mode_plan, status_timer_ms
+from drivers.cia402.pdo_planner import mode_plan
+from drivers.cia402.pdo_plans import DEMAND, STAMP, PlanWish, features_of, status_timer_ms
 from drivers.cia402.profile import CONTROLWORDS, DriveCommand, Mode
 from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
@@ -306,11 +306,5 @@ def _blind(period: Duration) -> Duration:
 
 
 def _plan(node: int, *, changes: bool, every: int) -> PdoPlan:
-    return mode_plan(
-        node,
-        _MODE,
-        device_stamp=True,
-        position_every_cycles=every,
-        status_timer_ms=status_timer_ms(WATCH_ENABLED_MS),
-        demand_changes=changes,
-    )
+    wish = PlanWish(_MODE, position_every_cycles=every, status_timer_ms=status_timer_ms(WATCH_ENABLED_MS))
+    return mode_plan(node, wish, demand_changes=changes)

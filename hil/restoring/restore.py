@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
 
+from drivers.canopen.cob_ids import NOT_VALID
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
@@ -28,8 +29,6 @@ _REST_COUNTS: Final = 3
 """Readings in a row without a change of position, 20 ms apart, that count as rest."""
 _BEATS_HEARD: Final = 2.5
 """Heartbeat periods in which one comes for certain, though one be lost."""
-_NOT_VALID: Final = 1 << 31
-"""Bit of a PDO's COB-ID: it is switched off."""
 _OUT_OF_THE_WAY: Final = (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.FAULT)
 _NMT_OF_STATE: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
@@ -157,9 +156,9 @@ def _put_back_pdos(objects: RemoteObjects, originals: dict[ObjectKey, bytes], re
     alive: dict[ObjectKey, bytes] = {}
     for pdo in sorted(differing):
         cob_id = objects.read_if_there(pdo, 1)
-        if cob_id is not None and not cob_id & _NOT_VALID:
+        if cob_id is not None and not cob_id & NOT_VALID:
             alive[ObjectKey(pdo, 1)] = cob_id.to_bytes(4, "little")
-            _attempt(network, node, ObjectKey(pdo, 1), (cob_id | _NOT_VALID).to_bytes(4, "little"))
+            _attempt(network, node, ObjectKey(pdo, 1), (cob_id | NOT_VALID).to_bytes(4, "little"))
     for pdo in sorted(differing):
         own = {key: value for key, value in originals.items() if pdo_of(key.index) == pdo}
         mapping = {key: value for key, value in own.items() if key.index != pdo}

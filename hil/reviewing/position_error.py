@@ -12,14 +12,12 @@ from the second set-point on, lost set-points included.
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import Duration
-from hil.reviewing.speed_error import CountedErrors, note_settling
+from drivers.timebase import NEVER, Duration
+from hil.reviewing.speed_error import ROUNDING, CountedErrors, note_settling
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, NOTHING, Rows
 from hil.verdict.summary import PositionError
 
-_NEVER = -(2**62)
-_ROUNDING = 1.0 + 1e-9
 _RESOLUTION_RAD = 1e-6
 """A sixth of a count of 2^20 a turn: rounding is no step."""
 _KEPT = 8
@@ -36,7 +34,7 @@ class PositionErrorMeter:
         self._asked = axis.quantity == "position"
         self._follows = axis.mode == "csp"
         self._last: tuple[float, float, int] | None = None
-        self._step_at = _NEVER
+        self._step_at = -NEVER
         self._reached_at = np.empty(0, np.int64)
         self._set_points = np.empty(0)
         self._following_peak: float | None = None
@@ -77,7 +75,7 @@ class PositionErrorMeter:
         elapsed_s = np.diff(due_at, prepend=self._last[2]) / 1e9
         before = np.concatenate(([self._last[1]], rate[:-1]))
         jump = np.abs(np.diff(reference, prepend=self._last[0]) - before * elapsed_s)
-        bound = self._acceleration_max * elapsed_s * _ROUNDING
+        bound = self._acceleration_max * elapsed_s * ROUNDING
         beyond = (jump > bound * elapsed_s + _RESOLUTION_RAD) | (np.abs(rate - before) > bound)
         note_settling(self.settling, due_at[beyond], self._settling_ns)
         stepped = np.maximum.accumulate(np.where(beyond, due_at, self._step_at))

@@ -23,14 +23,14 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_S
+from drivers.timebase import NEVER, NS_PER_S
 from hil.reviewing.envelope import Envelope
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, Rows
 from hil.verdict.summary import PositionError, SpeedError, StepResponse
 
-_NEVER = -(2**62)
-_ROUNDING = 1.0 + 1e-9
+ROUNDING = 1.0 + 1e-9
+"""Of a bound that a reference may just reach: the product of two floats must not make a step of it."""
 AnyFigures = TypeVar("AnyFigures", SpeedError, PositionError, StepResponse)
 
 
@@ -53,7 +53,7 @@ class AskedChanges:
         load_change = np.diff(load, prepend=self._last[1])
         elapsed_s = np.diff(due_at, prepend=self._last[2]) / NS_PER_S
         self._last = float(reference[-1]), float(load[-1]), int(due_at[-1])
-        return change, load_change, np.abs(change) > self._acceleration_max * elapsed_s * _ROUNDING
+        return change, load_change, np.abs(change) > self._acceleration_max * elapsed_s * ROUNDING
 
 
 class CountedErrors(Envelope):
@@ -91,7 +91,7 @@ class SpeedErrorMeter:
         self._settling_ns = settling_ns
         self._asked = AskedChanges(axis.acceleration_max_rad_s2)
         self._rows = 0
-        self._step_at = _NEVER
+        self._step_at = -NEVER
         self._reference_changed_row = self._load_changed_row = -1
         self._after_load_peak = 0.0
         self.reference_peak = 0.0

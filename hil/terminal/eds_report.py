@@ -10,7 +10,7 @@ from rich.text import Text
 from drivers.canopen.bus_scan import profile_title
 from drivers.canopen.pdo import mapping_text
 from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, Budget
-from drivers.cia402.bench_modes import BENCH_MODES, run_words
+from drivers.cia402.profile import BENCH_MODES, run_words
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.repairs import Repair
 from drivers.sheets.fitness import FileIdentity, Fitness

@@ -8,9 +8,9 @@ from drivers.canopen.objects301 import MANUFACTURER
 from drivers.canopen.pdo import PdoMap, mapping_text
 from drivers.canopen.pdo_budget import Budget, budget_of, content_of
 from drivers.canopen.pdo_capability import PdoSlot
-from drivers.cia402.bench_modes import BENCH_MODES
-from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
-from drivers.cia402.profile import Mode
+from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
+from drivers.cia402.pdo_plans import PlanWish
+from drivers.cia402.profile import BENCH_MODES, Mode
 from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault

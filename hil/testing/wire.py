@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 from drivers.canopen.cob_ids import ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST
 from drivers.canopen.pdo import PdoDirection, PdoPlan
-from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.objects402 import Object
 from drivers.cia402.observed import with_observed
-from drivers.cia402.pdo_planner import PlanWish, plan_pdos
+from drivers.cia402.pdo_planner import plan_pdos
+from drivers.cia402.pdo_plans import PlanWish
+from drivers.cia402.profile import BENCH_MODES
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_S, Instant

@@ -13,7 +13,7 @@ from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.motion import HomingSetup, MoveProfile
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_plans import all_modes_plan
+from drivers.cia402.pdo_planner import all_modes_plan
 from drivers.cia402.profile import Mode, State
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault
@@ -64,7 +64,7 @@ class ModesRig:
     @property
     def plan(self) -> PdoPlan:
         """0x6040 stands in three RPDOs."""
-        return all_modes_plan(NODE, device_stamp=True, synchronous_command=self.synchronous)
+        return all_modes_plan(NODE, synchronous_command=self.synchronous)
 
     def start(self) -> None:
         """Connect and enable, as a bench does; the words up to there are forgotten."""

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.cia402.pdo_plans import mode_plan
-from drivers.cia402.profile import Mode
+from drivers.cia402.pdo_planner import mode_plan
+from drivers.cia402.pdo_plans import PlanWish
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from tests.stillness import Untrue
 from tests.truth.hub_listener import FRAME_DTYPE, FrameTable
@@ -21,7 +21,7 @@ UNCERTAIN_MAX, UNCERTAIN_STALLED_MAX = 0.05, 0.15
 """A run that is in doubt everywhere would tell nothing wrong, and nothing at all. Where processes are made to
 stand still, what stood still together is in doubt: some 4 % of the rows, and more beside other work."""
 PERIOD = Duration(NS_PER_MS)
-PLAN = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True)
+PLAN = mode_plan(1, PlanWish())
 NO_COMMANDS: FrameTable = np.empty(0, FRAME_DTYPE)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import can
 import pytest
 
-from drivers.wire.can_links import can_links
+from drivers.wire.attached import can_links
 from drivers.wire.slcan import SlcanBus
 from tests.contract.bus_suite import OpenBus
 from tests.contract.slcan_bench import RunningAdapter, SlcanSuite

@@ -3,12 +3,11 @@
 from heapq import heappop, heappush
 from typing import Final
 
-from drivers.timebase import Instant
+from drivers.timebase import NEVER
 from virtual_bus.frame import Frame
 
 HELD_MAX: Final = 4096
 """Frames held in one place; one more is lost and counted."""
-NEVER: Final = Instant(2**63 - 1)
 
 
 class HeldFrames:

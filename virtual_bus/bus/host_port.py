@@ -12,10 +12,10 @@ from typing import Final
 
 from can.typechecking import CanFilters
 
-from drivers.timebase import Instant
+from drivers.timebase import NEVER, Instant
 from drivers.wire.frame_port import EchoBasis, FramePort, accepts
 from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.held_frames import NEVER, HeldFrames
+from virtual_bus.bus.held_frames import HeldFrames
 from virtual_bus.bus.judge import Direction, Judge
 from virtual_bus.bus.listener import Listener
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port

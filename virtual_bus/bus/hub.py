@@ -10,15 +10,13 @@ import select
 import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
-from drivers.timebase import NS_PER_S, Instant, MonotonicClock, instant_after
+from drivers.timebase import NEVER, NS_PER_S, Instant, MonotonicClock, instant_after
 from drivers.wire.message import frame_of, message_of
 from virtual_bus.bus.error_message import bus_state
 from virtual_bus.bus.hub_join import join
 from virtual_bus.bus.hub_place import HubPlace, known_hubs
 from virtual_bus.bus.hub_port import HubPort
 from virtual_bus.bus.hub_protocol import Hello, HubStatus, Request
-
-_NEVER = Instant(1 << 62)
 
 
 class HubBus(can.BusABC):
@@ -96,7 +94,7 @@ class HubBus(can.BusABC):
         Raises can.CanOperationError if the broker is gone or the bus is shut down.
         """
         port = self.frame_port
-        frame = port.receive(_NEVER if timeout is None else instant_after(self._clock.now(), timeout))
+        frame = port.receive(NEVER if timeout is None else instant_after(self._clock.now(), timeout))
         if frame is None:
             return None
         return message_of(frame, port.came_at, is_rx=not port.came_own, channel=self._channel)

@@ -24,7 +24,7 @@ from collections import deque
 from itertools import islice
 from typing import Final
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Instant
+from drivers.timebase import NEVER, NS_PER_MS, NS_PER_S, Clock, Instant
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.hub_place import HubPlace, try_lock
 from virtual_bus.bus.hub_protocol import (
@@ -63,7 +63,6 @@ _WAIT_MAX_NS: Final = 60 * NS_PER_S
 """Of one ``select``; nothing is due, and a longer wait brings nothing."""
 _PACKETS_PER_TURN: Final = 64
 """Of one client in a row, so that one that floods does not keep the others from the bus."""
-_NEVER: Final = Instant(1 << 62)
 
 
 class Client(Listener):
@@ -77,7 +76,7 @@ class Client(Listener):
         self.batches = False
         self.wire: _Wire | None = None
         self.outbox: deque[bytes] = deque()
-        self.due = _NEVER
+        self.due = NEVER
         """When to send from the outbox; never while the socket is full."""
         self.full = False
         """Its socket takes nothing for now."""
@@ -112,7 +111,7 @@ class Client(Listener):
     def flush(self) -> None:
         """Send from the outbox what its socket takes."""
         outbox = self.outbox
-        self.due = _NEVER
+        self.due = NEVER
         self.full = False
         try:
             while outbox:
@@ -195,7 +194,7 @@ class Broker:
     def _wait(self) -> tuple[list[int], list[int]]:
         """Until the next event or a socket is ready. select's time-out is good to 1 us, epoll's to 1 ms."""
         due = self._timeline.next_at()
-        wake_at: int = _NEVER if due is None else due
+        wake_at: int = NEVER if due is None else due
         sources = [self._listener.fileno()]
         full = []
         for client in self._clients:

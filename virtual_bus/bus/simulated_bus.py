@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import can
 from can.typechecking import CanFilters
 
-from drivers.timebase import Instant, instant_after
+from drivers.timebase import NEVER, Instant, instant_after
 from drivers.wire.message import frame_of, message_of
 from virtual_bus.bus.cyclic_task import TimelineCyclicTask
 from virtual_bus.bus.error_message import bus_state
@@ -13,8 +13,6 @@ from virtual_bus.bus.host_port import HostPort
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.timeline import Timeline
-
-_NEVER = Instant(1 << 62)
 
 
 class SimulatedBus(can.BusABC):
@@ -76,7 +74,7 @@ class SimulatedBus(can.BusABC):
             raise can.CanOperationError(f"{self.channel_info}: the bus is shut down")
         inbox = self.frame_port.received
         if timeout is None:
-            self._step_until(lambda: bool(inbox), _NEVER)
+            self._step_until(lambda: bool(inbox), NEVER)
             if not inbox:
                 raise can.CanOperationError(f"{self.channel_info}: no event is left that could bring a frame")
         port = self.frame_port

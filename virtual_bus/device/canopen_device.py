@@ -15,7 +15,7 @@ from typing import Final
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED, NmtState
 from drivers.canopen.objects301 import FIRST_OBJECT, Cia301
-from drivers.timebase import NS_PER_MS, Instant
+from drivers.timebase import NEVER, NS_PER_MS, Instant
 from virtual_bus.device.application import Application, CommunicationLoss
 from virtual_bus.device.communication_objects import add_communication_objects
 from virtual_bus.device.device_clock import DeviceClock
@@ -28,7 +28,7 @@ from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import MemoryStore, ParameterStorage, ParameterStore
 from virtual_bus.device.pdo_engine import PdoEngine
 from virtual_bus.device.sdo_server import SdoServer
-from virtual_bus.device.station import NEVER, Station
+from virtual_bus.device.station import Station
 from virtual_bus.device.sync_consumer import SyncConsumer
 from virtual_bus.frame import Frame
 

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from virtual_bus.device.cob_id import NO_RTR as NO_RTR
-from virtual_bus.device.cob_id import NOT_VALID as NOT_VALID
+from drivers.canopen.cob_ids import NO_RTR, NOT_VALID
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +28,6 @@ class PdoDefault:
     """Mapping words, index << 16 | sub-index << 8 | bits, as in 1600h and 1A00h."""
     inhibit_time_100us: int = 0
     event_timer_ms: int = 0
-
-
-def mapping_word(index: int, subindex: int, bits: int) -> int:
-    """One entry of a PDO mapping parameter (CiA 301, 7.5.2.36)."""
-    return index << 16 | subindex << 8 | bits
 
 
 def unmapped_rpdos() -> tuple[PdoDefault, ...]:

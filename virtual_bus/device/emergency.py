@@ -6,11 +6,11 @@ cause is told apart by ``source`` where one code has several (two lost heartbeat
 
 from collections import deque
 
+from drivers.canopen import cob_ids
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.objects301 import Cia301
-from drivers.timebase import Instant
-from virtual_bus.device import cob_id
+from drivers.timebase import NS_PER_100_US, Instant
 from virtual_bus.device.object_dictionary import Provider
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 from virtual_bus.device.station import Station
@@ -18,7 +18,6 @@ from virtual_bus.frame import Frame
 
 _MAY_SEND = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 _QUEUE_MAX = 32
-NS_PER_100_US = 100_000
 NO_ERROR = 0x0000
 
 
@@ -120,8 +119,8 @@ class EmergencyProducer:
         while self._queue and station.state in _MAY_SEND and now >= self._free_at:
             cob = station.value(Cia301.EMCY_COB_ID)
             message = self._queue.popleft()
-            if cob and not cob & cob_id.NOT_VALID:
-                station.out.append(Frame(cob & cob_id.CAN_ID, message))
+            if cob and not cob & cob_ids.NOT_VALID:
+                station.out.append(Frame(cob & cob_ids.CAN_ID, message))
                 self._free_at = Instant(now + inhibit_ns)
         if self._queue and station.state in _MAY_SEND:
             self._timer.start(self._free_at)
@@ -129,11 +128,11 @@ class EmergencyProducer:
     def _check_cob_id(self, value: int) -> AbortCode | None:
         """1014h, 7.5.2.17: bits 0..29 stay while the EMCY exists."""
         present = self._station.value(Cia301.EMCY_COB_ID)
-        valid = not value & cob_id.NOT_VALID
-        if value & (cob_id.EXTENDED | cob_id.NO_RTR):
+        valid = not value & cob_ids.NOT_VALID
+        if value & (cob_ids.EXTENDED | cob_ids.NO_RTR):
             return AbortCode.INVALID_VALUE
-        if valid and not present & cob_id.NOT_VALID and value != present:
+        if valid and not present & cob_ids.NOT_VALID and value != present:
             return AbortCode.INVALID_VALUE
-        if valid and cob_id.restricted(value & cob_id.CAN_ID):
+        if valid and cob_ids.restricted(value & cob_ids.CAN_ID):
             return AbortCode.INVALID_VALUE
         return None

@@ -4,11 +4,11 @@ from typing import Final
 
 from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION
-from drivers.timebase import NS_PER_MS, Instant
+from drivers.timebase import NEVER, NS_PER_MS, Instant
 from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.rpdo import ReceivePdo
-from virtual_bus.device.station import NEVER, Station
+from virtual_bus.device.station import Station
 from virtual_bus.device.tpdo import TransmitPdo
 
 PDOS_MAX: Final = 512

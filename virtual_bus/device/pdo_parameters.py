@@ -7,7 +7,7 @@ words; mapping count = n; COB-ID bit 31 = 0. Any other order is refused and chan
 from collections.abc import Sequence
 from typing import Final
 
-from virtual_bus.device import cob_id
+from drivers.canopen import cob_ids
 from virtual_bus.device.object_dictionary import Check, Variable
 from virtual_bus.device.pdo_codec import Field, resolve, resolve_all
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
@@ -55,12 +55,12 @@ class PdoParameters:
     @property
     def exists(self) -> bool:
         """Bit 31 of the COB-ID is 0."""
-        return not self.parameter(1) & cob_id.NOT_VALID
+        return not self.parameter(1) & cob_ids.NOT_VALID
 
     @property
     def can_id(self) -> int:
         """CAN-ID of the COB-ID."""
-        return self.parameter(1) & cob_id.CAN_ID
+        return self.parameter(1) & cob_ids.CAN_ID
 
     def fields(self) -> list[Field]:
         """What is mapped now; the words were checked when they were written.
@@ -80,14 +80,14 @@ class PdoParameters:
 
     def _check_cob_id(self, value: int) -> AbortCode | None:
         # 11-bit identifiers only: 7.5.2.33 wants 06090030h for bit 29.
-        if value & cob_id.EXTENDED:
+        if value & cob_ids.EXTENDED:
             return AbortCode.INVALID_VALUE
-        if value & cob_id.NOT_VALID:
+        if value & cob_ids.NOT_VALID:
             return None
         # Bits 0..29 stay while the PDO exists and goes on to exist; bit 30 may not be changed either.
         if self.exists and value != self.parameter(1):
             return AbortCode.INVALID_VALUE
-        if cob_id.restricted(value & cob_id.CAN_ID) or value & 0x1FFFFFFF & ~cob_id.CAN_ID:
+        if cob_ids.restricted(value & cob_ids.CAN_ID) or value & 0x1FFFFFFF & ~cob_ids.CAN_ID:
             return AbortCode.INVALID_VALUE
         return None
 

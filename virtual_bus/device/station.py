@@ -1,15 +1,12 @@
 """What the parts of one CANopen device share: time, NMT state, timers, frames in and out."""
 
 from collections.abc import Callable
-from typing import Final
 
 from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import Instant
+from drivers.timebase import NEVER, Instant
 from virtual_bus.device.application import Application
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.frame import Frame
-
-NEVER: Final = Instant(1 << 62)
 
 Handler = Callable[[Frame, Instant], None]
 

@@ -5,11 +5,11 @@
 
 from typing import Final
 
+from drivers.canopen import cob_ids
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.objects301 import Cia301
 from drivers.timebase import NS_PER_US, Instant
-from virtual_bus.device import cob_id
 from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.pdo_engine import PdoEngine
 from virtual_bus.device.sdo_abort import AbortCode
@@ -59,7 +59,7 @@ class SyncConsumer:
         station = self._station
         if self._listening is not None:
             station.ignore(self._listening, self._on_sync)
-        self._listening = self._cob_id() & cob_id.CAN_ID or None
+        self._listening = self._cob_id() & cob_ids.CAN_ID or None
         self._length = 1 if station.value(Cia301.SYNC_COUNTER_OVERFLOW) else 0
         self._window_ns = station.value(Cia301.SYNC_WINDOW) * NS_PER_US
         self._window.stop()
@@ -105,7 +105,7 @@ class SyncConsumer:
 
     def _check_cob_id(self, value: int) -> AbortCode | None:
         # 7.5.2.5, 7.5.2.15: 06090030h for bit 30, as it produces neither, and for bit 29 with 11 bits only.
-        if value & (_PRODUCES | cob_id.EXTENDED) or cob_id.restricted(value & cob_id.CAN_ID):
+        if value & (_PRODUCES | cob_ids.EXTENDED) or cob_ids.restricted(value & cob_ids.CAN_ID):
             return AbortCode.INVALID_VALUE
         return None
 

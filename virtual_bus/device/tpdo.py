@@ -16,10 +16,10 @@ event: a clock that runs tells nothing.
 
 from typing import Any, Final
 
+from drivers.canopen import cob_ids
 from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.objects301 import TPDO_COMMUNICATION, TPDO_MAPPING, Cia301
-from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device import cob_id
+from drivers.timebase import NS_PER_100_US, NS_PER_MS, Instant
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.pdo_codec import compile_packer
 from virtual_bus.device.pdo_parameters import PdoParameters
@@ -31,7 +31,6 @@ SYNCHRONOUS_ACYCLIC: Final = 0
 SYNCHRONOUS_CYCLIC_MAX: Final = 240
 REMOTE_SYNCHRONOUS: Final = 252
 REMOTE_EVENT: Final = 253
-NS_PER_100_US: Final = 100_000
 
 
 class TransmitPdo(PdoParameters):
@@ -91,7 +90,7 @@ class TransmitPdo(PdoParameters):
         self._type = self.parameter(2)
         self._inhibit_ns = self.parameter(3) * NS_PER_100_US
         self._event_ns = self.parameter(5) * NS_PER_MS
-        self._listen_for_remote(self.exists and not self.parameter(1) & cob_id.NO_RTR)
+        self._listen_for_remote(self.exists and not self.parameter(1) & cob_ids.NO_RTR)
         announce = not self._active
         self._stop()
         self._complete = self.exists and bool(fields)

@@ -6,15 +6,14 @@ from typing import Final
 import numpy as np
 
 from design.motor import PmsmParameters
-from drivers.canopen.objects301 import Cia301
+from drivers.canopen.cob_ids import NO_RTR
+from drivers.canopen.objects301 import Cia301, mapping_word
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import AbortConnectionOption
 from virtual_bus.device.device_options import (
-    NO_RTR,
     DeviceIdentity,
     DeviceOptions,
     PdoDefault,
-    mapping_word,
     unmapped_rpdos,
     unmapped_tpdos,
 )

@@ -4,8 +4,7 @@ from collections.abc import Iterator
 from functools import partial
 from heapq import merge
 
-from drivers.timebase import Duration
-from virtual_bus.bus.held_frames import NEVER
+from drivers.timebase import NEVER, Duration
 from virtual_bus.faults.fault_log import FRAME_KINDS
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.fault_streams import uniform_stream

@@ -8,14 +8,13 @@ from typing import Final
 import can
 
 from drivers.errors import BusDown
-from drivers.timebase import NS_PER_MS, Clock, Instant
+from drivers.timebase import NEVER, NS_PER_MS, Clock, Instant
 from drivers.wire.frame_port import FramePort
 from drivers.wire.message_port import ERROR_FLAG, MessagePort, StampSource
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.error_message import told_bus_off
 from virtual_bus.bus.listener import Listener
 from virtual_bus.bus.segment import CanSegment
-from virtual_bus.device.station import NEVER
 from virtual_bus.event_heap import Action
 from virtual_bus.frame import Device, Frame
 

@@ -16,8 +16,8 @@ from typing import Protocol
 
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import Instant
-from virtual_bus.bus.held_frames import NEVER, HeldFrames
+from drivers.timebase import NEVER, Instant
+from virtual_bus.bus.held_frames import HeldFrames
 from virtual_bus.bus.judge import Direction
 from virtual_bus.device.application import Application
 from virtual_bus.device.device_clock import DeviceClock

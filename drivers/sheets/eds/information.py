@@ -8,8 +8,10 @@ from drivers.sheets.eds.repairs import RepairLog
 from drivers.sheets.eds.sections import COMMISSIONING, EdsSection, Sections, object_of, section_name
 
 BIT_RATES_KBIT_S = (10, 20, 50, 125, 250, 500, 800, 1000)
+"""Each an entry BaudRate_... of [DeviceInfo] (CiA 306-1)."""
 LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 _DUMMIES = range(1, 8)
+"""BOOLEAN to UNSIGNED32, by their numbers as data types."""
 _COUNT = "supportedobjects"
 
 

@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import canopen.objectdictionary as od
 
+from drivers.canopen.cob_ids import EXTENDED, NO_RTR, NOT_VALID
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry
 from drivers.sheets.eds.information import Commissioning, DeviceInformation
@@ -13,8 +14,7 @@ from drivers.sheets.eds.numbers import Formula
 from drivers.sheets.eds.objects import EdsObject
 from drivers.sheets.eds.values import Scalar
 
-_FLAGS = 0xE000_0000
-"""Of a COB-ID: not valid, no remote frames, 29-bit identifier."""
+_FLAGS = NOT_VALID | NO_RTR | EXTENDED
 
 
 def to_canopen(

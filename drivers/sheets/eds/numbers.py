@@ -3,6 +3,7 @@
 CiA 306-1 knows decimals, 0x and a leading $NODEID. What else occurs is read as its writer must have meant it.
 """
 
+import ast
 import math
 import re
 from typing import NamedTuple
@@ -29,7 +30,7 @@ class Formula(NamedTuple):
 
 LENGTH_MAX = 128
 """Characters of a number or formula: 64 bits in binary take half of them. Turning digits into an integer
-takes the square of their number, and nested parentheses a call each."""
+takes the square of their number, and nested parentheses some calls each."""
 _DECIMAL = re.compile(r"[+-]?\d+")
 _HEX = re.compile(r"[+-]?0[xX][0-9A-Fa-f]+")
 _ODD_HEX = (
@@ -51,6 +52,7 @@ _STANDARD_FORMULA = re.compile(
 )
 _TOKEN = re.compile(r"\s*(?:(N)|([0-9A-Fa-fxXhH]+)|([-+*|()]))")
 _FUNCTION_CODE = 0x80
+"""Bits 7 to 10 of an identifier of the predefined connection set (CiA 301, 7.3.5)."""
 
 
 def integer(text: str) -> Spelled | None:
@@ -127,93 +129,65 @@ def formula(text: str) -> Formula | None:
     compact = text.strip()
     if len(compact) > LENGTH_MAX:
         return None
-    parser = _Parser(_NODE_ID.sub(" N ", compact.strip("\"'")))
-    parsed = parser.expression()
-    if parsed is None or not parser.at_end():
+    spelled = _as_python(_NODE_ID.sub(" N ", compact.strip("\"'")).strip())
+    if spelled is None:
         return None
-    factor, base = parsed
-    oddity = parser.oddity
+    expression, oddity = spelled
+    try:
+        factor, base = _linear(ast.parse(expression, mode="eval").body)
+    except (SyntaxError, ValueError):
+        return None
     if not oddity and not _STANDARD_FORMULA.fullmatch(compact):
         oddity = "not written as $NODEID+0x..."
     return Formula(factor, base, oddity)
 
 
-class _Parser:
-    """Recursive descent over linear expressions in N, each a pair (factor, base)."""
-
-    def __init__(self, text: str) -> None:
-        self._text = text
-        self._at = 0
-        self.oddity = ""
-
-    def at_end(self) -> bool:
-        return not self._text[self._at :].strip()
-
-    def expression(self) -> tuple[int, int] | None:
-        left = self._product()
-        while left is not None:
-            match = self._peek()
-            if match is None or match[3] == ")":
-                return left
-            sign = match[3]
-            if sign in ("+", "-", "|"):
-                self._at = match.end()
-            elif sign is None:
-                self.oddity = "a sign is missing"
-            right = self._product()
-            if right is None:
-                return None
-            left = self._combined(left, right, sign)
-        return None
-
-    def _combined(self, left: tuple[int, int], right: tuple[int, int], sign: str | None) -> tuple[int, int]:
-        if sign == "-":
-            return left[0] - right[0], left[1] - right[1]
-        if sign == "|" and not left[0] and not right[0]:
-            return 0, left[1] | right[1]
-        return left[0] + right[0], left[1] + right[1]
-
-    def _product(self) -> tuple[int, int] | None:
-        left = self._atom()
-        while left is not None:
-            match = self._peek()
-            if match is None or match[3] != "*":
-                return left
-            self._at = match.end()
-            right = self._atom()
-            if right is None or (left[0] and right[0]):
-                return None
-            scale = right[1] if left[0] else left[1]
-            left = (left[0] * scale, left[1] * scale) if left[0] else (right[0] * scale, right[1] * scale)
-        return None
-
-    def _atom(self) -> tuple[int, int] | None:
-        match = self._peek()
-        if match is None:
+def _as_python(text: str) -> tuple[str, str] | None:
+    """An expression in N as Python writes it, every number in decimals, and what is odd about its spelling;
+    None for what is none. Where a sign is missing, it is a plus."""
+    pieces: list[str] = []
+    oddity, at = "", 0
+    while at < len(text):
+        token = _TOKEN.match(text, at)
+        number = integer(token[2]) if token is not None and token[2] else None
+        if token is None or (token[2] and number is None):
             return None
-        self._at = match.end()
-        if match[1]:
-            return 1, 0
-        if match[2]:
-            return self._number(match[2])
-        if match[3] != "(":
-            return None
-        inner = self.expression()
-        closing = self._peek()
-        if closing is None or closing[3] != ")":
-            return None
-        self._at = closing.end()
-        return inner
+        at = token.end()
+        begins_operand = token[3] in (None, "(")
+        if pieces and begins_operand and (pieces[-1] in ("N", ")") or pieces[-1].isdigit()):
+            pieces.append("+")
+            oddity = oddity if token[3] else "a sign is missing"
+        if number is not None:
+            number = _with_function_code(token[2], number)
+            oddity = oddity or number.oddity
+        pieces.append(token[1] or token[3] if number is None else str(number.value))
+    return "".join(pieces), oddity
 
-    def _number(self, text: str) -> tuple[int, int] | None:
-        spelled = integer(text)
-        if spelled is None:
-            return None
-        value, oddity = spelled
-        if text.isdigit() and value % _FUNCTION_CODE and int(text, 16) % _FUNCTION_CODE == 0:
-            value, oddity = int(text, 16), "hexadecimal without 0x"
-        self.oddity = self.oddity or oddity
-        return 0, value
 
-    def _peek(self) -> re.Match[str] | None:
-        return _TOKEN.match(self._text, self._at)
+def _with_function_code(text: str, number: Spelled) -> Spelled:
+    """Digits alone are hexadecimal if only so they are the base of a COB-ID."""
+    if text.isdigit() and number.value % _FUNCTION_CODE and int(text, 16) % _FUNCTION_CODE == 0:
+        return Spelled(int(text, 16), "hexadecimal without 0x")
+    return number
+
+
+def _linear(node: ast.expr) -> tuple[int, int]:
+    """Factor of N, and what is added. | binds less than + and -, as in C, and adds to what has the node-ID.
+
+    Raises ValueError for what is not linear in N.
+    """
+    if isinstance(node, ast.Name):
+        return 1, 0
+    if isinstance(node, ast.Constant) and isinstance(node.value, int):
+        return 0, node.value
+    if isinstance(node, ast.BinOp):
+        (factor, base), (other, added) = _linear(node.left), _linear(node.right)
+        if isinstance(node.op, ast.Mult) and not (factor and other):
+            return factor * added + other * base, base * added
+        if isinstance(node.op, ast.Sub):
+            return factor - other, base - added
+        if isinstance(node.op, ast.BitOr) and not factor and not other:
+            return 0, base | added
+        if isinstance(node.op, ast.Add | ast.BitOr):
+            return factor + other, base + added
+    raise ValueError("not linear in the node-ID")

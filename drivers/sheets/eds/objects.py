@@ -19,8 +19,8 @@ from drivers.sheets.eds.sections import (
 )
 from drivers.sheets.eds.values import Place, Value, read_value
 
-"""Below are data types."""
 _SUBS_MAX = 254
+"""A sub-index is an UNSIGNED8, and FFh is no entry: it tells the structure of the object (CiA 301)."""
 ENTRIES_MAX = 100_000
 """Far more than a drive of eight axes has; one line with CompactSubObj makes 254."""
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 REPAIRS_MAX = 20_000
 """Far more than a careless sheet has; a text that is no data sheet has one in each line."""
 _NAME_SHOWN_MAX = 60
+"""Characters of a section's name: a file may hold one as long as itself."""
 
 
 class Repair(NamedTuple):

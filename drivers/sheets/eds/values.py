@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, TIME_BITS, UNSIGNED_BITS, DataType
 from drivers.canopen.objects301 import Cia301, is_communication, is_mapping
+from drivers.cia402.profile import DRIVE_PROFILE
 from drivers.sheets.eds import types
 from drivers.sheets.eds.numbers import LENGTH_MAX, Formula, Spelled, formula, integer, is_formula, real
 from drivers.sheets.eds.sections import EdsSection, Option
 
 Scalar = int | float | str | bytes
 _NO_NUMBER = frozenset({"-", "--", "n/a", "na", "none", "null", "?", "unknown", "var", "variable"})
-_DRIVE_PROFILE = 402
 
 
 class Value(NamedTuple):
@@ -140,7 +140,7 @@ def _spelled(text: str, place: Place) -> Spelled | None:
     if is_mapping(place.index) and place.sub:
         hexadecimal = len(digits) == 8 and wide >> 16 >= 0x1000 and 1 <= wide & 0xFF <= 64
     elif place.index == Cia301.DEVICE_TYPE:
-        hexadecimal = wide & 0xFFFF == _DRIVE_PROFILE and spelled.value & 0xFFFF != _DRIVE_PROFILE
+        hexadecimal = wide & 0xFFFF == DRIVE_PROFILE and spelled.value & 0xFFFF != DRIVE_PROFILE
     elif (is_communication(place.index) and place.sub == 1) or place.index in types.COB_ID_OBJECTS:
         # Bits 11 to 29 of a COB-ID of 11 bits are 0.
         hexadecimal = len(digits) == 8 and wide & 0x3FFF_F800 == 0

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from drivers.cia402.motion import MoveProfile
-from drivers.cia402.pdo_plans import all_modes_plan
+from drivers.cia402.pdo_planner import all_modes_plan
 from drivers.cia402.profile import State
 
 
@@ -25,7 +25,7 @@ def test_torque_turns_the_shaft_and_a_quick_stop_stops_it(spindle):
 
 def test_a_move_of_three_turns_keeps_the_controlword_in_force(spindle):
     spindle.client.disable(spindle.deadline(1.0))
-    spindle.enable(plan=all_modes_plan(3, device_stamp=True))
+    spindle.enable(plan=all_modes_plan(3))
     spindle.wire.clear()
 
     profile = MoveProfile(speed_rad_s=100.0, acceleration_rad_s2=2000.0, deceleration_rad_s2=2000.0)

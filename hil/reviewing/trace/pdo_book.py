@@ -4,15 +4,15 @@ import struct
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from drivers.canopen.cob_ids import CAN_ID, EXTENDED, NOT_VALID
 from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS
 from drivers.canopen.objects301 import FIRST_OBJECT
-from drivers.canopen.pdo import NOT_VALID, PdoDirection, key_of
+from drivers.canopen.pdo import PdoDirection, key_of
 from hil.reviewing.trace.node_objects import NodeObjects
 from hil.reviewing.trace.object_value import ObjectValue
 
 _PREDEFINED: Final = 4
 """Lower indices are data types: what they map is a gap."""
-_EXTENDED: Final = 1 << 29
 _MAPPED_MAX: Final = 64
 
 
@@ -89,7 +89,7 @@ def _identifier(objects: NodeObjects, direction: PdoDirection, number: int, node
     told = objects.held(direction.value + number - 1, 1)
     if told is None:
         return direction.default_cob_id(number, node) if number <= _PREDEFINED else None
-    return None if told & (NOT_VALID | _EXTENDED) else told & 0x7FF
+    return None if told & (NOT_VALID | EXTENDED) else told & CAN_ID
 
 
 def _mapping(objects: NodeObjects, index: int) -> tuple[MappedField, ...] | None:

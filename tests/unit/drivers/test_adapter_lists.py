@@ -6,8 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.wire.can_links import CanLink, can_links, parse_links
-from drivers.wire.serial_adapters import serial_adapters
+from drivers.wire.attached import CanLink, can_links, parse_links, serial_adapters
 
 DESCRIBED = json.dumps(
     [
@@ -73,7 +72,7 @@ def test_usb_serial_ports_are_listed_with_what_they_may_be(
         ),
         SimpleNamespace(device="/dev/ttyUSB9", vid=0x0403, pid=0x6001, description="n/a", serial_number=None),
     ]
-    monkeypatch.setattr("drivers.wire.serial_adapters.list_ports.comports", lambda: ports)
+    monkeypatch.setattr("drivers.wire.attached.list_ports.comports", lambda: ports)
     unknown, canable = serial_adapters()
     assert unknown.spec == "slcan:/dev/ttyUSB9"
     assert (unknown.usb_id, unknown.hint, unknown.description) == ("0403:6001", "", "")

@@ -6,8 +6,8 @@ import can
 import pytest
 
 from drivers.canopen.cob_ids import SYNC
-from drivers.canopen.frame_pump import NEVER, FramePump
-from drivers.timebase import NS_PER_MS, Instant
+from drivers.canopen.frame_pump import FramePump
+from drivers.timebase import NEVER, NS_PER_MS, Instant
 from drivers.wire.frame_port import EchoBasis, FramePort, WireFrame
 from drivers.wire.link import BusLink
 from virtual_bus.bus.segment import CanSegment

@@ -12,7 +12,7 @@ from drivers.canopen.objects import SettingRefused
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.motion import HomingSetup, MoveProfile
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_plans import all_modes_plan
+from drivers.cia402.pdo_planner import all_modes_plan
 from drivers.cia402.profile import Mode, State
 from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
@@ -47,7 +47,7 @@ class Rig:
         self.bus, self.network = make_network()
         self.servo = ProfileServo(self.bus)
         self.drive = ServoDrive(self.network, 1, "axis1")
-        self.plan = all_modes_plan(1, device_stamp=True, synchronous_command=synchronous)
+        self.plan = all_modes_plan(1, synchronous_command=synchronous)
         self.controlwords: list[int] = []
         self.network.link.tap(self._watch)
         self.drive.connect(self.soon())
@@ -293,7 +293,7 @@ def test_a_drive_that_counts_the_other_way_is_turned_in_every_mode(velocity: int
         return network.deadline_after(Duration(NS_PER_S))
 
     drive.connect(soon())
-    drive.configure(replace(settings, plan=all_modes_plan(1, device_stamp=True)))
+    drive.configure(replace(settings, plan=all_modes_plan(1)))
     drive.enable(soon())
     drive.run_at(TURN, soon())
     assert servo.values[0x60FF, 0] == velocity * 60_000

@@ -11,17 +11,17 @@ from drivers.canopen.pdo import (
     PdoEntry,
     PdoMap,
     PdoPlan,
-    bus_load_percent_max,
     differences,
-    frame_bits_max,
     write_plan,
 )
-from drivers.cia402.pdo_plans import mode_plan
+from drivers.canopen.pdo_budget import budget_of, frame_bits_max
+from drivers.cia402.pdo_planner import mode_plan
+from drivers.cia402.pdo_plans import Features, PlanWish
 from drivers.cia402.profile import Mode
 from drivers.timebase import NS_PER_MS, Duration
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
-PLAN = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True)
+PLAN = mode_plan(1, PlanWish())
 Node = tuple[FakeBus, FakeServo, CanopenNetwork, RemoteObjects]
 
 
@@ -40,11 +40,7 @@ def test_the_torque_plan_is_the_predefined_connection_set() -> None:
     ]
     (command,) = PLAN.rpdos
     assert (command.cob_id, command.transmission_type, command.synchronous) == (0x201, 255, False)
-    assert (
-        mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=False, synchronous_command=True)
-        .rpdos[0]
-        .synchronous
-    )
+    assert mode_plan(1, PlanWish(synchronous_command=True)).rpdos[0].synchronous
 
 
 def test_codec_is_little_endian_without_padding() -> None:
@@ -54,26 +50,23 @@ def test_codec_is_little_endian_without_padding() -> None:
 
 
 def test_a_seldom_position_leaves_room_on_the_bus() -> None:
-    plans = [
-        mode_plan(node, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, position_every_cycles=10)
-        for node in (1, 2, 3)
-    ]
+    plans = [mode_plan(node, PlanWish(position_every_cycles=10)) for node in (1, 2, 3)]
     speed, position, status = plans[0].tpdos
     assert [entry.index for entry in speed.entries] == [0x606C, 0x1013], "the stamp rides with the speed"
     assert [entry.index for entry in position.entries] == [0x6077, 0x6064, 0x6074]
     assert position.transmission_type == 10
     assert (status.transmission_type, status.inhibit_time_100us, status.event_timer_ms) == (255, 10, 25)
     # SYNC 55, and three times 135 + 135 / 10 + 75 / 25 + 95 bits a millisecond.
-    load = bus_load_percent_max(plans, Duration(NS_PER_MS), 1_000_000)
+    load = budget_of(plans, Duration(NS_PER_MS), 1_000_000).load_percent
     assert load == pytest.approx((55 + 3 * (135 + 13.5 + 3 + 95)) / 10)
-    whole = [mode_plan(node, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True) for node in (1, 2, 3)]
-    assert bus_load_percent_max(whole, Duration(NS_PER_MS), 1_000_000) > 100.0
+    whole = [mode_plan(node, PlanWish()) for node in (1, 2, 3)]
+    assert budget_of(whole, Duration(NS_PER_MS), 1_000_000).load_percent > 100.0
 
 
 @pytest.mark.parametrize("cycles", [0, 241])
 def test_a_position_is_sent_every_1_to_240_syncs(cycles: int) -> None:
     with pytest.raises(ValueError, match=r"in 1\.\.240"):
-        mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, position_every_cycles=cycles)
+        mode_plan(1, PlanWish(position_every_cycles=cycles))
 
 
 def indices(plan: PdoPlan) -> list[list[int]]:
@@ -82,27 +75,27 @@ def indices(plan: PdoPlan) -> list[list[int]]:
 
 def test_what_a_drive_cannot_tell_makes_another_plan() -> None:
     mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
-    plan = mode_plan(1, mode, device_stamp=False)
+    plan = mode_plan(1, PlanWish(mode, features=Features(stamp=False)))
     assert indices(plan) == [[0x606C], [0x6077, 0x6064, 0x6074], [0x6041]]
-    plan = mode_plan(1, mode, device_stamp=True, demand=False)
+    plan = mode_plan(1, PlanWish(mode, features=Features(demand=False)))
     assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041]]
-    plan = mode_plan(1, mode, device_stamp=True, status_on_change=False)
+    plan = mode_plan(1, PlanWish(mode, features=Features(status_on_change=False)))
     assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064, 0x6041]]
-    plan = mode_plan(1, mode, device_stamp=True, status_on_change=False, position_every_cycles=10)
+    plan = mode_plan(1, PlanWish(mode, position_every_cycles=10, features=Features(status_on_change=False)))
     assert indices(plan) == [[0x606C, 0x6041], [0x6077, 0x6064, 0x6074]], "the statusword with every SYNC"
     assert [pdo.transmission_type for pdo in plan.tpdos] == [1, 10]
-    plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_VELOCITY, device_stamp=True)
+    plan = mode_plan(1, PlanWish(Mode.CYCLIC_SYNCHRONOUS_VELOCITY))
     assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041]], "no torque is commanded"
 
 
 def test_a_coherent_plan_has_the_speed_behind_everything_else() -> None:
-    plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, coherent=True)
+    plan = mode_plan(1, PlanWish(coherent=True))
     assert indices(plan) == [[0x6041, 0x6077, 0x6064], [0x606C, 0x1013]]
     assert {pdo.transmission_type for pdo in plan.tpdos} == {1}
 
 
 def test_demand_changes_have_a_pdo_of_their_own() -> None:
-    plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, demand_changes=True)
+    plan = mode_plan(1, PlanWish(), demand_changes=True)
     change = plan.tpdos[3]
     assert (change.cob_id, change.transmission_type) == (0x481, 255)
     assert [entry.index for entry in change.entries] == [0x6074, 0x1013]
@@ -119,10 +112,10 @@ def test_longest_frame(length: int, bits: int) -> None:
 
 def test_bus_load_of_one_and_three_axes() -> None:
     period = Duration(NS_PER_MS)
-    one = bus_load_percent_max([PLAN], period, 1_000_000)
+    one = budget_of([PLAN], period, 1_000_000).load_percent
     assert one == pytest.approx((55 + 135 + 135 + 3 + 95) / 10)
-    three = [mode_plan(node_id, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True) for node_id in (1, 2, 3)]
-    assert bus_load_percent_max(three, period, 1_000_000) == pytest.approx((55 + 3 * 368) / 10)
+    three = [mode_plan(node_id, PlanWish()) for node_id in (1, 2, 3)]
+    assert budget_of(three, period, 1_000_000).load_percent == pytest.approx((55 + 3 * 368) / 10)
 
 
 def test_a_pdo_of_more_than_eight_bytes_is_no_pdo() -> None:

@@ -4,8 +4,8 @@ import pytest
 
 from drivers.canopen.pdo import PdoMap
 from drivers.canopen.pdo_budget import budget_of, content_of
-from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, features_of, plan_pdos
-from drivers.cia402.pdo_plans import Features, mode_plan
+from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, mode_plan, plan_pdos
+from drivers.cia402.pdo_plans import Features, PlanWish, features_of
 from drivers.cia402.profile import Mode
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import parse_dictionary
@@ -30,11 +30,13 @@ def _shown(pdo: PdoMap) -> str:
 
 
 def test_a_free_drive_gets_the_standard_plan() -> None:
-    mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
-    assert plan(four_pdos()).plan == mode_plan(NODE, mode, device_stamp=False, demand=False)
-    assert plan(four_pdos(), also=CLOCK).plan == mode_plan(NODE, mode, device_stamp=True, demand=False)
-    everything = plan(four_pdos(), also=CLOCK + DEMAND)
-    assert everything == (PlanResult(mode_plan(NODE, mode, device_stamp=True)))
+    for also, features in (
+        ("", Features(stamp=False, demand=False)),
+        (CLOCK, Features(demand=False)),
+        (CLOCK + DEMAND, Features()),
+    ):
+        assert plan(four_pdos(), also=also).plan == mode_plan(NODE, PlanWish(features=features))
+    assert not plan(four_pdos(), also=CLOCK + DEMAND).notes
 
 
 def test_what_is_lost_is_told() -> None:

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.pdo_planner import mode_plan
+from drivers.cia402.pdo_plans import Features, PlanWish
 from drivers.cia402.profile import Mode
 from drivers.cia402.readings import LastStatusword, ReadingAssembler
 from drivers.cia402.scaling import Scaling
@@ -54,13 +55,14 @@ class Rig:
         return self.assembler.take()
 
 
-def rig_of(**how: object) -> Rig:
-    return Rig(mode_plan(1, TORQUE_MODE, **({"device_stamp": True} | how)))  # type: ignore[arg-type]
+def rig_of(*, stamp: bool = True, coherent: bool = False, demand_changes: bool = False) -> Rig:
+    wish = PlanWish(features=Features(stamp=stamp), coherent=coherent)
+    return Rig(mode_plan(1, wish, demand_changes=demand_changes))
 
 
 @pytest.fixture(params=[True, False], ids=["stamped", "unstamped"])
 def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
-    made = rig_of(device_stamp=request.param)
+    made = rig_of(stamp=request.param)
     yield made
     made.bus.shutdown()
 
@@ -102,7 +104,7 @@ def test_a_raw_position_is_counted_on_from_the_last_one(last: int, further: int)
 
 
 def test_a_stamp_in_another_frame_than_the_speed_is_not_used() -> None:
-    plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True)
+    plan = mode_plan(1, PlanWish())
     first, second, third = plan.tpdos
     stamp = first.entries[1]
     moved = (
@@ -147,7 +149,7 @@ def test_a_pdo_of_another_length_is_counted_and_ignored(rig: Rig) -> None:
 @pytest.mark.parametrize("lacking", [0, 1, 2])
 def test_a_plan_without_speed_position_or_statusword_is_refused(lacking: int) -> None:
     bus, network = make_network()
-    plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True)
+    plan = mode_plan(1, PlanWish())
     short = PdoPlan(tuple(pdo for place, pdo in enumerate(plan.tpdos) if place != lacking), plan.rpdos)
     with pytest.raises(ValueError, match=("606Ch", "6064h", "6041h")[lacking]):
         ReadingAssembler(network, short, SCALING, PERIOD, LastStatusword())
@@ -214,7 +216,7 @@ def test_signs_are_turned_and_the_position_is_carried_on_by_the_turned_velocity(
     velocity: int, torque: int
 ) -> None:
     rig = Rig(
-        mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True),
+        mode_plan(1, PlanWish()),
         replace(SCALING, velocity_sign=velocity, torque_sign=torque),
     )
     rig.cycle((velocity * 100, 1000), (200, 5000, 0))
@@ -255,7 +257,7 @@ def test_in_a_coherent_plan_the_position_is_of_the_readings_own_sync(lost: bool)
 @settings(derandomize=True, deadline=None, max_examples=50)
 @given(st.integers(-(2**31), 2**31 - 1), st.lists(st.integers(-(2**30), 2**30), min_size=1, max_size=20))
 def test_position_runs_on_where_its_counter_wraps(start: int, steps: list[int]) -> None:
-    rig = rig_of(coherent=True, device_stamp=False)
+    rig = rig_of(coherent=True, stamp=False)
     exact = [start]
     for step in steps:
         exact.append(exact[-1] + step)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.cia402.bench_modes import RULE
+from drivers.cia402.profile import BENCH_RULE
 from drivers.errors import NoAnswer, PeerFault
 from tests.unit.drivers.test_servo import SETTINGS, Bench, bench, soon
 
@@ -24,7 +24,7 @@ def test_a_drive_without_the_mode_is_not_asked_for_its_torque_unit(bench: Bench)
     drive.connect(soon(network))
     with pytest.raises(PeerFault, match="has no cyclic synchronous torque mode") as refused:
         drive.configure(SETTINGS)
-    assert refused.value.remedy == RULE
+    assert refused.value.remedy == BENCH_RULE
     servo.values[0x6502, 0] = 1 << 9
     with pytest.raises(PeerFault, match="does not tell its torque unit"):
         drive.configure(SETTINGS)

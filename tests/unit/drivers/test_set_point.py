@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.cia402.pdo_plans import all_modes_plan
+from drivers.cia402.pdo_planner import all_modes_plan
 from drivers.cia402.scaling import Scaling
 from drivers.cia402.setpoint import SetPointFrames
 from drivers.exchange import SentCommand
@@ -21,7 +21,7 @@ class Rig:
     def __init__(self) -> None:
         self.bus: FakeBus
         self.bus, self.network = make_network()
-        plan = all_modes_plan(1, device_stamp=True)
+        plan = all_modes_plan(1)
         self.set_point = SetPointFrames(self.network, plan, Scaling(1.0, 1.0, 1.0, 1.0, 0.001), None)
         self.frames: list[bytes] = []
 

@@ -3,7 +3,7 @@
 import pytest
 
 from drivers.sheets.capability import capability_of
-from drivers.sheets.doubts import doubts
+from drivers.sheets.fitness import doubts
 from tests.unit.drivers.eds_maker import U8, U32, Pdo, sheet, sub
 
 

@@ -66,7 +66,7 @@ def test_what_the_standards_print() -> None:
     for kind in (Unit, ErrorRegister, profile.Mode, *options):
         lines += [f"== {kind.__name__}", *(f"{int(one):02X}h {one.name}" for one in kind)]
     for name, value in sorted(vars(cob_ids).items()):
-        if name.isupper():
+        if name.isupper() and not name.startswith("_"):
             shown = value if isinstance(value, int) else sorted(value.items())
             lines.append(f"{name} {shown:03X}h" if isinstance(shown, int) else f"{name} {shown}")
     hold("\n".join(lines), TOLD / "vocabulary.txt")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402.pdo_plans import mode_plan
-from drivers.cia402.profile import Mode
+from drivers.cia402.pdo_planner import mode_plan
+from drivers.cia402.pdo_plans import PlanWish
 from drivers.timebase import NS_PER_MS, Duration
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.outcome import StepOutcome
@@ -30,7 +30,7 @@ def suggested(
         reading_delay_us=reading_us,
         effect_delay_us=EFFECT_US,
         period=Duration(NS_PER_MS),
-        plan=mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True),
+        plan=mode_plan(1, PlanWish()),
         controller={},
     )
     session: Any = SimpleNamespace(

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.pdo import frame_bits_max
+from drivers.canopen.pdo_budget import frame_bits_max
 from hil.configuration.bench_file import load_bench
 from virtual_bus.bus.bit_length import INTERMISSION_BITS, frame_bits
 from virtual_bus.frame import Frame

@@ -4,7 +4,8 @@ from typing import cast
 
 import pytest
 
-from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.pdo_planner import mode_plan
+from drivers.cia402.pdo_plans import PlanWish
 from drivers.cia402.profile import Mode
 from drivers.cia402.servo import ServoDrive
 from drivers.exchange import Command, Drive, PositionCommand, Reading, SpeedCommand
@@ -21,7 +22,7 @@ class Noting(Drive):
     name = "drive"
 
     def __init__(self) -> None:
-        self.plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, coherent=True)
+        self.plan = mode_plan(1, PlanWish(coherent=True))
         self.sent: list[tuple[str, float]] = []
         self.told_at: list[int] = [0]
         """When the positions of the next readings were told."""
@@ -81,7 +82,7 @@ def test_a_reading_whose_position_was_lost_is_none() -> None:
 
 def test_a_drive_that_tells_its_position_more_seldom_is_taken_as_it_is() -> None:
     drive = Noting()
-    drive.plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, position_every_cycles=4)
+    drive.plan = mode_plan(1, PlanWish(position_every_cycles=4))
     port = DrivePort(cast(ServoDrive, drive), Mode.CYCLIC_SYNCHRONOUS_TORQUE, 1e-3)
     drive.told_at = [1, 1, 1, 1]
     assert len(port.take_readings()) == 4

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.cia402.bench_modes import RULE
+from drivers.cia402.profile import BENCH_RULE
 from hil.cli import app
 from tests.unit.drivers.eds_maker import four_pdos, sheet_text
 
@@ -71,8 +71,8 @@ def test_a_drive_that_hil_run_cannot_use_is_told_in_the_words_of_the_readme(tmp_
     path.write_text(sheet_text(four_pdos(), modes="0x4"))
     status, text = run(str(path))
     assert status == 0
-    assert f"best in profile velocity; {RULE}." in text
-    assert RULE in README.read_text()
+    assert f"best in profile velocity; {BENCH_RULE}." in text
+    assert BENCH_RULE in README.read_text()
 
 
 def test_a_device_that_does_not_says_why(bad: str) -> None:

@@ -13,9 +13,8 @@ from drivers.canopen.nmt_states import UNCONFIGURED
 from drivers.errors import BadInput, BenchError, BusDown, NoAnswer
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.adapters import OpenBus, parse_bus_spec
-from drivers.wire.can_links import CanLink
+from drivers.wire.attached import CanLink, SerialPort
 from drivers.wire.link import StampSource
-from drivers.wire.serial_adapters import SerialPort
 from hil.cli import app
 from hil.configuration.motor_file import LING2012
 from hil.inspecting import scanning

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.pdo_plans import all_modes_plan, mode_plan
-from drivers.cia402.profile import Mode
+from drivers.cia402.pdo_planner import all_modes_plan, mode_plan
+from drivers.cia402.pdo_plans import PlanWish
 from drivers.timebase import NS_PER_MS, Instant
 from hil.rows.frame_names import frame_name
 from hil.rows.records_file import RecordsWriter
 from hil.testing.wire import Wire, intended_frames, read_wire
 
-PLAN = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True)
+PLAN = mode_plan(1, PlanWish())
 INTENDED = intended_frames(127, 1, PLAN)
 STATUS = "181#3712000000000000"
 
@@ -107,7 +107,7 @@ def test_a_master_s_frame_from_another_node_is_unintended() -> None:
 
 
 def test_controlwords_of_every_rpdo_and_of_sdo_in_order() -> None:
-    plan = all_modes_plan(1, device_stamp=True)
+    plan = all_modes_plan(1)
     seen = wire(
         "601#2B40600006000000",
         "201#0F000000",

@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from drivers.canopen.cob_ids import NO_RTR
 from drivers.canopen.data_types import DataType
 from drivers.canopen.nmt_states import NmtState
+from drivers.canopen.objects301 import mapping_word
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices, ErrorRegister
 from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.device.device_options import NO_RTR, DeviceOptions, PdoDefault, mapping_word
+from virtual_bus.device.device_options import DeviceOptions, PdoDefault
 from virtual_bus.device.object_dictionary import Access
 from virtual_bus.frame import Frame
 

@@ -1,6 +1,7 @@
 """The one place where frames wait: order, bound, and what the owner notes beside a frame."""
 
-from virtual_bus.bus.held_frames import HELD_MAX, NEVER, HeldFrames
+from drivers.timebase import NEVER
+from virtual_bus.bus.held_frames import HELD_MAX, HeldFrames
 from virtual_bus.frame import Frame
 
 

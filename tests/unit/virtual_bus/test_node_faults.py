@@ -7,11 +7,10 @@ import pytest
 from scipy import stats
 
 from drivers.cia402.profile import State
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from drivers.timebase import NEVER, NS_PER_MS, NS_PER_S, Instant
 from tests.fates import keys
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, ServoBench
-from virtual_bus.bus.held_frames import NEVER
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.fault_log import FaultEntry, FaultLog
 from virtual_bus.faults.fault_plan import FaultPlan

@@ -1,19 +1,36 @@
-"""PDOs that have no sections of their own: CompactPDO in [DeviceInfo] (CiA 306-1 clause 4.5.3)."""
+"""The predefined connection set (CiA 301, 7.3.5) in a file: PDOs told in short, COB-IDs of one node.
 
+PDOs without sections of their own are told by CompactPDO in [DeviceInfo] (CiA 306-1 clause 4.5.3). In some
+files somebody has put a node-ID in the place of $NODEID: they have the COB-IDs of one node for all.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from drivers.canopen.cob_ids import CAN_ID, EMERGENCY, NOT_VALID, RPDOS, TPDOS
 from drivers.canopen.data_types import DataType
-from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION
-from drivers.canopen.pdo import NOT_VALID
+from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION, Cia301
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry
 from drivers.sheets.eds.information import DeviceInformation
 from drivers.sheets.eds.numbers import Formula
 from drivers.sheets.eds.objects import EdsObject
+from drivers.sheets.eds.repairs import RepairLog
+from drivers.sheets.eds.sections import Sections, section_name
 from drivers.sheets.eds.values import Value
 
-_PREDEFINED = 4
+_PREDEFINED: Final[dict[tuple[int, int], int]] = {
+    (Cia301.EMCY_COB_ID, 0): EMERGENCY,
+    **{(RPDO_COMMUNICATION + number, 1): cob_id for number, cob_id in enumerate(RPDOS)},
+    **{(TPDO_COMMUNICATION + number, 1): cob_id for number, cob_id in enumerate(TPDOS)},
+}
+"""COB-IDs of the predefined connection set without the node-ID (CiA 301, 7.3.5)."""
+_WITNESSES_MIN: Final = 3
+"""So many identifiers have to be those of one node: two may be by chance, or by somebody's wish."""
 _PDOS_MAX = 512
+"""In either direction (CiA 301, 7.5.2.35 and 7.5.2.37)."""
 _MAPPED_MAX = 64
-
+"""Objects of a bit each (CiA 301, 7.5.2.36)."""
 _SUBS = {
     1: ("COB-ID", DataType.UNSIGNED32),
     2: ("Transmission type", DataType.UNSIGNED8),
@@ -48,7 +65,7 @@ def _communication(index: int, cob_id: int, mask: int, title: str) -> EdsObject:
         name, data_type = _SUBS[sub]
         made.entries[sub] = _entry(index, sub, name, data_type, "rw", 255 if sub == 2 else 0)
     if 1 in made.entries:
-        predefined = index & 0x1FF < _PREDEFINED
+        predefined = index & 0x1FF < len(TPDOS)
         made.entries[1].default = Value(None, Formula(1, cob_id)) if predefined else Value(NOT_VALID)
     return made
 
@@ -65,3 +82,30 @@ def _entry(index: int, sub: int, name: str, data_type: int, access: str, value: 
     entry = Entry(index, sub, name, data_type, access)
     entry.default = Value(value)
     return entry
+
+
+def free_of_node(objects: Mapping[int, EdsObject], sections: Sections, log: RepairLog) -> None:
+    """Let the identifiers of the predefined connection set follow the node-ID, if all that are plain numbers
+    are those of one and the same node."""
+    plain = list(_plain(objects))
+    nodes = {(value & CAN_ID) - base for _, base, value in plain}
+    if len(plain) < _WITNESSES_MIN or len(nodes) != 1:
+        return
+    (node,) = nodes
+    if not 1 <= node <= 127:
+        return
+    for entry, _, value in plain:
+        entry.default = Value(None, Formula(1, value - node), entry.default.text)
+    first = plain[0][0]
+    name = section_name(first.index, None if objects[first.index].is_variable else first.sub)
+    line = sections[name].line if name in sections else 0
+    log.add("file", f"{len(plain)} COB-IDs are those of node {node}", "read as $NODEID+0x...", line)
+
+
+def _plain(objects: Mapping[int, EdsObject]) -> Iterator[tuple[Entry, int, int]]:
+    """Entries that are plain numbers, with the identifier's base and the number."""
+    for (index, sub), base in _PREDEFINED.items():
+        entry = objects[index].entries.get(sub) if index in objects else None
+        value = None if entry is None else entry.default.value
+        if entry is not None and isinstance(value, int) and value & CAN_ID:
+            yield entry, base, value
