@@ -24,8 +24,7 @@ from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.hosting.faulty_device import FaultyDevice, SimulatedNode
 from virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
-from virtual_bus.pacing import PacedTimeline
-from virtual_bus.timeline import SimulatedClock, Timeline
+from virtual_bus.timeline import PacedTimeline, SimulatedClock, Timeline
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,9 @@ from hil.configuration.signal_file import Signal, load_signal
 from hil.loop.scenario import Quantity
 from virtual_bus.drive.load_table import LoadTable
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.instruments.dynamometer.brake import Brake, ServoShaft
 from virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
-from virtual_bus.instruments.dynamometer.instrument import Instrument
-from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, ServoShaft
+from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 OPTION = "--load"

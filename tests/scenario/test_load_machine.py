@@ -21,9 +21,8 @@ from tests.scenario.processes import (
     simulated_drive,
     start_run,
 )
-from virtual_bus.instruments.dynamometer.brake import Brake
 from virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
-from virtual_bus.instruments.dynamometer.instrument import Instrument
+from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 pytestmark = pytest.mark.xdist_group("real time")

@@ -17,8 +17,7 @@ from drivers.wire.frame_port import EchoBasis, FramePort, accepts
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.held_frames import NEVER, HeldFrames
 from virtual_bus.bus.judge import Direction, Judge
-from virtual_bus.bus.listener import Listener
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
+from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener, Port
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.event_heap import Action
 from virtual_bus.frame import Frame

@@ -43,8 +43,7 @@ from virtual_bus.bus.hub_protocol import (
     encode_welcome,
     obey,
 )
-from virtual_bus.bus.listener import Listener
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
+from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener, Port
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Event, Timeline

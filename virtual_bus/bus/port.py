@@ -5,15 +5,44 @@ from collections.abc import Callable
 from typing import Final
 
 import can
+from mypy_extensions import mypyc_attr
 
 from drivers.timebase import Duration, Instant
 from virtual_bus.bus.bit_length import INTERMISSION_BITS, arbitration_key, bits_duration
 from virtual_bus.bus.bus_load import BusLoad
 from virtual_bus.bus.controller import CanController, ErrorState
 from virtual_bus.bus.disturbance import Disturb, OnError
-from virtual_bus.bus.listener import NOBODY, Listener, OnFrame
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
+
+OnFrame = Callable[[Frame, Instant], None]
+
+
+@mypyc_attr(allow_interpreted_subclasses=True)
+class Listener:
+    """The owner of a port. This one ignores every frame, like a port that was detached."""
+
+    def on_frame(self, frame: Frame, now: Instant) -> None:
+        """Another port's frame ended at ``now``."""
+
+
+NOBODY = Listener()
+
+
+class _CallbackListener(Listener):
+    """A function as a listener."""
+
+    def __init__(self, callback: OnFrame) -> None:
+        self._callback = callback
+
+    def on_frame(self, frame: Frame, now: Instant) -> None:
+        self._callback(frame, now)
+
+
+def listener_of(owner: Listener | OnFrame) -> Listener:
+    """``owner`` itself, or what calls it."""
+    return owner if isinstance(owner, Listener) else _CallbackListener(owner)
+
 
 OnErrorState = Callable[[ErrorState, Instant], None]
 

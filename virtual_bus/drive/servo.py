@@ -30,8 +30,7 @@ from virtual_bus.device.parameter_storage import ParameterStore
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.drive.actual_values import LOAD_NM, ActualValues, provide_slow_values
 from virtual_bus.drive.axis import REST_S, SimulatedAxis
-from virtual_bus.drive.error_codes import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES
-from virtual_bus.drive.failures import Failures
+from virtual_bus.drive.failures import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES, Failures
 from virtual_bus.drive.firmware import Firmware, InnerControl
 from virtual_bus.drive.lacks import take_away
 from virtual_bus.drive.machine import SimulatedMachine

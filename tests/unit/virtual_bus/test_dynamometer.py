@@ -9,10 +9,9 @@ from hil.configuration.motor_file import LING2012
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.instruments.dynamometer.brake import RESPONSE_S, STEP_NS, Brake, ServoShaft
 from virtual_bus.instruments.dynamometer.hosting import TimelineLine
-from virtual_bus.instruments.dynamometer.instrument import Instrument
-from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.dynamometer.instrument import RESPONSE_S, STEP_NS, Brake, Instrument, ServoShaft
+from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 RPM = 3.141592653589793 / 30.0

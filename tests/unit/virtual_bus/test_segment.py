@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from drivers.timebase import NS_PER_US, Instant
 from tests.unit.virtual_bus.can_reference import random_frame, unstuffed_fields
 from tests.unit.virtual_bus.can_reference import wire_bits as reference_wire_bits
-from virtual_bus.bus.listener import OnFrame, listener_of
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX
+from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, OnFrame, listener_of
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline

@@ -13,8 +13,7 @@ from drivers.wire.message import frame_of, message_of
 from drivers.wire.slcan_protocol import SlcanStatus
 from virtual_bus.bus.hub import HubBus
 from virtual_bus.frame import Frame
-from virtual_bus.instruments.serial_line.device_line import DeviceLine
-from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.serial_line.device_line import DeviceLine, LineFaults
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 from virtual_bus.instruments.slcan.adapter import SlcanAdapter
 
