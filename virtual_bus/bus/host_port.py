@@ -23,11 +23,13 @@ from virtual_bus.event_heap import Action
 from virtual_bus.frame import Frame
 
 RECEIVE_QUEUE_MAX: Final = 65_536
-"""Frames that an inbox holds for its reader; later ones are lost and counted."""
+"""Frames that an inbox holds for its reader; later ones are lost and counted. Three seconds of a bus at
+1 Mbit/s that is full of the shortest frames, some 20 000 a second."""
 
 
 _SPENT_MAX: Final = 64
-"""Places at the head that are kept before the rest is moved up."""
+"""Places at the head that are kept before the rest is moved up: so a queue of any length is moved for one
+frame in 64 at most."""
 
 
 class ReceivedFrame:

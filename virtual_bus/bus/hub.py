@@ -153,8 +153,11 @@ class HubBus(can.BusABC):
 
 
 DEFAULT_BITRATE_BIT_S = 1_000_000
+"""That of a bench file and of the commands that name none."""
 _ANSWER_PATIENCE_S = 10.0
+"""A broker that runs answers within 1 ms; a process of a busy machine may be kept waiting for seconds."""
 _START_PATIENCE_S = 60.0
+"""Twenty times what a start took on two cores that had fourteen processes to serve, 3 s."""
 _SEND_BUFFER_BYTES = 131_072
 """Over 127 frames under way to the broker, a sub-block of an SDO block transfer sent at once (CiA 301,
 7.2.4.3.10); beyond them and its own queue ``send`` reports a full queue."""

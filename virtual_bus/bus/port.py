@@ -47,7 +47,8 @@ def listener_of(owner: Listener | OnFrame) -> Listener:
 OnErrorState = Callable[[ErrorState, Instant], None]
 
 TRANSMIT_QUEUE_MAX: Final = 256
-"""Frames that a port holds for the bus; one more is refused."""
+"""Frames that a port holds for the bus; one more is refused. A sub-block of an SDO block transfer is sent at
+once, 127 segments (CiA 301, 7.2.4.3), and PDOs go on beside it."""
 
 
 class Handling:

@@ -18,6 +18,8 @@ from virtual_bus.frame import Frame
 
 _MAY_SEND = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 _QUEUE_MAX = 32
+"""Messages that wait for their inhibit time. A simulated drive has fewer causes of errors, each reported once
+while it lasts: length and deadline of four RPDOs, four heartbeats, guarding, SYNC, bus-off, its own five."""
 NS_PER_100_US = 100_000
 NO_ERROR = 0x0000
 

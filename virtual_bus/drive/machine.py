@@ -28,6 +28,7 @@ INTERLOCK: Final = 1 << 3
 _SWITCH_BITS: Final = 0x7
 _LIMIT_BITS: Final = 0x3
 _FAR: Final = 0x7FFF_FFFF
+"""The last count of an INTEGER32: a switch there, and one at its negative, is passed by no axis."""
 
 
 class SimulatedMachine:

@@ -45,6 +45,7 @@ from virtual_bus.drive.servo_parameters import DriveParameters, device_options
 from virtual_bus.drive.user_units import UserUnits
 
 _WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS
+"""The period of profiles and position loop (virtual_bus.drive.firmware); rest is seen within it."""
 _WAKE_NS: Final = 20 * NS_PER_MS
 """Without frames the motor is still carried along, so that none finds a long way to go."""
 

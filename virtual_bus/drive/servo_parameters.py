@@ -24,6 +24,7 @@ from virtual_bus.drive.load_table import LoadTable
 SERVO_DRIVE: Final = 0x0002_0192
 """Device type 1000h: device profile 402, servo drive (CiA 402-1)."""
 _CLOCK_RANGE_US: Final = 1 << 32
+"""Of 1013h, an UNSIGNED32."""
 
 
 @dataclass(frozen=True, slots=True)

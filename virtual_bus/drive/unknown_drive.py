@@ -23,7 +23,9 @@ from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.drive.shown import show_instead
 
 _COUNTS: Final = (4000, 4096, 8192, 10_000, 16_384, 65_536, 131_072, 1_048_576)
+"""Per turn: encoders of 1000, 1024, 2048 and 2500 lines, and of 14 to 20 bits."""
 _RATIOS: Final = (0.1, 0.25, 0.5, 2.0, 4.0, 10.0)
+"""By what a factor is told wrong: a decade, the four edges of an encoder line, a factor of two."""
 _GEARS: Final = ((1, 1), (3, 1), (5, 1), (10, 1), (25, 2), (100, 7))
 _POSITION_BIT: Final = 0x80
 _VELOCITY_BIT: Final = 0x40

@@ -29,6 +29,7 @@ _TURNS: Final = (Unit.REVOLUTION, Unit.DEGREE, Unit.RADIAN)
 _LENGTHS: Final = (*_TURNS, Unit.INCREMENT)
 _PER: Final = (Unit.SECOND, Unit.MINUTE, Unit.HOUR)
 _EXPONENTS: Final = range(-9, 10)
+"""Nano to giga."""
 _MILLI_RPM_PER_REV_S: Final = 60_000
 _WRAP: Final = 1 << 32
 _HALF: Final = 1 << 31

@@ -19,6 +19,7 @@ STEP_NS: Final = NS_PER_MS
 RESPONSE_S: Final = 0.03
 """Time constant with which the torque follows its set-point: chosen here, of the order of a small brake's."""
 _SETTLED_NM = 1e-4
+"""A tenth of the last digit that the data string shows of less than 10 N m."""
 
 
 class Shaft(Protocol):
@@ -86,8 +87,10 @@ class Brake:
 
 
 LINE_BYTES_MAX = 256
+"""Of a line without an end no more is kept; no command is as long."""
 _TORQUE_WIDTH = 5
 _REST_RPM = 0.5
+"""Below it the data string shows 0 rpm."""
 
 
 class Instrument:

@@ -22,6 +22,7 @@ TRANSMIT_FIFO = 64
 POLL_NS = 50 * NS_PER_MS
 """Longest wait, so that ``stop`` is noticed."""
 _FRAMES_A_TURN = 256
+"""In which a bus at 1 Mbit/s is busy for 12 ms at least: so the host's line waits no longer on a full one."""
 NO_FLAGS = SlcanStatus(0)
 
 
