@@ -22,7 +22,7 @@ from hil.recording.run_recorder import RunRecorder
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_objects import LOAD_MACHINE, LoadCourse
 from virtual_bus.instruments.dynamometer.hosting import TimelineLine
-from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, ServoShaft
+from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
 from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.timeline import SimulatedClock
 
@@ -170,7 +170,7 @@ def instrument_line(
             "a serial port, because the drive is not simulated in this process",
             "simulate the instrument beside the drive: hil simulate --load-machine PATH, and name PATH here",
         )
-    brake = Brake(ServoShaft(servo), config.torque_max_nm)
+    brake = Brake(Shaft(servo), config.torque_max_nm)
     instrument = Instrument(brake, config.kind)
     return TimelineLine(clock.timeline, instrument, config.baud, LineFaults(), seed)
 

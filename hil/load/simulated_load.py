@@ -14,7 +14,7 @@ from hil.loop.scenario import Quantity
 from virtual_bus.drive.load_table import LoadTable
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
-from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, ServoShaft
+from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
 from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
@@ -69,7 +69,7 @@ class SimulatedLoadMachine:
         terminal = PseudoTerminal(self.link)
         try:
             announce(f"load machine on node {servo.node_id}: serial port {terminal.name}")
-            brake = Brake(ServoShaft(servo), self.torque_max_nm)
+            brake = Brake(Shaft(servo), self.torque_max_nm)
             yield InstrumentAtTerminal(Instrument(brake), terminal, self.faults, seed)
         finally:
             terminal.unplug()

@@ -77,18 +77,15 @@ class CanopenDevice:
         for part in (self._emergency, self._sdo, self._pdos, self._heartbeat):
             self._nmt.add_listener(part.on_state)
         self._boot_after_reset_ns = options.boot_after_reset_ms * NS_PER_MS
-        self._slow_boot: Callable[[], int] = _at_once
+        self._slow_boot: Callable[[], int] = lambda: 0
         self._booting = False
         """It hears and sends nothing until its boot-up message."""
         self._boot_timer = station.timers.create(self._boot_up)
-        self._attach_clock()
-
-    def _attach_clock(self) -> None:
-        variable = self._station.dictionary.get(Cia301.HIGH_RESOLUTION_TIME_STAMP)
-        if variable is not None:
-            station, clock = self._station, self.clock
-            variable.provider = lambda: clock.stamp_us(station.now)
-            variable.on_write = lambda stamp_us: clock.set_us(stamp_us, station.now)
+        station.dictionary.hook(
+            Cia301.HIGH_RESOLUTION_TIME_STAMP,
+            provider=lambda: self.clock.stamp_us(station.now),
+            on_write=lambda stamp_us: self.clock.set_us(stamp_us, station.now),
+        )
 
     @property
     def node_id(self) -> int:
@@ -246,7 +243,3 @@ class CanopenDevice:
         self._heartbeat.reset_communication()
         if self.node_id != UNCONFIGURED:
             self._nmt.boot_up(now)
-
-
-def _at_once() -> int:
-    return 0

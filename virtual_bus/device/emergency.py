@@ -38,9 +38,7 @@ class EmergencyProducer:
 
     def _attach(self) -> None:
         dictionary = self._station.dictionary
-        cob = dictionary.get(Cia301.EMCY_COB_ID)
-        if cob is not None:
-            cob.check = self._check_cob_id
+        dictionary.hook(Cia301.EMCY_COB_ID, check=self._check_cob_id)
         if Cia301.ERROR_HISTORY not in dictionary:
             return
         members = dictionary.object(Cia301.ERROR_HISTORY).members

@@ -29,9 +29,7 @@ class HeartbeatProducer:
         self._period_ns = 0
         self._due = Instant(0)
         self._timer = station.timers.create(self._on_due)
-        variable = station.dictionary.get(Cia301.PRODUCER_HEARTBEAT_TIME)
-        if variable is not None:
-            variable.on_write = self._on_write
+        station.dictionary.hook(Cia301.PRODUCER_HEARTBEAT_TIME, on_write=self._on_write)
 
     @property
     def running(self) -> bool:
@@ -192,9 +190,7 @@ class NodeGuarding:
         self._can_id: int | None = None
         self._timer = station.timers.create(self._on_timeout)
         for index in (Cia301.GUARD_TIME, Cia301.LIFE_TIME_FACTOR):
-            variable = station.dictionary.get(index)
-            if variable is not None:
-                variable.on_write = self._on_write
+            station.dictionary.hook(index, on_write=self._on_write)
 
     def reset_communication(self) -> None:
         """The toggle bit begins with 0 again; life guarding with the next request."""

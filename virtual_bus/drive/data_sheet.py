@@ -15,7 +15,6 @@ from drivers.sheets.dictionary import held_number
 from drivers.vendors.families import motor_objects_for
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.device.vendor_dictionary import overlay
-from virtual_bus.drive.shown import show_instead
 
 _STANDARD_MODES: Final = 0x3FF
 """Of 6502h; the rest is reserved, and the maker's."""
@@ -46,7 +45,7 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     if held_number(vendor, Object.QUICK_STOP_DECELERATION) == 0:
         quick_stop.default = quick_stop.value = 1
         quick_stop.low = 0
-        show_instead(quick_stop, 0)
+        quick_stop.show_instead(0)
 
 
 def only_modes(dictionary: ObjectDictionary, bits: int, *further: Variable) -> None:
@@ -80,7 +79,7 @@ def _take_resolution(own: list[Variable], counts: list[int], told: list[int | No
     for variable, count, number in zip(own, counts, (increments, turns), strict=True):
         variable.default = variable.value = number if real else count
         if not real:
-            show_instead(variable, number)
+            variable.show_instead(number)
 
 
 _PROFILE: Final = 0x6000
@@ -105,7 +104,7 @@ def tell_motor(dictionary: ObjectDictionary, motor: PmsmParameters) -> None:
             if variable is None:
                 continue
             if each.index >= _PROFILE:
-                show_instead(variable, raw)
+                variable.show_instead(raw)
             else:
                 variable.default = variable.value = raw
 

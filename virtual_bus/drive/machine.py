@@ -47,7 +47,7 @@ class SimulatedMachine:
         self._count = count
         self._counts = counts_per_revolution
         self._places: list[int] = [-_FAR, _FAR, 0, 0, 0]
-        self._on_change: Callable[[], None] = _nothing
+        self._on_change: Callable[[], None] = lambda: None
         self.inputs.provider = self.input_bits
         self._add_objects(dictionary)
 
@@ -156,7 +156,3 @@ class SimulatedMachine:
         """Safe torque off: 1 open, 0 closed."""
         self.sto = value != 0
         self._on_change()
-
-
-def _nothing() -> None:
-    pass

@@ -69,7 +69,7 @@ class ProfilePosition(HaltedMode):
         self._acknowledged = self._reached = self._lags = self._passing = self._given_up = False
         self._under_way = self._waiting = None
         self._come_to_rest()
-        self.halt.begin(controlword, self.slow_down_rad_s2())
+        self.begin_halt(controlword)
 
     def receive(self, controlword: int) -> None:
         rising = controlword & ~self._word
@@ -77,12 +77,12 @@ class ProfilePosition(HaltedMode):
         if rising & NEW_SET_POINT and (not self._acknowledged or controlword & CHANGE_AT_ONCE):
             self._take(controlword)
         self._release()
-        if self.halt.receive(controlword, self.slow_down_rad_s2()):
+        if self.take_halt(controlword):
             self._go_on()
 
     def run(self) -> None:
         axis = self.axis
-        if self.halt.active:
+        if self.halted:
             return
         self._elapsed_s += axis.period_s
         self._begin_waiting()
@@ -215,15 +215,15 @@ class ProfileVelocity(HaltedMode):
         self._zero = False
         self._turning_window.restart()
         self._watch()
-        self.halt.begin(controlword, self.slow_down_rad_s2())
+        self.begin_halt(controlword)
 
     def receive(self, controlword: int) -> None:
-        if self.halt.receive(controlword, self.slow_down_rad_s2()):
+        if self.take_halt(controlword):
             self._start_anew()
 
     def run(self) -> None:
         axis = self.axis
-        if not self.halt.active:
+        if not self.halted:
             self._plan()
             self._elapsed_s += axis.period_s
             axis.run_at(self._profile.at(self._elapsed_s).speed)
@@ -286,16 +286,16 @@ class ProfileTorque(HaltedMode):
         self._torque_nm = self.axis.torque_demand_nm
         self._reached = False
         self.axis.make_torque(self._torque_nm)
-        self.halt.begin(controlword, self.slow_down_rad_s2())
+        self.begin_halt(controlword)
 
     def receive(self, controlword: int) -> None:
-        if self.halt.receive(controlword, self.slow_down_rad_s2()):
+        if self.take_halt(controlword):
             self._torque_nm = 0.0
             self.axis.make_torque(0.0)
 
     def run(self) -> None:
         axis = self.axis
-        if self.halt.active:
+        if self.halted:
             return
         target = axis.objects.target_torque.value * axis.torque_unit_nm
         step = axis.motion.torque_slope.value * axis.torque_unit_nm * axis.period_s

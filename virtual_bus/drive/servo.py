@@ -36,7 +36,6 @@ from virtual_bus.drive.lacks import take_away
 from virtual_bus.drive.machine import SimulatedMachine
 from virtual_bus.drive.motion_objects import MotionObjects
 from virtual_bus.drive.motor_kernel import D_LOAD, S_COUNT
-from virtual_bus.drive.open_defaults import OpenDefaults
 from virtual_bus.drive.operation_mode import OperationMode
 from virtual_bus.drive.operation_modes import MODES
 from virtual_bus.drive.power_state import MotorAction, PowerStateMachine
@@ -109,7 +108,8 @@ class ServoApplication(Application):
         self.units.on_change(self._actual.take_units)
         self.machine.on_change(self._on_inputs)
         provide_slow_values(self.axis)
-        self._open_defaults = OpenDefaults(objects.max_torque, objects.max_current, motion.following_window)
+        needed = objects.max_torque, objects.max_current, motion.following_window
+        self._own_defaults = [(variable, variable.default) for variable in needed]
         take_away(dictionary, self.drive.lacks)
 
     def on_reset(self, now: Instant) -> None:
@@ -117,7 +117,10 @@ class ServoApplication(Application):
         if not self._powered:
             self._powered = True
             self.firmware.start(now)
-            self._open_defaults.fill_in(self._services.node_id)
+            for variable, default in self._own_defaults:
+                if not variable.default:  # left open by a vendor's dictionary; with 0 the drive cannot move
+                    variable.default = default
+                    variable.restore(self._services.node_id)
         self.wake_at = Instant(now + _WAKE_NS)
         self._failures.forget()
         self.power.restart()

@@ -55,7 +55,7 @@ class UserUnits:
         self.rad_s_per_velocity = 1.0
         self.velocity_per_rad_s = 1.0
         self.rad_s2_per_acceleration = 1.0
-        self._changed: Callable[[], None] = _nothing
+        self._changed: Callable[[], None] = lambda: None
         self._add_factors(counts_per_revolution)
         self._add_unit_words()
         self.polarity = dictionary.add(
@@ -187,10 +187,6 @@ class UserUnits:
 def wrapped(value: int) -> int:
     """As INTEGER32."""
     return (value + _HALF) % _WRAP - _HALF
-
-
-def _nothing() -> None:
-    pass
 
 
 def _is_position(word: int) -> bool:

@@ -12,6 +12,8 @@ from functools import partial
 
 from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant
+from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.drive.servo import ServoApplication
 from virtual_bus.faults.disturber import Disturber, disturber
 from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.fault_injector import FaultInjector
@@ -22,7 +24,7 @@ from virtual_bus.faults.frame_fault import Side
 from virtual_bus.faults.kinds.host_stall import HostStall
 from virtual_bus.faults.node_faults import DrawnNode, Events, node_source
 from virtual_bus.faults.replay import RecordedFaults, ReplayedFates
-from virtual_bus.hosting.faulty_device import FaultyDevice, SimulatedNode
+from virtual_bus.hosting.faulty_device import FaultyDevice
 
 _STALL = KIND_CODES[HostStall.kind]
 
@@ -119,7 +121,7 @@ class Injection:
         self._devices: list[FaultyDevice] = []
         self._wakes: list[Callable[[], None]] = []
 
-    def wrap(self, device: SimulatedNode) -> SimulatedNode | FaultyDevice:
+    def wrap(self, device: CanopenDevice) -> CanopenDevice | FaultyDevice:
         """``device`` with what befalls it; itself, if nothing does. Raises BadInput if it cannot fail so."""
         node = device.node_id
         source = node_source(self._faults, node, self._seed)
@@ -128,7 +130,7 @@ class Injection:
             if fates is None:
                 return device
             source = DrawnNode(FaultPlan(), node, self._seed)
-        if source.needs_drive and not hasattr(device.application, "fail"):
+        if source.needs_drive and not isinstance(device.application, ServoApplication):
             here = f"node {node}"
             raise BadInput("fault plan", source.needs_drive, here, "a simulated drive, with a motor inside")
         made = FaultyDevice(device, source, self.log, fates)

@@ -8,7 +8,7 @@ DSP6001: five), five characters of torque with its point, the direction.
 """
 
 import math
-from typing import Final, Protocol
+from typing import Final
 
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
@@ -22,29 +22,19 @@ _SETTLED_NM = 1e-4
 """A tenth of the last digit that the data string shows of less than 10 N m."""
 
 
-class Shaft(Protocol):
-    """What a brake is coupled to."""
-
-    def speed_rad_s(self, now: Instant) -> float:
-        """Its true speed."""
-        ...
-
-    def brake(self, torque_nm: float, now: Instant) -> None:
-        """Hold ``torque_nm`` against its motion from ``now`` on; at rest it sticks up to that torque."""
-        ...
-
-
-class ServoShaft:
-    """The shaft of a simulated drive."""
+class Shaft:
+    """The shaft of a simulated drive, to which a brake is coupled."""
 
     def __init__(self, servo: SimulatedServo) -> None:
         self._drive = servo.drive
 
     def speed_rad_s(self, now: Instant) -> float:
+        """Its true speed."""
         self._drive.advance(now)
         return self._drive.firmware.speed_rad_s
 
     def brake(self, torque_nm: float, now: Instant) -> None:
+        """Hold ``torque_nm`` against its motion from ``now`` on; at rest it sticks up to that torque."""
         self._drive.advance(now)
         self._drive.firmware.brake_shaft(torque_nm)
 
