@@ -29,21 +29,6 @@ class Listener:
 NOBODY = Listener()
 
 
-class _CallbackListener(Listener):
-    """A function as a listener."""
-
-    def __init__(self, callback: OnFrame) -> None:
-        self._callback = callback
-
-    def on_frame(self, frame: Frame, now: Instant) -> None:
-        self._callback(frame, now)
-
-
-def listener_of(owner: Listener | OnFrame) -> Listener:
-    """``owner`` itself, or what calls it."""
-    return owner if isinstance(owner, Listener) else _CallbackListener(owner)
-
-
 OnErrorState = Callable[[ErrorState, Instant], None]
 
 TRANSMIT_QUEUE_MAX: Final = 256

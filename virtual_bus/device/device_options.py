@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from virtual_bus.device.cob_id import NO_RTR as NO_RTR
-from virtual_bus.device.cob_id import NOT_VALID as NOT_VALID
+from virtual_bus.device.cob_id import NO_RTR, NOT_VALID
 
 
 @dataclass(frozen=True, slots=True)

@@ -306,7 +306,7 @@ class ObjectDictionary:
             raise SdoAbort(AbortCode.WRITE_ONLY)
         return encode(variable.data_type, variable.read())
 
-    def download(self, index: int, subindex: int, data: bytes) -> Variable:
+    def download(self, index: int, subindex: int, data: bytes) -> None:
         """An SDO download: check, store, ``on_write``. Error: SdoAbort, and then nothing was stored."""
         variable = self.find_writable(index, subindex)
         value = decode(variable.data_type, data)
@@ -316,7 +316,6 @@ class ObjectDictionary:
         variable.value = value
         if variable.on_write is not None:
             variable.on_write(value)
-        return variable
 
     def restore(self, first: int, last: int, node_id: int) -> None:
         """The indices ``first``..``last`` back to their power-on values; no hook is called."""

@@ -1,12 +1,11 @@
 """The simulated drive behind another drive's data sheet: a rehearsal of that drive (CiA 306-1, CiA 402-2);
 and the simulated motor in the objects in which a maker's drives keep theirs (drivers/vendors)."""
 
-import math
 from typing import Final
 
 import canopen.objectdictionary as od
 
-from design.motor import PmsmParameters, Transform
+from design.motor import PmsmParameters
 from drivers.canopen.objects301 import Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import NEEDED_OBJECTS
@@ -15,6 +14,7 @@ from drivers.sheets.dictionary import held_number
 from drivers.vendors.families import motor_objects_for
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.device.vendor_dictionary import overlay
+from virtual_bus.drive.servo_parameters import current_per_rms
 
 _STANDARD_MODES: Final = 0x3FF
 """Of 6502h; the rest is reserved, and the maker's."""
@@ -111,7 +111,7 @@ def tell_motor(dictionary: ObjectDictionary, motor: PmsmParameters) -> None:
 
 def motor_figures(motor: PmsmParameters) -> dict[str, float]:
     """By quantity of :data:`drivers.vendors.motor_objects.QUANTITIES`."""
-    per_rms = math.sqrt(3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0)
+    per_rms = current_per_rms(motor)
     return {
         "pole_pairs": float(motor.pole_pairs),
         "resistance_ohm": motor.resistance_ohm,

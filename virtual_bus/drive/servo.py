@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from design.motor import PmsmParameters
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import (
@@ -23,7 +24,7 @@ from drivers.cia402.profile import (
 )
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
-from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices, ErrorRegister
+from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import ParameterStore
@@ -105,8 +106,8 @@ class ServoApplication(Application):
         objects.load_course.provider = lambda: self._load_course
         for variable in (motion.position_min, motion.position_max, motion.home_offset):
             variable.on_write = lambda _value: self._take_guards()
-        self.units.on_change(self._actual.take_units)
-        self.machine.on_change(self._on_inputs)
+        self.units.changed = self._actual.take_units
+        self.machine.changed = self._on_inputs
         provide_slow_values(self.axis)
         needed = objects.max_torque, objects.max_current, motion.following_window
         self._own_defaults = [(variable, variable.default) for variable in needed]

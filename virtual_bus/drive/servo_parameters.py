@@ -1,16 +1,17 @@
 """How a simulated drive is built and set, beside the motor on its shaft."""
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from design.motor import PmsmParameters
+from design.motor import PmsmParameters, Transform
 from drivers.canopen.objects301 import Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import AbortConnectionOption
+from virtual_bus.device.cob_id import NO_RTR
 from virtual_bus.device.device_options import (
-    NO_RTR,
     DeviceIdentity,
     DeviceOptions,
     PdoDefault,
@@ -70,6 +71,11 @@ class DriveParameters(FirmwareParameters):
         if self.speed_max_rad_s is not None:
             return self.speed_max_rad_s
         return motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb)
+
+
+def current_per_rms(motor: PmsmParameters) -> float:
+    """The amplitude in the motor's transform of 1 A rms of a phase."""
+    return math.sqrt(3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0)
 
 
 def device_options(node_id: int, drive: DriveParameters, seed: int) -> DeviceOptions:

@@ -19,7 +19,7 @@ from drivers.cia402.objects402 import Object, Unit, unit_word
 from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
+from virtual_bus.drive.servo_parameters import DriveParameters, current_per_rms
 from virtual_bus.drive.user_units import POSITION_POLARITY, VELOCITY_POLARITY
 
 _COUNTS: Final = (4000, 4096, 8192, 10_000, 16_384, 65_536, 131_072, 1_048_576)
@@ -55,7 +55,6 @@ class Truth:
 
 def nameplate_of(motor: PmsmParameters) -> dict[str, Any]:
     """What is printed on a motor, as tables of a nameplate file."""
-    per_rms = 3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0
     return {
         "motor": {
             "name": motor.name,
@@ -67,7 +66,7 @@ def nameplate_of(motor: PmsmParameters) -> dict[str, Any]:
         "rating": {
             "torque_nm": round(motor.rated_torque_nm, 3),
             "speed_rpm": round(motor.rated_speed_rad_s / RAD_S_PER_RPM),
-            "current_a": round(motor.rated_current_a / math.sqrt(per_rms), 3),
+            "current_a": round(motor.rated_current_a / current_per_rms(motor), 3),
             "dc_bus_voltage_v": motor.dc_bus_voltage_v,
         },
     }

@@ -57,36 +57,6 @@ def recorded_stalls(recorded: RecordedFaults) -> LateBy:
     return lambda n, _elapsed_ns: late.get(n, 0)
 
 
-class HostStalls:
-    """The lateness of a host; every stall goes into ``log``. The host is on time until ``start``."""
-
-    def __init__(self, late_by: LateBy, log: FaultLog | None) -> None:
-        self._late_by = late_by
-        self._log = log
-        self._zero: Instant | None = None
-        self._actions = 0
-
-    def start(self, now: Instant) -> None:
-        """Time zero of the plan is ``now``."""
-        self._zero = now
-        self._actions = 0
-
-    def stop(self) -> None:
-        """From here on the host is on time."""
-        self._zero = None
-
-    def stall(self, now: Instant) -> Duration:
-        """For how long the host, which should act at ``now``, sleeps instead. To be asked once an action."""
-        if self._zero is None:
-            return Duration(0)
-        n, elapsed_ns = self._actions, now - self._zero
-        self._actions = n + 1
-        late_ns = self._late_by(n, elapsed_ns)
-        if late_ns and self._log is not None:
-            self._log.note(_STALL, elapsed_ns, 0, 0, n, late_ns)
-        return Duration(late_ns)
-
-
 Faults = FaultPlan | RecordedFaults
 
 
@@ -112,7 +82,10 @@ class Injection:
         self.log = log
         self.fates = _fates(faults, seed, log, error_frames, link, side)
         """What befalls frames at the bus; None if nothing does."""
-        self._stalls = _stalls(faults, seed, log, link)
+        self._late_by = _late_by(faults, seed, link)
+        self._zero: Instant | None = None
+        """Since when the host may be late."""
+        self._actions = 0
         self._link = link
         self._side = side
         self.disturber: Disturber | None = disturber(faults, seed, log, is_host) if error_frames else None
@@ -152,11 +125,18 @@ class Injection:
     @property
     def stalls_host(self) -> bool:
         """Whether the plan says when the host is late."""
-        return self._stalls is not None
+        return self._late_by is not None
 
     def host_stall(self, now: Instant) -> Duration:
         """For how long the host, which should act at ``now``, sleeps instead. To be asked once an action."""
-        return Duration(0) if self._stalls is None else self._stalls.stall(now)
+        if self._late_by is None or self._zero is None:
+            return Duration(0)
+        n, elapsed_ns = self._actions, now - self._zero
+        self._actions = n + 1
+        late_ns = self._late_by(n, elapsed_ns)
+        if late_ns and self.log is not None:
+            self.log.note(_STALL, elapsed_ns, 0, 0, n, late_ns)
+        return Duration(late_ns)
 
     def on_start(self, wake: Callable[[], None]) -> None:
         """Call ``wake`` at the plan's time zero: a device may have other wishes then."""
@@ -166,8 +146,7 @@ class Injection:
         """Time zero is ``now``. The frames' faults are started by the bus that wears them."""
         if self.disturber is not None:
             self.disturber.start(now)
-        if self._stalls is not None:
-            self._stalls.start(now)
+        self._zero, self._actions = now, 0
         for device in self._devices:
             device.start_faults(now)
         for wake in self._wakes:
@@ -177,8 +156,7 @@ class Injection:
         """No frame is touched any more, and nothing new strikes a node."""
         if self.disturber is not None:
             self.disturber.stop()
-        if self._stalls is not None:
-            self._stalls.stop()
+        self._zero = None
         for device in self._devices:
             device.stop_faults()
 
@@ -197,11 +175,10 @@ def _fates(
     return FaultInjector(here, seed, link, error_frames, log) if here.faults else None
 
 
-def _stalls(faults: Faults, seed: int, log: FaultLog | None, link: str) -> HostStalls | None:
+def _late_by(faults: Faults, seed: int, link: str) -> LateBy | None:
     if isinstance(faults, RecordedFaults):
-        return HostStalls(recorded_stalls(faults), log)
-    stalls = faults.host_stalls
-    return HostStalls(drawn_stalls(stalls, seed, link), log) if stalls else None
+        return recorded_stalls(faults)
+    return drawn_stalls(faults.host_stalls, seed, link) if faults.host_stalls else None
 
 
 def refuse_misplaced(faults: Faults, side: Side, bus: str) -> None:

@@ -4,11 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.canopen.data_types import DataType
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices, ErrorRegister
+from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
 from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.device.device_options import NO_RTR, DeviceOptions, PdoDefault, mapping_word
+from virtual_bus.device.cob_id import NO_RTR
+from virtual_bus.device.device_options import DeviceOptions, PdoDefault, mapping_word
 from virtual_bus.device.object_dictionary import Access
 from virtual_bus.frame import Frame
 

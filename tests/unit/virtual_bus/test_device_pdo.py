@@ -11,13 +11,8 @@ from tests.unit.virtual_bus.device_bench import (
     operational,
 )
 from virtual_bus.device.application import CommunicationLoss
-from virtual_bus.device.device_options import (
-    NO_RTR,
-    NOT_VALID,
-    DeviceOptions,
-    PdoDefault,
-    mapping_word,
-)
+from virtual_bus.device.cob_id import NO_RTR, NOT_VALID
+from virtual_bus.device.device_options import DeviceOptions, PdoDefault, mapping_word
 from virtual_bus.frame import Frame
 
 RPDO1, RPDO2, TPDO1, TPDO2 = 0x200 + NODE, 0x300 + NODE, 0x180 + NODE, 0x280 + NODE

@@ -17,7 +17,8 @@ from tests.unit.virtual_bus.device_bench import (
     Bench,
     SdoRefused,
 )
-from virtual_bus.device.device_options import NO_RTR, NOT_VALID, mapping_word
+from virtual_bus.device.cob_id import NO_RTR, NOT_VALID
+from virtual_bus.device.device_options import mapping_word
 from virtual_bus.device.sdo_abort import AbortCode
 
 RPDO1, RPDO2, TPDO1, TPDO2 = 0x200 + NODE, 0x300 + NODE, 0x180 + NODE, 0x280 + NODE

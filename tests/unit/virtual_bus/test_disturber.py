@@ -7,7 +7,9 @@ from scipy import stats
 
 from drivers.timebase import Instant
 from tests.fates import keys
+from tests.hearing import Hearing
 from virtual_bus.bus.bit_length import frame_bits
+from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.faults.disturber import Disturber, disturber
 from virtual_bus.faults.fault_log import FaultLog
@@ -83,8 +85,8 @@ def test_a_disturbed_frame_is_repeated_until_it_comes_through() -> None:
     timeline = Timeline()
     segment = CanSegment(timeline)
     got: list[tuple[Frame, Instant]] = []
-    sender = segment.attach("drive", lambda frame, at: None)
-    segment.attach("host", lambda frame, at: got.append((frame, at)))
+    sender = segment.attach("drive", Listener())
+    segment.attach("host", Hearing(lambda frame, at: got.append((frame, at))))
     window = keys(until_s=1e-9 * 1_000_000)
     source = made(Corruption(probability=1.0, **window))
     segment.set_disturb(source.disturb)

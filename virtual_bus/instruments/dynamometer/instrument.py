@@ -45,7 +45,7 @@ class Brake:
     def __init__(self, shaft: Shaft, torque_max_nm: float, response_s: float = RESPONSE_S) -> None:
         self.torque_nm = 0.0
         """What it holds now."""
-        self._shaft = shaft
+        self.shaft = shaft
         self._torque_max_nm = torque_max_nm
         self._set_point_nm = 0.0
         step_s = STEP_NS / NS_PER_S
@@ -69,11 +69,7 @@ class Brake:
             self.torque_nm = self._set_point_nm
         else:
             self.torque_nm += self._share * away
-        self._shaft.brake(self.torque_nm, now)
-
-    def speed_rad_s(self, now: Instant) -> float:
-        """Of its shaft."""
-        return self._shaft.speed_rad_s(now)
+        self.shaft.brake(self.torque_nm, now)
 
 
 LINE_BYTES_MAX = 256
@@ -123,7 +119,7 @@ class Instrument:
         return None
 
     def _data(self, now: Instant) -> bytes:
-        rpm = self.brake.speed_rad_s(now) / RAD_S_PER_RPM
+        rpm = self.brake.shaft.speed_rad_s(now) / RAD_S_PER_RPM
         turning = abs(rpm) >= _REST_RPM
         width = 5 if self._as_6001 else 6
         side = "A" if self.alarm else "R" if rpm >= 0.0 else "L"
