@@ -20,13 +20,13 @@ from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
 from hil.configuration.bench_file import faults_from
 from hil.execution.world import WorldPlan, open_world
+from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.drive.data_sheet import only_modes
 from virtual_bus.drive.lacks import take_away
 from virtual_bus.drive.motor_kernel import S_TORQUE_MEASURED
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.unknown_drive import Truth, unknown_drive
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.faulty_device import SimulatedNode
 
 LOSS = {
     "loss": [
@@ -225,7 +225,7 @@ def unknown_world(
 
     fault_plan = None if faults is None else faults_from(faults, "faults")
     plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, fault_plan, seed)
-    with open_world(plan, [cast(SimulatedNode, spy) if spied else servo]) as world:
+    with open_world(plan, [cast(CanopenDevice, spy) if spied else servo]) as world:
         world.faults.start(world.clock.now())
         result = commission(request, world, Dialog(tell), EmergencyStop(), steps=steps)
     return truth, result, spy

@@ -7,6 +7,7 @@ Beside other workers these tests are in the first, which `make test` lets go bef
 """
 
 from collections.abc import Generator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -35,15 +36,16 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """The first worker gets the largest group, which is that of real time."""
     if config.getoption("dist") != "loadgroup":
         return None
-    from xdist.scheduler import LoadGroupScheduling
+    scheduler = import_module("xdist.scheduler").LoadGroupScheduling(config, log)
+    schedule = scheduler.schedule
 
-    class FirstWorkerFirst(LoadGroupScheduling):
-        def schedule(self) -> None:
-            by_name = sorted(self.assigned_work.items(), key=lambda entry: str(entry[0].gateway.id))
-            self.assigned_work = dict(by_name)
-            super().schedule()
+    def begin_with_the_first() -> None:
+        by_name = sorted(scheduler.assigned_work.items(), key=lambda entry: str(entry[0].gateway.id))
+        scheduler.assigned_work = dict(by_name)
+        schedule()
 
-    return FirstWorkerFirst(config, log)
+    scheduler.schedule = begin_with_the_first
+    return scheduler
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from design.motor import PmsmParameters
 from virtual_bus.drive import motor_kernel as kernel
-from virtual_bus.drive.plant import fill_machine
+from virtual_bus.drive.firmware import fill_machine
 
 
 class Plant:

@@ -30,7 +30,7 @@ from hil.machine.stopping import stop_signals
 from hil.restoring.journal import DriveMark, JournaledNetwork, append_restored, read_journal
 from hil.restoring.restore import await_answer, restore
 from hil.rows.run_files import COMMISSIONING_RECORDING
-from virtual_bus.hosting.faulty_device import SimulatedNode
+from virtual_bus.device.canopen_device import CanopenDevice
 
 SAVE: bytes = b"save"
 """Signature that 1010h wants (CiA 301 7.5.2.13)."""
@@ -53,7 +53,7 @@ def run_command(
         raise BadInput("--rehearse-eds", "", str(rehearse_eds), "either it or --rehearse SEED")
     rehearsed = rehearse is not None or rehearse_eds is not None
     spec = parse_bus_spec(request.bus, "--bus")
-    devices: Sequence[SimulatedNode] = ()
+    devices: Sequence[CanopenDevice] = ()
     if spec.simulated != rehearsed:
         expected = "--rehearse SEED or --rehearse-eds FILE with --bus simulated, and only with it"
         raise BadInput("--bus", "", request.bus, expected)

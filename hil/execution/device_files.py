@@ -22,8 +22,7 @@ from virtual_bus.device.eds_export import export_eds
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import FileStore
 from virtual_bus.device.vendor_dictionary import BASE_NODE_ID
-from virtual_bus.drive.data_sheet import ENCODER_COUNTS_MIN, lay_over
-from virtual_bus.drive.motor_data import tell_motor
+from virtual_bus.drive.data_sheet import ENCODER_COUNTS_MIN, lay_over, tell_motor
 from virtual_bus.drive.servo_parameters import DriveParameters
 
 REPAIRS_SHOWN = 5

@@ -17,15 +17,15 @@ from virtual_bus.bus.error_message import error_frame_of
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.device.background import background_nodes
+from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.faults.fault_log import FaultLog
 from virtual_bus.faults.faulty_bus import FaultyBus
 from virtual_bus.faults.frame_fault import Side
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.hosting.faulty_device import FaultyDevice, SimulatedNode
+from virtual_bus.hosting.faulty_device import FaultyDevice
 from virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
-from virtual_bus.pacing import PacedTimeline
-from virtual_bus.timeline import SimulatedClock, Timeline
+from virtual_bus.timeline import PacedTimeline, SimulatedClock, Timeline
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class WorldFaults:
         self.host_stall = first.host_stall if first is not None and first.stalls_host else None
         """For how long the host, which should act at an instant, sleeps instead; None if it never does."""
 
-    def wrap(self, device: SimulatedNode) -> SimulatedNode | FaultyDevice:
+    def wrap(self, device: CanopenDevice) -> CanopenDevice | FaultyDevice:
         """``device`` with what befalls it on the first segment. Raises BadInput if it cannot fail so."""
         return self._parts[0][0].wrap(device) if self._parts else device
 
@@ -150,7 +150,7 @@ def check_time(spec: BusSpec, time: str | None) -> bool:
 
 
 @contextmanager
-def open_world(plan: WorldPlan, devices: Sequence[SimulatedNode]) -> Iterator[World]:
+def open_world(plan: WorldPlan, devices: Sequence[CanopenDevice]) -> Iterator[World]:
     """Make the world and close it again; ``devices`` live on a simulated segment and nowhere else."""
     world = _simulated_world(plan, devices) if plan.spec.simulated else _real_world(plan)
     try:
@@ -164,7 +164,7 @@ class _SimulatedSegment:
     """A segment with what is on it, and the host's link to it."""
 
     def __init__(
-        self, plan: WorldPlan, own: BusSegment | None, devices: Sequence[SimulatedNode], timeline: Timeline
+        self, plan: WorldPlan, own: BusSegment | None, devices: Sequence[CanopenDevice], timeline: Timeline
     ) -> None:
         """``own``: None for the first one of the plan. ``devices``: of all segments."""
         name = None if own is None else own.name
@@ -193,7 +193,7 @@ class _SimulatedSegment:
             AttachedDevice(other, segment, f"background 0x{other.stream.can_id:X}")
         self.link = BusLink(self.faulty or bus, clock, StampSource.MONOTONIC, name or str(plan.spec))
 
-    def _attach(self, device: SimulatedNode) -> None:
+    def _attach(self, device: CanopenDevice) -> None:
         injection, segment = self.injection, self.segment
         node = device if injection is None else injection.wrap(device)
         attached = AttachedDevice(node, segment)
@@ -221,7 +221,7 @@ class _Inboxes:
         return sum(map(len, self._inboxes))
 
 
-def _simulated_world(plan: WorldPlan, devices: Sequence[SimulatedNode]) -> World:
+def _simulated_world(plan: WorldPlan, devices: Sequence[CanopenDevice]) -> World:
     timeline = PacedTimeline(MonotonicClock()) if plan.paced else Timeline()
     made = [_SimulatedSegment(plan, own, devices, timeline) for own in (None, *plan.segments)]
     inboxes = _Inboxes(made)

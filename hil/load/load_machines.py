@@ -21,10 +21,9 @@ from hil.loop.axis_roles import LoadMachine
 from hil.recording.run_recorder import RunRecorder
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_objects import LOAD_MACHINE, LoadCourse
-from virtual_bus.instruments.dynamometer.brake import Brake, ServoShaft
 from virtual_bus.instruments.dynamometer.hosting import TimelineLine
-from virtual_bus.instruments.dynamometer.instrument import Instrument
-from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
+from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.timeline import SimulatedClock
 
 TOLERANCE = 0.05
@@ -171,7 +170,7 @@ def instrument_line(
             "a serial port, because the drive is not simulated in this process",
             "simulate the instrument beside the drive: hil simulate --load-machine PATH, and name PATH here",
         )
-    brake = Brake(ServoShaft(servo), config.torque_max_nm)
+    brake = Brake(Shaft(servo), config.torque_max_nm)
     instrument = Instrument(brake, config.kind)
     return TimelineLine(clock.timeline, instrument, config.baud, LineFaults(), seed)
 

@@ -13,10 +13,9 @@ from hil.configuration.signal_file import Signal, load_signal
 from hil.loop.scenario import Quantity
 from virtual_bus.drive.load_table import LoadTable
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.instruments.dynamometer.brake import Brake, ServoShaft
 from virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
-from virtual_bus.instruments.dynamometer.instrument import Instrument
-from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
+from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 OPTION = "--load"
@@ -70,7 +69,7 @@ class SimulatedLoadMachine:
         terminal = PseudoTerminal(self.link)
         try:
             announce(f"load machine on node {servo.node_id}: serial port {terminal.name}")
-            brake = Brake(ServoShaft(servo), self.torque_max_nm)
+            brake = Brake(Shaft(servo), self.torque_max_nm)
             yield InstrumentAtTerminal(Instrument(brake), terminal, self.faults, seed)
         finally:
             terminal.unplug()

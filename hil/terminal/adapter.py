@@ -37,7 +37,7 @@ def adapter(
         from drivers.wire.adapters import parse_bus_spec
         from hil.machine.realtime import realtime_process
         from hil.machine.stopping import stop_signals
-        from virtual_bus.instruments.serial_line.line_faults import LineFaults
+        from virtual_bus.instruments.serial_line.device_line import LineFaults
         from virtual_bus.instruments.slcan.server import serve_adapter
 
         spec = parse_bus_spec(bus)

@@ -27,6 +27,7 @@ from hil.rows.side_rows import FRAME, FRAME_DTYPE
 from tests.unit.hil.row_tools import record_of
 from virtual_bus.bus.host_port import HostPort
 from virtual_bus.bus.judge import Direction
+from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.fault_injector import FaultInjector
@@ -135,7 +136,7 @@ def _frame_cycle() -> Callable[[int], None]:
     timeline = Timeline()
     segment = CanSegment(timeline)
     bus = HostPort(segment, "host")
-    peer = segment.attach("peer", lambda _frame, _at: None)
+    peer = segment.attach("peer", Listener())
     frame = Frame(0x181, bytes(range(8)))
 
     def run(cycles: int) -> None:

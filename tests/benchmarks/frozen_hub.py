@@ -17,7 +17,7 @@ from drivers.wire.frame_port import accepts
 from drivers.wire.message import frame_of, message_of
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.error_message import bus_state
-from virtual_bus.bus.hub_join import join
+from virtual_bus.bus.hub import join
 from virtual_bus.bus.hub_place import HubPlace, known_hubs
 from virtual_bus.bus.hub_protocol import (
     FRAME_BYTES,

@@ -8,6 +8,7 @@ from struct import unpack_from
 
 import pytest
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.drive_setup import DriveSettings
@@ -19,7 +20,6 @@ from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault
 from drivers.exchange import PositionCommand, SpeedCommand
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from virtual_bus.device.application import ErrorRegister
 from virtual_bus.drive.servo import SimulatedServo
 
 TURN = math.tau

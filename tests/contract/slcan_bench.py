@@ -8,7 +8,7 @@ from pathlib import Path
 from drivers.timebase import MonotonicClock
 from drivers.wire.adapters import parse_bus_spec
 from tests.contract.bus_suite import PATIENCE_S, SILENCE_S, BusSuite, OpenBus, data_message, fetch
-from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 from virtual_bus.instruments.slcan.server import AdapterServer, open_far_side
 

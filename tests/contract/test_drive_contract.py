@@ -9,6 +9,7 @@ import can
 import pytest
 
 from design.motor import PmsmParameters, Transform
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.network import CanopenNetwork
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.profile import State
@@ -20,7 +21,6 @@ from drivers.wire.link import BusLink, StampSource
 from tests.fates import keys
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.device.application import ErrorRegister
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.faults.fault_injector import FaultInjector

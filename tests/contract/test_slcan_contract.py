@@ -15,7 +15,7 @@ from tests.contract.slcan_bench import RunningAdapter, SlcanSuite
 from tests.ports import fetched
 from virtual_bus.bus.hub import HubBus
 from virtual_bus.frame import Frame
-from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.serial_line.device_line import LineFaults
 
 pytestmark = pytest.mark.xdist_group("real time")
 

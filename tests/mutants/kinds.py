@@ -20,7 +20,7 @@ from tests.mutants.mutant import Kind
 from tests.unit.drivers.made_xdd import COMMISSIONED, xdd_text
 from tests.unit.drivers.sound_sheet import SOUND
 from virtual_bus.device.parameter_storage import FileStore
-from virtual_bus.faults.delay_histogram import read_histogram
+from virtual_bus.faults.kinds.measured_delay import read_histogram
 
 EXAMPLES: Final = Path(__file__).parents[2] / "examples"
 

@@ -16,6 +16,7 @@ import can
 import canopen
 import pytest
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from drivers.wire.message import frame_of
@@ -28,7 +29,6 @@ from tests.unit.virtual_bus.device_bench import (
     TARGET,
     RecordingApplication,
 )
-from virtual_bus.device.application import ErrorRegister
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceIdentity
 from virtual_bus.device.eds_export import export_eds

@@ -21,9 +21,8 @@ from tests.scenario.processes import (
     simulated_drive,
     start_run,
 )
-from virtual_bus.instruments.dynamometer.brake import Brake
 from virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
-from virtual_bus.instruments.dynamometer.instrument import Instrument
+from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -112,8 +111,11 @@ def test_nobody_at_the_port_is_told_before_anything_turns(tmp_path: Path) -> Non
         assert "Traceback" not in said
 
 
-class FlyWheel:
+class FlyWheel(Shaft):
     """A shaft that turns whatever happens, so that the brake's torque can be seen."""
+
+    def __init__(self) -> None:
+        """Without a drive."""
 
     def speed_rad_s(self, _now: int) -> float:
         return 100.0

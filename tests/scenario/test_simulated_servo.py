@@ -7,6 +7,7 @@ import pytest
 
 from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_MS, Instant
+from tests.hearing import Hearing
 from tests.motors import AZAIZ, LING
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
@@ -24,7 +25,7 @@ class Master:
         self.timeline = Timeline()
         self.segment = CanSegment(self.timeline)
         self.heard: list[tuple[Frame, Instant]] = []
-        self.port = self.segment.attach("master", lambda frame, at: self.heard.append((frame, at)))
+        self.port = self.segment.attach("master", Hearing(lambda frame, at: self.heard.append((frame, at))))
 
     def add(self, node_id: int, servo: SimulatedServo) -> None:
         AttachedDevice(servo, self.segment, f"drive {node_id}")

@@ -4,6 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.errors import BadInput, DriveInFault
 from hil import Command, Context, Controller, SetPoint, TorqueSetPoint
 from hil.configuration.config import BenchConfig
@@ -11,7 +12,6 @@ from hil.execution.simulated_drives import simulated_drives
 from hil.testing.bench_runs import BenchRunner
 from hil.verdict.verdict import LimitResult, VerdictKind
 from tests.scenario.processes import EXAMPLES
-from virtual_bus.device.application import ErrorRegister
 from virtual_bus.drive.servo import SimulatedServo
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 from unittest.mock import patch
 
 from drivers.errors import BenchError
@@ -16,6 +16,7 @@ from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
 from tests.truth.taps import HostTap, TapLog, tap_drives
+from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.drive.servo import SimulatedServo
 
 
@@ -42,7 +43,8 @@ def run_with_taps(config: BenchConfig, clock_starts_at_us: int | None = None) ->
     @contextmanager
     def open_world(plan: WorldPlan, devices: Sequence[Any]) -> Iterator[World]:
         drives = [device for device in devices if isinstance(device, SimulatedServo)]
-        with world.open_world(plan, tap_drives(drives, log, clock_starts_at_us)) as made:
+        taps = cast("list[CanopenDevice]", tap_drives(drives, log, clock_starts_at_us))
+        with world.open_world(plan, taps) as made:
             yield _tapped(made, log)
 
     ended_by = ""

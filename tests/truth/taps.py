@@ -17,7 +17,7 @@ from drivers.timebase import Instant
 from drivers.wire.frame_port import FramePort
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.application import Application
-from virtual_bus.device.device_clock import DeviceClock
+from virtual_bus.device.canopen_device import DeviceClock
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame

@@ -207,9 +207,13 @@ class Node:
             self.receive_errors += 1
         self._begin_flag()
 
+    def _samples_of(self, bits: int) -> int:
+        """``bits`` bits of the node's own rate, in bits of the bus."""
+        return max(round(bits / self.rate), 1)
+
     def _begin_flag(self) -> None:
         self._phase = _Phase.FLAG
-        self._flag_left = max(round(FLAG_BITS / self.rate), 1)
+        self._flag_left = self._samples_of(FLAG_BITS)
         self._dominant = 0
         self._last = -1
 
@@ -219,7 +223,7 @@ class Node:
                 self._forgiven = False
                 self.transmit_errors += 8
             if seen != self._last:
-                self._flag_left = max(round(FLAG_BITS / self.rate), 1)
+                self._flag_left = self._samples_of(FLAG_BITS)
             self._last = seen
         self._flag_left -= 1
         if self._flag_left == 0:
@@ -228,7 +232,7 @@ class Node:
     def _sample_wait(self, seen: int) -> None:
         if seen == RECESSIVE:
             self._phase = _Phase.DELIMITER
-            self._flag_left = max(round(DELIMITER_BITS / self.rate), 1) - 1
+            self._flag_left = self._samples_of(DELIMITER_BITS) - 1
             if self._flag_left == 0:
                 self._phase = _Phase.DONE
             return
@@ -299,14 +303,11 @@ def attempt(
     if cut_at < BITS_MAX:
         error: tuple[int, ErrorKind] | None = (cut_at, ErrorKind.CUT_OFF)
     else:
-        error = min((n.detected for n in nodes if n.detected is not None), default=None, key=_place)
+        detected = [node.detected for node in nodes if node.detected is not None]
+        error = min(detected, default=None, key=lambda first: first[0])
     return AttemptResult(sender.completed, bit, error)
 
 
 def _harmless(node: Node, sender: Node) -> bool:
     """A node whose error handling nobody else notices, after the frame has been sent."""
     return sender.completed and node.busy and (node.passive or node.listen_only)
-
-
-def _place(error: tuple[int, ErrorKind]) -> int:
-    return error[0]

@@ -10,7 +10,8 @@ from virtual_bus.frame import Frame
 
 DOMINANT, RECESSIVE = 0, 1
 SAMPLE_POINT = 0.8
-"""Where in a bit a node looks at the bus, as part of the bit."""
+"""Where in a bit a node looks at the bus, as part of the bit: between the 75 % and the 87.5 % at which
+Linux sets controllers, by their rate (can_calc_bittiming)."""
 
 _CRC_POLYNOMIAL = 0x4599
 _TAIL = bytes([RECESSIVE, RECESSIVE, RECESSIVE, *([RECESSIVE] * 7)])

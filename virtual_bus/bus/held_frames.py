@@ -7,7 +7,7 @@ from drivers.timebase import NEVER
 from virtual_bus.frame import Frame
 
 HELD_MAX: Final = 4096
-"""Frames held in one place; one more is lost and counted."""
+"""Frames held in one place; one more is lost and counted: both TPDOs of a cycle of 1 ms for two seconds."""
 
 
 class HeldFrames:

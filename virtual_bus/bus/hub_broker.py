@@ -28,6 +28,7 @@ from drivers.timebase import NEVER, NS_PER_MS, NS_PER_S, Clock, Instant
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.hub_place import HubPlace, try_lock
 from virtual_bus.bus.hub_protocol import (
+    ACTIONS,
     BATCH_FRAMES_MAX,
     ECHO_HELD_NS,
     FRAME_BYTES,
@@ -41,10 +42,8 @@ from virtual_bus.bus.hub_protocol import (
     encode_refusal,
     encode_status,
     encode_welcome,
-    obey,
 )
-from virtual_bus.bus.listener import Listener
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
+from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener, Port
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Event, Timeline
@@ -285,7 +284,7 @@ class Broker:
         """A frame to send, which a controller that is bus-off forgets, or a request to the controller."""
         request = decode_request(packet)
         if request is not None:
-            obey(port, request)
+            ACTIONS[request](port)
             client.push(self._status(port, asked=True), self._timeline.now)
             return
         frame = decode_frame(packet).frame

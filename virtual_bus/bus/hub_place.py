@@ -14,6 +14,7 @@ from drivers.wire.adapters import HUB_NAME, HUB_NAME_EXPECTED
 
 _SOCKET_PATH_BYTES_MAX = 107
 _LOCK_RETRY_NS = 5 * NS_PER_MS
+"""``flock`` knows no time-out, so it is asked again: soon, beside the second in which a broker starts."""
 
 
 def checked_name(name: str) -> str:

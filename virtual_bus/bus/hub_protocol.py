@@ -6,7 +6,7 @@ one frame, or as many as fit (a batch) if the client has asked for that, or tell
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import IntEnum
 from typing import Final, NamedTuple
 
@@ -197,18 +197,16 @@ def decode_request(packet: bytes) -> Request | None:
     return Request(number)
 
 
-def obey(port: Port, request: Request) -> None:
-    """Do what is asked of ``port``."""
-    if request is Request.GO_BUS_OFF:
-        port.go_bus_off()
-    elif request is Request.RECOVER:
-        port.recover()
-    elif request is Request.UNPLUG:
-        port.unplug()
-    elif request is Request.PLUG:
-        port.plug()
-    elif request in (Request.LISTEN_ONLY, Request.LISTEN_AND_SPEAK):
-        port.set_listen_only(request is Request.LISTEN_ONLY)
+ACTIONS: Final[dict[Request, Callable[[Port], None]]] = {
+    Request.STATUS: lambda _port: None,
+    Request.GO_BUS_OFF: lambda port: port.go_bus_off(),
+    Request.RECOVER: lambda port: port.recover(),
+    Request.UNPLUG: lambda port: port.unplug(),
+    Request.PLUG: lambda port: port.plug(),
+    Request.LISTEN_ONLY: lambda port: port.set_listen_only(True),
+    Request.LISTEN_AND_SPEAK: lambda port: port.set_listen_only(False),
+}
+"""What is done at the port of whoever asks, before the answer."""
 
 
 def encode_status(port: Port, load_percent: float, frames: int, *, asked: bool, alone: bool) -> bytes:

@@ -5,20 +5,35 @@ from collections.abc import Callable
 from typing import Final
 
 import can
+from mypy_extensions import mypyc_attr
 
 from drivers.timebase import Duration, Instant
 from virtual_bus.bus.bit_length import INTERMISSION_BITS, arbitration_key, bits_duration
 from virtual_bus.bus.bus_load import BusLoad
 from virtual_bus.bus.controller import CanController, ErrorState
 from virtual_bus.bus.disturbance import Disturb, OnError
-from virtual_bus.bus.listener import NOBODY, Listener, OnFrame
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
+
+OnFrame = Callable[[Frame, Instant], None]
+
+
+@mypyc_attr(allow_interpreted_subclasses=True)
+class Listener:
+    """The owner of a port. This one ignores every frame, like a port that was detached."""
+
+    def on_frame(self, frame: Frame, now: Instant) -> None:
+        """Another port's frame ended at ``now``."""
+
+
+NOBODY = Listener()
+
 
 OnErrorState = Callable[[ErrorState, Instant], None]
 
 TRANSMIT_QUEUE_MAX: Final = 256
-"""Frames that a port holds for the bus; one more is refused."""
+"""Frames that a port holds for the bus; one more is refused. A sub-block of an SDO block transfer is sent at
+once, 127 segments (CiA 301, 7.2.4.3), and PDOs go on beside it."""
 
 
 class Handling:

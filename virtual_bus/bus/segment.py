@@ -12,14 +12,11 @@ instant, takes part in the arbitration. So a frame costs one event, and the outc
 not depend on the order of events within an instant.
 """
 
-from collections.abc import Callable
-
 from drivers.timebase import Duration, Instant
 from virtual_bus.bus.bit_length import LONGEST_FRAME_BITS, arbitration_key, bits_duration, wire_bits
 from virtual_bus.bus.disturbance import Disturb, OnError
 from virtual_bus.bus.error_handling import ErrorHandling
-from virtual_bus.bus.listener import Listener, OnFrame, listener_of
-from virtual_bus.bus.port import BusMedium, Port
+from virtual_bus.bus.port import BusMedium, Listener, OnFrame, Port
 from virtual_bus.event_heap import Action
 from virtual_bus.timeline import Timeline
 
@@ -56,21 +53,16 @@ class CanSegment(BusMedium):
         """Share of [since, until] that completed frames and intermissions took, percent."""
         return self._load.percent(since, until)
 
-    def attach(self, name: str, owner: Listener | OnFrame) -> Port:
+    def attach(self, name: str, owner: Listener) -> Port:
         """A port whose ``owner`` gets every other port's frame at its end of frame."""
         self._attached += 1
-        port = Port(self, self._attached, name, listener_of(owner))
+        port = Port(self, self._attached, name, owner)
         self._ports = (*self._ports, port)
         return port
 
-    def add_monitor(self, on_frame: OnFrame) -> Callable[[], None]:
-        """Show every frame, whoever sent it, to ``on_frame`` at its end; returns what ends that."""
+    def add_monitor(self, on_frame: OnFrame) -> None:
+        """Show every frame, whoever sent it, to ``on_frame`` at its end."""
         self._monitors = (*self._monitors, on_frame)
-
-        def remove() -> None:
-            self._monitors = tuple(monitor for monitor in self._monitors if monitor is not on_frame)
-
-        return remove
 
     def set_disturb(self, judge: Disturb | None) -> None:
         """Ask ``judge`` at each attempt to send what disturbs it; None: nothing any more."""
@@ -78,14 +70,9 @@ class CanSegment(BusMedium):
         if judge is not None:
             self._handled()
 
-    def add_error_monitor(self, on_error: OnError) -> Callable[[], None]:
-        """Show every error frame to ``on_error`` at its end; returns what ends that."""
+    def add_error_monitor(self, on_error: OnError) -> None:
+        """Show every error frame to ``on_error`` at its end."""
         self._error_monitors = (*self._error_monitors, on_error)
-
-        def remove() -> None:
-            self._error_monitors = tuple(one for one in self._error_monitors if one is not on_error)
-
-        return remove
 
     def port(self, name: str) -> Port:
         """The port of that name. Raises LookupError if there is none or more than one."""

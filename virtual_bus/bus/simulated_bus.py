@@ -3,16 +3,74 @@
 from collections.abc import Callable, Sequence
 
 import can
+from can.broadcastmanager import (
+    LimitedDurationCyclicSendTaskABC,
+    ModifiableCyclicTaskABC,
+    RestartableCyclicTaskABC,
+)
 from can.typechecking import CanFilters
 
 from drivers.timebase import NEVER, Instant, instant_after
 from drivers.wire.message import frame_of, message_of
-from virtual_bus.bus.cyclic_task import TimelineCyclicTask
 from virtual_bus.bus.error_message import bus_state
 from virtual_bus.bus.host_port import HostPort
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
 from virtual_bus.bus.segment import CanSegment
-from virtual_bus.timeline import Timeline
+from virtual_bus.timeline import Event, Timeline
+
+
+class TimelineCyclicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, RestartableCyclicTaskABC):
+    """In the place of python-can's thread: sends its messages in turn, one each period, from ``start`` on.
+
+    The due times are start + k * period: they do not drift. A message that the transmit
+    queue refuses is counted in ``refused`` and not sent later.
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        send: Callable[[can.Message], None],
+        messages: Sequence[can.Message] | can.Message,
+        period_s: float,
+        limit_s: float | None,
+        modify: Callable[[can.Message], None] | None,
+    ) -> None:
+        super().__init__(messages, period_s, limit_s)
+        self._timeline = timeline
+        self._send = send
+        self._modify = modify
+        self._event: Event | None = None
+        self._started_at = Instant(0)
+        self._turn = 0
+        self.refused = 0
+
+    def start(self) -> None:
+        """Send the first message now; no effect while running."""
+        if self._event is None:
+            self._started_at = self._timeline.now
+            self._turn = 0
+            self._event = self._timeline.call_at(self._started_at, self._fire)
+
+    def stop(self) -> None:
+        """Send no more; no effect if stopped."""
+        if self._event is not None:
+            self._event.cancel()
+            self._event = None
+
+    def _fire(self, _now: Instant) -> None:
+        message = self.messages[self._turn % len(self.messages)]
+        if self._modify is not None:
+            self._modify(message)
+        try:
+            self._send(message)
+        except can.CanOperationError:
+            self.refused += 1
+        self._turn += 1
+        due = Instant(self._started_at + self._turn * self.period_ns)
+        if self.duration is not None and due >= instant_after(self._started_at, self.duration):
+            self._event = None
+        else:
+            self._event = self._timeline.call_at(due, self._fire)
 
 
 class SimulatedBus(can.BusABC):

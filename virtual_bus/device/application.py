@@ -22,7 +22,7 @@ from typing import Protocol
 
 from mypy_extensions import mypyc_attr
 
-from drivers.canopen.error_codes import ErrorRegister as ErrorRegister
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Instant
 from virtual_bus.device.object_dictionary import ObjectDictionary

@@ -22,7 +22,9 @@ UNCOMPRESSED = 0
 _VERSION = "1"
 """Of hardware and software."""
 _ERRORS_KEPT = 8
+"""Chosen here; CiA 301, 7.5.2.4, leaves 1 to 254 to the device."""
 _HEARTBEAT_CONSUMERS = 4
+"""Chosen here; CiA 301, 7.5.2.19, leaves 1 to 127 to the device."""
 _MAPPING_ENTRIES = 8
 """As many as a PDO of octets holds."""
 RO, RW, CONST = Access.READ_ONLY, Access.READ_WRITE, Access.CONST

@@ -1,6 +1,6 @@
 """The object dictionary as an electronic data sheet (CiA 306-1), for masters that want one."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 from drivers.canopen.data_types import DataType
 from drivers.canopen.objects301 import (
@@ -27,24 +27,18 @@ _TEXT_TYPES = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 def export_eds(dictionary: ObjectDictionary) -> str:
     """The EDS of a device with this dictionary; defaults that depend on the node-ID say so. What is measured
     or computed has none."""
+    indices = [entry.index for entry in dictionary]
+    optional = [index for index in indices if index not in MANDATORY and index not in MANUFACTURER]
     lines: list[str] = []
     lines += _section("FileInfo", _file_info(dictionary))
-    lines += _section("DeviceInfo", _device_info(dictionary))
+    lines += _section("DeviceInfo", _device_info(dictionary, indices))
     lines += _section("DummyUsage", [f"Dummy{index:04X}=1" for index in range(1, 8)])
-    lines += _object_list("MandatoryObjects", (i for i in _indices(dictionary) if i in MANDATORY))
-    lines += _object_list("OptionalObjects", (i for i in _indices(dictionary) if _optional(i)))
-    lines += _object_list("ManufacturerObjects", (i for i in _indices(dictionary) if i in MANUFACTURER))
+    lines += _object_list("MandatoryObjects", [index for index in indices if index in MANDATORY])
+    lines += _object_list("OptionalObjects", optional)
+    lines += _object_list("ManufacturerObjects", [index for index in indices if index in MANUFACTURER])
     for entry in dictionary:
         lines += _object(entry)
     return "\n".join(lines) + "\n"
-
-
-def _indices(dictionary: ObjectDictionary) -> Iterator[int]:
-    return (entry.index for entry in dictionary)
-
-
-def _optional(index: int) -> bool:
-    return index not in MANDATORY and index not in MANUFACTURER
 
 
 def _section(title: str, entries: Iterable[str]) -> list[str]:
@@ -80,9 +74,9 @@ def _identity(dictionary: ObjectDictionary, subindex: int) -> int:
     return 0 if variable is None else int(variable.default)
 
 
-def _device_info(dictionary: ObjectDictionary) -> Sequence[str]:
-    receive = sum(1 for index in _indices(dictionary) if RPDO_COMMUNICATION <= index < RPDO_MAPPING)
-    transmit = sum(1 for index in _indices(dictionary) if TPDO_COMMUNICATION <= index < TPDO_MAPPING)
+def _device_info(dictionary: ObjectDictionary, indices: Sequence[int]) -> Sequence[str]:
+    receive = sum(RPDO_COMMUNICATION <= index < RPDO_MAPPING for index in indices)
+    transmit = sum(TPDO_COMMUNICATION <= index < TPDO_MAPPING for index in indices)
     rates = (f"BaudRate_{rate}=1" for rate in (10, 20, 50, 125, 250, 500, 800, 1000))
     return (
         "VendorName=servobench",

@@ -18,6 +18,8 @@ from virtual_bus.frame import Frame
 
 _MAY_SEND = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 _QUEUE_MAX = 32
+"""Messages that wait for their inhibit time. A simulated drive has fewer causes of errors, each reported once
+while it lasts: length and deadline of four RPDOs, four heartbeats, guarding, SYNC, bus-off, its own five."""
 NO_ERROR = 0x0000
 
 
@@ -35,9 +37,7 @@ class EmergencyProducer:
 
     def _attach(self) -> None:
         dictionary = self._station.dictionary
-        cob = dictionary.get(Cia301.EMCY_COB_ID)
-        if cob is not None:
-            cob.check = self._check_cob_id
+        dictionary.hook(Cia301.EMCY_COB_ID, check=self._check_cob_id)
         if Cia301.ERROR_HISTORY not in dictionary:
             return
         members = dictionary.object(Cia301.ERROR_HISTORY).members

@@ -29,9 +29,7 @@ class HeartbeatProducer:
         self._period_ns = 0
         self._due = Instant(0)
         self._timer = station.timers.create(self._on_due)
-        variable = station.dictionary.get(Cia301.PRODUCER_HEARTBEAT_TIME)
-        if variable is not None:
-            variable.on_write = self._on_write
+        station.dictionary.hook(Cia301.PRODUCER_HEARTBEAT_TIME, on_write=self._on_write)
 
     @property
     def running(self) -> bool:
@@ -61,8 +59,10 @@ class HeartbeatProducer:
             self._on_due(self._station.now)
 
     def _schedule(self, previous: Instant) -> None:
-        self._timer.start_periodic(previous, self._period_ns, self._station.now)
-        self._due = self._timer.due
+        """One period after ``previous``; after a gap go on from now, without a burst."""
+        due, now = previous + self._period_ns, self._station.now
+        self._due = Instant(due if due > now else now + self._period_ns)
+        self._timer.start(self._due)
 
     def _on_due(self, _now: Instant) -> None:
         station = self._station
@@ -142,21 +142,20 @@ class HeartbeatConsumers:
     def __init__(self, station: Station, emergency: EmergencyProducer, nmt: NmtSlave) -> None:
         self._station = station
         self._consumers: list[HeartbeatConsumer] = []
-        self._variables: list[Variable] = []
         if Cia301.CONSUMER_HEARTBEAT_TIME not in station.dictionary:
             return
         for subindex, variable in station.dictionary.object(Cia301.CONSUMER_HEARTBEAT_TIME).members.items():
             if subindex:
-                self._variables.append(variable)
-                self._consumers.append(HeartbeatConsumer(station, emergency, nmt, variable))
-                variable.check = self._checker(variable)
+                consumer = HeartbeatConsumer(station, emergency, nmt, variable)
+                self._consumers.append(consumer)
+                variable.check = self._checker(consumer)
 
     def reset_communication(self) -> None:
         """Take all settings from the dictionary."""
         for consumer in self._consumers:
             consumer.reset_communication()
 
-    def _checker(self, own: Variable) -> Check:
+    def _checker(self, own: HeartbeatConsumer) -> Check:
         def check(value: int) -> AbortCode | None:
             """7.5.2.19: one consumer time for a node, else 06040043h; bits 24..31 are reserved, and no node
             hears its own heartbeat."""
@@ -165,10 +164,8 @@ class HeartbeatConsumers:
                 return None
             if node_id > NODE_ID_MAX or node_id == self._station.node_id:
                 return AbortCode.INVALID_VALUE
-            for other in self._variables:
-                if other is not own and other.value & 0xFFFF and other.value >> 16 & 0xFF == node_id:
-                    return AbortCode.PARAMETER_INCOMPATIBLE
-            return None
+            taken = any(other is not own and other.node_id == node_id for other in self._consumers)
+            return AbortCode.PARAMETER_INCOMPATIBLE if taken else None
 
         return check
 
@@ -192,9 +189,7 @@ class NodeGuarding:
         self._can_id: int | None = None
         self._timer = station.timers.create(self._on_timeout)
         for index in (Cia301.GUARD_TIME, Cia301.LIFE_TIME_FACTOR):
-            variable = station.dictionary.get(index)
-            if variable is not None:
-                variable.on_write = self._on_write
+            station.dictionary.hook(index, on_write=self._on_write)
 
     def reset_communication(self) -> None:
         """The toggle bit begins with 0 again; life guarding with the next request."""

@@ -72,7 +72,8 @@ class LssSlave:
         self.pending_node_id = station.node_id
         """Takes effect with the next reset of the communication."""
         self._pending_bit_rate: int | None = None
-        self._set_bit_rate: Callable[[int], None] = _ignore
+        self._set_bit_rate: Callable[[int], None] = lambda _bit_rate: None
+        """Of the host's controller, if it has one whose rate can be set."""
         self._switch_delay_ns = 0
         self._timer = station.timers.create(self._on_switch_delay)
         self._selected = 0
@@ -82,15 +83,17 @@ class LssSlave:
             Lss.SWITCH_GLOBAL: self._switch,
             Lss.IDENTIFY_UNCONFIGURED: self._identify_unconfigured,
             Lss.FAST_SCAN: self._fast_scan,
+            **dict.fromkeys(range(Lss.SELECT_FIRST, Lss.SELECT_LAST + 1), self._select),
+            **dict.fromkeys(range(Lss.IDENTIFY_FIRST, Lss.IDENTIFY_LAST + 1), self._identify),
+        }
+        self._services_in_configuration: dict[int, Callable[[bytes, Instant], None]] = {
             Lss.CONFIGURE_NODE_ID: self._configure_node_id,
             Lss.CONFIGURE_BIT_TIMING: self._configure_bit_timing,
             Lss.ACTIVATE_BIT_TIMING: self._activate_bit_timing,
             Lss.STORE: self._save,
             Lss.INQUIRE_NODE_ID: self._inquire_node_id,
+            **dict.fromkeys(range(Lss.INQUIRE_FIRST, Lss.INQUIRE_LAST + 1), self._inquire),
         }
-        self._services |= dict.fromkeys(range(Lss.SELECT_FIRST, Lss.SELECT_LAST + 1), self._select)
-        self._services |= dict.fromkeys(range(Lss.IDENTIFY_FIRST, Lss.IDENTIFY_LAST + 1), self._identify)
-        self._services |= dict.fromkeys(range(Lss.INQUIRE_FIRST, Lss.INQUIRE_LAST + 1), self._inquire)
         station.listen(LSS_REQUEST, self._on_request)
 
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
@@ -115,6 +118,8 @@ class LssSlave:
         if len(frame.data) != 8:
             return
         service = self._services.get(frame.data[0])
+        if service is None and self.configuring:
+            service = self._services_in_configuration.get(frame.data[0])
         if service is not None:
             service(frame.data, now)
 
@@ -191,8 +196,6 @@ class LssSlave:
         self._answer(Lss.IDENTIFIED)
 
     def _configure_node_id(self, request: bytes, _now: Instant) -> None:
-        if not self.configuring:
-            return
         node_id = request[1]
         good = 1 <= node_id <= NODE_ID_MAX or node_id == UNCONFIGURED
         if good:
@@ -200,15 +203,13 @@ class LssSlave:
         self._answer(Lss.CONFIGURE_NODE_ID, bytes([0 if good else 1]))
 
     def _configure_bit_timing(self, request: bytes, _now: Instant) -> None:
-        if not self.configuring:
-            return
         good = request[1] == 0 and request[2] in BIT_RATES
         if good:
             self._pending_bit_rate = request[2]
         self._answer(Lss.CONFIGURE_BIT_TIMING, bytes([0 if good else 1]))
 
     def _activate_bit_timing(self, request: bytes, now: Instant) -> None:
-        if not self.configuring or self._pending_bit_rate is None:
+        if self._pending_bit_rate is None:
             return
         self._switch_delay_ns = int.from_bytes(request[1:3], "little") * NS_PER_MS
         if self._switch_delay_ns:
@@ -229,8 +230,6 @@ class LssSlave:
         self._timer.start(Instant(now + self._switch_delay_ns))
 
     def _save(self, _request: bytes, _now: Instant) -> None:
-        if not self.configuring:
-            return
         try:
             kept = self._store.load()
             kept[NODE_ID_KEY] = bytes([self.pending_node_id])
@@ -243,17 +242,11 @@ class LssSlave:
             self._answer(Lss.STORE, b"\x00")
 
     def _inquire(self, request: bytes, _now: Instant) -> None:
-        if self.configuring:
-            value = self._identity(request[0] - Lss.INQUIRE_FIRST)
-            self._answer(request[0], value.to_bytes(4, "little"))
+        value = self._identity(request[0] - Lss.INQUIRE_FIRST)
+        self._answer(request[0], value.to_bytes(4, "little"))
 
     def _inquire_node_id(self, _request: bytes, _now: Instant) -> None:
-        if self.configuring:
-            self._answer(Lss.INQUIRE_NODE_ID, bytes([self._station.node_id]))
-
-
-def _ignore(_bit_rate: int) -> None:
-    """The host has no controller whose rate could be set."""
+        self._answer(Lss.INQUIRE_NODE_ID, bytes([self._station.node_id]))
 
 
 def _number(request: bytes) -> int:

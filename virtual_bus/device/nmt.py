@@ -59,9 +59,7 @@ class NmtSlave:
         }
         self._listeners: list[StateListener] = []
         station.listen(NMT_CAN_ID, self._on_command)
-        behaviour = station.dictionary.get(Cia301.ERROR_BEHAVIOUR, 1)
-        if behaviour is not None:
-            behaviour.check = _check_behaviour
+        station.dictionary.hook(Cia301.ERROR_BEHAVIOUR, 1, check=_check_behaviour)
 
     def add_listener(self, listener: StateListener) -> None:
         """Call ``listener`` after each change of state, before the application hears of it."""

@@ -143,6 +143,21 @@ class Variable:
             return AbortCode.TOO_LOW
         return None if self.check is None else self.check(value)
 
+    def show_instead(self, shown: int) -> None:
+        """What the bus reads; what rules in the device stays. A write from the bus ends the difference."""
+        held, on_write = self.default, self.on_write
+
+        def read() -> int:
+            return shown if self.value == held else int(self.value)
+
+        def written(new: int) -> None:
+            if new == shown:
+                self.value = held
+            if on_write is not None:
+                on_write(int(self.value))
+
+        self.provider, self.on_write = read, written
+
     def restore(self, node_id: int) -> None:
         """Back to the power-on value; no hook is called."""
         if self.power_on is not None:
@@ -239,6 +254,22 @@ class ObjectDictionary:
         entry = self._objects.get(index)
         return None if entry is None else entry.members.get(subindex)
 
+    def hook(
+        self,
+        index: int,
+        subindex: int = 0,
+        *,
+        check: Check | None = None,
+        on_write: Hook | None = None,
+        provider: Provider | None = None,
+    ) -> None:
+        """Put what is given into the variable, if the device has it: without it the feature is off."""
+        variable = self.get(index, subindex)
+        if variable is not None:
+            variable.check = check or variable.check
+            variable.on_write = on_write or variable.on_write
+            variable.provider = provider or variable.provider
+
     def variable(self, index: int, subindex: int = 0) -> Variable:
         """The variable, for the device itself: a concealed one too. Error: KeyError."""
         return (self._concealed.get(index) or self._objects[index]).members[subindex]
@@ -275,7 +306,7 @@ class ObjectDictionary:
             raise SdoAbort(AbortCode.WRITE_ONLY)
         return encode(variable.data_type, variable.read())
 
-    def download(self, index: int, subindex: int, data: bytes) -> Variable:
+    def download(self, index: int, subindex: int, data: bytes) -> None:
         """An SDO download: check, store, ``on_write``. Error: SdoAbort, and then nothing was stored."""
         variable = self.find_writable(index, subindex)
         value = decode(variable.data_type, data)
@@ -285,7 +316,6 @@ class ObjectDictionary:
         variable.value = value
         if variable.on_write is not None:
             variable.on_write(value)
-        return variable
 
     def restore(self, first: int, last: int, node_id: int) -> None:
         """The indices ``first``..``last`` back to their power-on values; no hook is called."""

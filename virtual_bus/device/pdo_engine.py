@@ -12,6 +12,7 @@ from virtual_bus.device.station import Station
 from virtual_bus.device.tpdo import TransmitPdo
 
 PDOS_MAX: Final = 512
+"""Of each direction (CiA 301, 7.5.2.33: 1400h..15FFh)."""
 LOOK_NS: Final = NS_PER_MS
 """A mapped value that changes by time or motion is looked at no later than that after the last look."""
 _OPERATIONAL: Final = NmtState.OPERATIONAL

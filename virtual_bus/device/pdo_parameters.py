@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Final
 
 from drivers.canopen import cob_ids
-from virtual_bus.device.object_dictionary import Check, Variable
 from virtual_bus.device.pdo_codec import Field, resolve, resolve_all
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 from virtual_bus.device.station import Station
@@ -26,19 +25,13 @@ class PdoParameters:
         self.station = station
         self._communication = station.dictionary.object(communication_index).members
         self._mapping = station.dictionary.object(mapping_index).members
-        self._hook(self._communication[1], self._check_cob_id)
-        self._hook(self._communication[2], self._check_transmission_type)
-        self._hook(self._mapping[0], self._check_count)
-        for subindex, variable in self._mapping.items():
-            if subindex:
-                variable.check = self._check_word
-        event_timer = self._communication.get(5)
-        if event_timer is not None:
-            event_timer.on_write = self._on_write
-
-    def _hook(self, variable: Variable, check: Check) -> None:
-        variable.check = check
-        variable.on_write = self._on_write
+        hook = station.dictionary.hook
+        hook(communication_index, 1, check=self._check_cob_id, on_write=self._on_write)
+        hook(communication_index, 2, check=self._check_transmission_type, on_write=self._on_write)
+        hook(communication_index, 5, on_write=self._on_write)
+        hook(mapping_index, 0, check=self._check_count, on_write=self._on_write)
+        for subindex in range(1, max(self._mapping) + 1):
+            hook(mapping_index, subindex, check=self._check_word)
 
     def _on_write(self, _value: int) -> None:
         self.configure()

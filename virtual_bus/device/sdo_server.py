@@ -14,6 +14,7 @@ out of place is aborted with 05040001h. Messages that are not 8 bytes long are n
 """
 
 from collections.abc import Callable
+from functools import partial
 
 from drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
 from drivers.canopen.nmt_states import NmtState
@@ -154,10 +155,7 @@ class SdoServer:
         self._send(transfer.initiated())
 
     def _commit(self, index: int, subindex: int) -> Commit:
-        def commit(data: bytes) -> None:
-            self._station.dictionary.download(index, subindex, data)
-
-        return commit
+        return partial(self._station.dictionary.download, index, subindex)
 
     def _send(self, data: bytes) -> None:
         self._station.out.append(Frame(self._response_id, data))

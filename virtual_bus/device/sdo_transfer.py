@@ -14,7 +14,7 @@ from typing import Protocol
 
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
-Commit = Callable[[bytes], None]
+Commit = Callable[[bytes], object]
 """Writes the received bytes into the dictionary. Error: SdoAbort."""
 
 DOWNLOAD_MAX = 1 << 16

@@ -31,11 +31,6 @@ class Timer:
         elif was_next:
             timers.refresh()
 
-    def start_periodic(self, previous: Instant, period_ns: int, now: Instant) -> None:
-        """Run the callback one period after ``previous``; after a gap go on from ``now``, without a burst."""
-        due = previous + period_ns
-        self.start(Instant(due if due > now else now + period_ns))
-
     def stop(self) -> None:
         """Forget the deadline."""
         if self.due != NEVER:

@@ -37,18 +37,12 @@ class SyncConsumer:
         self._window = station.timers.create(self._on_window_over)
         self._wrong_length = False
         dictionary = station.dictionary
-        for index, check in (
-            (Cia301.SYNC_COB_ID, self._check_cob_id),
-            (Cia301.SYNC_WINDOW, None),
-            (Cia301.SYNC_COUNTER_OVERFLOW, self._check_counter_overflow),
-        ):
-            variable = dictionary.get(index)
-            if variable is not None:
-                variable.check = check
-                variable.on_write = self._on_write
-        time = dictionary.get(Cia301.TIME_COB_ID)
-        if time is not None:
-            time.check = self._check_cob_id
+        dictionary.hook(Cia301.SYNC_COB_ID, check=self._check_cob_id, on_write=self._on_write)
+        dictionary.hook(Cia301.SYNC_WINDOW, on_write=self._on_write)
+        dictionary.hook(
+            Cia301.SYNC_COUNTER_OVERFLOW, check=self._check_counter_overflow, on_write=self._on_write
+        )
+        dictionary.hook(Cia301.TIME_COB_ID, check=self._check_cob_id)
 
     def reset_communication(self) -> None:
         """Take all parameters from the dictionary."""

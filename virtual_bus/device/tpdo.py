@@ -68,9 +68,8 @@ class TransmitPdo(PdoParameters):
         self._inhibit_timer = station.timers.create(self._on_inhibit_over)
         self._event_timer = station.timers.create(self._on_event_timer)
         for subindex, check in ((3, self.refused_while_it_exists), (6, self._check_start)):
-            variable = self._communication.get(subindex)
-            if variable is not None:
-                self._hook(variable, check)
+            index = TPDO_COMMUNICATION + number - 1
+            station.dictionary.hook(index, subindex, check=check, on_write=self._on_write)
 
     @property
     def _event_driven(self) -> bool:

@@ -1,16 +1,20 @@
-"""The simulated drive behind another drive's data sheet: a rehearsal of that drive (CiA 306-1, CiA 402-2)."""
+"""The simulated drive behind another drive's data sheet: a rehearsal of that drive (CiA 306-1, CiA 402-2);
+and the simulated motor in the objects in which a maker's drives keep theirs (drivers/vendors)."""
 
 from typing import Final
 
 import canopen.objectdictionary as od
 
+from design.motor import PmsmParameters
+from drivers.canopen.objects301 import Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import NEEDED_OBJECTS
 from drivers.cia402.profile import Mode, supported_mode_bit
 from drivers.sheets.dictionary import held_number
+from drivers.vendors.families import motor_objects_for
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.device.vendor_dictionary import overlay
-from virtual_bus.drive.shown import show_instead
+from virtual_bus.drive.servo_parameters import current_per_rms
 
 _STANDARD_MODES: Final = 0x3FF
 """Of 6502h; the rest is reserved, and the maker's."""
@@ -41,7 +45,7 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     if held_number(vendor, Object.QUICK_STOP_DECELERATION) == 0:
         quick_stop.default = quick_stop.value = 1
         quick_stop.low = 0
-        show_instead(quick_stop, 0)
+        quick_stop.show_instead(0)
 
 
 def only_modes(dictionary: ObjectDictionary, bits: int, *further: Variable) -> None:
@@ -75,4 +79,49 @@ def _take_resolution(own: list[Variable], counts: list[int], told: list[int | No
     for variable, count, number in zip(own, counts, (increments, turns), strict=True):
         variable.default = variable.value = number if real else count
         if not real:
-            show_instead(variable, number)
+            variable.show_instead(number)
+
+
+_PROFILE: Final = 0x6000
+
+
+def tell_motor(dictionary: ObjectDictionary, motor: PmsmParameters) -> None:
+    """Have the objects that ``dictionary`` has tell of ``motor``, by their maker's units and convention.
+
+    What a data sheet has there is of another motor, or of none. Objects of the profile rule inside the drive
+    by the standard's convention, and only show the maker's.
+    """
+    vendor, product = (_held(dictionary, Cia301.IDENTITY, sub) or 0 for sub in (1, 2))
+    name = _held(dictionary, Cia301.DEVICE_NAME, 0)
+    text = name.split(b"\0", 1)[0].decode("latin-1").strip() if isinstance(name, bytes) else ""
+    figures = motor_figures(motor)
+    for _, known in motor_objects_for(int(vendor), int(product), text):
+        held = [dictionary.get(each.index, each.sub) for each in known.objects]
+        if known.whole and None in held:
+            continue
+        for each, variable in zip(known.objects, held, strict=True):
+            raw = each.raw(figures[each.quantity])
+            if variable is None:
+                continue
+            if each.index >= _PROFILE:
+                variable.show_instead(raw)
+            else:
+                variable.default = variable.value = raw
+
+
+def motor_figures(motor: PmsmParameters) -> dict[str, float]:
+    """By quantity of :data:`drivers.vendors.motor_objects.QUANTITIES`."""
+    per_rms = current_per_rms(motor)
+    return {
+        "pole_pairs": float(motor.pole_pairs),
+        "resistance_ohm": motor.resistance_ohm,
+        "inductance_d_h": motor.inductance_d_h,
+        "inductance_q_h": motor.inductance_q_h,
+        "rated_current_a": motor.rated_current_a / per_rms,
+        "torque_constant_nm_a": motor.torque_constant_nm_a * per_rms,
+    }
+
+
+def _held(dictionary: ObjectDictionary, index: int, sub: int) -> int | bytes | None:
+    variable = dictionary.get(index, sub)
+    return None if variable is None else variable.default

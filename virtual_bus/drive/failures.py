@@ -1,9 +1,24 @@
-"""The faults of a drive while they last: EMCY, 1001h and 603Fh."""
+"""The faults of a drive while they last: EMCY, 1001h and 603Fh; the codes of those that it raises by itself
+(CiA 301 table 26, CiA 402-1)."""
+
+from typing import Final
 
 from drivers.canopen.error_codes import ErrorRegister
-from virtual_bus.device.application import DeviceServices
+from virtual_bus.device.application import CommunicationLoss, DeviceServices
 from virtual_bus.device.object_dictionary import Variable
-from virtual_bus.drive.error_codes import FOLLOWING_ERROR
+
+COMMUNICATION_ERROR: Final = 0x8100
+HEARTBEAT_ERROR: Final = 0x8130
+LOSS_CODES: dict[CommunicationLoss, int] = {
+    CommunicationLoss.HEARTBEAT: HEARTBEAT_ERROR,
+    CommunicationLoss.LIFE_GUARDING: HEARTBEAT_ERROR,
+    CommunicationLoss.RPDO_DEADLINE: 0x8250,
+    CommunicationLoss.BUS_OFF: 0x8140,
+}
+"""Error code 603Fh by what was lost; the EMCY of it is the device engine's."""
+
+FOLLOWING_ERROR: Final = 0x8611
+"""60F4h was outside of 6065h for longer than 6066h."""
 
 
 class Failures:

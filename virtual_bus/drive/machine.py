@@ -28,6 +28,7 @@ INTERLOCK: Final = 1 << 3
 _SWITCH_BITS: Final = 0x7
 _LIMIT_BITS: Final = 0x3
 _FAR: Final = 0x7FFF_FFFF
+"""The last count of an INTEGER32: a switch there, and one at its negative, is passed by no axis."""
 
 
 class SimulatedMachine:
@@ -46,13 +47,10 @@ class SimulatedMachine:
         self._count = count
         self._counts = counts_per_revolution
         self._places: list[int] = [-_FAR, _FAR, 0, 0, 0]
-        self._on_change: Callable[[], None] = _nothing
+        self.changed: Callable[[], None] = lambda: None
+        """Called after every write of an input or a switch."""
         self.inputs.provider = self.input_bits
         self._add_objects(dictionary)
-
-    def on_change(self, changed: Callable[[], None]) -> None:
-        """Call ``changed`` after every write of an input or a switch."""
-        self._on_change = changed
 
     # ---- what the drive sees --------------------------------------------------------------------------
 
@@ -139,23 +137,19 @@ class SimulatedMachine:
     def _writer(self, place: int) -> Callable[[int], None]:
         def write(count: int) -> None:
             self._places[place] = count
-            self._on_change()
+            self.changed()
 
         return write
 
     def _hold(self, bits: int) -> None:
         self.held = bits
-        self._on_change()
+        self.changed()
 
     def _fit(self, bits: int) -> None:
         self.fitted = bits
-        self._on_change()
+        self.changed()
 
     def switch_sto(self, value: int) -> None:
         """Safe torque off: 1 open, 0 closed."""
         self.sto = value != 0
-        self._on_change()
-
-
-def _nothing() -> None:
-    pass
+        self.changed()

@@ -1,8 +1,8 @@
 """The compiled heart of the simulated drive: motor, mechanics and the inner control loops.
 
 Everything compiled stands in this one file, because numba's cache notices a change only in the
-file that holds the compiled function. :mod:`virtual_bus.drive.plant`
-and :mod:`virtual_bus.drive.firmware` fill the arrays and give the numbers their names.
+file that holds the compiled function. :mod:`virtual_bus.drive.firmware` fills the arrays and gives the
+numbers their names.
 
 Arrays of float64: a state (indices ``S_*``), machine and gains (``P_*``), what the drive's upper
 layer asks for (``D_*``). Only +, -, *, / and sqrt occur, no library sine and no fused or reordered

@@ -44,41 +44,29 @@ class OperationMode:
         return self.axis.deceleration_rad_s2
 
 
-class Halt:
-    """Whether a halt is commanded, and how far it is."""
-
-    def __init__(self, axis: SimulatedAxis) -> None:
-        self._axis = axis
-        self.active = False
-
-    def begin(self, controlword: int, slow_down_rad_s2: float) -> None:
-        """A mode begins; a halt may be there already."""
-        self.active = False
-        self.receive(controlword, slow_down_rad_s2)
-
-    def receive(self, controlword: int, slow_down_rad_s2: float) -> bool:
-        """Begin the stop, or end the halt: true then, and the mode goes on from where the shaft is."""
-        wanted = controlword & Control.HALT != 0
-        if wanted == self.active:
-            return False
-        self.active = wanted
-        if wanted:
-            self._axis.stop(self._axis.halt_rad_s2(slow_down_rad_s2))
-        return not wanted
-
-    @property
-    def standing(self) -> bool:
-        """The shaft has come to rest: bit 10 of the statusword during a halt."""
-        return self._axis.rests()
-
-
 class HaltedMode(OperationMode):
     """A mode that knows a halt: the profile modes and homing."""
 
     def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
-        self.halt = Halt(axis)
+        self.halted = False
+        """A halt is commanded."""
+
+    def begin_halt(self, controlword: int) -> None:
+        """The mode begins; a halt may be there already."""
+        self.halted = False
+        self.take_halt(controlword)
+
+    def take_halt(self, controlword: int) -> bool:
+        """Begin the stop, or end the halt: true then, and the mode goes on from where the shaft is."""
+        asked = controlword & Control.HALT != 0
+        if asked == self.halted:
+            return False
+        self.halted = asked
+        if asked:
+            self.axis.stop(self.axis.halt_rad_s2(self.slow_down_rad_s2()))
+        return not asked
 
     def target_bit(self, reached: bool) -> int:
         """Bit 10 of the statusword: the target is ``reached``, or the shaft stands during a halt."""
-        return Status.TARGET_REACHED if (self.halt.standing if self.halt.active else reached) else 0
+        return Status.TARGET_REACHED if (self.axis.rests() if self.halted else reached) else 0

@@ -11,9 +11,7 @@ from virtual_bus.drive.cyclic_modes import (
 )
 from virtual_bus.drive.homing import Homing
 from virtual_bus.drive.operation_mode import OperationMode
-from virtual_bus.drive.profile_position import ProfilePosition
-from virtual_bus.drive.profile_torque import ProfileTorque
-from virtual_bus.drive.profile_velocity import ProfileVelocity
+from virtual_bus.drive.profile_modes import ProfilePosition, ProfileTorque, ProfileVelocity
 
 MODES: dict[Mode, Callable[[SimulatedAxis], OperationMode]] = {
     Mode.PROFILE_POSITION: ProfilePosition,

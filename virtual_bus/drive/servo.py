@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from design.motor import PmsmParameters
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import (
@@ -23,21 +24,19 @@ from drivers.cia402.profile import (
 )
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
-from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices, ErrorRegister
+from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import ParameterStore
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.drive.actual_values import LOAD_NM, ActualValues, provide_slow_values
 from virtual_bus.drive.axis import REST_S, SimulatedAxis
-from virtual_bus.drive.error_codes import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES
-from virtual_bus.drive.failures import Failures
+from virtual_bus.drive.failures import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES, Failures
 from virtual_bus.drive.firmware import Firmware, InnerControl
 from virtual_bus.drive.lacks import take_away
 from virtual_bus.drive.machine import SimulatedMachine
 from virtual_bus.drive.motion_objects import MotionObjects
 from virtual_bus.drive.motor_kernel import D_LOAD, S_COUNT
-from virtual_bus.drive.open_defaults import OpenDefaults
 from virtual_bus.drive.operation_mode import OperationMode
 from virtual_bus.drive.operation_modes import MODES
 from virtual_bus.drive.power_state import MotorAction, PowerStateMachine
@@ -46,6 +45,7 @@ from virtual_bus.drive.servo_parameters import DriveParameters, device_options
 from virtual_bus.drive.user_units import UserUnits
 
 _WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS
+"""The period of profiles and position loop (virtual_bus.drive.firmware); rest is seen within it."""
 _WAKE_NS: Final = 20 * NS_PER_MS
 """Without frames the motor is still carried along, so that none finds a long way to go."""
 
@@ -106,10 +106,11 @@ class ServoApplication(Application):
         objects.load_course.provider = lambda: self._load_course
         for variable in (motion.position_min, motion.position_max, motion.home_offset):
             variable.on_write = lambda _value: self._take_guards()
-        self.units.on_change(self._actual.take_units)
-        self.machine.on_change(self._on_inputs)
+        self.units.changed = self._actual.take_units
+        self.machine.changed = self._on_inputs
         provide_slow_values(self.axis)
-        self._open_defaults = OpenDefaults(objects.max_torque, objects.max_current, motion.following_window)
+        needed = objects.max_torque, objects.max_current, motion.following_window
+        self._own_defaults = [(variable, variable.default) for variable in needed]
         take_away(dictionary, self.drive.lacks)
 
     def on_reset(self, now: Instant) -> None:
@@ -117,7 +118,10 @@ class ServoApplication(Application):
         if not self._powered:
             self._powered = True
             self.firmware.start(now)
-            self._open_defaults.fill_in(self._services.node_id)
+            for variable, default in self._own_defaults:
+                if not variable.default:  # left open by a vendor's dictionary; with 0 the drive cannot move
+                    variable.default = default
+                    variable.restore(self._services.node_id)
         self.wake_at = Instant(now + _WAKE_NS)
         self._failures.forget()
         self.power.restart()

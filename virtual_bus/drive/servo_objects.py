@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from enum import IntEnum
 from typing import Any
 
-from design.motor import PmsmParameters, Transform
+from design.motor import PmsmParameters
 from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import (
@@ -25,7 +25,7 @@ from drivers.cia402.profile import (
 from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
 from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.drive.servo_parameters import DriveParameters
+from virtual_bus.drive.servo_parameters import DriveParameters, current_per_rms
 
 I8, I16, I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
@@ -133,8 +133,7 @@ class ServoObjects:
         self.max_motor_speed = self._add(Object.MAX_MOTOR_SPEED, U32, RW, default=speed, low=1, high=speed)
 
     def _add_motor(self, motor: PmsmParameters) -> None:
-        per_rms = 3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0
-        self._rated_current_ma = rated_ma = round(1000 * motor.rated_current_a / math.sqrt(per_rms))
+        self._rated_current_ma = rated_ma = round(1000 * motor.rated_current_a / current_per_rms(motor))
         self._current_unit_a = motor.rated_current_a / 1000.0
         rated_mnm, bus_mv = round(1000 * motor.rated_torque_nm), round(1000 * motor.dc_bus_voltage_v)
         self._add(Object.MOTOR_TYPE, U16, RO, default=PERMANENT_MAGNET_SINUSOIDAL, mappable=False)

@@ -1,11 +1,12 @@
 """How a simulated drive is built and set, beside the motor on its shaft."""
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from design.motor import PmsmParameters
+from design.motor import PmsmParameters, Transform
 from drivers.canopen.cob_ids import NO_RTR
 from drivers.canopen.objects301 import Cia301, mapping_word
 from drivers.cia402.objects402 import Object
@@ -23,6 +24,7 @@ from virtual_bus.drive.load_table import LoadTable
 SERVO_DRIVE: Final = 0x0002_0192
 """Device type 1000h: device profile 402, servo drive (CiA 402-1)."""
 _CLOCK_RANGE_US: Final = 1 << 32
+"""Of 1013h, an UNSIGNED32."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,11 @@ class DriveParameters(FirmwareParameters):
         if self.speed_max_rad_s is not None:
             return self.speed_max_rad_s
         return motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb)
+
+
+def current_per_rms(motor: PmsmParameters) -> float:
+    """The amplitude in the motor's transform of 1 A rms of a phase."""
+    return math.sqrt(3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0)
 
 
 def device_options(node_id: int, drive: DriveParameters, seed: int) -> DeviceOptions:

@@ -19,14 +19,15 @@ from drivers.cia402.objects402 import Object, Unit, unit_word
 from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.drive.shown import show_instead
+from virtual_bus.drive.servo_parameters import DriveParameters, current_per_rms
+from virtual_bus.drive.user_units import POSITION_POLARITY, VELOCITY_POLARITY
 
 _COUNTS: Final = (4000, 4096, 8192, 10_000, 16_384, 65_536, 131_072, 1_048_576)
+"""Per turn: encoders of 1000, 1024, 2048 and 2500 lines, and of 14 to 20 bits."""
 _RATIOS: Final = (0.1, 0.25, 0.5, 2.0, 4.0, 10.0)
+"""By what a factor is told wrong: a decade, the four edges of an encoder line, a factor of two."""
 _GEARS: Final = ((1, 1), (3, 1), (5, 1), (10, 1), (25, 2), (100, 7))
-_POSITION_BIT: Final = 0x80
-_VELOCITY_BIT: Final = 0x40
+"""None, planetary gears, and two whose ratio is no whole number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,6 @@ class Truth:
 
 def nameplate_of(motor: PmsmParameters) -> dict[str, Any]:
     """What is printed on a motor, as tables of a nameplate file."""
-    per_rms = 3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0
     return {
         "motor": {
             "name": motor.name,
@@ -66,7 +66,7 @@ def nameplate_of(motor: PmsmParameters) -> dict[str, Any]:
         "rating": {
             "torque_nm": round(motor.rated_torque_nm, 3),
             "speed_rpm": round(motor.rated_speed_rad_s / RAD_S_PER_RPM),
-            "current_a": round(motor.rated_current_a / math.sqrt(per_rms), 3),
+            "current_a": round(motor.rated_current_a / current_per_rms(motor), 3),
             "dc_bus_voltage_v": motor.dc_bus_voltage_v,
         },
     }
@@ -100,8 +100,8 @@ def unknown_drive(seed: int, node_id: int = 1, clock_drift_ppm: float = 0.0) -> 
         position_rad=abs(units.counts_per_position) * math.tau / counts,
         velocity_rad_s=abs(units.rad_s_per_velocity),
         rated_torque_nm=servo.drive.objects.rated_torque.default / 1000.0,
-        position_sign=-1 if in_force & _POSITION_BIT else 1,
-        velocity_sign=-1 if in_force & _VELOCITY_BIT else 1,
+        position_sign=-1 if in_force & POSITION_POLARITY else 1,
+        velocity_sign=-1 if in_force & VELOCITY_POLARITY else 1,
         faults=frozenset(faults),
         clock_drift_ppm=clock_drift_ppm,
     )
@@ -203,7 +203,7 @@ def _set(servo: SimulatedServo, index: int, sub: int, value: int) -> None:
 
 
 def _show(servo: SimulatedServo, index: int, sub: int, value: int) -> None:
-    show_instead(servo.dictionary.variable(index, sub), value)
+    servo.dictionary.variable(index, sub).show_instead(value)
 
 
 def _show_scaled(servo: SimulatedServo, index: int, sub: int, ratio: float) -> None:

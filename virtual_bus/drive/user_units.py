@@ -29,6 +29,7 @@ _TURNS: Final = (Unit.REVOLUTION, Unit.DEGREE, Unit.RADIAN)
 _LENGTHS: Final = (*_TURNS, Unit.INCREMENT)
 _PER: Final = (Unit.SECOND, Unit.MINUTE, Unit.HOUR)
 _EXPONENTS: Final = range(-9, 10)
+"""Nano to giga."""
 _MILLI_RPM_PER_REV_S: Final = 60_000
 _WRAP: Final = 1 << 32
 _HALF: Final = 1 << 31
@@ -54,16 +55,13 @@ class UserUnits:
         self.rad_s_per_velocity = 1.0
         self.velocity_per_rad_s = 1.0
         self.rad_s2_per_acceleration = 1.0
-        self._changed: Callable[[], None] = _nothing
+        self.changed: Callable[[], None] = lambda: None
+        """Called after every change of a factor or of the origin."""
         self._add_factors(counts_per_revolution)
         self._add_unit_words()
         self.polarity = dictionary.add(
             Object.POLARITY, "Polarity", _U8, check=self._check_polarity, on_write=self._on_factor
         )
-
-    def on_change(self, changed: Callable[[], None]) -> None:
-        """Call ``changed`` after every change of a factor or of the origin."""
-        self._changed = changed
 
     def take(self) -> None:
         """Read all objects anew, as at power-on."""
@@ -82,7 +80,7 @@ class UserUnits:
     def set_origin(self, count: float) -> None:
         """The master's position 0 is at that encoder count from now on."""
         self.origin = count
-        self._changed()
+        self.changed()
 
     # ---- positions ------------------------------------------------------------------------------------
 
@@ -166,7 +164,7 @@ class UserUnits:
 
     def _on_factor(self, _value: int) -> None:
         self.take()
-        self._changed()
+        self.changed()
 
     def _scaling(self) -> Scaling:
         """From what is on the bus, as a master reads it; where a vendor's dictionary tells nothing of the
@@ -186,10 +184,6 @@ class UserUnits:
 def wrapped(value: int) -> int:
     """As INTEGER32."""
     return (value + _HALF) % _WRAP - _HALF
-
-
-def _nothing() -> None:
-    pass
 
 
 def _is_position(word: int) -> bool:

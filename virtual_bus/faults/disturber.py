@@ -94,11 +94,6 @@ class Disturber:
 
     def disturb(self, sender: str, frame: Frame, at: Instant) -> Disturbance | None:
         """What ``CanSegment.set_disturb`` of the bus asks: every node sees the disturbed bit."""
-        bit = self.bit(sender, frame, at)
-        return None if bit is None else Disturbance(bit)
-
-    def bit(self, sender: str, frame: Frame, at: Instant) -> int | None:
-        """The bit of the frame, counted from start of frame, at which the bus is disturbed."""
         if self._zero is None:
             return None
         direction = Direction.HOST_TO_DRIVE if self._is_host(sender) else Direction.DRIVE_TO_HOST
@@ -107,11 +102,12 @@ class Disturber:
         self._attempts[direction, key] = n + 1
         elapsed = at - self._zero
         bit = self._bit_of(direction, frame, n, elapsed)
-        if bit is not None:
-            self.disturbed[direction.label] += 1
-            if self._log is not None:
-                self._log.note(_ERROR_FRAME, elapsed, direction, key, n, bit)
-        return bit
+        if bit is None:
+            return None
+        self.disturbed[direction.label] += 1
+        if self._log is not None:
+            self._log.note(_ERROR_FRAME, elapsed, direction, key, n, bit)
+        return Disturbance(bit)
 
 
 def disturber(

@@ -53,6 +53,7 @@ EXTENDED_FLAG: Final = 1 << 31
 
 _ENTRY: Final = struct.Struct("<8q")
 _BLOCK_ENTRIES: Final = 60
+"""With its head 3844 bytes: a row stays within a page of memory."""
 BLOCK_BYTES: Final = _BLOCK_ENTRIES * _ENTRY.size
 BLOCK: Final = struct.Struct(f"<I{BLOCK_BYTES}s")
 """A row of the ring between the run and whoever writes: how much of the block is filled, and the block."""

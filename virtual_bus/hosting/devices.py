@@ -13,7 +13,7 @@ from drivers.wire.frame_port import FramePort
 from drivers.wire.message_port import ERROR_FLAG, MessagePort, StampSource
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.error_message import told_bus_off
-from virtual_bus.bus.listener import Listener
+from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.event_heap import Action
 from virtual_bus.frame import Device, Frame

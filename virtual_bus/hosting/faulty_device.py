@@ -12,66 +12,22 @@ affair.
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from heapq import heappop, heappush
-from typing import Protocol
 
 from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NEVER, Instant
 from virtual_bus.bus.held_frames import HeldFrames
 from virtual_bus.bus.judge import Direction
-from virtual_bus.device.application import Application
-from virtual_bus.device.device_clock import DeviceClock
+from virtual_bus.bus.port import Port
+from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.drive.servo import ServoApplication
 from virtual_bus.faults.fates import FateSource, Queue
 from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, FaultLog
 from virtual_bus.faults.node_fault import NodeEvent
 from virtual_bus.faults.node_faults import NodeSource, node_kind
-from virtual_bus.frame import Device, Frame
+from virtual_bus.frame import Frame
 
 _NOTHING: tuple[Frame, ...] = ()
 _LATE, _BOOT = KIND_CODES["late"], KIND_CODES["boot"]
-
-
-class SimulatedNode(Device, Protocol):
-    """The device inside: a :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
-
-    clock: DeviceClock
-
-    @property
-    def node_id(self) -> int: ...
-
-    @property
-    def state(self) -> NmtState: ...
-
-    @property
-    def application(self) -> Application: ...
-
-    def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None: ...
-
-    def follow_boot_time(self, boot_time: Callable[[], int]) -> None: ...
-
-    def answer_scan_in_configuration(self) -> None: ...
-
-    def bus_off(self, now: Instant) -> None: ...
-
-    def bus_recovered(self, now: Instant) -> Sequence[Frame]: ...
-
-
-class FailingDrive(Protocol):
-    """What an application must be able to do to fail."""
-
-    def fail(self, code: int, register: ErrorRegister) -> None: ...
-
-    def hold_encoder(self, held: bool) -> None: ...
-
-    def open_sto(self, opened: bool) -> None: ...
-
-
-class BusOffControl(Protocol):
-    """The node's CAN controller, where the bus has error counters; it tells the device by itself."""
-
-    def go_bus_off(self) -> None: ...
-
-    def recover(self) -> None: ...
 
 
 class _Stage(IntEnum):
@@ -90,7 +46,7 @@ class FaultyDevice:
 
     def __init__(
         self,
-        device: SimulatedNode,
+        device: CanopenDevice,
         source: NodeSource,
         log: FaultLog | None = None,
         fates: FateSource | None = None,
@@ -99,8 +55,9 @@ class FaultyDevice:
         self.device = device
         self.held = HeldFrames()
         self._fates = fates
-        self.controller: BusOffControl | None = None
-        """None: bus-off is acted out here, by silence."""
+        self.controller: Port | None = None
+        """The device's, where the bus has error counters: it tells the device of bus-off by itself. None:
+        bus-off is acted out here, by silence."""
         self._source = source
         self._log = log
         self._zero: Instant | None = None
@@ -304,28 +261,26 @@ class FaultyDevice:
 
     def fail(self, code: int, register: ErrorRegister, now: Instant) -> None:
         """The drive finds an error of its own."""
-        frames = list(self.device.wake(now))
-        self._drive().fail(code, register)
-        frames += self.device.wake(now)
-        self._out += self._pass_on(frames, now)
+        self._befall_drive(lambda drive: drive.fail(code, register), now)
 
     def hold_encoder(self, held: bool, now: Instant) -> None:
         """Its encoder stands still at its last count, or goes on."""
-        self._out += self._pass_on(self.device.wake(now), now)
-        self._drive().hold_encoder(held)
+        self._befall_drive(lambda drive: drive.hold_encoder(held), now)
 
     def open_sto(self, opened: bool, now: Instant) -> None:
         """Its input for safe torque off opens, or closes again."""
-        frames = list(self.device.wake(now))
-        self._drive().open_sto(opened)
-        frames += self.device.wake(now)
-        self._out += self._pass_on(frames, now)
+        self._befall_drive(lambda drive: drive.open_sto(opened), now)
 
     def later(self, due: int, action: Callable[[Instant], None]) -> None:
         """Do something at ``due``."""
         self._order += 1
         heappush(self._timers, (due, self._order, action))
 
-    def _drive(self) -> FailingDrive:
-        drive: FailingDrive = self.device.application  # type: ignore[assignment]
-        return drive
+    def _befall_drive(self, act: Callable[[ServoApplication], None], now: Instant) -> None:
+        """The drive is brought to ``now``, ``act`` happens to it, and it reacts."""
+        drive = self.device.application
+        assert isinstance(drive, ServoApplication), "see Injection.wrap"
+        frames = list(self.device.wake(now))
+        act(drive)
+        frames += self.device.wake(now)
+        self._out += self._pass_on(frames, now)

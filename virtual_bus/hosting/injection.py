@@ -1,4 +1,4 @@
-"""All that injects the faults of one plan, or of a recorded run: on frames, on the wire, on nodes.
+"""All that injects the faults of one plan, or of a recorded run: on frames, on the wire, nodes and the host.
 
 program given the plan     side = "host", or none           side = "drive"
 hil run, simulated bus     at the host's connection         at each drive's connection
@@ -7,21 +7,55 @@ hil simulate               none: at its own connection;     at its own connectio
                            "host": refused
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant
+from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.drive.servo import ServoApplication
 from virtual_bus.faults.disturber import Disturber, disturber
 from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_log import FaultLog
+from virtual_bus.faults.fault_log import KIND_CODES, FaultLog
 from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.fault_streams import uniform_stream
 from virtual_bus.faults.frame_fault import Side
-from virtual_bus.faults.host_stalls import HostStalls, drawn_stalls, recorded_stalls
 from virtual_bus.faults.kinds.host_stall import HostStall
-from virtual_bus.faults.node_faults import DrawnNode, node_source
+from virtual_bus.faults.node_faults import DrawnNode, Events, node_source
 from virtual_bus.faults.replay import RecordedFaults, ReplayedFates
-from virtual_bus.hosting.faulty_device import FaultyDevice, SimulatedNode
+from virtual_bus.hosting.faulty_device import FaultyDevice
+
+_STALL = KIND_CODES[HostStall.kind]
+
+LateBy = Callable[[int, int], int]
+"""By how much the action of that number (from 0) at that time since time zero (ns) comes late, ns."""
+
+
+def drawn_stalls(stalls: Sequence[HostStall], seed: int, link: str) -> LateBy:
+    """By the tables of a plan; ``link`` tells the benches' buses apart."""
+    tables = [
+        Events(stall.events(partial(uniform_stream, seed, f"{link}/host/{stall.kind}/{place}")))
+        for place, stall in enumerate(stalls)
+    ]
+
+    def late_by(_n: int, elapsed_ns: int) -> int:
+        total = 0
+        for table in tables:
+            longest = 0
+            while table.next_at() <= elapsed_ns:
+                longest = max(longest, table.take().a)
+            total += longest
+        return total
+
+    return late_by
+
+
+def recorded_stalls(recorded: RecordedFaults) -> LateBy:
+    """As they were in a recorded run, action by action."""
+    late = {entry.n: entry.a for entry in recorded.entries if entry.code == _STALL}
+    return lambda n, _elapsed_ns: late.get(n, 0)
+
 
 Faults = FaultPlan | RecordedFaults
 
@@ -48,7 +82,10 @@ class Injection:
         self.log = log
         self.fates = _fates(faults, seed, log, error_frames, link, side)
         """What befalls frames at the bus; None if nothing does."""
-        self._stalls = _stalls(faults, seed, log, link)
+        self._late_by = _late_by(faults, seed, link)
+        self._zero: Instant | None = None
+        """Since when the host may be late."""
+        self._actions = 0
         self._link = link
         self._side = side
         self.disturber: Disturber | None = disturber(faults, seed, log, is_host) if error_frames else None
@@ -57,7 +94,7 @@ class Injection:
         self._devices: list[FaultyDevice] = []
         self._wakes: list[Callable[[], None]] = []
 
-    def wrap(self, device: SimulatedNode) -> SimulatedNode | FaultyDevice:
+    def wrap(self, device: CanopenDevice) -> CanopenDevice | FaultyDevice:
         """``device`` with what befalls it; itself, if nothing does. Raises BadInput if it cannot fail so."""
         node = device.node_id
         source = node_source(self._faults, node, self._seed)
@@ -66,7 +103,7 @@ class Injection:
             if fates is None:
                 return device
             source = DrawnNode(FaultPlan(), node, self._seed)
-        if source.needs_drive and not hasattr(device.application, "fail"):
+        if source.needs_drive and not isinstance(device.application, ServoApplication):
             here = f"node {node}"
             raise BadInput("fault plan", source.needs_drive, here, "a simulated drive, with a motor inside")
         made = FaultyDevice(device, source, self.log, fates)
@@ -88,11 +125,18 @@ class Injection:
     @property
     def stalls_host(self) -> bool:
         """Whether the plan says when the host is late."""
-        return self._stalls is not None
+        return self._late_by is not None
 
     def host_stall(self, now: Instant) -> Duration:
         """For how long the host, which should act at ``now``, sleeps instead. To be asked once an action."""
-        return Duration(0) if self._stalls is None else self._stalls.stall(now)
+        if self._late_by is None or self._zero is None:
+            return Duration(0)
+        n, elapsed_ns = self._actions, now - self._zero
+        self._actions = n + 1
+        late_ns = self._late_by(n, elapsed_ns)
+        if late_ns and self.log is not None:
+            self.log.note(_STALL, elapsed_ns, 0, 0, n, late_ns)
+        return Duration(late_ns)
 
     def on_start(self, wake: Callable[[], None]) -> None:
         """Call ``wake`` at the plan's time zero: a device may have other wishes then."""
@@ -102,8 +146,7 @@ class Injection:
         """Time zero is ``now``. The frames' faults are started by the bus that wears them."""
         if self.disturber is not None:
             self.disturber.start(now)
-        if self._stalls is not None:
-            self._stalls.start(now)
+        self._zero, self._actions = now, 0
         for device in self._devices:
             device.start_faults(now)
         for wake in self._wakes:
@@ -113,8 +156,7 @@ class Injection:
         """No frame is touched any more, and nothing new strikes a node."""
         if self.disturber is not None:
             self.disturber.stop()
-        if self._stalls is not None:
-            self._stalls.stop()
+        self._zero = None
         for device in self._devices:
             device.stop_faults()
 
@@ -133,11 +175,10 @@ def _fates(
     return FaultInjector(here, seed, link, error_frames, log) if here.faults else None
 
 
-def _stalls(faults: Faults, seed: int, log: FaultLog | None, link: str) -> HostStalls | None:
+def _late_by(faults: Faults, seed: int, link: str) -> LateBy | None:
     if isinstance(faults, RecordedFaults):
-        return HostStalls(recorded_stalls(faults), log)
-    stalls = faults.host_stalls
-    return HostStalls(drawn_stalls(stalls, seed, link), log) if stalls else None
+        return recorded_stalls(faults)
+    return drawn_stalls(faults.host_stalls, seed, link) if faults.host_stalls else None
 
 
 def refuse_misplaced(faults: Faults, side: Side, bus: str) -> None:

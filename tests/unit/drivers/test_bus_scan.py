@@ -13,6 +13,8 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.frame_port import FramePort
 from drivers.wire.link import BusLink, StampSource
 from hil.configuration.motor_file import LING2012
+from tests.hearing import Hearing
+from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.drive.servo import SimulatedServo
@@ -121,7 +123,7 @@ def test_listening_sends_nothing() -> None:
 
 def test_a_node_whose_sdo_channel_another_master_uses_is_left_alone() -> None:
     bench = Bench([1, 5])
-    other = bench.segment.attach("other master", lambda _frame, _at: None)
+    other = bench.segment.attach("other master", Listener())
     upload = bytes.fromhex("4018100100000000")
     for tenth in range(10):
         bench.timeline.call_at(
@@ -153,7 +155,7 @@ def test_asking_takes_a_small_part_of_the_bus_and_leaves_states_alone() -> None:
 
 def test_traffic_is_sorted_by_what_it_is() -> None:
     bench = Bench([])
-    port = bench.segment.attach("others", lambda _frame, _at: None)
+    port = bench.segment.attach("others", Listener())
     for frame in (
         Frame(0x080),
         Frame(0x185, b"1"),
@@ -253,7 +255,7 @@ def test_a_search_that_leads_nowhere_is_an_error() -> None:
         if frame.can_id == 0x7E5 and frame.data[5] == 0x80:
             scared.send(Frame(0x7E4, b"\x4f".ljust(8, b"\0")))
 
-    scared = bench.segment.attach("scared", answer)
+    scared = bench.segment.attach("scared", Hearing(answer))
     with pytest.raises(NoAnswer, match="but none was found"):
         list(LssMaster(bench.network).search())
 

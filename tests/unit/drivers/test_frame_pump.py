@@ -10,6 +10,7 @@ from drivers.canopen.frame_pump import FramePump
 from drivers.timebase import NEVER, NS_PER_MS, Instant
 from drivers.wire.frame_port import EchoBasis, FramePort, WireFrame
 from drivers.wire.link import BusLink
+from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.frame import Frame
@@ -25,7 +26,7 @@ class Bench:
     def __init__(self) -> None:
         self.timeline = Timeline()
         segment = CanSegment(self.timeline)
-        self.peer = segment.attach("peer", lambda _frame, _at: None)
+        self.peer = segment.attach("peer", Listener())
         self.ended: list[tuple[int, Instant]] = []
         segment.add_monitor(lambda frame, at: self.ended.append((frame.can_id, at)))
         self.bus = SimulatedBus(segment=segment, receive_own_messages=True)

@@ -7,6 +7,7 @@ import pytest
 from drivers.canopen.lss import LssAddress, LssMaster
 from drivers.errors import NoAnswer, PeerFault
 from drivers.timebase import NS_PER_S, Instant
+from tests.hearing import Hearing
 from tests.unit.drivers.test_bus_scan import UNCONFIGURED, Bench
 from virtual_bus.frame import Frame
 
@@ -30,7 +31,7 @@ def with_slave(answer: Answerer) -> Bench:
         if told is not None:
             port.send(Frame(0x7E4, told.ljust(8, b"\0")))
 
-    port = bench.segment.attach("odd slave", on_frame)
+    port = bench.segment.attach("odd slave", Hearing(on_frame))
     return bench
 
 

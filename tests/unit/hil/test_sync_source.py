@@ -81,7 +81,7 @@ def test_a_bus_that_went_away_does_not_hide_why_the_run_ended(
         raise can.CanOperationError("network is down")
 
     with monkeypatch.context() as failing:
-        failing.setattr("virtual_bus.bus.cyclic_task.TimelineCyclicTask.stop", fail)
+        failing.setattr("virtual_bus.bus.simulated_bus.TimelineCyclicTask.stop", fail)
         with pytest.raises(ValueError, match="why"), kernel_sync(rig.bus, PERIOD):
             raise ValueError("why")
 

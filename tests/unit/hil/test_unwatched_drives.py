@@ -22,11 +22,11 @@ from hil.commissioning.report import Commissioned
 from hil.execution.world import World, WorldPlan, open_world
 from tests.motors import LING
 from tests.scenario.test_commissioning_host_gaps import SEED, commissioned
+from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.drive.unknown_drive import unknown_drive
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.faulty_device import SimulatedNode
 
 pytestmark = pytest.mark.long
 
@@ -130,7 +130,7 @@ class Lab:
 @contextmanager
 def lab(lacks: Sequence[str], *, deaf: bool = False) -> Iterator[Lab]:
     servo = SimulatedServo(1, LING, DriveParameters(lacks=tuple(lacks)))
-    device = cast(SimulatedNode, Deaf(servo) if deaf else servo)
+    device = cast(CanopenDevice, Deaf(servo) if deaf else servo)
     with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, 0), [device]) as world:
         yield Lab(world, servo)
 

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 from drivers.canopen.cob_ids import NO_RTR
 from drivers.canopen.data_types import DataType
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.objects301 import mapping_word
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices, ErrorRegister
+from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceOptions, PdoDefault
 from virtual_bus.device.object_dictionary import Access

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from drivers.timebase import Instant
+from tests.hearing import Hearing
 from tests.unit.virtual_bus.can_reference import wire_bits as reference_wire_bits
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.disturbance import BusError, Disturbance
@@ -39,7 +40,7 @@ class Bench:
 
     def _node(self, name: str) -> Node:
         got: list[tuple[int, Frame]] = []
-        node = Node(self.segment.attach(name, lambda frame, at: got.append((at, frame))), got)
+        node = Node(self.segment.attach(name, Hearing(lambda frame, at: got.append((at, frame)))), got)
         node.port.on_sent = lambda _frame, at: node.sent.append(at)
         node.port.on_error_state = lambda state, at: node.states.append((at, state))
         return node

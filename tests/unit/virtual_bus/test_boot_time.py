@@ -5,6 +5,7 @@ import pytest
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
 from tests.motors import LING
+from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
@@ -26,7 +27,7 @@ class Tap:
         segment = CanSegment(self.timeline)
         self.servo = SimulatedServo(5, LING, drive)
         AttachedDevice(self.servo, segment)
-        self._master = segment.attach("master", lambda _frame, _at: None)
+        self._master = segment.attach("master", Listener())
         self.seen: list[tuple[Instant, Frame]] = []
         segment.add_monitor(lambda frame, at: self.seen.append((at, frame)))
         self.pass_ms(1)

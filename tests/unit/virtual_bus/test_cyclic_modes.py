@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, State
 from tests.motors import LING
@@ -18,7 +19,6 @@ from tests.unit.virtual_bus.motion_bench import (
     RPM_PER_TURN_S,
     MotionBench,
 )
-from virtual_bus.device.application import ErrorRegister
 from virtual_bus.drive.machine import MACHINE
 from virtual_bus.drive.servo_parameters import DriveParameters
 

@@ -5,6 +5,7 @@ import pytest
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
 from tests.unit.virtual_bus.device_bench import RecordingApplication
+from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceIdentity, DeviceOptions
@@ -235,7 +236,7 @@ def test_activated_bit_rate_is_that_of_its_controller_on_a_segment() -> None:
     segment = CanSegment(timeline)
     made = CanopenDevice(5, RecordingApplication(), DeviceOptions(IDENTITY))
     attached = AttachedDevice(made, segment)
-    master = segment.attach("master", lambda _frame, _at: None)
+    master = segment.attach("master", Listener())
     for request in (b"\x04\x01", b"\x13\x00\x02", b"\x15\x05"):
         master.send(Frame(0x7E5, request.ljust(8, b"\x00")))
     timeline.run_until(Instant(4 * NS_PER_MS))

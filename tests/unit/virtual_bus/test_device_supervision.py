@@ -2,6 +2,7 @@
 
 import pytest
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.device_bench import (
@@ -16,7 +17,7 @@ from tests.unit.virtual_bus.device_bench import (
     SdoRefused,
     operational,
 )
-from virtual_bus.device.application import CommunicationLoss, ErrorRegister
+from virtual_bus.device.application import CommunicationLoss
 from virtual_bus.device.device_options import DeviceOptions
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.frame import Frame

@@ -7,7 +7,9 @@ from scipy import stats
 
 from drivers.timebase import Instant
 from tests.fates import keys
+from tests.hearing import Hearing
 from virtual_bus.bus.bit_length import frame_bits
+from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.faults.disturber import Disturber, disturber
 from virtual_bus.faults.fault_log import FaultLog
@@ -31,7 +33,8 @@ def made(*faults: Corruption | Loss, log: FaultLog | None = None, seed: int = 2)
 def test_attempts_are_disturbed_with_their_probability_at_any_bit() -> None:
     source = made(Corruption(probability=0.05))
     count = 20_000
-    bits = [bit for k in range(count) if (bit := source.bit("drive", TPDO, Instant(k))) is not None]
+    struck = [source.disturb("drive", TPDO, Instant(k)) for k in range(count)]
+    bits = [disturbance.bit for disturbance in struck if disturbance is not None]
     low, high = stats.binomtest(len(bits), count, 0.05).proportion_ci(0.99)
     assert low < 0.05 < high
     length = frame_bits(TPDO)
@@ -44,19 +47,19 @@ def test_a_selection_and_a_window_hold_on_the_wire_too() -> None:
     chosen = keys(direction="host_to_drive", frames=("sync",), until_s=1e-9 * 100)
     source = made(Corruption(probability=1.0, **chosen))
     sync = Frame(0x80)
-    assert source.bit("host", sync, Instant(0)) is not None
-    assert source.bit("drive", sync, Instant(0)) is None
-    assert source.bit("host", TPDO, Instant(0)) is None
-    assert source.bit("host", sync, Instant(100)) is None
+    assert source.disturb("host", sync, Instant(0)) is not None
+    assert source.disturb("drive", sync, Instant(0)) is None
+    assert source.disturb("host", TPDO, Instant(0)) is None
+    assert source.disturb("host", sync, Instant(100)) is None
     assert source.disturbed == {"host_to_drive": 1, "drive_to_host": 0}
 
 
 def test_nothing_is_disturbed_before_the_start_and_after_the_end() -> None:
     source = made(Corruption(probability=1.0))
     source.stop()
-    assert source.bit("drive", TPDO, Instant(0)) is None
+    assert source.disturb("drive", TPDO, Instant(0)) is None
     source.start(Instant(5))
-    assert source.bit("drive", TPDO, Instant(5)) is not None
+    assert source.disturb("drive", TPDO, Instant(5)) is not None
 
 
 @pytest.mark.parametrize("effect", ["lost", "data"])
@@ -70,20 +73,20 @@ def test_a_replay_disturbs_the_same_attempts() -> None:
     log = FaultLog()
     source = made(Corruption(probability=0.2), log=log)
     frames = [Frame(0x181 + k % 3, bytes(k % 9)) for k in range(300)]
-    first = [source.bit("drive", frame, Instant(k)) for k, frame in enumerate(frames)]
+    first = [source.disturb("drive", frame, Instant(k)) for k, frame in enumerate(frames)]
     again = disturber(RecordedFaults(tuple(log.entries())), 9, None, lambda name: name == "host")
     assert again is not None
     again.start(Instant(1000))
-    assert [again.bit("drive", frame, Instant(1000 + 7 * k)) for k, frame in enumerate(frames)] == first
-    assert any(bit is not None for bit in first)
+    assert [again.disturb("drive", frame, Instant(1000 + 7 * k)) for k, frame in enumerate(frames)] == first
+    assert any(disturbance is not None for disturbance in first)
 
 
 def test_a_disturbed_frame_is_repeated_until_it_comes_through() -> None:
     timeline = Timeline()
     segment = CanSegment(timeline)
     got: list[tuple[Frame, Instant]] = []
-    sender = segment.attach("drive", lambda frame, at: None)
-    segment.attach("host", lambda frame, at: got.append((frame, at)))
+    sender = segment.attach("drive", Listener())
+    segment.attach("host", Hearing(lambda frame, at: got.append((frame, at))))
     window = keys(until_s=1e-9 * 1_000_000)
     source = made(Corruption(probability=1.0, **window))
     segment.set_disturb(source.disturb)

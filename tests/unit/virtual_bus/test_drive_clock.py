@@ -10,6 +10,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from tests.fates import keys
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ServoBench
+from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
@@ -34,7 +35,7 @@ class TappedDrive:
         self.timeline = Timeline()
         segment = CanSegment(self.timeline)
         segment.add_monitor(self._see)
-        self.master = segment.attach("master", lambda _frame, _at: None)
+        self.master = segment.attach("master", Listener())
         self.errors_us: list[tuple[Instant, float]] = []
         """Of each stamp: the SYNC's end, and how far the clock is ahead of a perfect one."""
         self._sync_at = Instant(0)

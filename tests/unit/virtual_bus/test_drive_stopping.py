@@ -4,11 +4,11 @@ import math
 
 import pytest
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, State, Status
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import ENABLED, RPM_PER_TURN_S, MotionBench
-from virtual_bus.device.application import ErrorRegister
 from virtual_bus.drive.servo_parameters import DriveParameters
 
 SPEED, DOWN, QUICK, HOMING = 10.0, 50.0, 200.0, 80.0

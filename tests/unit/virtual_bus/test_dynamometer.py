@@ -9,16 +9,15 @@ from hil.configuration.motor_file import LING2012
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.instruments.dynamometer.brake import RESPONSE_S, STEP_NS, Brake, ServoShaft
 from virtual_bus.instruments.dynamometer.hosting import TimelineLine
-from virtual_bus.instruments.dynamometer.instrument import Instrument
-from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.dynamometer.instrument import RESPONSE_S, STEP_NS, Brake, Instrument, Shaft
+from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 RPM = 3.141592653589793 / 30.0
 
 
-class FlyWheel:
+class FlyWheel(Shaft):
     """A shaft that nothing slows down."""
 
     def __init__(self, speed_rad_s: float = 1500 * RPM) -> None:
@@ -171,7 +170,7 @@ def test_the_brake_holds_the_shaft_of_a_simulated_drive_like_friction() -> None:
     servo = SimulatedServo(1, LING2012.parameters)
     AttachedDevice(servo, segment)
     timeline.run_until(Instant(NS_PER_MS))
-    shaft = ServoShaft(servo)
+    shaft = Shaft(servo)
     firmware = servo.drive.firmware
     inertia = LING2012.parameters.inertia_kg_m2
     # the drive's own holding brake is out of it: torque control at zero torque

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from drivers.timebase import NS_PER_S, Instant
 from tests.fates import keys
+from tests.hearing import Hearing
 from tests.ports import fetched
 from virtual_bus.bus.held_frames import HELD_MAX
 from virtual_bus.bus.judge import Direction
@@ -65,7 +66,7 @@ class Rig:
         assert isinstance(self.bus, InFront if outside else SimulatedFaultyBus)
         self.port = self.bus.frame_port
         self.seen: list[tuple[Frame, Instant]] = []
-        self.peer = segment.attach("peer", lambda frame, at: self.seen.append((frame, at)))
+        self.peer = segment.attach("peer", Hearing(lambda frame, at: self.seen.append((frame, at))))
         self.bus.start(Instant(0))
 
     def close(self) -> None:

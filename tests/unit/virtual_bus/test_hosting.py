@@ -14,8 +14,10 @@ from drivers.canopen.nmt_states import NmtState
 from drivers.errors import BusDown
 from drivers.timebase import Instant
 from drivers.wire.frame_port import FramePort
+from tests.hearing import Hearing
 from tests.motors import LING
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, START, RecordingApplication
+from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.device.application import CommunicationLoss
@@ -52,7 +54,7 @@ def test_timers_of_an_attached_device_follow_the_timeline() -> None:
 def test_deadline_that_is_put_off_does_not_fire_early() -> None:
     timeline = Timeline()
     segment = CanSegment(timeline)
-    master = segment.attach("master", lambda _frame, _at: None)
+    master = segment.attach("master", Listener())
     node = device()
     AttachedDevice(node, segment)
     master.send(Frame(0, bytes([START, 0])))
@@ -111,7 +113,7 @@ def test_full_queue_loses_frames_and_counts_them() -> None:
 def test_serve_on_a_python_can_bus() -> None:
     bus = SimulatedBus(channel="drive")
     clock = SimulatedClock(bus.timeline)
-    master = bus.segment.attach("master", lambda frame, _at: answers.append(frame))
+    master = bus.segment.attach("master", Hearing(lambda frame, _at: answers.append(frame)))
     answers: list[Frame] = []
     read = bytes([0x40, *LEVEL.to_bytes(2, "little"), 0, 0, 0, 0, 0])
     bus.timeline.post(Instant(5 * MS), lambda _now: master.send(Frame(0x605, read)))
@@ -186,7 +188,7 @@ def test_served_device_hears_that_its_adapter_went_bus_off_and_came_back() -> No
     bus = SimulatedBus(channel="drive")
     clock, node = SimulatedClock(bus.timeline), device(heartbeat_ms=10)
     heard: list[tuple[int, bytes]] = []
-    master = bus.segment.attach("master", lambda frame, at: heard.append((at // MS, frame.data[:2])))
+    master = bus.segment.attach("master", Hearing(lambda frame, at: heard.append((at // MS, frame.data[:2]))))
     bus.timeline.post(Instant(2 * MS), lambda _now: master.send(Frame(0, bytes([START, 0]))))
     bus.timeline.post(Instant(25 * MS), lambda _now: bus.port.go_bus_off())
     bus.timeline.post(Instant(55 * MS), lambda _now: bus.port.recover())
@@ -218,7 +220,7 @@ def test_error_frames_tell_of_bus_off_where_the_bus_does_not(back: str) -> None:
     bus.told[:] = [(25 * MS, 0x40)] + [(55 * MS, 0x100)] * (back == "restarted")
     clock, node = SimulatedClock(bus.timeline), device(heartbeat_ms=10)
     heard: list[tuple[int, bytes]] = []
-    master = bus.segment.attach("master", lambda frame, at: heard.append((at // MS, frame.data[:2])))
+    master = bus.segment.attach("master", Hearing(lambda frame, at: heard.append((at // MS, frame.data[:2]))))
     if back == "a frame":
         bus.timeline.post(Instant(55 * MS), lambda _now: master.send(Frame(0x123)))
     serve([node], bus, clock, lambda: clock.now() >= 85 * MS)

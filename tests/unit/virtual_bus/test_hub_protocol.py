@@ -30,6 +30,7 @@ from virtual_bus.bus.hub_protocol import (
     is_own,
     split_batch,
 )
+from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.timeline import Timeline
 
@@ -88,7 +89,7 @@ def test_any_bytes_are_a_batch_of_valid_frames_or_malformed(packet: bytes) -> No
 
 def test_a_full_batch_is_a_packet_and_no_request_or_answer_is_as_long_as_frames() -> None:
     assert PACKET_BYTES_MAX - FRAME_BYTES < BATCH_FRAMES_MAX * FRAME_BYTES <= PACKET_BYTES_MAX
-    port = CanSegment(Timeline()).attach("port", lambda _frame, _at: None)
+    port = CanSegment(Timeline()).attach("port", Listener())
     for packet in (encode_status(port, 0.0, 0, asked=True, alone=True), encode_request(Request.STATUS)):
         assert len(packet) % FRAME_BYTES
 

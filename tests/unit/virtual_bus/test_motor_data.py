@@ -9,7 +9,7 @@ from drivers.canopen.data_types import DataType
 from drivers.vendors.families import motor_objects_for
 from tests.motors import AZAIZ, LING
 from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.drive.motor_data import motor_figures, tell_motor
+from virtual_bus.drive.data_sheet import motor_figures, tell_motor
 
 MAXON, EPOS4 = 0xFB, "EPOS4 50/5"
 MOTORS = pytest.mark.parametrize("motor", [LING, AZAIZ], ids=["power-invariant", "amplitude-invariant"])

@@ -1,7 +1,7 @@
 """What befalls nodes: when it strikes, and what a device then does."""
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from scipy import stats
@@ -11,6 +11,7 @@ from drivers.timebase import NEVER, NS_PER_MS, NS_PER_S, Instant
 from tests.fates import keys
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, ServoBench
+from virtual_bus.bus.port import Port
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.fault_log import FaultEntry, FaultLog
 from virtual_bus.faults.fault_plan import FaultPlan
@@ -229,7 +230,7 @@ def test_a_controller_on_the_bus_is_asked_to_go_off_and_to_recover() -> None:
             asked.append(("recover", bench.now))
 
     bench = FaultyBench(BusOff(**at(0.01), recover_after_s=1e-9 * (4 * MS)))
-    bench.device.controller = Controller()
+    bench.device.controller = cast(Port, Controller())
     bench.begin()
     bench.pass_ms(20)
     assert asked == [("off", bench.zero + 10 * MS), ("recover", bench.zero + 14 * MS)]

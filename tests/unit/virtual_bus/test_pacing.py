@@ -1,8 +1,7 @@
 """The paced timeline, on a clock that is itself simulated."""
 
 from drivers.timebase import Instant
-from virtual_bus.pacing import PacedTimeline
-from virtual_bus.timeline import SimulatedClock, Timeline
+from virtual_bus.timeline import PacedTimeline, SimulatedClock, Timeline
 
 
 def paced() -> tuple[PacedTimeline, SimulatedClock]:

@@ -8,8 +8,12 @@ import pytest
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from drivers.wire.serial_line import HELD_BYTES_MAX, LineFull, LineGone, SerialLine
-from virtual_bus.instruments.serial_line.device_line import OUTPUT_BYTES_MAX, DeviceLine
-from virtual_bus.instruments.serial_line.line_faults import LineFaults, LineSpoiler
+from virtual_bus.instruments.serial_line.device_line import (
+    OUTPUT_BYTES_MAX,
+    DeviceLine,
+    LineFaults,
+    LineSpoiler,
+)
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import (
     CONTROLWORDS,
@@ -22,7 +23,6 @@ from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import Instant
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, SYNC, ServoBench
-from virtual_bus.device.application import ErrorRegister
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.drive import motor_kernel as kernel
 from virtual_bus.drive.servo import SimulatedServo

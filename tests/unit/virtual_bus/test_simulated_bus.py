@@ -8,11 +8,10 @@ import pytest
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from tests.ports import fetched
 from tests.unit.virtual_bus.can_reference import wire_bits
-from virtual_bus.bus.cyclic_task import TimelineCyclicTask
 from virtual_bus.bus.host_port import RECEIVE_QUEUE_MAX
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
+from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener, Port
 from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.bus.simulated_bus import SimulatedBus, TimelineCyclicTask
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
 
@@ -28,7 +27,7 @@ def bus() -> Iterator[SimulatedBus]:
 
 @pytest.fixture
 def peer(bus: SimulatedBus) -> Port:
-    return bus.segment.attach("peer", lambda _frame, _at: None)
+    return bus.segment.attach("peer", Listener())
 
 
 def send_at(bus: SimulatedBus, port: Port, when: int, frame: Frame = SYNC) -> None:
@@ -123,10 +122,9 @@ class TestPeriodic:
 
     def stamps(self, bus: SimulatedBus, until: int) -> list[int]:
         seen: list[int] = []
-        remove = bus.segment.add_monitor(lambda _frame, at: seen.append(at - SYNC_NS))
+        bus.segment.add_monitor(lambda _frame, at: seen.append(at - SYNC_NS))
         bus.timeline.run_until(Instant(until))
-        remove()
-        return seen
+        return seen.copy()
 
     def start(self, bus: SimulatedBus, period: float, duration: float | None = None) -> TimelineCyclicTask:
         message = can.Message(arbitration_id=0x80, is_extended_id=False)
@@ -168,8 +166,8 @@ class TestPeriodic:
         assert seen == [b"\x01", b"\x02", b"\x03", b"\x71"]
 
     def test_refused_messages_are_counted(self, bus: SimulatedBus) -> None:
-        bus.segment.attach("babbler", lambda _frame, _at: None)
-        babbler = bus.segment.attach("babbler", lambda _frame, _at: None)
+        bus.segment.attach("babbler", Listener())
+        babbler = bus.segment.attach("babbler", Listener())
 
         def refill(_frame: Frame, _at: Instant) -> None:
             babbler.send(Frame(0x000))

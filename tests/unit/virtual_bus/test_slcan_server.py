@@ -14,7 +14,7 @@ from drivers.timebase import MonotonicClock
 from drivers.wire.adapters import parse_bus_spec
 from drivers.wire.slcan_protocol import SlcanStatus
 from virtual_bus.frame import Frame
-from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 from virtual_bus.instruments.slcan.server import AdapterServer, BusCan, open_far_side, serve_adapter
 

@@ -9,6 +9,7 @@ from virtual_bus.faults.log_kind import NONE, LogNumber, node_event
 from virtual_bus.faults.node_fault import NodeEvent, NodeFault, Streams, StruckNode
 
 DRIFT_PPM_MAX = 10_000
+"""1 %, as of an oscillator without a crystal; those with one stay within 100 ppm."""
 
 
 class ClockDrift(TimeWindow, NodeFault):

@@ -6,6 +6,7 @@ from virtual_bus.faults.log_kind import LogNumber, node_event
 from virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
 
 STEP_MAX = 3600 * NS_PER_S
+"""1013h wraps after 71.6 minutes: a step of more would look like a smaller one."""
 
 
 class ClockStep(NodeOccasion):

@@ -1,5 +1,6 @@
 """``[[measured_delay]]``: frames are held as was measured on a network."""
 
+import re
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -7,9 +8,9 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, model_validator
 
+from drivers.bounded_file import NamedBy, parse_json, read_text
 from drivers.errors import MISSING
 from drivers.timebase import NS_PER_US
-from virtual_bus.faults.delay_histogram import read_histogram
 from virtual_bus.faults.fault_streams import UniformStream
 from virtual_bus.faults.fault_table import DELAY_MAX, Number, ns, require
 from virtual_bus.faults.frame_fault import FrameFault
@@ -70,3 +71,59 @@ class MeasuredDelay(FrameFault):
 
     def at_work(self, stream: UniformStream) -> Hold:
         return MeasuredHold(self.window, not self.reorder, self._edges_ns, self.counts, stream)
+
+
+_COUNT = re.compile(r"[0-9]{1,18}")
+"""Below 2**63."""
+_EXPECTED = "a histogram: .csv lines of from_us,to_us,count, or .json with edges_us and counts"
+
+
+def read_histogram(path: Path) -> tuple[list[Any], list[Any]]:
+    """Edges, us, and counts, as they stand in the file. Raises BadInput about the key ``file``.
+
+    ``.csv``: a line for each bar, ``from_us,to_us,count``, each bar from where the last one ends; lines that
+    begin with ``#`` and a head line of words are passed over. ``.json``: an object with ``edges_us`` (n + 1)
+    and ``counts`` (n), or one that holds such an object under ``delay_histogram``.
+    """
+    text = read_text(path, "delay histogram", NamedBy("", "file", str(path)))
+    return _from_json(path, text) if path.suffix == ".json" else _from_csv(path, text)
+
+
+def _from_json(path: Path, text: str) -> tuple[list[Any], list[Any]]:
+    tables = parse_json(text, str(path), _EXPECTED, "file")
+    if isinstance(tables, dict):
+        tables = tables.get("delay_histogram", tables)
+    usable = isinstance(tables, dict) and all(
+        isinstance(tables.get(key), list) for key in ("edges_us", "counts")
+    )
+    require(usable, "file", str(path), _EXPECTED)
+    return tables["edges_us"], tables["counts"]
+
+
+def _from_csv(path: Path, text: str) -> tuple[list[Any], list[Any]]:
+    edges: list[Any] = []
+    counts: list[Any] = []
+    for line_number, line in enumerate(text.splitlines(), start=1):
+        fields = [field.strip() for field in line.split(",")]
+        if not line.strip() or line.startswith("#") or (not counts and not _is_number(fields[0])):
+            continue
+        good = (
+            len(fields) == 3 and all(map(_is_number, fields[:2])) and _COUNT.fullmatch(fields[2]) is not None
+        )
+        require(good, "file", f"{path}, line {line_number}: {line.strip()[:60]}", "from_us,to_us,count")
+        low, high = float(fields[0]), float(fields[1])
+        if not edges:
+            edges.append(low)
+        expected = f"a bar from {edges[-1]:g} us, where the last one ends"
+        require(low == edges[-1], "file", f"{path}, line {line_number}: {line.strip()[:60]}", expected)
+        edges.append(high)
+        counts.append(int(fields[2]))
+    return edges, counts
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

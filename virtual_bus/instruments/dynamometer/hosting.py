@@ -5,10 +5,8 @@ from functools import partial
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from virtual_bus.frame import Frame
-from virtual_bus.instruments.dynamometer.brake import STEP_NS
-from virtual_bus.instruments.dynamometer.instrument import Instrument
-from virtual_bus.instruments.serial_line.device_line import DeviceLine
-from virtual_bus.instruments.serial_line.line_faults import LineFaults, LineSpoiler
+from virtual_bus.instruments.dynamometer.instrument import STEP_NS, Instrument
+from virtual_bus.instruments.serial_line.device_line import DeviceLine, LineFaults, LineSpoiler
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 from virtual_bus.timeline import Timeline
 

@@ -1,4 +1,5 @@
-"""A Magtrol dynamometer controller without I/O: commands in, data strings out, a brake behind it.
+"""A Magtrol dynamometer controller without I/O: commands in, data strings out, and behind it a hysteresis
+brake on a simulated shaft, with the loop that holds its torque.
 
 Sources as in :mod:`drivers.instruments.magtrol`. Commands end with CR LF; what is not understood is counted,
 as the real instrument shows it on its display, and is not answered. Of the command set: *IDN?, OD, Q, MODE;
@@ -7,14 +8,75 @@ DSP6001: five), five characters of torque with its point, the direction.
 """
 
 import math
+from typing import Final
 
 from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import Instant
-from virtual_bus.instruments.dynamometer.brake import Brake
+from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from virtual_bus.drive.servo import SimulatedServo
+
+STEP_NS: Final = NS_PER_MS
+"""The torque loop of the brake runs so often."""
+RESPONSE_S: Final = 0.03
+"""Time constant with which the torque follows its set-point: chosen here, of the order of a small brake's."""
+_SETTLED_NM = 1e-4
+"""A tenth of the last digit that the data string shows of less than 10 N m."""
+
+
+class Shaft:
+    """The shaft of a simulated drive, to which a brake is coupled."""
+
+    def __init__(self, servo: SimulatedServo) -> None:
+        self._drive = servo.drive
+
+    def speed_rad_s(self, now: Instant) -> float:
+        """Its true speed."""
+        self._drive.advance(now)
+        return self._drive.firmware.speed_rad_s
+
+    def brake(self, torque_nm: float, now: Instant) -> None:
+        """Hold ``torque_nm`` against its motion from ``now`` on; at rest it sticks up to that torque."""
+        self._drive.advance(now)
+        self._drive.firmware.brake_shaft(torque_nm)
+
+
+class Brake:
+    """Takes power from the shaft and never gives any: its torque acts against the motion, like friction."""
+
+    def __init__(self, shaft: Shaft, torque_max_nm: float, response_s: float = RESPONSE_S) -> None:
+        self.torque_nm = 0.0
+        """What it holds now."""
+        self.shaft = shaft
+        self._torque_max_nm = torque_max_nm
+        self._set_point_nm = 0.0
+        step_s = STEP_NS / NS_PER_S
+        self._share = step_s / (response_s + step_s)
+
+    def set_torque(self, torque_nm: float) -> None:
+        """Follow this set-point from the next step on, within what the brake can hold."""
+        self._set_point_nm = min(max(torque_nm, 0.0), self._torque_max_nm)
+
+    @property
+    def settled(self) -> bool:
+        """The torque is that of the set-point."""
+        return self.torque_nm == self._set_point_nm
+
+    def step(self, now: Instant) -> None:
+        """One step of the torque loop."""
+        if self.settled:
+            return
+        away = self._set_point_nm - self.torque_nm
+        if abs(away) < _SETTLED_NM:
+            self.torque_nm = self._set_point_nm
+        else:
+            self.torque_nm += self._share * away
+        self.shaft.brake(self.torque_nm, now)
+
 
 LINE_BYTES_MAX = 256
+"""Of a line without an end no more is kept; no command is as long."""
 _TORQUE_WIDTH = 5
 _REST_RPM = 0.5
+"""Below it the data string shows 0 rpm."""
 
 
 class Instrument:
@@ -57,7 +119,7 @@ class Instrument:
         return None
 
     def _data(self, now: Instant) -> bytes:
-        rpm = self.brake.speed_rad_s(now) / RAD_S_PER_RPM
+        rpm = self.brake.shaft.speed_rad_s(now) / RAD_S_PER_RPM
         turning = abs(rpm) >= _REST_RPM
         width = 5 if self._as_6001 else 6
         side = "A" if self.alarm else "R" if rpm >= 0.0 else "L"

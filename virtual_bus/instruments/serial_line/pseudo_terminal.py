@@ -9,6 +9,7 @@ from pathlib import Path
 from drivers.errors import BadInput
 
 READ_BYTES = 4096
+"""As much as Linux keeps of a terminal's input (N_TTY_BUF_SIZE)."""
 
 
 class PseudoTerminal:

@@ -13,8 +13,7 @@ from drivers.wire.message import frame_of, message_of
 from drivers.wire.slcan_protocol import SlcanStatus
 from virtual_bus.bus.hub import HubBus
 from virtual_bus.frame import Frame
-from virtual_bus.instruments.serial_line.device_line import DeviceLine
-from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.serial_line.device_line import DeviceLine, LineFaults
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 from virtual_bus.instruments.slcan.adapter import SlcanAdapter
 
@@ -23,6 +22,7 @@ TRANSMIT_FIFO = 64
 POLL_NS = 50 * NS_PER_MS
 """Longest wait, so that ``stop`` is noticed."""
 _FRAMES_A_TURN = 256
+"""In which a bus at 1 Mbit/s is busy for 12 ms at least: so the host's line waits no longer on a full one."""
 NO_FLAGS = SlcanStatus(0)
 
 

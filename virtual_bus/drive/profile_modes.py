@@ -1,4 +1,6 @@
-"""PP, profile position mode (CiA 402-2): set-points by hand-shake, one under way and one waiting.
+"""PP, PV and PT, the profile modes (CiA 402-2): the drive plans, by its own ramps.
+
+PP: set-points by hand-shake, one under way and one waiting.
 
     bit 5  bit 9   a new set-point (rising edge of bit 4) while a move is under way
     0      0       waits until the target of that one is reached
@@ -9,6 +11,12 @@ Bit 12 answers: 1 when a set-point was taken, 0 again when bit 4 is 0 and one mo
 is 1 because one waits already, a further one is refused, or with bit 5 takes the place of both.
 
 A limit switch on the way ends the move: the drive stops, drops its set-points and reaches no target.
+
+PV: to the target velocity. Bit 10 target reached (606Dh, 606Eh), or at rest during a halt; bit 12 speed is
+zero: no more once it was above 606Fh for 6070h, and again as soon as it is not. Bit 13, the slippage error of
+asynchronous motors, stays 0.
+
+PT: to the target torque (6071h) by the torque slope (6087h).
 """
 
 from typing import Final
@@ -17,7 +25,7 @@ from drivers.cia402.profile import Control, Status
 from virtual_bus.drive.axis import SimulatedAxis, WindowTimer
 from virtual_bus.drive.motion_objects import NO_WINDOW
 from virtual_bus.drive.operation_mode import HaltedMode
-from virtual_bus.drive.trajectory import MoveLimits, plan_move, plan_stop
+from virtual_bus.drive.trajectory import MoveLimits, plan_move, plan_speed, plan_stop
 
 NEW_SET_POINT: Final = Control.MODE_4
 CHANGE_AT_ONCE: Final = Control.MODE_5
@@ -61,7 +69,7 @@ class ProfilePosition(HaltedMode):
         self._acknowledged = self._reached = self._lags = self._passing = self._given_up = False
         self._under_way = self._waiting = None
         self._come_to_rest()
-        self.halt.begin(controlword, self.slow_down_rad_s2())
+        self.begin_halt(controlword)
 
     def receive(self, controlword: int) -> None:
         rising = controlword & ~self._word
@@ -69,12 +77,12 @@ class ProfilePosition(HaltedMode):
         if rising & NEW_SET_POINT and (not self._acknowledged or controlword & CHANGE_AT_ONCE):
             self._take(controlword)
         self._release()
-        if self.halt.receive(controlword, self.slow_down_rad_s2()):
+        if self.take_halt(controlword):
             self._go_on()
 
     def run(self) -> None:
         axis = self.axis
-        if self.halt.active:
+        if self.halted:
             return
         self._elapsed_s += axis.period_s
         self._begin_waiting()
@@ -186,3 +194,115 @@ class ProfilePosition(HaltedMode):
         if set_point is not None:
             self._last_target = target
             self._start(set_point)
+
+
+class ProfileVelocity(HaltedMode):
+    """A ramp in speed, planned anew when the target or a rate changes."""
+
+    def __init__(self, axis: SimulatedAxis) -> None:
+        super().__init__(axis)
+        self._reached_window = WindowTimer()
+        self._turning_window = WindowTimer()
+        self._profile = plan_speed(0.0, 0.0, 1.0, 1.0)
+        self._elapsed_s = 0.0
+        self._planned: tuple[float, float, float] | None = None
+        self._reached = False
+        self._zero = False
+
+    def begin(self, controlword: int) -> None:
+        self.axis.begin()
+        self._start_anew()
+        self._zero = False
+        self._turning_window.restart()
+        self._watch()
+        self.begin_halt(controlword)
+
+    def receive(self, controlword: int) -> None:
+        if self.take_halt(controlword):
+            self._start_anew()
+
+    def run(self) -> None:
+        axis = self.axis
+        if not self.halted:
+            self._plan()
+            self._elapsed_s += axis.period_s
+            axis.run_at(self._profile.at(self._elapsed_s).speed)
+            if axis.barred:
+                self._start_anew()
+        self._watch()
+
+    def status_bits(self) -> int:
+        return self.target_bit(self._reached) | (Status.MODE_12 if self._zero else 0)
+
+    # ---- inside ---------------------------------------------------------------------------------------
+
+    def _start_anew(self) -> None:
+        """The next plan begins at the speed that the shaft has."""
+        self._planned = None
+        self._reached = False
+        self._reached_window.restart()
+
+    def _plan(self) -> None:
+        """Target, inside 607Fh and 6080h, and rates; rad/s, rad/s^2."""
+        axis = self.axis
+        most = axis.speed_of(axis.motion.max_speed.value)
+        wanted = axis.motion.target_velocity.value * axis.units.rad_s_per_velocity
+        target = axis.cut_speed(min(max(wanted, -most), most))
+        axis.limited = axis.limited or target != wanted
+        planned = (target, axis.acceleration_rad_s2, axis.deceleration_rad_s2)
+        if planned == self._planned:
+            return
+        start = axis.speed_rad_s if self._planned is None else self._profile.at(self._elapsed_s).speed
+        self._profile = plan_speed(start, *planned)
+        self._elapsed_s = 0.0
+        self._planned = planned
+        self._reached = False
+        self._reached_window.restart()
+
+    def _watch(self) -> None:
+        axis, motion = self.axis, self.axis.motion
+        velocity = axis.velocity
+        near = abs(velocity - motion.target_velocity.value) <= motion.velocity_window.value
+        self._reached = self._reached_window.held(near, axis.period_s, motion.velocity_ms.value)
+        turning = abs(velocity) > motion.threshold.value
+        held = self._turning_window.held(turning, axis.period_s, motion.threshold_ms.value)
+        self._zero = not turning or (self._zero and not held)
+
+
+_WINDOW: Final = 0.01
+"""The torque is reached within this share of the rated one."""
+
+
+class ProfileTorque(HaltedMode):
+    """A ramp in torque. A halt brings the shaft to rest, and the ramp begins at no torque again."""
+
+    def __init__(self, axis: SimulatedAxis) -> None:
+        super().__init__(axis)
+        self._torque_nm = 0.0
+        self._reached = False
+
+    def begin(self, controlword: int) -> None:
+        self.axis.begin()
+        self._torque_nm = self.axis.torque_demand_nm
+        self._reached = False
+        self.axis.make_torque(self._torque_nm)
+        self.begin_halt(controlword)
+
+    def receive(self, controlword: int) -> None:
+        if self.take_halt(controlword):
+            self._torque_nm = 0.0
+            self.axis.make_torque(0.0)
+
+    def run(self) -> None:
+        axis = self.axis
+        if self.halted:
+            return
+        target = axis.objects.target_torque.value * axis.torque_unit_nm
+        step = axis.motion.torque_slope.value * axis.torque_unit_nm * axis.period_s
+        self._torque_nm += min(max(target - self._torque_nm, -step), step)
+        axis.make_torque(self._torque_nm)
+        window = _WINDOW * 1000.0 * axis.torque_unit_nm
+        self._reached = self._torque_nm == target and abs(axis.torque_nm - target) <= window
+
+    def status_bits(self) -> int:
+        return self.target_bit(self._reached)
