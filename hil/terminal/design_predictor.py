@@ -117,9 +117,14 @@ def finish_predictor(
     from design.errors import DesignError
     from drivers.bounded_file import write_file
     from hil.studies.speed.controller_text import controller_text
-    from hil.studies.speed.dynamic import DEAD_TIME_US, ENCODER_COUNTS, SPEED_FILTER_HZ, request_of
-    from hil.studies.speed.hinf import design_speed_hinf
-    from hil.studies.speed.predictor import design_speed_predictor
+    from hil.studies.speed.dynamic import (
+        DEAD_TIME_US,
+        ENCODER_COUNTS,
+        SPEED_FILTER_HZ,
+        design_speed_hinf,
+        design_speed_predictor,
+        request_of,
+    )
 
     dead_time_us = options.drive_dead_time_us
     period_s, delay_max_s, losses_max = _network(options, delay_s, network)
