@@ -19,9 +19,7 @@ from design.speed.speed_pid import first_order_current_loop, pid_by_rule
 from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
-from hil.studies.speed.dynamic import request_of
-from hil.studies.speed.hinf import design_speed_hinf
-from hil.studies.speed.predictor import PredictorResult, design_speed_predictor
+from hil.studies.speed.dynamic import PredictorResult, design_speed_hinf, design_speed_predictor, request_of
 from tests.shaft_run import ShaftRun, run_watched
 
 PERIOD_S = 1e-3

@@ -130,6 +130,16 @@ def parse_bus_spec(text: str, source: str = "--bus", key: str = "") -> BusSpec:
     return BusSpec(interface, channel, line_baud)
 
 
+def shared_bus(
+    text: str, remedy: str = "use hub:NAME", expected: str = "a bus that other processes can join"
+) -> BusSpec:
+    """The bus of ``--bus``. Raises BadInput for the one in simulated time, on which nobody else can be."""
+    spec = parse_bus_spec(text)
+    if spec.simulated:
+        raise BadInput("--bus", "", text, expected, remedy)
+    return spec
+
+
 def open_bus(spec: BusSpec, bitrate_bit_s: int, *, for_link: bool = True) -> OpenBus:
     """Open a real-time bus. Raises BusDown with the remedy, or BadInput for what can never be opened.
 

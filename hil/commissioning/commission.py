@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.canopen.network import CanopenNetwork
+from drivers.bounded_file import writing
 from drivers.canopen.objects import RemoteObjects
 from drivers.canopen.objects301 import Cia301
 from drivers.cia402.drive_setup import read_identity
@@ -24,7 +24,7 @@ from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.sequence import Step, run_sequence
 from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
-from hil.execution.world import World, WorldPlan, open_world
+from hil.execution.world import World, WorldPlan, drive_network, open_world
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import stop_signals
 from hil.restoring.journal import DriveMark, JournaledNetwork, append_restored, read_journal
@@ -72,7 +72,7 @@ def run_command(
         if sheet.repairs:
             say(f"{request.eds}: {len(sheet.repairs)} repairs, see hil eds")
     dialog = Dialog(say) if yes or request.dry_run else Terminal(sys.stdin, say)
-    plan = WorldPlan(spec, request.bitrate_bit_s, False, None, rehearse or 0)
+    plan = WorldPlan(spec, request.bitrate_bit_s, seed=rehearse or 0)
     with stop_signals() as signals, open_world(plan, devices) as world:
         stop = EmergencyStop(signals, sys.stdin)
         with timing_conditions(world.real_time):
@@ -99,9 +99,9 @@ def commission(
 
     Raises only what keeps it from being put back: BusDown, NoAnswer. The journal then has everything.
     """
-    request.out.mkdir(parents=True, exist_ok=True)
     title = f"commissioning of node {request.node} on {request.bus}"
-    log = SessionLog(request.out / COMMISSIONING_RECORDING, world, request.bus, title)
+    with writing("--out", request.out):
+        log = SessionLog(request.out / COMMISSIONING_RECORDING, world, request.bus, title)
     network = JournaledNetwork(world.link, world.clock)
     session = Session(request, world, network, dialog, stop, sheet, log)
     result = Commissioned(findings=session.found)
@@ -197,12 +197,7 @@ def run_restore(bus: str, node: int, journal: Path, bitrate_bit_s: int) -> dict[
     contents = read_journal(journal)
     if contents.head.node != node:
         raise BadInput("--node", "", node, f"{contents.head.node}, whose journal {journal} is")
-    spec = parse_bus_spec(bus, "--bus")
-    if spec.simulated:
-        raise BadInput("--bus", "", bus, "a bus on which the drive still is")
-    plan = WorldPlan(spec, bitrate_bit_s, False, None, 0)
-    with stop_signals(), open_world(plan, ()) as world:
-        network = CanopenNetwork(world.link, world.clock)
+    with stop_signals(), drive_network(bus, bitrate_bit_s) as network:
         await_answer(network, node, _ANSWER_LIMIT)
         check_mark(RemoteObjects(network, node), contents.head.mark)
         result = restore(network, contents, say)

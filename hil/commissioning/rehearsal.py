@@ -9,11 +9,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import BadInput
+from drivers.bounded_file import write_file
+from drivers.wire.adapters import shared_bus
 from hil.configuration.motor_file import LING2012
 from hil.configuration.toml_text import toml_text
 from hil.execution.device_files import DeviceFiles
-from hil.execution.simulated_drives import host_drives, shared_bus
+from hil.execution.simulated_drives import host_drives
 from hil.execution.world import WorldPlan
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
@@ -56,11 +57,11 @@ def rehearse(
     servo, truth = unknown_drive(seed, node, clock_drift_ppm)
     if nameplate is not None:
         text = f"# What is printed on motor and drive of seed {seed}.\n\n{toml_text(truth.nameplate)}"
-        _write(nameplate, text, "--nameplate")
+        write_file("--nameplate", nameplate, text)
     if truth_file is not None:
         text = "# What commissioning has to find out. Not for its eyes.\n\n" + toml_text(truth_tables(truth))
-        _write(truth_file, text, "--truth")
-    plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
+        write_file("--truth", truth_file, text)
+    plan = WorldPlan(spec, bitrate_bit_s, faults=faults, seed=seed, side="drive")
     title = f"unknown drive of seed {seed} on {spec}: node {node}; Ctrl-C ends it"
     host_drives(plan, [servo], [node], title, announce)
 
@@ -81,10 +82,3 @@ def truth_tables(truth: Truth) -> dict[str, Any]:
         },
         "motor": motor,
     }
-
-
-def _write(path: Path, text: str, option: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BadInput(option, "", str(path), "a file that can be written", error.strerror or "") from error

@@ -55,7 +55,6 @@ def write_report(request: CommissionRequest, result: Commissioned) -> None:
     """Write report.md, report.html and figures.json into the folder."""
     out = request.out
     figures = as_json(request, result)
-    out.mkdir(parents=True, exist_ok=True)
     (out / REPORT_FILE).write_text(_markdown(request, result, figures), encoding="utf-8")
     (out / COMMISSIONING_FIGURES).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
     (out / HTML_FILE).write_text(_html(figures, out), encoding="utf-8")

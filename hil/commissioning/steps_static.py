@@ -132,7 +132,6 @@ class DumpStep(Step):
         objects = dump(session.network, session.request.node, session.dictionary, session.check_stop)
         session.found.dump = objects
         lines = [f"{index:04X}h:{sub:02X} {value.hex()}" for (index, sub), value in sorted(objects.items())]
-        session.request.out.mkdir(parents=True, exist_ok=True)
         (session.request.out / "parameters.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
         outcome.say(f"{len(objects)} objects read into parameters.txt")
         outcome.figures = {"objects": len(objects)}

@@ -149,12 +149,12 @@ class NetworkFile(Section):
     network: Network = Field(description="the table [network]")
 
 
-def load_network(path: Path, option: str = "--network") -> Network:
+def load_network(path: Path) -> Network:
     """The network in the file at ``path``. Raises BadInput or BadInputs."""
-    tables = read_toml(path, "network file", NamedBy(option, "", str(path)))
+    tables = read_toml(path, "network file", NamedBy("--network", "", str(path)))
     if "network" not in tables and "bench" in tables:
         raise BadInput(
-            option,
+            "--network",
             "",
             f"{path}, a bench file",
             "a network file, as a run leaves it in its recording: network.toml",

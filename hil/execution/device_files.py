@@ -9,6 +9,7 @@ from typing import NamedTuple
 from canopen import ObjectDictionary as VendorDictionary
 
 from design.motor import PmsmParameters
+from drivers.bounded_file import write_file
 from drivers.canopen.objects301 import Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.quirky_units import apply_quirks
@@ -109,11 +110,7 @@ class DeviceFiles(NamedTuple):
         """The EDS of the device that has ``dictionary``, if it is asked for. Raises BadInput."""
         if self.export is None:
             return
-        try:
-            self.export.write_text(export_eds(dictionary), encoding="latin-1", errors="replace")
-        except OSError as error:
-            expected = "a file that can be written"
-            raise BadInput("--export-eds", "", str(self.export), expected, str(error)) from None
+        write_file("--export-eds", self.export, export_eds(dictionary).encode("latin-1", "replace"))
         announce(f"its data sheet is {self.export}")
 
     def memory(self, nodes: Sequence[int]) -> FileStore | None:

@@ -310,7 +310,7 @@ class Certificates:
         )
 
     def _left(self, axis: str) -> Iterator[str]:
-        """Premises that bench and drive of an axis do not keep, as :mod:`hil.reviewing.premises` has them."""
+        """Premises that bench and drive do not keep, see :mod:`hil.reviewing.certificate_meter`."""
         for key, value, expected in self._axis_faults(axis):
             yield f"{key}: {value}, expected {expected}"
         if self._config.simulated:

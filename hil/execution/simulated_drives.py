@@ -22,7 +22,7 @@ from drivers.canopen.objects301 import Cia301
 from drivers.errors import BadInput, NoAnswer, PeerFault
 from drivers.printable import printable
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
-from drivers.wire.adapters import BusSpec, parse_bus_spec
+from drivers.wire.adapters import BusSpec, shared_bus
 from drivers.wire.link import BusLink
 from hil.configuration.config import BenchConfig
 from hil.configuration.current_controller_file import CurrentController, read_current_controller
@@ -139,19 +139,11 @@ def simulate(
         for node, vendor in zip(nodes, makers, strict=True)
     ]
     files.write_data_sheet(devices[0].dictionary, announce)
-    plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
+    plan = WorldPlan(spec, bitrate_bit_s, faults=faults, seed=seed, side="drive")
     ids = ids_on_the_bus(nodes, store)
     title = _announcement(spec, nodes, motor)
     others = background_nodes(background, seed)
     host_drives(plan, devices, ids, title, announce, others=others, load_machine=load_machine, force=force)
-
-
-def shared_bus(text: str, remedy: str) -> BusSpec:
-    """The bus of ``--bus``. Raises BadInput for one in simulated time, which no other process could join."""
-    spec = parse_bus_spec(text, "--bus")
-    if spec.simulated:
-        raise BadInput("--bus", "", text, "a bus that other processes can join", remedy)
-    return spec
 
 
 def host_drives(

@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+from drivers.canopen.network import CanopenNetwork
 from drivers.errors import BadInput
 from drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
-from drivers.wire.adapters import BusSpec, open_bus
+from drivers.wire.adapters import BusSpec, open_bus, shared_bus
 from drivers.wire.link import BusLink, StampSource, Tap
 from hil.configuration.background import BackgroundTables
 from hil.configuration.config import BenchConfig, BusSegment
@@ -103,10 +104,10 @@ class WorldPlan:
 
     spec: BusSpec
     bitrate_bit_s: int
-    paced: bool
+    paced: bool = False
     """Simulated time at the pace of the wall clock."""
-    faults: Faults | None
-    seed: int
+    faults: Faults | None = None
+    seed: int = 0
     side: Side = "host"
     fault_log: FaultLog | None = None
     """Takes what is injected, for a recording."""
@@ -158,6 +159,14 @@ def open_world(plan: WorldPlan, devices: Sequence[CanopenDevice]) -> Iterator[Wo
     finally:
         for link in (world.link, *[segment.link for segment in world.further]):
             link.bus.shutdown()
+
+
+@contextmanager
+def drive_network(bus: str, bitrate_bit_s: int) -> Iterator[CanopenNetwork]:
+    """A master on a bus with drives on it. Raises BadInput for the simulated one, BusDown."""
+    spec = shared_bus(bus, "use hub:NAME and `hil simulate`", "a bus with a drive on it")
+    with open_world(WorldPlan(spec, bitrate_bit_s), ()) as world:
+        yield CanopenNetwork(world.link, world.clock)
 
 
 class _SimulatedSegment:

@@ -57,7 +57,7 @@ def run_measurement(request: MeasureRequest, say: Say, progress: Progress) -> Me
     if spec.simulated:
         motor, drive = request.motor or LING2012.parameters, drive_parameters(())
         devices = [SimulatedServo(node, motor, drive, request.seed) for node in request.nodes]
-    plan = WorldPlan(spec, request.bitrate_bit_s, False, request.faults, request.seed)
+    plan = WorldPlan(spec, request.bitrate_bit_s, faults=request.faults, seed=request.seed)
     folder = RUNS_FOLDER / f"measure-{utc_stamp()}"
     with (
         stop_signals() as stop,

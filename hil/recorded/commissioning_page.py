@@ -15,7 +15,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from drivers.bounded_file import NoSuchFile, parse_json, read_text
+from drivers.bounded_file import NoSuchFile, parse_json, read_text, writing
 from drivers.cia402.objects402 import Object
 from drivers.errors import BadInput
 from drivers.rotation import RPM_PER_RAD_S
@@ -98,7 +98,7 @@ def _write(folder: Path, page: Path) -> None:
     bus = _Bus(RecordedBus(page.parent), _known(folder), zero_ns)
     end_ns = max([bus.end_ns, *(event["at_ns"] for event in events)])
     part = page.with_suffix(".part")
-    try:
+    with writing("RUN", page):
         with stream_into(part, _APPLICATION) as stream:
             _send_steps(stream, events, figures)
             _send_bus(stream, bus)
@@ -106,8 +106,6 @@ def _write(folder: Path, page: Path) -> None:
             stream.log(_FIGURES, text, static=True)
             stream.send_blueprint(_layout(bus, end_ns / NS_PER_S))
         part.replace(page)
-    except OSError as error:
-        raise BadInput("RUN", "", str(page), "a place to write to", str(error)) from None
 
 
 def _figures(folder: Path) -> Mapping[str, Any]:

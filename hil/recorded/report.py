@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
+from drivers.bounded_file import write_file
 from drivers.errors import BadInput
 from drivers.printable import printable
 from drivers.timebase import NS_PER_S
@@ -34,11 +35,10 @@ Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
 
 def write_report(judged: Judged, path: Path) -> None:
-    """Raises BadInput for a path that ends otherwise, OSError."""
+    """Raises BadInput for a path that ends otherwise, or cannot be written to."""
     if path.suffix not in SUFFIXES:
         raise BadInput("--report", "", str(path), f"a file that ends in {' or '.join(SUFFIXES)}")
-    text = _html(judged) if path.suffix == ".html" else _markdown(judged)
-    path.write_text(text, encoding="utf-8")
+    write_file("--report", path, _html(judged) if path.suffix == ".html" else _markdown(judged))
 
 
 def _tables(judged: Judged) -> Iterator[Table]:

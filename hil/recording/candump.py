@@ -50,7 +50,7 @@ def candump_lines(
     for number, name in enumerate((interface, *segments)):
         text(name, (rows["sent"] >> 1 == number)[:, None])
     text(" ")
-    identifier = _hex_digits(rows["can_id"] & _IDENTIFIER_MASK, 8)
+    identifier = _hex_digits(rows["can_id"] & _IDENTIFIER_MASK)
     # a standard identifier has the last three digits, an extended one all eight
     parts.append(
         (identifier, np.concatenate((np.repeat(extended[:, None], 5, 1), np.repeat(always, 3, 1)), 1))
@@ -78,8 +78,8 @@ def _decimal_digits(values: NDArray[np.int64]) -> NDArray[np.uint8]:
     return (values[:, None] // _DIGIT_WEIGHTS % 10 + ord("0")).astype(np.uint8)
 
 
-def _hex_digits(values: NDArray[np.integer], digits: int) -> NDArray[np.uint8]:
-    """(n, digits) ASCII digits with leading zeros."""
-    shifts = np.arange(4 * (digits - 1), -1, -4, dtype=np.uint32)
+def _hex_digits(values: NDArray[np.integer]) -> NDArray[np.uint8]:
+    """(n, 8) ASCII digits with leading zeros."""
+    shifts = np.arange(28, -1, -4, dtype=np.uint32)
     letters: NDArray[np.uint8] = _HEX[(values[:, None] >> shifts) & 15]
     return letters

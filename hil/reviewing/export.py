@@ -20,6 +20,7 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 from scipy.io import savemat
 
+from drivers.bounded_file import writing
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S
 from hil.reviewing.export_format import ExportFormat
@@ -96,10 +97,9 @@ def export_run(run: Path, wanted: ExportFormat, out: Path | None = None) -> Expo
     path = out or run / f"records.{wanted.value}"
     part = path.with_name(f"{path.name}.part.{wanted.value}")
     try:
-        _WRITERS[wanted](rows, part)
-        part.replace(path)
-    except OSError as error:
-        raise BadInput("--out", "", str(path), "a file that can be written", str(error)) from None
+        with writing("--out", path):
+            _WRITERS[wanted](rows, part)
+            part.replace(path)
     finally:
         part.unlink(missing_ok=True)
     count = sum(chunk.num_rows for chunk in rows.chunks([_AXIS]))

@@ -25,8 +25,7 @@ DIGEST_BYTES = 16
 class LargestTime:
     """The largest of what was shown, and where it was."""
 
-    def __init__(self, axis: str = "") -> None:
-        self._axis = axis
+    def __init__(self) -> None:
         self._value = 0.0
         self._at: int | None = None
 
@@ -38,7 +37,7 @@ class LargestTime:
 
     def place(self, zero: int) -> WorstPlace | None:
         """None: nothing was shown."""
-        return None if self._at is None else WorstPlace(self._axis, self._at - zero)
+        return None if self._at is None else WorstPlace("", self._at - zero)
 
 
 class Review:

@@ -40,7 +40,7 @@ class CertifiedPlan:
     samples_alone: bool = False
     """Certified for lost samples, but neither for lost commands nor for a shorter delay."""
     left: tuple[str, ...] = ()
-    """Premises that bench and drive do not keep, in words (:mod:`hil.reviewing.premises`)."""
+    """Premises that bench and drive do not keep, in words (:mod:`hil.reviewing.certificate_meter`)."""
     unknown: tuple[str, ...] = ()
     """Premises of which is not known whether they do."""
 

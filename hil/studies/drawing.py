@@ -29,7 +29,7 @@ def picture(
         try:
             figure.savefig(path, dpi=120)
         except (OSError, ValueError) as error:
-            expected = f"the path of a PNG file that can be written ({error})"
+            expected = f"the path of a .png, .svg or .pdf file that can be written ({error})"
             raise BadInput("picture", "", str(path), expected) from None
     finally:
         plt.close(figure)

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated
 
-from drivers.errors import BadInput
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import bitrate_option, bus_option, seed_option, valued
 from hil.terminal.output import say
@@ -34,16 +33,13 @@ def adapter(
     """
     with reported_errors():
         from drivers.timebase import MonotonicClock
-        from drivers.wire.adapters import parse_bus_spec
+        from drivers.wire.adapters import shared_bus
         from hil.machine.realtime import realtime_process
         from hil.machine.stopping import stop_signals
         from virtual_bus.instruments.serial_line.device_line import LineFaults
         from virtual_bus.instruments.slcan.server import serve_adapter
 
-        spec = parse_bus_spec(bus)
-        if spec.simulated:
-            remedy = "use hub:NAME"
-            raise BadInput("--bus", "", bus, "a bus that other processes can join", remedy)
+        spec = shared_bus(bus)
         faults = LineFaults.parse(fault or [])
         with stop_signals() as stop, realtime_process() as refused:
             for request in refused:

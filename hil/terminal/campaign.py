@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from hil.terminal.exit_status import reported_errors, writing
+from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, flag, valued
 from hil.terminal.output import columns, say, say_written
 from hil.verdict.verdict import ExitStatus
@@ -109,6 +109,7 @@ def report(folder: DirArgument, as_json: JsonOption = False) -> None:
     DIR/campaign.rrd, which hil view opens.
     """
     with reported_errors():
+        from drivers.bounded_file import writing
         from hil.campaign.campaign import Campaign
         from hil.campaign.page import write_page
         from hil.campaign.report import write_report

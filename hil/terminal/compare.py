@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.exit_status import reported_errors, writing
+from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, valued
 from hil.terminal.output import put, say_written
 from hil.verdict.verdict import ExitStatus
@@ -52,6 +52,7 @@ def compare(
         lines = comparison_lines(compared)
         put(comparison_json(compared), as_json, lambda _figures: typer.echo("\n".join(lines)))
         if rrd is not None:
+            from drivers.bounded_file import writing
             from hil.recorded.comparison_page import write_comparison
 
             with writing("--rrd", rrd):

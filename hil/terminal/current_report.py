@@ -1,5 +1,7 @@
 """What ``hil design current`` prints: the controller, its margins, its bounds as a picture, and advice."""
 
+import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -7,11 +9,11 @@ import typer
 
 from design.hinf.mixed_sensitivity import loop_functions
 from hil.terminal.output import print_figures
-from hil.terminal.plot import plot
 
 if TYPE_CHECKING:
     from design.current.current_design import AxisDesign
     from hil.studies.current.design import CurrentResult
+
 
 _POINTS = 220
 
@@ -98,3 +100,32 @@ def _about_sampling(sampled: dict[str, Any]) -> list[str]:
             speeds = [w for w, rho in zip(coupled["speed_rad_s"], coupled[name], strict=True) if rho >= 1.0]
             lines.append(f"At {sampled['rate_hz']:g} Hz, {name}: unstable from {min(speeds):.4g} rad/s on.")
     return lines
+
+
+WIDTH, HEIGHT = 64, 11
+
+
+def plot(
+    title: str,
+    frequency_rad_s: Sequence[float],
+    curves: Mapping[str, Sequence[float]],
+    range_db: tuple[float, float],
+) -> str:
+    """Each curve (k,) in dB by the letter it is named with, over the logarithm of the k frequencies.
+
+    A curve that is named later is drawn over the ones before it.
+    """
+    low, high = range_db
+    ends = math.log10(frequency_rad_s[0]), math.log10(frequency_rad_s[-1])
+    rows = [[" "] * WIDTH for _ in range(HEIGHT)]
+    for letter, values in curves.items():
+        for omega, value in zip(frequency_rad_s, values, strict=True):
+            column = round((math.log10(omega) - ends[0]) / (ends[1] - ends[0]) * (WIDTH - 1))
+            row = round((high - value) / (high - low) * (HEIGHT - 1))
+            if 0 <= row < HEIGHT:
+                rows[row][column] = letter
+    step = (high - low) / (HEIGHT - 1)
+    lines = [f"{high - step * k:8.0f} |{''.join(row).rstrip()}" for k, row in enumerate(rows)]
+    left, right = f"{frequency_rad_s[0]:.0e}", f"{frequency_rad_s[-1]:.0e} rad/s"
+    axis = f"{left}{right:>{WIDTH - len(left)}}"
+    return "\n".join([f"{title}, dB", *lines, f"{'':8} +{'-' * WIDTH}", f"{'':10}{axis}"])

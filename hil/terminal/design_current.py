@@ -167,9 +167,10 @@ def _finish(
 
     put(result.figures, as_json, lambda _figures: print_result(result))
     if out is not None:
-        from hil.studies.current.design import write_controller
+        from drivers.bounded_file import write_file
+        from hil.studies.current.design import controller_text
 
-        write_controller(out, result, axis)
+        write_file("--out", out, controller_text(result, axis))
         say_written(out)
     if picture is not None:
         from hil.studies.current.pictures import draw_bounds

@@ -53,7 +53,7 @@ def pid(
     """Tune a PID speed loop: Td from the current loop, the crossover from the phase margin and the delay."""
     with reported_errors():
         from design.speed.speed_pid import pid_by_rule
-        from hil.studies.current.design import write_text
+        from drivers.bounded_file import write_file
         from hil.studies.speed.controller_text import controller_text
         from hil.studies.speed.pid import controller_of, current_loop_of, pid_figures
         from hil.terminal.current_report import print_current
@@ -69,7 +69,9 @@ def pid(
             )
         put(pid_figures(gains), as_json, print_current)
         if out is not None:
-            write_text(out, controller_text(controller_of(parameters, closed.order, crossover, gains)))
+            write_file(
+                "--out", out, controller_text(controller_of(parameters, closed.order, crossover, gains))
+            )
             say_written(out)
 
 

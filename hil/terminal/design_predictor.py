@@ -115,10 +115,16 @@ def finish_predictor(
 ) -> None:
     """Design it, a ``predictor`` or ``hinf``, print the figures and write the file. Raises BadInput."""
     from design.errors import DesignError
-    from hil.studies.speed.controller_text import write_controller
-    from hil.studies.speed.dynamic import DEAD_TIME_US, ENCODER_COUNTS, SPEED_FILTER_HZ, request_of
-    from hil.studies.speed.hinf import design_speed_hinf
-    from hil.studies.speed.predictor import design_speed_predictor
+    from drivers.bounded_file import write_file
+    from hil.studies.speed.controller_text import controller_text
+    from hil.studies.speed.dynamic import (
+        DEAD_TIME_US,
+        ENCODER_COUNTS,
+        SPEED_FILTER_HZ,
+        design_speed_hinf,
+        design_speed_predictor,
+        request_of,
+    )
 
     dead_time_us = options.drive_dead_time_us
     period_s, delay_max_s, losses_max = _network(options, delay_s, network)
@@ -141,7 +147,7 @@ def finish_predictor(
         raise BadInput("hil design speed", "", str(error), "a design that exists") from error
     put({"current_bandwidth_from": inner.key, **made.figures}, as_json, print_figures)
     if out is not None:
-        write_controller(out, made.controller())
+        write_file("--out", out, controller_text(made.controller()))
         say_written(out)
 
 

@@ -294,10 +294,11 @@ def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_
     figures = {"current_bandwidth_from": bandwidth_from, **result.figures}
     put(figures, as_json, print_figures)
     if out is not None:
-        from hil.studies.speed.controller_text import controller_of, write_controller
+        from drivers.bounded_file import write_file
+        from hil.studies.speed.controller_text import controller_of, controller_text
 
         if result.sampled is not None and not result.sampled.certified:
             expected = "a loop that is certified; another --strategy or a shorter period may be"
             raise BadInput("--out", "", result.sampled.without_certificate, expected)
-        write_controller(out, controller_of(result))
+        write_file("--out", out, controller_text(controller_of(result)))
         say_written(out)

@@ -4,11 +4,10 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import typer
 
-from drivers.errors import BadInput, BenchError
+from drivers.errors import BenchError
 from drivers.printable import printable
 from hil.verdict.verdict import ExitStatus
 
@@ -32,16 +31,6 @@ def reported_errors(conclude: Callable[[int, str], int] = lambda status, _text: 
     except Exception as error:  # noqa: BLE001 - top of the process: a defect must not leave with the status of a verdict
         traceback.print_exc()
         raise typer.Exit(conclude(ExitStatus.DEFECT, f"{type(error).__name__}: {error}")) from None
-
-
-@contextmanager
-def writing(option: str, path: Path) -> Iterator[None]:
-    """Raises BadInput for a place that cannot be written to; ``option``: which names it."""
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise BadInput(option, "", str(path), "a place to write to", reason) from None
 
 
 def error_text(error: BenchError) -> str:

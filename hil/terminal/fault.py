@@ -22,16 +22,10 @@ def fault(
     Exit status: 0 no fault, 1 in fault, 2 bad input, 3 no answer, or the fault stays in spite of --reset.
     """
     with reported_errors():
-        from drivers.canopen.network import CanopenNetwork
-        from drivers.errors import BadInput
-        from drivers.wire.adapters import parse_bus_spec
-        from hil.execution.world import WorldPlan, open_world
+        from hil.execution.world import drive_network
         from hil.inspecting.drive_fault import look_at_fault
 
-        spec = parse_bus_spec(bus, "--bus")
-        if spec.simulated:
-            raise BadInput("--bus", "", bus, "a bus with a drive on it", "use hub:NAME and `hil simulate`")
-        with open_world(WorldPlan(spec, bitrate, False, None, 0), ()) as world:
-            diagnosis = look_at_fault(CanopenNetwork(world.link, world.clock), node, reset)
+        with drive_network(bus, bitrate) as network:
+            diagnosis = look_at_fault(network, node, reset)
         put(diagnosis.as_json(), as_json, lambda _figures: typer.echo("\n".join(diagnosis.lines())))
         raise typer.Exit(ExitStatus.FAILED if diagnosis.in_fault else ExitStatus.PASSED)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from drivers.bounded_file import writing
 from drivers.errors import BadInput
 from hil.machine.examples import examples_folder
 from hil.terminal.exit_status import reported_errors
@@ -36,9 +37,10 @@ def init(
         for name in files:
             if (target / name).exists():
                 raise BadInput("DIR", "", str(target / name), "a folder without this file")
-        for name in files:
-            (target / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source / name, target / name)
+        with writing("DIR", target):
+            for name in files:
+                (target / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(source / name, target / name)
         say_written(target)
         if not examples:
             typer.echo(f"Next, in {target.resolve()}:" if folder != Path() else "Next:")

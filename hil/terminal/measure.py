@@ -135,20 +135,19 @@ def _write_files(
     measured: "Measured", out: Path | None, faults_out: Path | None, picture: Path | None
 ) -> None:
     """Write what is asked for. Raises BadInput for a file that cannot be written."""
+    from drivers.bounded_file import write_file, writing
     from hil.configuration.network_file import network_text
     from hil.measuring.figures import fault_plan_text
     from hil.measuring.picture import draw_stages
 
-    try:
-        if out is not None and measured.network is not None:
-            head = f"# Measured on {measured.request.bus} by hil measure.\n\n"
-            out.write_text(head + network_text(measured.network), encoding="utf-8")
-            say(f"written: {out}")
-        if faults_out is not None:
-            faults_out.write_text(fault_plan_text(measured), encoding="utf-8")
-            say(f"written: {faults_out}")
-        if picture is not None:
+    if out is not None and measured.network is not None:
+        head = f"# Measured on {measured.request.bus} by hil measure.\n\n"
+        write_file("--out", out, head + network_text(measured.network))
+        say(f"written: {out}")
+    if faults_out is not None:
+        write_file("--faults-out", faults_out, fault_plan_text(measured))
+        say(f"written: {faults_out}")
+    if picture is not None:
+        with writing("--picture", picture):
             draw_stages(picture, measured)
-            say(f"written: {picture}")
-    except OSError as error:
-        raise BadInput(str(error.filename), "", error.strerror, "a place to write to") from error
+        say(f"written: {picture}")

@@ -14,9 +14,9 @@ from hil.terminal.output import columns
 RUNS_SHOWN = 8
 
 
-def print_measured(measured: Measured, console: Console | None = None) -> None:
+def print_measured(measured: Measured) -> None:
     """Stages, losses and clocks of every drive, and how sure they are."""
-    console = console or Console(highlight=False)
+    console = Console(highlight=False)
     request = measured.request
     state = "enabled" if request.enable else "disabled"
     console.print(

@@ -45,6 +45,7 @@ def new(
     terminal what is missing is asked for.
     """
     with reported_errors():
+        from drivers.bounded_file import write_file
         from hil.studies.motor.sheet import SOURCE, Sheet, motor_text
         from hil.terminal.design_errors import refused
 
@@ -55,7 +56,7 @@ def new(
             _ask(values)
         with refused(SOURCE):
             text = motor_text(Sheet(name or out.stem, values, delta, resistance_at_c, winding_c))
-        out.write_text(text)
+        write_file("MOTOR.toml", out, text)
         say_written(out)
 
 
@@ -134,30 +135,22 @@ def _print(figures: dict[str, Any]) -> None:
 
 def _draw(parameters: "PmsmParameters", path: Path) -> None:
     import numpy as np
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
     from design.motor_figures import speed_limit, torque_limit
     from drivers.rotation import RPM_PER_RAD_S
+    from hil.studies.drawing import picture
 
     speed = np.linspace(0.0, 1.02 * speed_limit(parameters, 0.0), 600)
-    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    axes.plot(speed * RPM_PER_RAD_S, torque_limit(parameters, speed), label="peak, i_d = 0")
-    axes.axhline(parameters.rated_torque_nm, color="0.5", linestyle="--", label="rated torque")
-    axes.plot(
-        parameters.rated_speed_rad_s * RPM_PER_RAD_S, parameters.rated_torque_nm, "o", label="rated point"
-    )
-    axes.set(
-        xlabel="speed, r/min", ylabel="torque, N m", xlim=(0, None), ylim=(0, None), title=parameters.name
-    )
-    axes.grid(color="#e3e6ea", linewidth=0.6)
-    axes.legend(frameon=False)
-    try:
-        figure.savefig(path, dpi=120)
-    except (OSError, ValueError) as error:
-        raise BadInput("--picture", "", str(path), "a file .png, .svg or .pdf that can be written") from error
+    with picture(path, size=(7.0, 4.2)) as axes:
+        axes.plot(speed * RPM_PER_RAD_S, torque_limit(parameters, speed), label="peak, i_d = 0")
+        axes.axhline(parameters.rated_torque_nm, color="0.5", linestyle="--", label="rated torque")
+        axes.plot(
+            parameters.rated_speed_rad_s * RPM_PER_RAD_S, parameters.rated_torque_nm, "o", label="rated point"
+        )
+        axes.set(
+            xlabel="speed, r/min", ylabel="torque, N m", xlim=(0, None), ylim=(0, None), title=parameters.name
+        )
+        axes.legend(frameon=False)
 
 
 _with_figures()

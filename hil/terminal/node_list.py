@@ -24,13 +24,12 @@ def node_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
     return nodes
 
 
-def drive_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
+def drive_ids(texts: Sequence[str]) -> list[int]:
     """As :func:`node_ids`, of devices that have one."""
-    nodes = node_ids(texts, option)
+    nodes = node_ids(texts)
     if UNCONFIGURED in nodes:
-        raise BadInput(
-            option, "", "unconfigured", f"a node id 1..{NODE_ID_MAX}", "hil scan --assign gives one"
-        )
+        expected = f"a node id 1..{NODE_ID_MAX}"
+        raise BadInput("--node", "", "unconfigured", expected, "hil scan --assign gives one")
     return nodes
 
 
@@ -39,29 +38,28 @@ def _number(digits: str) -> int:
     return int(digits) if len(digits) < 10 else NODE_ID_MAX + 1
 
 
-def serial_numbers(texts: Sequence[str], count: int, option: str = "--serial") -> list[int]:
+def serial_numbers(texts: Sequence[str], count: int) -> list[int]:
     """A serial number for each of ``count`` devices; from a single one the others count up. Empty: none.
 
     Raises BadInput for what is none, or comes twice, and for too few or too many.
     """
-    typed = [_serial(part.strip(), option) for text in texts for part in text.split(",")]
+    typed = [_serial(part.strip()) for text in texts for part in text.split(",")]
     if len(typed) == 1:
-        typed = [_serial(str(typed[0] + place), option) for place in range(count)]
+        typed = [_serial(str(typed[0] + place)) for place in range(count)]
     if typed and (len(typed) != count or len(set(typed)) != count):
-        raise BadInput(
-            option, "", ",".join(texts), f"a serial number for each of {count} nodes, each once; or one"
-        )
+        expected = f"a serial number for each of {count} nodes, each once; or one"
+        raise BadInput("--serial", "", ",".join(texts), expected)
     return typed
 
 
-def _serial(text: str, option: str) -> int:
+def _serial(text: str) -> int:
     base = 16 if text.lower().startswith("0x") else 10
     try:
         number = int(text, base) if len(text) <= SERIAL_DIGITS_MAX else -1
     except ValueError:
         number = -1
     if not 0 <= number <= SERIAL_MAX:
-        raise BadInput(option, "", text, f"serial numbers 0..{SERIAL_MAX}, decimal or with 0x")
+        raise BadInput("--serial", "", text, f"serial numbers 0..{SERIAL_MAX}, decimal or with 0x")
     return number
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.exit_status import reported_errors, writing
+from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import RunArgument, flag, valued
 from hil.terminal.output import say_written
 
@@ -49,6 +49,7 @@ def picture(
         if paper:
             if page is not None:
                 raise BadInput("--page", "", page, "no --paper beside it")
+            from drivers.bounded_file import writing
             from hil.recorded.paper import paper_figure, save_figure
             from hil.recorded.recorded_run import open_run, signals_of
 
@@ -58,9 +59,8 @@ def picture(
         else:
             if out.suffix != ".png":
                 raise BadInput("OUT", "", str(out), "a file that ends in .png, or --paper")
+            from drivers.bounded_file import write_file
             from hil.recorded.viewer import draw_page
 
-            png = draw_page(run, page, at, window)
-            with writing("OUT", out):
-                out.write_bytes(png)
+            write_file("OUT", out, draw_page(run, page, at, window))
         say_written(out)

@@ -116,12 +116,11 @@ def _for_motor(motor: Path, figures: Path | None, as_json: bool) -> None:
 
     results = for_motor(motor_file(motor, "--motor").parameters)
     if figures is not None:
+        from hil.studies.drawing import draw_all
         from hil.studies.papers.pictures import draw_motor
 
-        figures.mkdir(parents=True, exist_ok=True)
-        picture = figures / f"{motor.stem}-table2.png"
-        draw_motor(results, picture)
-        say_written(picture)
+        for path in draw_all(figures, {f"{motor.stem}-table2.png": lambda path: draw_motor(results, path)}):
+            say_written(path)
     put(results, as_json, _print_motor)
 
 

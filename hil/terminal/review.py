@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors, writing
+from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, RunArgument, valued
 from hil.terminal.output import columns, put, say_written
 
@@ -45,8 +45,7 @@ def review(
         if report is not None:
             from hil.recorded.report import write_report
 
-            with writing("--report", report):
-                write_report(judged, report)
+            write_report(judged, report)
             say_written(report)
         raise typer.Exit(judged.summary.verdict.exit_status)
 

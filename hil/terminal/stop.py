@@ -23,19 +23,13 @@ def stop(
     Exit status: 0 all at rest and disabled, 2 bad input, 3 a drive is not, or does not answer.
     """
     with reported_errors():
-        from drivers.canopen.network import CanopenNetwork
-        from drivers.errors import BadInput
-        from drivers.wire.adapters import parse_bus_spec
-        from hil.execution.world import WorldPlan, open_world
+        from hil.execution.world import drive_network
         from hil.inspecting.stopping import stop_drives
         from hil.terminal.node_list import drive_ids
 
         nodes = drive_ids(node) if node else []
-        spec = parse_bus_spec(bus, "--bus")
-        if spec.simulated:
-            raise BadInput("--bus", "", bus, "a bus with a drive on it", "use hub:NAME and `hil simulate`")
-        with open_world(WorldPlan(spec, bitrate, False, None, 0), ()) as world:
-            stopped = stop_drives(CanopenNetwork(world.link, world.clock), nodes)
+        with drive_network(bus, bitrate) as network:
+            stopped = stop_drives(network, nodes)
         at_rest = all(each.at_rest for each in stopped)
         lines = [f"node {each.node}: {each.text} (after {each.took_ms:.0f} ms)" for each in stopped]
         figures = {"at_rest": at_rest, "nodes": [each._asdict() for each in stopped]}

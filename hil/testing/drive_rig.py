@@ -210,7 +210,7 @@ def drive_rig(bus: str, host: DriveHost, wish: DriveWish) -> Iterator[DriveRig]:
         plan = wish.plan
     elif host.missing([wish.node]):
         process = host.start([wish.node], wish)
-    world_plan = WorldPlan(spec, wish.bitrate_bit_s, False, plan, wish.seed)
+    world_plan = WorldPlan(spec, wish.bitrate_bit_s, faults=plan, seed=wish.seed)
     with open_world(world_plan, devices) as world:
         world.faults.start(world.clock.now())
         rig = DriveRig(world, wish, devices[0] if devices else None, process)

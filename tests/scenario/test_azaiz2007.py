@@ -113,7 +113,7 @@ def test_a_discrete_design_runs_in_the_simulated_drive(servo_bench: BenchRunner,
         (["--discrete"], ["--sample-rate-hz with it"]),
         (["--reduce", "9"], ["fewer states than the 4"]),
         (["--other", str(EXAMPLES / "controllers" / "azaiz2007-kq.toml")], ["one for the d axis"]),
-        (["--picture", "/nonexistent/x.png"], ["a PNG file that can be written"]),
+        (["--picture", "/nonexistent/x.png"], ["file that can be written"]),
         (["--weights", "none.toml"], ["weights file"]),
     ],
 )

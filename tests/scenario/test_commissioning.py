@@ -242,6 +242,15 @@ def test_options_that_do_not_fit_are_refused(tmp_path: Path, options: list[str],
     assert said in done.stderr
 
 
+def test_a_file_is_no_folder_for_the_recording(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("mine")
+    where = str(tmp_path / "taken" / "log")
+    command = ["commission", "--bus", "simulated", "--rehearse", "1", "--node", "1", "--yes", "--out", where]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 2
+    assert "a place to write to" in done.stderr
+
+
 def test_without_a_terminal_somebody_has_to_say_yes(tmp_path: Path) -> None:
     command = ["commission", "--bus", "simulated", "--rehearse", "1", "--node", "1", "--out", str(tmp_path)]
     done = CliRunner().invoke(app, command)

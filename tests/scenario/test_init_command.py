@@ -49,6 +49,13 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["motor.toml"]
 
 
+def test_a_file_is_no_folder_to_write_in(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("mine")
+    status, text = _init(str(tmp_path / "taken" / "bench"))
+    assert status == 2
+    assert "a place to write to" in " ".join(text.split())
+
+
 def test_every_example_is_written(tmp_path: Path) -> None:
     assert _init(str(tmp_path), "--examples")[0] == 0
     there = {path.relative_to(tmp_path / "examples") for path in (tmp_path / "examples").rglob("*.toml")}

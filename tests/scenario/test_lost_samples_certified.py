@@ -12,8 +12,7 @@ from hil.cli import app
 from hil.configuration.motor_file import LING2012
 from hil.configuration.toml_text import toml_text
 from hil.execution.network_guard import Certificates
-from hil.studies.speed.dynamic import request_of
-from hil.studies.speed.predictor import design_speed_predictor
+from hil.studies.speed.dynamic import design_speed_predictor, request_of
 from tests.floor_runs import Case
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

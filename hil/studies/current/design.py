@@ -1,7 +1,6 @@
 """``hil design current``: from a motor and weights to a controller file, with every figure on the way."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from design.current.current_design import (
@@ -99,7 +98,7 @@ def _by_rules(motor: PmsmParameters, axis: str) -> OtherAxis:
     return OtherAxis(design.controller, design.margins.phase_margin_rad_s)
 
 
-def write_controller(path: Path, result: CurrentResult, axis: str) -> None:
+def controller_text(result: CurrentResult, axis: str) -> str:
     """The controller as a file for ``current_control`` of a bench: sampled if it was, else continuous."""
     if result.sampled is not None and result.sampled.period_s is not None:
         form = zpk(result.sampled)
@@ -121,13 +120,4 @@ def write_controller(path: Path, result: CurrentResult, axis: str) -> None:
             "poles_rad_s": roots(design.form.poles),
             "prewarp_rad_s": design.margins.phase_margin_rad_s,
         }
-    write_text(path, toml_text({"current_controller": table}))
-
-
-def write_text(path: Path, text: str) -> None:
-    """``text`` into the file that ``--out`` names. Raises BadInput where that is not possible."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        reason = error.strerror or "it cannot be written"
-        raise BadInput("--out", "", str(path), f"a file that can be written ({reason})") from None
+    return toml_text({"current_controller": table})

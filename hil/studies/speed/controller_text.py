@@ -1,7 +1,6 @@
 """The file of a speed controller: its gain, what it was made for, and what is proved of it."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from design.motor import PmsmParameters
 from design.sampled.analysis import SampledAnalysis
 from design.sampled.bandwidth_range import BandwidthRange
 from design.sampled.held_loop import SampledNetwork, Strategy
-from drivers.errors import BadInput
 from hil.configuration.config_files import Section
 from hil.configuration.controller_kinds import StateFeedbackController
 from hil.configuration.speed_controller_file import (
@@ -80,14 +78,6 @@ def _constant(result: DesignResult) -> dict[str, object]:
 def controller_text(controller: Section) -> str:
     """The file that a bench names as ``controller``."""
     return toml_text({"controller": controller.model_dump(mode="json", exclude_none=True)})
-
-
-def write_controller(path: Path, controller: Section) -> None:
-    """Write the file that a bench names as ``controller``. Raises BadInput if it cannot be written."""
-    try:
-        path.write_text(controller_text(controller), encoding="utf-8")
-    except OSError as error:
-        raise BadInput("--out", "", str(path), "a file that can be written", str(error)) from None
 
 
 def _made_for(result: DesignResult) -> MadeFor:

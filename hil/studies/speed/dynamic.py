@@ -1,19 +1,30 @@
-"""``hil design speed --structure``: what all controllers with states of their own have in common."""
+"""``hil design speed --structure predictor`` and ``hinf``: controllers with states of their own."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
+import numpy as np
+
 from design.delay.lmi import SOLVER
 from design.motor import PmsmParameters
 from design.sampled.analysis import SampledAnalysis
-from design.speed.hinf_design import HinfDesign
+from design.speed.hinf_design import HinfDesign, design_hinf, hinf_robustness, uncertainty_norm
 from design.speed.loop_robustness import LoopRobustness
-from design.speed.loss_certificate import with_losses
-from design.speed.predictor_design import PredictorDesign, PredictorRequest
+from design.speed.loss_certificate import hinf_losses, predictor_losses, with_losses
+from design.speed.predictor_design import (
+    PredictorDesign,
+    PredictorRequest,
+    design_predictor,
+    losses_gain,
+    predictor_robustness,
+)
 from design.speed.predictor_plant import encoder_noise_rad_s
+from design.speed.predictor_trial import Walks
 from hil.configuration.config_files import Section
+from hil.configuration.hinf_section import HinfSection
+from hil.configuration.predictor_section import PredictorController
 from hil.configuration.speed_controller_file import CurrentLoop, LoopFigures, LossCertificate, MadeFor
 from hil.studies.numbers import finite, margin_figures, short
 from hil.studies.speed.controller_text import US_PER_S, begun_us, plant_of, sequence_proof, whole_us
@@ -200,3 +211,109 @@ class DynamicResult(ABC):
             ),
             **held,
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HinfResult(DynamicResult):
+    """H-infinity output feedback on the speed error."""
+
+    structure: ClassVar = "hinf"
+    proved: ClassVar = {
+        "norm": "of the weighted problem, with the controller of full order",
+        "gamma": "exact, of the sampled loop with every sample",
+    }
+
+    design: HinfDesign
+
+    def own_figures(self) -> dict[str, Any]:
+        design = self.design
+        return {
+            "weights": {
+                "error_s_rad": design.weights.error,
+                "noise_rad_s": design.weights.noise_rad_s,
+                "integral_rad_s": design.weights.integral_rad_s,
+            },
+            "norm": design.found.gamma,
+            "norm_min": design.found.gamma_min,
+            "order_full": design.found.K.order,
+            "order": design.controller.order,
+        }
+
+    def own_robustness(self) -> dict[str, Any]:
+        return {"uncertainty_norm": uncertainty_norm(self.design)}
+
+    def analysed(self, losses_max: int) -> SampledAnalysis:
+        return hinf_losses(self.design, losses_max)
+
+    def controller(self) -> HinfSection:
+        """The matrices keep all their digits: they integrate exactly."""
+        request, c = self.design.request, self.design.controller
+        lags_s = 1.0 / request.current_rate_rad_s + 1.0 / request.plant.filter_rate_rad_s
+        return HinfSection(
+            kind="hinf",
+            period_us=round(request.period_s * US_PER_S),
+            A=c.A.tolist(),
+            B=c.B.tolist(),
+            L=c.L.tolist(),
+            C=c.C.tolist(),
+            D=c.D,
+            answer_us=short((request.delay_s + lags_s) * US_PER_S),
+            **self.told(norm=short(self.design.found.gamma)),
+        )
+
+
+def design_speed_hinf(request: PredictorRequest, losses_max: int, measured: bool = False) -> HinfResult:
+    """The design. Raises InfeasibleDesign."""
+    design = design_hinf(request)
+    return HinfResult(design, hinf_robustness(design), losses_max, measured)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictorResult(DynamicResult):
+    """A Kalman filter, a prediction over the delay, and a feedback."""
+
+    structure: ClassVar = "predictor"
+    proved: ClassVar = {"gamma": "exact, of the sampled loop with constant gains and every sample"}
+
+    design: PredictorDesign
+
+    def own_figures(self) -> dict[str, Any]:
+        return {
+            "speed_gain_nm_s_rad": float(self.design.F[1]),
+            "torque_gain": float(self.design.F[0]),
+            "load_noise_nm_sqrt_s": self.design.walks.quiet,
+            "load_noise_max_nm_sqrt_s": self.design.walks.bold,
+        }
+
+    def own_robustness(self) -> dict[str, Any]:
+        gains = (losses_gain(self.design, [lost]) for lost in range(1, self.losses_max + 1))
+        return {"gains_found_by_losses": list(map(finite, gains))}
+
+    def analysed(self, losses_max: int) -> SampledAnalysis:
+        return predictor_losses(self.design, losses_max)
+
+    def controller(self) -> PredictorController:
+        request = self.design.request
+        return PredictorController(
+            kind="predictor",
+            current_bandwidth_hz=request.current_bandwidth_hz,
+            speed_filter_hz=request.speed_filter_hz,
+            dead_time_us=short(request.dead_time_s * US_PER_S),
+            speed_noise_rad_s=request.speed_noise_rad_s,
+            torque_noise_nm=request.torque_noise_nm,
+            **self.own_figures(),
+            **self.told(),
+        )
+
+
+def design_speed_predictor(
+    request: PredictorRequest, losses_max: int, measured: bool = False
+) -> PredictorResult:
+    """The design, with the digits of its file: what is proved of it is proved of the controller that runs.
+
+    Raises InfeasibleDesign.
+    """
+    design = design_predictor(request)
+    walks = Walks(short(design.walks.quiet), short(design.walks.bold))
+    design = replace(design, F=np.array([short(gain) for gain in design.F]), walks=walks)
+    return PredictorResult(design, predictor_robustness(design), losses_max, measured)

@@ -18,6 +18,8 @@ from drivers.bounded_file import (
     read_lines,
     read_text,
     read_toml,
+    write_file,
+    writing,
 )
 from drivers.errors import BadInput
 from drivers.printable import printable
@@ -170,6 +172,23 @@ def test_a_data_sheet_cannot_speak_to_the_terminal() -> None:
     assert "De vice" in name
     assert any("control character" in repair.fault for repair in loaded.repairs)
     assert all(str(repair).isprintable() for repair in loaded.repairs)
+
+
+def test_what_cannot_be_written_is_bad_input_of_its_option(tmp_path: Path) -> None:
+    write_file("--out", tmp_path / "text", "50 µm\n")
+    assert (tmp_path / "text").read_bytes() == b"50 \xc2\xb5m\n"
+    write_file("--out", tmp_path / "text", b"\xb5")
+    assert (tmp_path / "text").read_bytes() == b"\xb5"
+    place = tmp_path / "none" / "a.toml"
+    with pytest.raises(BadInput) as refused:
+        write_file("--out", place, "")
+    error = refused.value
+    assert (error.source, error.value, error.expected) == ("--out", str(place), "a place to write to")
+    assert error.remedy == "No such file or directory"
+    with pytest.raises(BadInput, match=r"--picture.*the viewer is gone"), writing("--picture", place):
+        raise OSError("the viewer is gone")
+    with pytest.raises(ValueError, match="a defect"), writing("--picture", place):
+        raise ValueError("a defect")
 
 
 def test_only_characters_that_act_are_escaped() -> None:

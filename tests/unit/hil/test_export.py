@@ -185,7 +185,7 @@ def test_what_cannot_be_exported_is_refused(run: Path, tmp_path: Path) -> None:
         sink.write_table(later)
     assert "a recording of format 2 or earlier" in refused()
     (run / RECORDS_FILE).write_bytes(whole)
-    assert "a file that can be written" in refused("--out", str(tmp_path / "none" / "a.csv"))
+    assert "a place to write to" in refused("--out", str(tmp_path / "none" / "a.csv"))
     (run / RECORDS_FILE).unlink()
     assert "no records.arrow" in refused()
 

@@ -38,6 +38,13 @@ def test_a_sheet_becomes_a_motor_file(tmp_path: Path) -> None:
     assert "kt_nm_arms = 0.8" in (tmp_path / "a.toml").read_text()
 
 
+def test_a_file_that_cannot_be_written_is_bad_input(tmp_path: Path) -> None:
+    status, text = _new(tmp_path / "none" / "a.toml")
+    assert status == 2, text
+    assert "MOTOR.toml: found" in text
+    assert "No such file or directory" in text
+
+
 def test_what_the_sheet_gives_otherwise_is_the_same_motor(tmp_path: Path) -> None:
     assert _new(tmp_path / "a.toml")[0] == 0
     other = {"--poles": None, "--pole-pairs": 5, "--r-line-ohm": None, "--r-phase-ohm": 2.7,
