@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BusDown
+from drivers.errors import BadInput, BusDown
 from hil.campaign import worker
 from hil.campaign.adaptive import Drawn
 from hil.campaign.plan import CampaignPlan, PlannedRun
@@ -28,8 +28,10 @@ from hil.campaign.worker import (
 from hil.configuration.toml_text import toml_text
 from hil.control.own_code import OwnCodeFailed
 from hil.machine.stopping import Interrupted, StopRequest
+from hil.recording.recorder import recorder_of
 from hil.verdict.summary import StepResponse, Summary
 from hil.verdict.verdict import Finding, VerdictKind
+from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_campaign_plan import LOSS, plan, tables
 from tests.unit.hil.test_report import summary
 
@@ -203,6 +205,21 @@ def test_a_run_that_failed_is_told_by_its_verdict_if_it_came_to_one(bench: Bench
         Workshop(plan()).row(0)
 
 
+def test_a_run_that_would_be_on_a_bus_in_real_time_is_refused(bench: Bench, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "def changes(seed):\n    return {'bus.spec': 'hub:x'} if seed > 1 else {}\n"
+    )
+    path = tmp_path / "sweep.toml"
+    path.write_text(toml_text(tables(own={"changes": "own.py:changes"}, campaign={"seeds": 2})))
+    shop = Workshop(CampaignPlan.load(path))
+    assert shop.row(0)["passed"]
+    with pytest.raises(BadInput) as caught:
+        shop.row(1)
+    expected = "'simulated': a campaign runs in simulated time"
+    assert (caught.value.key, caught.value.value, caught.value.expected) == ("bus.spec", "hub:x", expected)
+    assert len(bench.asked) == 1
+
+
 def test_a_draw_that_is_known_elsewhere_is_taken(bench: Bench) -> None:
     key = {"key": "loop.deadline_us", "distribution": "uniform", "low": 1000.0, "high": 2000.0, "whole": True}
     row = Workshop(plan(draw=[key], campaign={"seeds": 2})).row(1, Drawn((0.25,), 2.0, False))
@@ -231,16 +248,35 @@ def checked(tmp_path: Path, code: str) -> Any:
 
 
 def test_a_check_is_given_the_run(bench: Bench, tmp_path: Path) -> None:
-    def made(asked: dict[str, Any]) -> None:
-        del asked["recording"]
-
     code = (
         "def check(seed, run):\n    done = run()\n    return [done.digest, type(done).__name__, str(seed)]\n"
     )
     done = Workshop(checked(tmp_path, code)).finished(checked(tmp_path, code).run(0), tmp_path / "run")
     assert done.findings == ["ab" * 16, "Run", "1"]
     assert done.summary == summary()
-    made(bench.asked[0])
+    assert (bench.asked[0]["record"], bench.asked[0]["recording"]) == (tmp_path / "run", recorder_of)
+
+
+def test_a_check_without_a_recording_looks_at_all_of_the_memory(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memories: list[Any] = []
+
+    class Memory:
+        def __init__(self, plan: Any, keep_all: bool) -> None:
+            memories.append((plan.name, keep_all))
+
+    def run_bench(config: Any, **asked: Any) -> Summary:
+        asked["recording"](plan_for(tmp_path))
+        return bench(config, **asked)
+
+    monkeypatch.setattr(worker, "MemoryRecorder", Memory)
+    monkeypatch.setattr(worker, "run_bench", run_bench)
+    code = "def check(seed, run):\n    return [type(vars(run())['_kept']).__name__]\n"
+    its = checked(tmp_path, code)
+    assert Workshop(its).row(0)["findings"] == ["Memory"]
+    assert memories == [("synthetic", True)]
+    assert (bench.asked[0]["record"], bench.asked[0]["keep"]) == (None, False)
 
 
 @pytest.mark.parametrize(("calls", "told"), [("", "0 times"), ("run(); run()", "2 times")])
