@@ -173,11 +173,10 @@ def _beside(base: RecordedRun, run: RecordedRun) -> Against:
         beside.signals.add(rows)
         if run is base:
             continue
-        ahead = int(rows["sequence"].max(initial=0))
         for name, (_, ours) in shared.items():
             mine = rows[rows["axis"] == ours]
-            other = _up_to(held, others, shared, name, ahead)
-            _hold(beside, name, other, mine)
+            if mine.size:  # a batch may end between two axes of a cycle: each goes as far as it has come
+                _hold(beside, name, _up_to(held, others, shared, name, int(mine["sequence"][-1])), mine)
     return beside
 
 
@@ -206,8 +205,6 @@ def _up_to(
 
 
 def _hold(beside: Against, name: str, other: Rows, mine: Rows) -> None:
-    if not other.size or not mine.size:
-        return
     base, own = other, mine
     if not np.array_equal(other["sequence"], mine["sequence"]):
         _, left, right = np.intersect1d(other["sequence"], mine["sequence"], return_indices=True)

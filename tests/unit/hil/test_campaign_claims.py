@@ -12,6 +12,7 @@ from scipy.stats import binomtest
 
 from hil.campaign.campaign import Campaign, CounterExample, NothingCertified
 from hil.campaign.figures import failure_line
+from hil.campaign.statistics import anytime
 
 KEPT, EXCEEDED, LEFT = "kept", "exceeded", "premises left"
 
@@ -59,6 +60,16 @@ def test_the_rate_is_clopper_and_pearson_s(passed: int, runs: int) -> None:
         rate, failed = done.pass_rate(confidence=asked), done.failure_rate(asked)
         assert tuple(rate) == pytest.approx((passed / runs, known.low, known.high))
         assert tuple(failed) == pytest.approx((1 - passed / runs, 1 - known.high, 1 - known.low))
+
+
+def test_the_rate_of_a_campaign_that_ended_when_enough_was_seen_is_the_sequence_s() -> None:
+    done = campaign([number < 17 for number in range(20)])
+    assert (done.sequential, done.adaptive) == (False, False)
+    done.plan.sweep.stop.rate_width = 0.1
+    assert done.sequential
+    assert done.pass_rate() == anytime(17, 20, 0.9)
+    assert done.pass_rate(confidence=0.99) == anytime(17, 20, 0.99)
+    assert done.nominal.all()
 
 
 def test_of_weighted_runs_failing_and_passing_add_up_to_one() -> None:

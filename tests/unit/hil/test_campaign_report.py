@@ -1,0 +1,336 @@
+"""A campaign as one HTML file and as a page of maps: what stands in its tables, cells and colours."""
+
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import rerun as rr
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+from rerun.chunk import RrdReader
+
+from hil.campaign import page, report
+from hil.campaign.campaign import Campaign
+from hil.campaign.figures import PEAK
+from hil.campaign.plan import GridAxis
+from hil.campaign.worker import FIGURES
+from tests.page_text import page_text
+
+LOAD = GridAxis("load.nm", (), ("0.1", "0.2", "0.4"), (0.1, 0.2, 0.4))
+KIND = GridAxis("controller", (), ("pi", "<hinf>"), None)
+POINTS = [(load, kind) for load in range(3) for kind in range(2)]
+RUNS = 12
+
+
+def labels(number: int) -> dict[str, Any]:
+    load, kind = POINTS[number % 6]
+    assert LOAD.numbers is not None
+    return {LOAD.title: LOAD.numbers[load], KIND.title: KIND.labels[kind]}
+
+
+def made(certificate: str = "", adaptive: Any = None) -> Campaign:
+    """Two runs at each of six points but the last, where there is one; run 4 came to no peak error."""
+    numbers = list(range(RUNS - 1))
+    passed = [number % 4 != 1 for number in numbers]
+    section = SimpleNamespace(name="a&b")
+    stop = SimpleNamespace(confidence=0.95, rate_width=None)
+    plan: Any = SimpleNamespace(
+        axes=() if adaptive else (LOAD, KIND),
+        points=1 if adaptive else 6,
+        count=15,
+        sweep=SimpleNamespace(stop=stop, adaptive=adaptive, campaign=section),
+        own=SimpleNamespace(checks=False),
+        point_title=lambda point: "" if adaptive else f"p{point}",
+        run=lambda number: SimpleNamespace(labels=labels(number)),
+    )
+    campaign = Campaign(Path("some where"), plan)
+    columns: dict[str, Any] = {name: pa.array([None] * len(numbers), pa.float64()) for name in FIGURES}
+    columns[PEAK] = [None if number == 4 else 1.5 + number for number in numbers]
+    columns["load_gain_least_rad_s_nm"] = [0.5] * len(numbers)
+    columns["load_gain_certified_rad_s_nm"] = [2.0] * len(numbers)
+    campaign.__dict__["table"] = pa.table(
+        {
+            "run": numbers,
+            "seed": [100 + number for number in numbers],
+            "replicate": [number // 6 for number in numbers],
+            "point": [0 if adaptive else number % 6 for number in numbers],
+            LOAD.title: [labels(number)[LOAD.title] for number in numbers],
+            KIND.title: [labels(number)[KIND.title] for number in numbers],
+            "passed": passed,
+            "counts": [True] * len(numbers),
+            "weight": [1.0] * len(numbers),
+            "completed": [number != 4 for number in numbers],
+            "outcome": ["passed" if each else "not <passed>" for each in passed],
+            "reason": [""] * len(numbers),
+            "digest": [f"{number:04x}" for number in numbers],
+            "certificate": [certificate] * len(numbers),
+            "premises_left": ["delay: 2 ms" if certificate else ""] * len(numbers),
+            "premises_unknown": [""] * len(numbers),
+            "findings": [[] for _ in numbers],
+            **columns,
+        }
+    )
+    return campaign
+
+
+@pytest.fixture
+def plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Maps are looked at by themselves."""
+    monkeypatch.setattr(report, "heat_maps", lambda _done, rows, across: f"[{rows.title} x {across.title}]")
+
+
+def sections(done: Campaign, place: Path) -> dict[str, str]:
+    """By title what stands below it, the head by ''."""
+    report.write_report(done, place)
+    text = place.read_text(encoding="utf-8")
+    assert text.startswith(
+        "<!doctype html><html lang='en'><meta charset='utf-8'><title>a&amp;b</title><style>"
+    )
+    assert text.endswith("</body></html>\n")
+    parts = re.split(r"<h2>(.*?)</h2>", text.split("<body>")[1].removesuffix("</body></html>\n"))
+    return dict(zip(["", *parts[1::2]], parts[::2], strict=True))
+
+
+def table(text: str) -> list[list[str]]:
+    (body,) = re.findall(r"<table>(.*)</table>", text)
+    rows = re.findall(r"<tr>(.*?)</tr>", body)
+    return [re.findall(r"<t[hd](?: class='n')?>(.*?)</t[hd]>", row) for row in rows]
+
+
+@pytest.mark.usefixtures("plain")
+def test_the_head_tells_what_the_campaign_came_to(tmp_path: Path) -> None:
+    parts = sections(made(), tmp_path / "r.html")
+    assert parts[""] == (
+        "<h1>Campaign a&amp;b</h1><p class='b'>8 of 11 runs passed, 15 were planned.</p>"
+        "<p>Intervals of 95 %; of pass rates: Clopper-Pearson; of quantiles and means: bootstrap. Points of "
+        "the grid share their draws and seeds: there is none over several.</p>"
+        "<p>3 not &lt;passed&gt;, 8 passed</p>"
+    )
+    assert list(parts) == [
+        "",
+        "load.nm over controller",
+        "Points",
+        "Pairs on the same draws and seeds",
+        "Figures of all runs",
+        "What matters",
+        "Worst runs",
+    ]
+    assert parts["load.nm over controller"] == "[load.nm x controller]"
+
+
+@pytest.mark.usefixtures("plain")
+def test_the_tables_are_rows_of_figures(tmp_path: Path) -> None:
+    parts = sections(made(), tmp_path / "r.html")
+    points = table(parts["Points"])
+    assert points[0] == [
+        "point",
+        "runs",
+        "passed",
+        "rate",
+        "low",
+        "high",
+        "peak error, 95 % of runs",
+        "low",
+        "high",
+    ]
+    assert points[1][:4] == ["p0", "2", "2", "100.00 %"]
+    assert points[1][4:6] == [f"{100 * 0.025**0.5:.2f} %", "100.00 %"]
+    assert points[2][:3] == ["p1", "2", "1"]
+    assert points[5][6:] == ["11.5", "-", "-"], "one run alone has a peak, and no interval"
+    assert points[6][:3] == ["p5", "1", "0"]
+    worst = table(parts["Worst runs"])
+    assert worst[0] == ["run", "keys", "seed", "outcome", "peak, %", "again"]
+    assert worst[1] == [
+        "4",
+        "load.nm = 0.4, controller = pi",
+        "104",
+        "passed",
+        "-",
+        "hil campaign replay some where --run 4",
+    ]
+    assert worst[2][:5] == ["10", "load.nm = 0.4, controller = pi", "110", "passed", "11.5"]
+    assert len(worst) == 11
+    quantiles = table(parts["Figures of all runs"])
+    assert quantiles[1] == ["speed_error_peak_percent", "%", "10", "7", "11.05", "11.5"]
+    assert "<td class='n'>10</td>" in parts["Figures of all runs"]
+    matters = table(parts["What matters"])
+    assert [row[0] for row in matters[1:]] == ["load.nm", "controller"]
+    assert all(len(row) == 5 for row in matters)
+    assert matters[2][2] == "-"
+    pairs = table(parts["Pairs on the same draws and seeds"])
+    assert pairs[1][:5] == ["pi", "&lt;hinf&gt;", "5", "3", "0"]
+    assert pairs[1][5:] == ["0.25", "1 % (1 to 1)"]
+
+
+@pytest.mark.usefixtures("plain")
+def test_a_certificate_has_a_part_of_its_own(tmp_path: Path) -> None:
+    found = sections(made("kept"), tmp_path / "r.html")["Held against the certificate"]
+    assert "<tr><td>kept</td><td class='n'>11</td></tr>" in found
+    assert "<p>Run 0 came nearest, to 25.00 % of what is certified.</p>" in found
+    assert "<tr><td>delay</td><td class='n'>11</td></tr>" in found
+    none = sections(made("premise left"), tmp_path / "r.html")["Held against the certificate"]
+    assert "came nearest" not in none
+
+
+@pytest.mark.usefixtures("plain")
+def test_adaptive_draws_tell_their_failure_probability(tmp_path: Path) -> None:
+    head = sections(made(adaptive=SimpleNamespace(round_runs=6)), tmp_path / "r.html")[""]
+    assert "of pass rates: weighted draws, normal in the logarithm;" in head
+    assert "<p class='b'>failure probability 0.273, " in head
+    assert "are of the first round alone, which is drawn as the sweep has it.</p>" in head
+
+
+def test_words_for_what_is_not_known() -> None:
+    assert [report._percent(value) for value in (None, 0.5, 1.0)] == ["-", "50.00 %", "100.00 %"]
+    assert [report._number(value) for value in (None, "pi", 0.123456, 12345.6)] == [
+        "-",
+        "pi",
+        "0.1235",
+        "1.235e+04",
+    ]
+
+
+@pytest.fixture
+def pictures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    saved: list[Figure] = []
+    save = Figure.savefig
+
+    def note(figure: Figure, *given: Any, **named: Any) -> None:
+        saved.append(figure)
+        save(figure, *given, **named)
+
+    monkeypatch.setattr(Figure, "savefig", note)
+    return saved
+
+
+def test_a_heat_map_shows_rate_and_peak_of_each_cell(pictures: list[Figure]) -> None:
+    text = report.heat_maps(made(), LOAD, KIND)
+    assert text.startswith("<svg ")
+    assert "dc:date" not in text
+    (picture,) = pictures
+    assert tuple(picture.get_size_inches()) == pytest.approx((12.0, 0.8 + 0.5 * 6))
+    rate, peak = picture.axes[:2]
+    assert (rate.get_title(), peak.get_title()) == ("pass rate", "largest peak error, %")
+    for axes in (rate, peak):
+        assert (axes.get_xlabel(), axes.get_ylabel()) == ("controller", "load.nm")
+        assert [label.get_text() for label in axes.get_xticklabels()] == ["pi", "<hinf>"]
+        assert [label.get_text() for label in axes.get_yticklabels()] == ["0.1", "0.2", "0.4"]
+    rates, peaks = rate.images[0], peak.images[0]
+    assert (rates.cmap.name, rates.get_clim(), rates.origin) == ("RdYlGn", (0.0, 1.0), "lower")
+    assert (peaks.cmap.name, peaks.get_clim()) == ("viridis_r", (6.5, 11.5))
+    written = {text.get_position(): text.get_text() for text in rate.texts}
+    assert written[0, 0] == "1.00"
+    assert written[1, 2] == "0.00"
+    assert {text.get_position(): text.get_text() for text in peak.texts} == {
+        (0, 0): "7.5", (1, 0): "8.5", (0, 1): "9.5", (1, 1): "10.5", (0, 2): "11.5", (1, 2): "6.5",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("rows", "named"), [(20, True), (21, False)])
+def test_beyond_two_hundred_cells_no_number_is_written(rows: int, named: bool) -> None:
+    values = np.zeros((rows, 10))
+    values[0, 0] = math.nan
+    axes = Figure().add_subplot()
+    down = GridAxis("a", (), tuple(map(str, range(rows))), None)
+    across = GridAxis("b", (), tuple(map(str, range(10))), None)
+    report._heat_map(axes, "pass rate", values, down, across)
+    assert len(axes.texts) == (rows * 10 - 1 if named else 0)
+
+
+GREY = [60, 60, 60]
+
+
+def shade(name: str, share: float) -> list[int]:
+    return [round(255 * part) for part in colormaps[name](share)[:3]]
+
+
+def test_cells_are_coloured_by_their_share() -> None:
+    rates = page._colors(np.array([[0.0, 0.5], [1.0, math.nan]]), is_rate=True)
+    assert rates.tolist() == [
+        [shade("RdYlGn", 0.0), shade("RdYlGn", 0.5)],
+        [shade("RdYlGn", 1.0), GREY],
+    ]
+    peaks = page._colors(np.array([[4.0, 6.0, math.nan, 8.0]]), is_rate=False)
+    assert peaks.tolist() == [
+        [shade("viridis_r", 0.0), shade("viridis_r", 0.5), GREY, shade("viridis_r", 1.0)]
+    ]
+    same = page._colors(np.array([[4.0, 4.0]]), is_rate=False)
+    assert same.tolist() == [[shade("viridis_r", 0.5)] * 2]
+    assert page._colors(np.array([[math.nan]]), is_rate=False).tolist() == [[GREY]]
+
+
+def test_a_cell_names_its_worst_run() -> None:
+    worst = page._worst_in_cells(made(), LOAD, KIND)
+    assert worst.tolist() == [[6, 7], [8, 9], [4, 5]], "run 4 came to no error that is known"
+    nothing = GridAxis("load.nm", (), ("9",), (9.0,))
+    assert page._worst_in_cells(made(), nothing, KIND).tolist() == [[-1, -1]]
+
+
+def texts(points: rr.Points2D) -> tuple[list[str], list[list[float]]]:
+    assert points.labels is not None
+    assert points.positions is not None
+    return points.labels.as_arrow_array().to_pylist(), points.positions.as_arrow_array().to_pylist()
+
+
+def test_values_and_keys_stand_in_and_beside_the_cells() -> None:
+    values, worst = np.array([[0.25, math.nan], [1.0, 12.3456]]), np.array([[3, -1], [0, 7]])
+    told, places = texts(page._labels(values, worst, is_rate=True))
+    assert told == ["0.25 · run 3", "none", "1.00 · run 0", "12.35 · run 7"]
+    assert places == [[0.5, 0.5], [1.5, 0.5], [0.5, 1.5], [1.5, 1.5]]
+    assert texts(page._labels(values, worst, is_rate=False))[0][3] == "12.3 % · run 7"
+    told, places = texts(page._keys(LOAD, KIND))
+    assert told == ["0.1", "0.2", "0.4", "pi", "<hinf>"]
+    assert places == [[-0.25, 0.5], [-0.25, 1.5], [-0.25, 2.5], [0.5, 3.25], [1.5, 3.25]]
+
+
+def entities(path: Path) -> Iterator[str]:
+    for chunk in RrdReader(path).stream():
+        yield str(chunk.entity_path)
+
+
+def test_the_page_holds_maps_members_and_a_summary(tmp_path: Path) -> None:
+    place = tmp_path / "campaign.rrd"
+    page.write_page(made(), place)
+    maps = {f"/map0/{kind}/{part}" for kind in ("rate", "peak") for part in ("cells", "values", "keys")}
+    found = {entity for entity in entities(place) if not entity.startswith("/__")}
+    assert found == maps | {"/members/passed", "/members/failed", "/summary"}
+    text = page_text(place)
+    assert "pass rate: load.nm (down) over controller" in text
+    assert "largest peak error, %: load.nm (down) over controller" in text
+    assert "Map 1" in text
+    assert "Map 2" not in text
+    for chunk in RrdReader(place).stream():
+        batch = chunk.to_record_batch()
+        if "run" in batch.schema.names:
+            numbers = batch.column("run").to_pylist()
+            failed = str(chunk.entity_path) == "/members/failed"
+            assert numbers == [n for n in range(RUNS - 1) if (n % 4 == 1) == failed and n != 4]
+
+
+def test_the_summary_leads_from_a_cell_to_a_run() -> None:
+    figures = {
+        "name": "x",
+        "passed": 3,
+        "runs": 4,
+        "outcomes": {"passed": 3, "failed": 1},
+        "worst": [
+            {"run": 7, "outcome": "failed", PEAK: 12.345, "load.nm": 0.1, "controller": "pi"},
+            {"run": 8, "outcome": "passed", PEAK: None, "load.nm": 0.2, "controller": "pi"},
+        ],
+    }
+    assert page._markdown(made(), figures).split("\n\n") == [
+        "# Campaign x",
+        "3 of 4 runs passed: 3 passed, 1 failed.",
+        "A cell of a map names its worst run. To look into a run, and to lay it beside another:",
+        "    hil campaign replay some where --run K --into runs/K\n"
+        "    hil view runs/K\n    hil compare runs/K runs/L",
+        "| worst run | outcome | peak | keys |\n|--:|:--|--:|:--|\n"
+        "| 7 | failed | 12.3 % | load.nm 0.1, controller pi |\n"
+        "| 8 | passed | - | load.nm 0.2, controller pi |",
+    ]

@@ -1,0 +1,190 @@
+"""A run as a figure for print: which lines stand in which plot, in which unit, and within which limits."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from drivers.errors import BadInput
+from drivers.rotation import RPM_PER_RAD_S
+from hil.recorded.paper import histogram_figure, paper_figure, save_figure, svg_text
+from hil.recorded.recorded_run import RunSignals, signals_of
+from hil.rows.records import NOTHING, Rows
+from hil.verdict.verdict import VerdictLimits
+from tests.unit.hil.made_runs import made_run
+from tests.unit.hil.row_tools import plain_rows
+
+CYCLES = 600
+GREY, RED, FIRST, SECOND = "#7a7f87", "#c8442c", "#1f5fa8", "#2e7d32"
+
+
+def rows(axes: int = 1) -> Rows:
+    made = plain_rows(CYCLES * axes, reference=100.0, load=0.25)
+    made["axis"] = np.arange(made.size) % axes
+    made["sequence"] = 1 + np.arange(made.size) // axes
+    made["due_at"] = 1_000_000 * (made["sequence"] - 1)
+    made["velocity_rad_s"] = 98.0 - made["axis"]
+    made["torque_nm"] = 0.5
+    made["delay_ns"] = 100_000 * (1 + made["sequence"] % 5)
+    return made
+
+
+def signals(axes: int = 1, percent: float | None = None, of: Rows | None = None) -> RunSignals:
+    names = [f"axis{number}" for number in range(1, axes + 1)]
+    limits = VerdictLimits(speed_error_peak_percent_max=percent)
+    return signals_of(made_run(rows(axes) if of is None else of, names, limits=limits))
+
+
+def lines(ax: Any) -> list[tuple[str, str, str, float, float, str]]:
+    """Label, colour, kind of dashes, width, largest value, and how points are joined."""
+    return [
+        (
+            "" if str(line.get_label()).startswith("_") else str(line.get_label()),
+            to_hex(line.get_color()),
+            line.get_linestyle(),
+            line.get_linewidth(),
+            round(float(np.max(line.get_ydata())), 6),
+            line.get_drawstyle(),
+        )
+        for line in ax.lines
+    ]
+
+
+def test_one_axis_has_four_plots_of_what_was_asked_and_what_was() -> None:
+    figure: Any = paper_figure(signals(), 0.1, 0.4)
+    speed, error, torque, delay = figure.axes
+    assert tuple(figure.get_size_inches()) == (7.2, 6.4)
+    assert [ax.get_ylabel() for ax in figure.axes] == [
+        "Speed [r/min]",
+        "Speed error [r/min]",
+        "Torque [N m]",
+        "Delay [us]",
+    ]
+    assert delay.get_xlabel() == "time since the first cycle [s]"
+    rpm = [round(value * RPM_PER_RAD_S, 6) for value in (100.0, 98.0, 2.0)]
+    assert lines(speed) == [
+        ("reference", GREY, "-", 0.9, rpm[0], "steps-post"),
+        ("measured", FIRST, "-", 0.8, rpm[1], "default"),
+    ]
+    assert lines(error) == [("error", FIRST, "-", 0.8, rpm[2], "default")]
+    assert lines(torque) == [
+        ("load", GREY, "-", 0.9, 0.25, "steps-post"),
+        ("measured", FIRST, "-", 0.8, 0.5, "default"),
+    ]
+    assert lines(delay) == [
+        ("delay", FIRST, "-", 0.8, 500.0, "default"),
+        ("", RED, "--", 0.8, 2000.0, "default"),
+    ]
+    assert [ax.get_xlim() for ax in figure.axes] == [(0.1, 0.4)] * 4
+    assert delay.get_ylim()[0] == 0.0
+    times = speed.lines[0].get_xdata()
+    assert (times[0], times[-1]) == (0.0, pytest.approx(1e-3 * (CYCLES - 1)))
+    heights = [ax.get_subplotspec().get_gridspec().get_height_ratios() for ax in figure.axes]
+    assert heights == [[2, 1.3, 1.5, 1.2]] * 4
+    assert all(not ax.spines[side].get_visible() for ax in figure.axes for side in ("top", "right"))
+
+
+def test_several_axes_are_told_apart_and_what_was_asked_is_named_once() -> None:
+    speed: Any
+    speed, error, *_ = paper_figure(signals(2)).axes
+    assert [line[:2] for line in lines(speed)] == [
+        ("reference", GREY),
+        ("axis1: measured", FIRST),
+        ("", GREY),
+        ("axis2: measured", SECOND),
+    ]
+    assert [text.get_text() for text in speed.get_legend().get_texts()] == [
+        "reference",
+        "axis1: measured",
+        "axis2: measured",
+    ]
+    assert [line[:2] for line in lines(error)] == [("axis1: error", FIRST), ("axis2: error", SECOND)]
+
+
+def test_a_fifth_axis_has_the_colour_of_the_first() -> None:
+    _, error, *_ = paper_figure(signals(5)).axes
+    assert [line[1] for line in lines(error)] == [FIRST, SECOND, "#c2571a", "#6a4fa0", FIRST]
+
+
+@pytest.mark.parametrize(("percent", "most"), [(None, 3.0), (1.0, 3.0), (3.0, 3.0), (5.0, 5.0)])
+def test_the_error_is_drawn_as_far_as_its_limit_or_what_counts(percent: float | None, most: float) -> None:
+    """The largest reference is 100 rad/s, the largest error that counts 3 rad/s."""
+    _, error, *_ = paper_figure(signals(2, percent)).axes
+    reach = 1.4 * most * RPM_PER_RAD_S
+    assert error.get_ylim() == pytest.approx((-reach, reach), rel=1e-3)
+    limits = [line for line in lines(error) if line[1] == RED]
+    if percent is None:
+        assert limits == []
+        return
+    limit = round(percent * RPM_PER_RAD_S, 6)
+    assert limits == [("", RED, "--", 0.8, limit, "default"), ("", RED, "--", 0.8, -limit, "default")]
+
+
+def test_what_was_not_measured_is_not_drawn() -> None:
+    nothing = rows()
+    nothing["fate"] = 1
+    nothing["delay_ns"] = NOTHING
+    figure: Any = paper_figure(signals(of=nothing))
+    drawn = [sum(len(line.get_xdata()) > 0 for line in ax.lines) for ax in figure.axes]
+    assert drawn == [1, 0, 1, 1], "references, loads and the deadline"
+    bars = histogram_figure(signals(of=nothing)).axes[0]
+    assert len(bars.patches) == 0
+
+
+def test_delays_are_counted_for_each_axis_beside_the_deadline() -> None:
+    figure: Any = histogram_figure(signals(2))
+    assert tuple(figure.get_size_inches()) == pytest.approx((7.2, 3.5))
+    assert [ax.get_ylabel() for ax in figure.axes] == ["axis1", "axis2"]
+    assert figure.axes[-1].get_xlabel() == "delay of the readings [us]; dashed: the deadline"
+    for ax in figure.axes:
+        assert ax.get_yscale() == "symlog"
+        (deadline,) = ax.lines
+        assert list(deadline.get_xdata()) == [2000.0, 2000.0]
+        (steps,) = ax.patches
+        counts, edges_us, _ = steps.get_data()
+        width_us = 500_000 // 60 / 1000
+        assert edges_us == pytest.approx(np.arange(500_000 // (500_000 // 60) + 2) * width_us)
+        filled = {round(float(edges_us[place]), 3): int(count) for place, count in enumerate(counts) if count}
+        assert sum(filled.values()) == CYCLES
+        assert list(filled.values()) == [CYCLES // 5] * 5
+        for left, delay_us in zip(filled, range(100, 600, 100), strict=True):
+            assert left - 0.5 <= delay_us <= left + width_us + 0.5, "a time is known to 0.1 %"
+
+
+def test_bars_are_no_narrower_than_a_microsecond() -> None:
+    short = rows()
+    short["delay_ns"] = 5_500
+    bars: Any = histogram_figure(signals(of=short)).axes[0].patches[0]
+    _, edges_us, _ = bars.get_data()
+    assert edges_us == pytest.approx(np.arange(7.0))
+
+
+@pytest.mark.parametrize("suffix", [".svg", ".png", ".pdf"])
+def test_a_figure_is_saved_the_same_each_time(tmp_path: Path, suffix: str) -> None:
+    for name in ("one", "two"):
+        figure = Figure(figsize=(1.0, 1.0))
+        figure.add_axes((0.2, 0.2, 0.7, 0.7)).plot([0.0, 1.0])
+        save_figure(figure, tmp_path / f"{name}{suffix}")
+    one, two = ((tmp_path / f"{name}{suffix}").read_bytes() for name in ("one", "two"))
+    assert len(one) == len(two)
+    if suffix == ".svg":
+        assert one == two
+        assert b"<dc:date>" not in one
+    if suffix == ".png":
+        assert (int.from_bytes(one[16:20]), int.from_bytes(one[20:24])) == (150, 150)
+
+
+def test_a_figure_of_another_kind_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput) as caught:
+        save_figure(Figure(), tmp_path / "a.gif")
+    told = f"OUT: found '{tmp_path / 'a.gif'}', expected a file that ends in .svg, .pdf, .png"
+    assert str(caught.value) == told
+
+
+def test_a_picture_in_a_page_begins_with_its_element() -> None:
+    text = svg_text(Figure(figsize=(1.0, 1.0)))
+    assert text.startswith("<svg ")
+    assert text.rstrip().endswith("</svg>")
