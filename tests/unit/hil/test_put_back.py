@@ -92,6 +92,7 @@ def put_back(
     result = restore(network(node), contents, said.append)
     assert said == ["bringing the drive to rest"]
     assert node.told[:2] == ["6040:0 0000", "ENTER_PRE_OPERATIONAL"]
+    assert node.now == (3 * 20 + 20) * NS_PER_MS, "three looks at rest, and a while for NMT"
     return result, node.told[2:]
 
 
