@@ -1,0 +1,242 @@
+"""The lanes of a run: where each stands, in which colours, and from when on each of its labels holds."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, Final, cast
+
+import numpy as np
+import pytest
+
+from drivers.rotation import RPM_PER_RAD_S
+from drivers.timebase import NS_PER_MS
+from hil.recording.lanes import (
+    FaultWindows,
+    dropout_lane,
+    error_lane,
+    error_limit_rpm,
+    lane_colors,
+    track_path,
+)
+from hil.reviewing.envelope import CodeLane, Envelope
+from hil.reviewing.review import Review
+from hil.reviewing.speed_error import SpeedErrorMeter
+from hil.rows.recording_plan import AxisPlan, ReviewPlan
+from hil.rows.row_states import LabelChange
+from hil.verdict.verdict import VerdictLimits
+
+AXES: Final = ("axis1", "left arm")
+RED, GREEN, AMBER, DIM, DARK = 0xB3202AFF, 0x1E6B35FF, 0xA67C1BFF, 0x3F4650FF, 0x1B1E23FF
+
+
+@pytest.mark.parametrize(
+    ("track", "path"),
+    [
+        ("verdict", "/state/0_verdict"),
+        ("axis1 error", "/state/1_axis1_error"),
+        ("left arm drive", "/state/2_left_arm_drive"),
+        ("phase", "/state/3_phase"),
+        ("axis1 link", "/state/4_axis1_link"),
+        ("axis1 dropouts", "/state/5_axis1_dropouts"),
+        ("host", "/state/6_host"),
+        ("injected loss: drive", "/state/7_injected_loss__drive"),
+        ("axis1 mode", "/state/8_axis1_mode"),
+        ("axis2 drive", "/state/8_axis2_drive"),
+        ("drive", "/state/8_drive"),
+    ],
+)
+def test_lanes_are_ordered_by_what_they_tell(track: str, path: str) -> None:
+    assert track_path(track, AXES) == path
+
+
+@pytest.mark.parametrize(
+    ("track", "some"),
+    [
+        ("verdict", {"-": DARK, "Passed": GREEN, "Not passed": RED, "Completed, nothing was asked": DIM}),
+        ("axis1 error", {"-": DARK, "Settling": DIM, "Not judged": DIM, "Kept": GREEN, "BEYOND": RED}),
+        ("axis1 drive", {"Unknown": DARK, "Fault reaction active": RED, "Operation enabled": 0x2E7D32FF}),
+        ("phase", {"Running": 0x1F5FA8FF, "Stopped": DIM}),
+        ("axis1 link", {"OK": GREEN, "DEGRADED": AMBER, "DOWN": RED}),
+        ("axis1 dropouts", {"-": DARK, "Lost": RED, "Lost, few": 0x551C22FF, "Missed": 0x7A3FA0FF}),
+        ("host", {"In time": GREEN, "MISSED": RED}),
+        ("injected loss", {"-": DARK, "Injected": AMBER}),
+    ],
+)
+def test_what_is_wrong_is_red_and_what_is_well_is_green(track: str, some: dict[str, int]) -> None:
+    colors = lane_colors(track, AXES)
+    assert {label: colors[label] for label in some} == some
+
+
+def test_the_viewer_chooses_where_nobody_knows_the_labels() -> None:
+    assert lane_colors("axis1 mode", AXES) == {}
+
+
+def changes(*pairs: tuple[int, str]) -> list[LabelChange]:
+    return [LabelChange(at, label) for at, label in pairs]
+
+
+def test_dropouts_by_their_gravest_cause() -> None:
+    lane = CodeLane()
+    lane.add(np.arange(8) * NS_PER_MS, np.array([0, 1, 1, 0, 2, 3, 4, 0]))
+    found = [(change.at / NS_PER_MS, change.label) for change in dropout_lane(lane)]
+    assert found == [
+        (0, "-"), (1, "Lost"), (3, "-"), (4, "Late"), (5, "Stale"), (6, "Missed"), (7, "-")
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("lost", "label"), [(0, "-"), (9, "Lost, few"), (10, "Lost")])
+def test_less_than_a_tenth_of_a_stretch_is_few(lost: int, label: str) -> None:
+    lane = CodeLane()
+    codes = np.zeros(100, np.int64)
+    codes[:lost] = 1
+    lane.add(np.arange(100), codes)
+    assert dropout_lane(lane) == changes((0, label))
+
+
+# ---- injected faults ----------------------------------------------------------------------------------
+
+
+def lanes(windows: Sequence[tuple[str, int, int | None]], first: int = 0, last: int = 400) -> dict[str, Any]:
+    """``windows``: the track behind ``injected``, from when, and until when."""
+    faults = FaultWindows()
+    told = [(start, 0, f"injected {track}", "active") for track, start, _ in windows]
+    told += [(end, 1, f"injected {track}", "-") for track, _, end in windows if end is not None]
+    for at, _, track, label in sorted(told):
+        faults.take(track, label, at)
+    return dict(faults.lanes(first, last))
+
+
+@pytest.mark.parametrize(
+    ("windows", "lane"),
+    [
+        ([("loss: a", 10, 20)], [(0, "-"), (10, "Injected"), (20, "-")]),
+        # to be seen, a fault is a 400th of the run wide at least
+        ([("loss: a", 10, 10)], [(0, "-"), (10, "Injected"), (11, "-")]),
+        ([("loss: a", 10, 20), ("loss: b", 15, 30)], [(0, "-"), (10, "Injected"), (30, "-")]),
+        ([("loss: a", 10, 40), ("loss: b", 15, 30)], [(0, "-"), (10, "Injected"), (40, "-")]),
+        ([("loss: a", 10, 20), ("loss: b", 20, 30)], [(0, "-"), (10, "Injected"), (30, "-")]),
+        (
+            [("loss: b", 21, 30), ("loss: a", 10, 20)],
+            [(0, "-"), (10, "Injected"), (20, "-"), (21, "Injected"), (30, "-")],
+        ),
+        ([("loss: a", 390, None)], [(0, "-"), (390, "Injected"), (400, "-")]),
+    ],
+)
+def test_faults_of_one_kind_share_a_lane_wherever_they_strike(
+    windows: list[tuple[str, int, int | None]], lane: list[tuple[int, str]]
+) -> None:
+    assert lanes(windows) == {"injected loss": changes(*lane)}
+
+
+def test_each_kind_has_its_own_lane_in_the_order_of_their_names() -> None:
+    found = lanes([("loss: a", 10, 20), ("delay", 5, 7)], first=-100, last=0)
+    assert list(found) == ["injected delay", "injected loss"]
+    assert found["injected delay"] == changes((-100, "-"), (5, "Injected"), (7, "-"))
+
+
+def test_a_fault_that_is_told_again_began_the_first_time_and_one_that_never_began_is_none() -> None:
+    faults = FaultWindows()
+    faults.take("injected loss", "active", 10)
+    faults.take("injected loss", "more", 15)
+    faults.take("injected loss", "-", 20)
+    faults.take("injected loss", "-", 25)
+    assert faults.lanes(0, 400) == {"injected loss": changes((0, "-"), (10, "Injected"), (20, "-"))}
+
+
+# ---- errors -------------------------------------------------------------------------------------------
+
+
+class Meter:
+    """An error over time, and when it did not count."""
+
+    def __init__(self, errors: Sequence[float], settling: Sequence[tuple[int, int]], peak: float) -> None:
+        self.counted = Envelope()
+        self.settling = list(settling)
+        self.reference_peak = peak
+        self._errors = errors
+        if len(errors):
+            self.counted.add(STEP * np.arange(len(errors)), np.array(errors))
+
+
+STEP: Final = 100_000
+"""ns; each row has a bucket of its own then."""
+
+
+def judged(
+    errors: Sequence[float],
+    settling: Sequence[tuple[int, int]] = (),
+    percent: float | None = 10.0,
+    quantity: str = "speed",
+    rad: float | None = None,
+) -> list[tuple[float, str]]:
+    """The lane of an error of an axis whose reference reaches 50 rad/s; times in steps."""
+    meter = Meter(errors, [(a * STEP, b * STEP) for a, b in settling], 50.0)
+    other = Meter([], [], 0.0)
+    positions = quantity == "position"
+    review = SimpleNamespace(
+        errors=[other, Meter([], [], 50.0) if positions else meter], positions=[other, meter]
+    )
+    limits = VerdictLimits(speed_error_peak_percent_max=percent, position_error_peak_rad_max=rad)
+    axes = (AxisPlan("a", 1.0), AxisPlan("b", 1.0, quantity=quantity))
+    lane = error_lane(cast(Review, review), ReviewPlan(axes, limits), 1, 0, 10 * STEP)
+    return [(change.at / STEP, change.label) for change in lane]
+
+
+@pytest.mark.parametrize(
+    ("errors", "settling", "lane"),
+    [
+        ([4.0, 5.0, 4.0], [], [(0, "Kept"), (0, "Kept"), (10, "-")]),
+        ([4.0, 5.1, 4.0], [], [(0, "Kept"), (0, "Kept"), (1, "BEYOND"), (2, "Kept"), (10, "-")]),
+        (
+            [4.0] * 9,
+            [(2, 5)],
+            [(0, "Kept"), (0, "Kept"), (2, "Settling"), (5, "Kept"), (10, "-")],
+        ),
+        ([4.0] * 9, [(2, 10)], [(0, "Kept"), (0, "Kept"), (2, "Settling"), (10, "-")]),
+        # what it was last judged to be holds again behind the window, wherever in it that changed
+        (
+            [4.0, 4.0, 4.0, 9.0, 9.0, 9.0, 9.0, 4.0],
+            [(2, 5)],
+            [
+                (0, "Kept"),
+                (0, "Kept"),
+                (2, "Settling"),
+                (5, "BEYOND"),
+                (7, "Kept"),
+                (10, "-"),
+            ],
+        ),
+    ],
+)
+def test_an_error_is_kept_or_beyond_or_does_not_count(
+    errors: list[float], settling: list[tuple[int, int]], lane: list[tuple[float, str]]
+) -> None:
+    """10 % of 50 rad/s."""
+    assert judged(errors, settling) == lane
+    limited_by_position = judged(errors, settling, None, "position", 5.0)
+    assert limited_by_position == lane
+
+
+def test_without_a_limit_nothing_is_judged() -> None:
+    assert judged([9.0] * 3, [(1, 4)], None) == [
+        (0, "Not judged"),
+        (1, "Settling"),
+        (4, "Not judged"),
+        (10, "-"),
+    ]
+    assert judged([9.0], [], 10.0, "position", None) == [(0, "Not judged"), (10, "-")]
+
+
+@pytest.mark.parametrize(("windows", "shown"), [(100, True), (101, False)])
+def test_of_more_windows_than_can_be_seen_none_is_shown(windows: int, shown: bool) -> None:
+    found = judged([4.0], [(place, place) for place in range(windows)])
+    assert any(label == "Settling" for _, label in found) is shown
+    if not shown:
+        assert found == [(0, "Kept"), (0, "Kept"), (10, "-")]
+
+
+def test_a_limit_is_a_share_of_the_largest_reference() -> None:
+    meter = cast(SpeedErrorMeter, Meter([], [], 50.0))
+    limits = VerdictLimits(speed_error_peak_percent_max=4.0)
+    assert error_limit_rpm(meter, limits) == pytest.approx(2.0 * RPM_PER_RAD_S)
+    assert error_limit_rpm(meter, replace(limits, speed_error_peak_percent_max=None)) is None

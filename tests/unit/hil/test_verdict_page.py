@@ -1,0 +1,124 @@
+"""The page of a run beside its plots: every row of it, while the run goes on and when it has ended."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from hil.recording.verdict_text import running_markdown, verdict_markdown
+from hil.rows.recording_plan import AxisPlan, ReviewPlan
+from hil.verdict.summary import DropoutCounts, Percentiles, SpeedError, StepResponse
+from hil.verdict.verdict import Check, LimitResult
+from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.test_summary import FIGURES, summary_with
+
+PLAN: Final = replace(plan_for(Path("run")), notes={"controller": "pid"})
+TOLD: Final = {
+    "drives": '{"axis1": "a drive"}',
+    "first_cycle_epoch_ns": str(1_700_000_000 * 10**9 + 500_000_000),
+    "time": "real",
+    "host": json.dumps({"name": "lab", "system": "Linux 6.1", "python": "3.12"}),
+    "servobench": "1.2",
+    "commit": "0123456789abcdef-dirty",
+}
+ORIGIN: Final = "bus `simulated` · controller `pid` · seed `2012`"
+
+
+@pytest.mark.parametrize(
+    ("metadata", "origin"),
+    [
+        (None, ORIGIN),
+        ({}, ORIGIN),
+        (
+            TOLD,
+            f"{ORIGIN} · drive of axis1 `a drive` · first cycle `2023-11-14 22:13:20 UTC` · "
+            "host `lab, Linux 6.1, Python 3.12` · servobench `1.2 0123456789ab`",
+        ),
+        (
+            {"first_cycle_epoch_ns": "1", "time": "simulated", "commit": "0123456789abcdef"},
+            f"{ORIGIN} · first cycle `in simulated time` · servobench `0123456789ab`",
+        ),
+        ({"servobench": "1.2"}, f"{ORIGIN} · servobench `1.2`"),
+    ],
+)
+def test_who_ran_what_and_when(metadata: dict[str, str] | None, origin: str) -> None:
+    assert verdict_markdown(PLAN, None, metadata) == f"# synthetic · running\n\n{origin}\n"
+
+
+def test_the_figures_so_far() -> None:
+    figures = replace(
+        FIGURES,
+        dropouts=DropoutCounts(3, 2, 1, 4),
+        delay_us=Percentiles(400.0, 900.0, 1500.4),
+        lateness_us=Percentiles(None, None, None),
+        speed_error=SpeedError(8.0, None, 1.5, 4.0),
+        step_response=StepResponse(120.0, 8.26, 40.0),
+    )
+    page = running_markdown(PLAN, figures, {})
+    lateness = next(line for line in page.splitlines() if line.startswith("| lateness"))
+    assert page == (
+        f"# synthetic · running\n\n{ORIGIN}\n\n"
+        "| figure so far | value |\n|:--|:--|\n"
+        "| cycles | 200 |\n"
+        "| delay p50 / p99 / max | 400 / 900 / 1500 us |\n"
+        f"{lateness}\n"
+        "| dropouts | 3 lost, 2 late, 1 stale, 4 missed |\n"
+        "| dropouts in a row | 3 |\n"
+        "| speed error, peak | not measured |\n"
+        "| overshoot | 8.3 % |\n"
+        "| settling | 120.0 ms |\n"
+    )
+
+
+def rows_of_page(**changes: Any) -> list[str]:
+    """Of the table of figures."""
+    two = ReviewPlan((AxisPlan("left", 1.0), AxisPlan("right", 1.0)))
+    page = verdict_markdown(replace(PLAN, review=two), replace(summary_with(), **changes))
+    table = page.split("| figure | value |\n|:--|:--|\n")[1]
+    assert table.endswith("\n")
+    return table.splitlines()
+
+
+def test_dropouts_are_a_share_of_the_readings_of_all_axes() -> None:
+    rows = rows_of_page(cycles=200, dropouts=DropoutCounts(3, 2, 1, 4))
+    assert "| dropouts | 10 of 400 (2.5 %) |" in rows
+    assert "| | 3 lost, 2 late, 1 stale, 4 missed |" in rows
+    assert "| dropouts | 0 of 0 (0.0 %) |" in rows_of_page(cycles=0, dropouts=DropoutCounts(0, 0, 0, 0))
+
+
+def test_a_torque_that_swings_is_told_where_it_was_measured() -> None:
+    assert "| torque about its mean, rms | 0.123 N m |" in rows_of_page(torque_rms_nm=0.1234)
+    assert not any("about its mean" in row for row in rows_of_page(torque_rms_nm=None))
+
+
+def test_a_long_text_goes_on_in_the_next_row() -> None:
+    fault = "frames.log is incomplete: " + "no space left on the device | " * 3
+    rows = [row for row in rows_of_page(recording_faults=(fault, "short", "")) if row not in rows_of_page()]
+    cells = [row[2:-2].partition(" | ")[::2] for row in rows]
+    assert [title for title, _ in cells] == ["recording", "", "", "recording", "recording"]
+    assert " ".join(text for _, text in cells[:3]) == fault.replace("|", "/").strip()
+    assert all(len(text) <= 52 for _, text in cells)
+    assert [text for _, text in cells[3:]] == ["short", ""]
+
+
+@pytest.mark.parametrize(
+    ("check", "row"),
+    [
+        (
+            Check("delay_p99_us_max", 901.23, 900.0, LimitResult.BROKEN, "left", 1_234_567_890),
+            "| delay p99 [us] | 901.2 | 900 | **BROKEN** | left at 1.235 s |",
+        ),
+        (
+            Check("delay_p99_us_max", 0.1, 900.5, LimitResult.KEPT),
+            "| delay p99 [us] | 0.1 | 900.5 | kept |  |",
+        ),
+    ],
+)
+def test_each_limit_has_a_row_with_its_worst_place(check: Check, row: str) -> None:
+    verdict = replace(summary_with().verdict, limits=(check,))
+    page = verdict_markdown(PLAN, replace(summary_with(), verdict=verdict))
+    assert f"| limit | value | at most | | worst |\n|:--|--:|--:|:--|:--|\n{row}\n\n" in page
+    bare = verdict_markdown(PLAN, replace(summary_with(), verdict=replace(verdict, limits=())))
+    assert "| limit |" not in bare
