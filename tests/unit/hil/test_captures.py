@@ -106,7 +106,7 @@ def test_a_cooked_packet_tells_its_direction(order: str, kind: int, packet_type:
     for protocol in (0x000C, 0x000D):
         packet = cooked(protocol, packet_type, data, kind)
         assert one(packet, kind, order) == LogFrame(1, 0, "", 0x0012_3456, b"ab", extended=True, sent=sent)
-    for protocol in (0x000B, 0x000E, 0x0800, 0x0C00):
+    for protocol in (0x000B, 0x000E, 0x010C, 0x0800, 0x0C00):
         assert one(cooked(protocol, packet_type, data, kind), kind, order) == OtherPacket(1)
 
 

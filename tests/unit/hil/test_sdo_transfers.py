@@ -248,6 +248,15 @@ def test_a_block_upload_that_the_server_answers_with_a_plain_one() -> None:
     assert ended(lines) == [told(lines, kind="segmented", data=bytearray(content(9)), announced=9)]
 
 
+def test_an_acknowledgement_of_no_sub_block_counts_and_says_nothing() -> None:
+    lines: list[Line] = [
+        ("c", initiate(0x40)),
+        ("c", b"\xa2\x03\x7f" + bytes(5)),
+        ("s", b"\x43" + OBJECT + b"abcd"),
+    ]
+    assert ended(lines) == [told(lines, data=bytearray(b"abcd"))]
+
+
 ABORT = initiate(0x80, 0x0504_0000)
 
 
