@@ -34,11 +34,12 @@ _TORQUE_LIMITS: Final = frozenset({0x6072})
 _CURRENTS: Final = frozenset({0x6073, 0x6078})
 _FIXED: Final = {
     0x6075: (1e-3, "A"),
-    0x6076: (1e-3, "N m"),
     0x6079: (1e-3, "V"),
     0x6080: (RAD_S_PER_RPM, "rad/s"),
 }
-"""Units that the standard fixes: mA, mN m, mV, r/min."""
+"""Units that the standard fixes: mA, mV, r/min."""
+_RATED_UNIT_NM: Final = 1e-3
+"""Of 6076h by the standard; makers have others."""
 _MODES: Final = frozenset({Object.MODES_OF_OPERATION, Object.MODES_OF_OPERATION_DISPLAY})
 _UNSURE_VELOCITY: Final = "position unit per second"
 """How the scaling's source begins where the drive has no velocity unit, or was not asked for it."""
@@ -68,6 +69,8 @@ class _Units(NamedTuple):
     motion: bool
     velocity: bool
     torque: bool
+    rated_unit_nm: float
+    """Of 6076h."""
 
 
 class NodeObjects:
@@ -81,33 +84,34 @@ class NodeObjects:
         self._lacking: set[tuple[int, int]] = set()
         self._device_name = ""
         self._units: _Units | None = None
-        self._stale = True
+        """None: something has been told since."""
         self._names: dict[tuple[int, int], str] = {}
 
     def use_sheet(self, sheet: ObjectDictionary) -> None:
         """This is the node's data sheet."""
-        self.sheet, self._stale = sheet, True
+        self.sheet, self._units = sheet, None
         self._names.clear()
 
     def take(self, index: int, sub: int, data: bytes) -> None:
         """The node holds ``data`` there: it told so, or confirmed it."""
         if index == Cia301.DEVICE_NAME:
             self._device_name = str(value_of(data, 0x09) or "")
-            self._stale = True
+            self._units = None
         if len(data) > 8:
             return
         if index in _NEEDED or index in PDO_PARAMETERS:
             value = value_of(data, self.data_type(index, sub))
             if isinstance(value, int):
                 self._told[index, sub] = value
-                self._stale = self._stale or index in _NEEDED
+                if index in _NEEDED:
+                    self._units = None
         self._lacking.discard((index, sub))
 
     def lacks(self, index: int, sub: int) -> None:
         """The node has no such object."""
         if index in _NEEDED:
             self._lacking.add((index, sub))
-            self._stale = True
+            self._units = None
 
     def held(self, index: int, sub: int) -> int | None:
         """The value that was told last, else that of the data sheet; None if neither has it."""
@@ -194,9 +198,9 @@ class NodeObjects:
         if index in (0x607B, 0x607D) and not sub:
             return None, ""
         units = self._known_units()
-        if units is None:
-            return None, ""
         scaling = units.scaling
+        if index == _RATED:
+            return raw * units.rated_unit_nm, "N m"
         if index in _POSITIONS and units.motion:
             return raw * scaling.position_rad, "rad"
         if index in _VELOCITIES and units.velocity:
@@ -211,12 +215,12 @@ class NodeObjects:
             return raw * scaling.rated_current_a / 1000.0, "A"
         return None, ""
 
-    def _known_units(self) -> _Units | None:
-        if self._stale:
-            self._units, self._stale = self._find_units(), False
+    def _known_units(self) -> _Units:
+        if self._units is None:
+            self._units = self._find_units()
         return self._units
 
-    def _find_units(self) -> _Units | None:
+    def _find_units(self) -> _Units:
         """What can be said of the units; a part that is not told does not hide the other."""
         values = {key: self.held(*key) for key in FACTOR_OBJECTS}
         vendor, name = self.make
@@ -235,7 +239,10 @@ class NodeObjects:
             scaling, motion = scaling_from(applied.values, nothing), False
         asked = (Object.SI_UNIT_VELOCITY, 0) in self._lacking or self.sheet is not None
         guessed = scaling.sources["velocity"].startswith(_UNSURE_VELOCITY) and not asked
-        return _Units(scaling, motion, motion and not guessed, torque)
+        rated_unit_nm = next(
+            (each.rated_torque_nm for _, each in quirks if each.rated_torque_nm), _RATED_UNIT_NM
+        )
+        return _Units(scaling, motion, motion and not guessed, torque, rated_unit_nm)
 
 
 _NEEDED: Final = frozenset(

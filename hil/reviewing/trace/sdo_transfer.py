@@ -52,9 +52,8 @@ class SdoTransfer:
 
     def drop(self, count: int) -> None:
         """The last ``count`` bytes were padding."""
-        if count and self.length <= KEPT_MAX:
-            del self.data[-count:]
         self.length -= count
+        del self.data[self.length :]
 
     @property
     def whole(self) -> bool:
@@ -67,8 +66,8 @@ class SdoChannel:
 
     def __init__(self) -> None:
         self._open: SdoTransfer | None = None
-        self._toggle: int | None = None
-        """Of the segment that came last."""
+        self._segment_before: bytes | None = None
+        """The frame of the segment that came last."""
         self._block: dict[int, bytes] | None = None
         """Segments of the sub-block that is under way, by number; None: none is."""
         self._last_number = 0
@@ -150,7 +149,7 @@ class SdoChannel:
         ended = self.close()
         index, sub = _object(data)
         transfer = SdoTransfer(index, sub, command in (1, 6), frame, frame, frames=1)
-        self._open, self._toggle, self._seen_last, self._complete = transfer, None, False, True
+        self._open, self._segment_before, self._seen_last, self._complete = transfer, None, False, True
         if command == 1:
             if data[0] & 2:
                 transfer.add(_expedited(data))
@@ -238,12 +237,16 @@ class SdoChannel:
         return []
 
     def _segment(self, data: bytes) -> list[SdoTransfer]:
-        """Of a segmented transfer, from whichever side; one whose toggle bit stays is sent again."""
-        transfer, toggle = self._open, data[0] >> 4 & 1
-        if transfer is None or self._seen_last or toggle == self._toggle:
+        """Of a segmented transfer, from whichever side.
+
+        The toggle bit alternates from 0 on: the same frame is sent again, another one with the same bit
+        follows one that is missing.
+        """
+        transfer, before = self._open, self._segment_before
+        if transfer is None or self._seen_last or data == before:
             return []
-        self._complete &= toggle == (0 if self._toggle is None else 1 - self._toggle)
-        self._toggle = toggle
+        self._complete &= _toggle(data) == (0 if before is None else 1 - _toggle(before))
+        self._segment_before = data
         transfer.add(data[1 : 1 + _SEGMENT - (data[0] >> 1 & 7)])
         self._seen_last = bool(data[0] & 1)
         return self._end() if self._seen_last and not transfer.download else []
@@ -304,6 +307,10 @@ def _object(data: bytes) -> tuple[int, int]:
 def _size(data: bytes) -> int:
     """The UNSIGNED32 behind the object."""
     return int.from_bytes(data[4:8], "little")
+
+
+def _toggle(segment: bytes) -> int:
+    return segment[0] >> 4 & 1
 
 
 def _expedited(data: bytes) -> bytes:
