@@ -90,6 +90,7 @@ def test_a_file_of_positions_is_in_radians(tmp_path: Path) -> None:
     path = tmp_path / "p.csv"
     path.write_text("time_s,position_rad\n0,0\n1,-2.5\n")
     entry = SignalFile(kind="file", path=str(path))
+    assert (entry.at_s, SignalFile(kind="file", path=str(path), at_s=0.5).at_s) == (0.0, 0.5)
     assert (entry.level, entry.rate, entry.level_si) == (2.5, 2.5, 2.5)
     assert entry.level_text == "2.5 rad"
 
