@@ -105,6 +105,11 @@ def test_a_torque_that_counts_against_the_position_is_turned_round(by_speeds: Ru
     assert by_speeds.outcome.faults == [told]
 
 
+def test_a_torque_that_counts_with_the_position_is_left(by_torques: Run) -> None:
+    assert by_torques.session.found.override.torque_sign == 1.0
+    assert cast(Any, by_torques.session).configured == []
+
+
 def test_a_drive_that_tells_no_torque_is_believed_its_command() -> None:
     """Twice the standard uncertainty of 5 % of the torque constant."""
     run = Run(Shaft(TRUTH), plan=cast(Any, SimpleNamespace(tpdo_with=lambda _index: None)))
@@ -112,6 +117,13 @@ def test_a_drive_that_tells_no_torque_is_believed_its_command() -> None:
     assert run.found.inertia_error == pytest.approx(0.1 * run.found.inertia_kg_m2, rel=0.01)
     assert run.outcome.figures["by_command"] is True
     assert run.session.found.command_to_torque_s == pytest.approx(0.0, abs=2e-6)
+
+
+def test_an_instant_of_acting_that_is_taken_for_another_is_found_by_the_motion() -> None:
+    """Readings and commands seem to take 0.3 ms; the torque of a cycle acts at once."""
+    run = Run(Shaft(TRUTH), reading_delay_us=100.0, effect_delay_us=200.0)
+    assert run.found.torque_shift_s == pytest.approx(-300e-6, abs=5e-6)
+    close(run.found, TRUTH, 5e-3)
 
 
 def test_readings_that_are_lost_end_it() -> None:
@@ -281,6 +293,7 @@ def test_a_drive_with_ramps_of_its_own_is_given_their_steepness() -> None:
     steps = {round(float(speed), 6) for speed in np.abs(forward.velocity)}
     assert steps == {0.0, 30.0, 65.0, 100.0}, "each at once"
     assert np.all(backward.velocity == -forward.velocity)
+    assert forward.velocity[-1] == 0.0
 
 
 def test_a_ramp_takes_a_quarter_of_a_second_or_what_six_tenths_of_the_torque_take() -> None:
