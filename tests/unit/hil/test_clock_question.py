@@ -225,13 +225,21 @@ def test_a_sync_that_has_another_stamp_is_taken() -> None:
 
 
 def test_readings_before_a_step_must_have_had_a_place_as_well() -> None:
-    """Two of them, placed on 4 and 5, after a step by one SYNC: then they lay on 5 and 6."""
-    case = Case(9)
-    case.case.since = 3
-    case.case.revoked = [(case.log.marks[3], case.at(4)), (case.log.marks[4], case.at(5))]
-    suspects = case.suspects(6, 7, step=-PERIOD)
-    assert (6, 7) in case.lines(suspects), "the step came behind them"
-    for taken in (4, 5, 6):
-        case.case.stamps[taken] = case.at(taken)
-    case.case.stamps[6] = suspects[0].device_ns
-    assert (6, 7) not in case.lines(suspects), "there is no place for them"
+    """Two, placed on 4 and 5; the suspects lie on 6 and 7 by a clock that was set back by ``back`` SYNCs."""
+
+    def possible(back: int, *taken: int) -> bool:
+        case = Case(9)
+        case.case.since = 3
+        case.case.revoked = [(case.log.marks[3], case.at(4)), (case.log.marks[4], case.at(5))]
+        for number in taken:
+            case.case.stamps[number] = case.at(number) - 1
+        return (6, 7) in case.lines(case.suspects(6, 7, step=-back * PERIOD))
+
+    assert possible(1), "the step came behind both"
+    assert not possible(1, 5), "5 is taken, and behind the step it would lie on 6"
+    assert not possible(1, 4), "as 5 does where 4 moves to it"
+    assert possible(0, 4, 5), "without a step nothing is asked"
+    assert possible(4, 4, 5), "behind the step they lie on 8 and 9"
+    assert possible(4, 5, 8), "the first before it, on 4, the second on 9"
+    assert not possible(4, 4, 8)
+    assert not possible(4, 5, 9)
