@@ -1,12 +1,22 @@
 """Speed and load profiles."""
 
 import math
+from array import array
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.loop.scenario import LevelStep, Quantity, Ramp, ReferenceProfile, Sine, sine_of_turns
+from hil.loop.scenario import (
+    LevelStep,
+    Quantity,
+    Ramp,
+    ReferenceProfile,
+    Segment,
+    Sine,
+    Table,
+    sine_of_turns,
+)
 
 
 def test_zero_before_the_first_segment_and_for_an_empty_profile() -> None:
@@ -37,3 +47,88 @@ def test_load_steps_hold_until_the_next() -> None:
 @given(st.floats(-1000.0, 1000.0))
 def test_the_portable_sine_agrees_with_the_library(turns: float) -> None:
     assert sine_of_turns(turns) == pytest.approx(math.sin(2.0 * math.pi * math.fmod(turns, 1.0)), abs=2e-12)
+
+
+def doubles(*values: float) -> bytes:
+    return array("d", values).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("segment", "elapsed_s", "value", "rate"),
+    [
+        (LevelStep(1.0, 5.0), 0.0, 5.0, 0.0),
+        (Ramp(1.0, 5.0, 0.5), 0.0, 2.0, 6.0),
+        (Ramp(1.0, 5.0, 0.5), 0.25, 3.5, 6.0),
+        (Ramp(1.0, 5.0, 0.5), 0.499, 4.994, 6.0),
+        (Ramp(1.0, 5.0, 0.5), 0.5, 5.0, 0.0),
+        (Ramp(1.0, 5.0, 0.5), 0.6, 5.0, 0.0),
+        (Ramp(1.0, -1.0, 0.5), 0.25, 0.5, -6.0),
+        (Sine(1.0, 3.0, 0.5), 0.0, 2.0, 3.0 * math.pi),
+        (Sine(1.0, 3.0, 0.5), 0.5, 5.0, 0.0),
+        (Sine(1.0, 3.0, 0.5), 1.0, 2.0, -3.0 * math.pi),
+        (Sine(1.0, 3.0, 0.5), 1.5, -1.0, 0.0),
+        (Table(1.0, doubles(0.0, 1.0, 1.5), doubles(4.0, 8.0, 7.0), False), -1.0, 4.0, 0.0),
+        (Table(1.0, doubles(0.0, 1.0, 1.5), doubles(4.0, 8.0, 7.0), False), 0.25, 5.0, 4.0),
+        (Table(1.0, doubles(0.0, 1.0, 1.5), doubles(4.0, 8.0, 7.0), False), 1.0, 8.0, -2.0),
+        (Table(1.0, doubles(0.0, 1.0, 1.5), doubles(4.0, 8.0, 7.0), False), 1.25, 7.5, -2.0),
+        (Table(1.0, doubles(0.0, 1.0, 1.5), doubles(4.0, 8.0, 7.0), False), 1.5, 7.0, 0.0),
+        (Table(1.0, doubles(0.0, 1.0, 1.5), doubles(4.0, 8.0, 7.0), True), 0.25, 4.0, 0.0),
+        (Table(1.0, doubles(0.0, 1.0, 1.5), doubles(4.0, 8.0, 7.0), True), 1.0, 8.0, 0.0),
+        (Table(1.0, doubles(0.0, 1.0, 1.5), doubles(4.0, 8.0, 7.0), True), 9.0, 7.0, 0.0),
+        (Table(1.0, doubles(0.5), doubles(4.0), False), 0.0, 4.0, 0.0),
+        (Table(1.0, doubles(0.5), doubles(4.0), False), 0.5, 4.0, 0.0),
+        (Table(1.0, doubles(0.5), doubles(4.0), False), 0.75, 4.0, 0.0),
+    ],
+)
+def test_level_and_rate_of_a_segment_that_begins_at_a_level_of_2(
+    segment: Segment, elapsed_s: float, value: float, rate: float
+) -> None:
+    assert segment.at_s == 1.0
+    assert segment.value(elapsed_s, 2.0) == pytest.approx(value, abs=1e-12)
+    assert segment.rate(elapsed_s, 2.0) == pytest.approx(rate, abs=1e-11)
+
+
+def test_the_rate_of_a_table_is_asked_for_before_its_value() -> None:
+    table = Table(0.0, doubles(0.0, 1.0, 2.0, 3.0, 4.0), doubles(0.0, 1.0, 3.0, 6.0, 10.0), False)
+    assert [table.rate(at_s, 0.0) for at_s in (3.5, 0.5, 2.5, 1.5, 3.0, 4.0)] == [4, 1, 3, 2, 4, 0]
+
+
+def test_the_rate_of_a_profile_is_that_of_the_segment_at_hand() -> None:
+    profile = ReferenceProfile([Ramp(1.0, 10.0, 1.0), Ramp(1.5, 0.0, 2.5), Sine(5.0, 1.0, 1.0)])
+    assert [profile.rate(at_s) for at_s in (0.0, 0.999, 1.0, 1.499, 1.5, 3.999, 4.0)] == pytest.approx(
+        [0.0, 0.0, 10.0, 10.0, -2.0, -2.0, 0.0]
+    )
+    assert profile.rate(5.0) == pytest.approx(math.tau)
+    assert ReferenceProfile([]).rate(1.0) == 0.0
+
+
+def test_the_first_segment_begins_at_zero_and_segments_at_one_instant_follow_each_other() -> None:
+    assert ReferenceProfile([Ramp(1.0, 10.0, 1.0)]).value(1.5) == pytest.approx(5.0)
+    assert ReferenceProfile([Sine(1.0, 3.0, 0.5)]).value(1.5) == pytest.approx(3.0)
+    twice = ReferenceProfile([LevelStep(1.0, 4.0), Ramp(1.0, 10.0, 2.0)])
+    assert [twice.value(at_s) for at_s in (0.5, 1.0, 2.0, 3.0)] == pytest.approx([0.0, 4.0, 7.0, 10.0])
+
+
+@pytest.mark.parametrize(
+    ("quantity", "origin"), [(Quantity.POSITION, 7.0), (Quantity.SPEED, 0.0), (Quantity.TORQUE, 0.0)]
+)
+def test_positions_alone_count_from_where_the_shaft_is(quantity: Quantity, origin: float) -> None:
+    profile = ReferenceProfile([LevelStep(1.0, 5.0), Ramp(2.0, 9.0, 1.0)], quantity)
+    assert profile.quantity is quantity
+    profile.count_from(7.0)
+    asked = [profile.value(at_s) - origin for at_s in (0.0, 1.0, 2.5, 3.0)]
+    assert asked == pytest.approx([0.0, 5.0, 7.0, 9.0])
+    assert profile.rate(2.5) == pytest.approx(4.0), "an origin does not move"
+
+
+def test_a_reference_is_a_speed_if_nobody_says_otherwise() -> None:
+    assert ReferenceProfile([]).quantity is Quantity.SPEED
+
+
+@pytest.mark.parametrize("turns", range(-3, 4))
+def test_the_portable_sine_at_the_quarters_of_a_turn(turns: int) -> None:
+    quarters = [sine_of_turns(turns + quarter / 4) for quarter in range(4)]
+    assert quarters == pytest.approx([0.0, 1.0, 0.0, -1.0], abs=1e-13)
+    eighths = [sine_of_turns(turns + (2 * eighth + 1) / 8) for eighth in range(4)]
+    half = math.sqrt(0.5)
+    assert eighths == pytest.approx([half, half, -half, -half], abs=1e-13)

@@ -1,10 +1,11 @@
 """The missed-tick policy."""
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import Duration, Instant
-from hil.loop.pace import ticks_missed
+from hil.loop.pace import ticks_missed, ticks_passed
 
 PERIOD = Duration(1000)
 
@@ -32,3 +33,10 @@ def test_no_tick_is_missed_that_could_be_served(due: int, late: int, period: int
     at = due + missed * period
     assert now <= at + period // 2
     assert missed == 0 or now > at - period + period // 2
+
+
+@pytest.mark.parametrize(
+    ("handed_at", "passed"), [(4000, 0), (5000, 0), (5999, 0), (6000, 1), (6999, 1), (7000, 2), (9500, 4)]
+)
+def test_whole_periods_behind_a_tick_are_passed(handed_at: int, passed: int) -> None:
+    assert ticks_passed(Instant(5000), PERIOD, Instant(handed_at)) == passed

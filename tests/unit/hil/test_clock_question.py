@@ -1,0 +1,245 @@
+"""The ways to place readings while it is open whether a drive's clock was set, each with its cost."""
+
+import pytest
+
+from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.wire.frame_port import EchoBasis
+from hil.loop.clock_map import ClockMap
+from hil.loop.clock_question import (
+    DELAYS_WATCHED,
+    DRIFT_WITHIN,
+    ClockQuestion,
+    DelayWindow,
+    Line,
+    Suspect,
+)
+from hil.loop.syncs import SURPLUS, SyncLog
+
+PERIOD = Duration(NS_PER_MS)
+TRANSIT = Duration(76_000)
+MATCH = 3_000
+DELAY = 250_000
+
+
+# ---- the delays of the present network -------------------------------------------------------------------
+
+
+def window(*delays: int) -> DelayWindow:
+    made = DelayWindow()
+    for delay in delays:
+        made.add(delay)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("delays", "low", "high"),
+    [((), -1, -1), ((5,), 5, 5), ((5, 3, 9), 3, 9), ((5, 9, 3), 3, 9), ((0, 4), 0, 4)],
+)
+def test_the_smallest_and_the_largest_delay(delays: tuple[int, ...], low: int, high: int) -> None:
+    made = window(*delays)
+    assert (made.low, made.high) == (low, high)
+
+
+def test_a_delay_is_forgotten_after_one_to_two_halves_of_the_window() -> None:
+    """At the end of each half only those in it count; meanwhile all since the last end but one."""
+    half = DELAYS_WATCHED // 2
+    made = window(1, 99, *[50] * (half - 3))
+    assert (made.low, made.high) == (1, 99)
+    made.add(50)
+    assert (made.low, made.high) == (1, 99), "the end of the half that they came in"
+    for _ in range(half - 1):
+        made.add(50)
+    assert (made.low, made.high) == (1, 99)
+    made.add(60)
+    assert (made.low, made.high) == (50, 60)
+    made.add(40)
+    assert (made.low, made.high) == (40, 60)
+
+
+def test_delays_spread_over_so_much_or_more() -> None:
+    made = window(100, 300)
+    assert (made.spreads(200), made.spreads(201)) == (True, False)
+
+
+@pytest.mark.parametrize(("count", "slack"), [(0, 0), (2, 400), (3, 266), (256, 3), (1000, 3)])
+def test_the_next_delay_lies_within_four_mean_gaps_beyond(count: int, slack: int) -> None:
+    """Of 200 ns, among as many as are watched."""
+    made = window(*[100, 300][:count])
+    for number in range(2, count):
+        made.add(100 if number % 2 else 300)
+    assert made.slack() == slack
+
+
+# ---- the ways out ----------------------------------------------------------------------------------------
+
+
+class Case:
+    """SYNCs 1, 2, ... a period apart, of which the first has answered; a clock that runs like the host's."""
+
+    def __init__(self, syncs: int = 12, lost_syncs: tuple[int, ...] = ()) -> None:
+        self.log = SyncLog(Duration(0), PERIOD, EchoBasis.BUS)
+        for number in range(1, syncs + 1):
+            if number in lost_syncs:
+                self.log.handed(number, self.at(number))
+            else:
+                self.log.heard(number, self.at(number))
+        self.clock = ClockMap()
+        self.clock.observe(0, Instant(0), 0.0)
+        self.case = ClockQuestion(self.log, self.clock, PERIOD, TRANSIT, MATCH)
+        self.case.delays.add(DELAY)
+
+    @staticmethod
+    def at(number: int) -> Instant:
+        return Instant(number * PERIOD)
+
+    def suspects(self, *numbers: int, step: int = 0, delay: int = DELAY, off: int = 0) -> list[Suspect]:
+        """Readings of these SYNCs by a clock that was set by ``step``."""
+        return [
+            Suspect(self.at(number) + step + off, Instant(self.at(number) + delay), False)
+            for number in numbers
+        ]
+
+    def lines(self, suspects: list[Suspect]) -> dict[tuple[int, ...], tuple[int, int, bool]]:
+        """By the SYNCs: cost, change of the smallest delay, and whether the clock was set."""
+        return {
+            tuple(mark.number for mark in line.marks): (line.cost, line.delay_change, line.steps)
+            for line in self.case.lines(suspects)
+        }
+
+
+def test_as_the_clock_runs_nothing_has_happened() -> None:
+    """Each earlier line needs a step, and delays longer by a period."""
+    case = Case(4)
+    case.case.since = 1
+    assert case.lines(case.suspects(2, 3, 4)) == {
+        (1, 2, 3): (3 + 3, PERIOD, True),
+        (2, 3, 4): (0, 0, False),
+    }
+
+
+def test_a_line_is_of_marks_and_whether_it_steps() -> None:
+    case = Case(3)
+    case.case.since = 2
+    (line,) = [each for each in case.case.lines(case.suspects(3)) if each.marks == (case.log.marks[2],)]
+    assert line == Line(0, 0, (case.log.marks[2],), False)
+
+
+@pytest.mark.parametrize(("step", "steps"), [(4_000, False), (10_000, True), (-10_000, True)])
+def test_a_clock_that_was_set_costs_a_step(step: int, steps: bool) -> None:
+    """Beyond what stamp and map may be off: 3 us, and 1 us and more of the clock's."""
+    case = Case(4)
+    case.case.since = 1
+    suspects = case.suspects(2, 3, 4, step=step)
+    assert case.clock.error_ns in range(2_000, 3_000)
+    assert case.lines(suspects)[2, 3, 4] == ((3, 0, True) if steps else (0, 0, False))
+
+
+@pytest.mark.parametrize(
+    ("since", "twice", "plain", "stepped"),
+    [
+        (4, 0, 0, 3),
+        (3, 0, 1, 4),
+        (2, 0, 2, 5),
+        (1, 0, 2, 5),
+        (3, 1, 2, 3),
+        (2, 1, 2, 4),
+        (4, 1, 1, 3),
+        (4, 3, 2, 3),
+    ],
+)
+def test_losses_cost_up_to_two_and_readings_that_came_twice_excuse_a_step(
+    since: int, twice: int, plain: int, stepped: int
+) -> None:
+    for step, cost in ((0, plain), (200_000, stepped)):
+        case = Case(7)
+        case.case.since, case.case.twice = since, twice
+        assert case.lines(case.suspects(5, 6, 7, step=step))[5, 6, 7] == (cost, 0, step != 0)
+
+
+def test_a_sync_that_never_came_to_the_bus_is_no_loss() -> None:
+    case = Case(6, lost_syncs=(4,))
+    case.case.since = 2
+    assert case.lines(case.suspects(5, 6))[5, 6] == (1, 0, False), "3 alone"
+
+
+@pytest.mark.parametrize(("change", "cost"), [(500_000, 0), (500_001, 3)])
+def test_a_smallest_delay_that_changes_by_more_than_half_a_period_costs(change: int, cost: int) -> None:
+    case = Case(3)
+    case.case.since = 1
+    assert case.lines(case.suspects(2, 3, delay=DELAY + change))[2, 3] == (cost, change, False)
+
+
+def test_where_delays_spread_the_smallest_of_many_is_believed() -> None:
+    """By more than all losses together; what four mean gaps of them explain is no change."""
+    case = Case(4)
+    case.case.since = 1
+    for number in range(99):
+        case.case.delays.add(DELAY + (500_000 if number % 2 else 0))
+    slack = 4 * 500_000 // 100
+    assert case.lines(case.suspects(2, 3, 4, delay=DELAY + 500_000 + slack))[2, 3, 4][0] == 0
+    assert case.lines(case.suspects(2, 3, 4, delay=DELAY + 500_001 + slack))[2, 3, 4][0] == 3 + 3
+
+
+def test_no_reading_comes_sooner_than_a_frame() -> None:
+    case = Case(3)
+    case.case.since = 1
+    assert (2, 3) in case.lines(case.suspects(2, 3, delay=TRANSIT - MATCH))
+    assert (2, 3) not in case.lines(case.suspects(2, 3, delay=TRANSIT - MATCH - 1))
+    early = [*case.suspects(2), *case.suspects(3, delay=TRANSIT - MATCH - 1)]
+    assert (2, 3) not in case.lines(early), "nor the second"
+
+
+def test_a_stamp_is_near_its_sync() -> None:
+    """As far as it may be off, and a drift of 2000 ppm over half a period."""
+    most = MATCH + round(DRIFT_WITHIN * PERIOD / 2)
+    for off, fits in ((most, True), (most + 1, False), (-most, True), (-most - 1, False)):
+        case = Case(3)
+        case.case.since = 1
+        suspects = [*case.suspects(2), *case.suspects(3, off=off)]
+        assert ((2, 3) in case.lines(suspects)) is fits, off
+
+
+def test_a_drift_is_followed_from_suspect_to_suspect() -> None:
+    case = Case(8)
+    case.case.since = 1
+    suspects = [each for number in range(2, 9) for each in case.suspects(number, off=3_500 * (number - 2))]
+    assert (2, 3, 4, 5, 6, 7, 8) in case.lines(suspects)
+
+
+def test_two_readings_lie_on_two_syncs_and_none_on_a_surplus_one() -> None:
+    case = Case(3)
+    case.case.since = 1
+    twice = [*case.suspects(2), Suspect(case.at(2) + 500, Instant(case.at(2) + DELAY + 9), False)]
+    assert case.lines(twice) == {}
+    case.log.heard(SURPLUS, case.at(4))
+    assert (3, 4) not in case.lines(case.suspects(3, 4))
+
+
+def test_a_sync_that_has_another_stamp_is_taken() -> None:
+    case = Case(4)
+    case.case.since = 1
+    case.case.stamps[3] = case.at(3) + 700
+    assert (2, 3, 4) not in case.lines(case.suspects(2, 3, 4))
+    case.case.stamps[3] = case.at(3)
+    assert (2, 3, 4) in case.lines(case.suspects(2, 3, 4))
+
+
+def test_readings_before_a_step_must_have_had_a_place_as_well() -> None:
+    """Two, placed on 4 and 5; the suspects lie on 6 and 7 by a clock that was set back by ``back`` SYNCs."""
+
+    def possible(back: int, *taken: int) -> bool:
+        case = Case(9)
+        case.case.since = 3
+        case.case.revoked = [(case.log.marks[3], case.at(4)), (case.log.marks[4], case.at(5))]
+        for number in taken:
+            case.case.stamps[number] = case.at(number) - 1
+        return (6, 7) in case.lines(case.suspects(6, 7, step=-back * PERIOD))
+
+    assert possible(1), "the step came behind both"
+    assert not possible(1, 5), "5 is taken, and behind the step it would lie on 6"
+    assert not possible(1, 4), "as 5 does where 4 moves to it"
+    assert possible(0, 4, 5), "without a step nothing is asked"
+    assert possible(4, 4, 5), "behind the step they lie on 8 and 9"
+    assert possible(4, 5, 8), "the first before it, on 4, the second on 9"
+    assert not possible(4, 4, 8)
+    assert not possible(4, 5, 9)

@@ -1,0 +1,313 @@
+"""What commissioning leaves: the tables of each file, counted by hand."""
+
+import math
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from drivers.cia402.drive_setup import Identity
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import QuickStopOption
+from drivers.cia402.scaling import ScaleOverride
+from drivers.rotation import RAD_S_PER_RPM
+from drivers.timebase import NS_PER_MS, Duration
+from hil.commissioning.files import (
+    _motor_text,
+    dcf_text,
+    drive_tables,
+    set_objects,
+    write_files,
+)
+from hil.commissioning.findings import Stated
+from hil.commissioning.identify import Mechanics
+from hil.commissioning.request import Nameplate
+from hil.commissioning.session import Session
+from hil.configuration.network_file import Network, load_network
+from hil.restoring.journal import ObjectKey
+from tests.unit.hil.simulated_shaft import LIMITS, RATED_NM, Shaft, session_of, shaft_of
+
+IDENTITY = Identity("a drive", 7, 8, 1, 9, 0)
+MECHANICS = Mechanics(1e-3, 2e-3, 0.05, 0.01, 0.0, 0.0, 0.0, 99, 0.001)
+CONTROLLER = {"kind": "pid", "proportional_nm_s_rad": 0.25, "integral_nm_rad": 4.0}
+PLATE: dict[str, Any] = {"motor": {"name": "M1"}}
+WORD = "by the nameplate"
+
+
+def session(plate: dict[str, Any] | None = None, **more: Any) -> Session:
+    request = SimpleNamespace(
+        node=5,
+        bus="hub:a",
+        bitrate_bit_s=500_000,
+        heartbeat_ms=50,
+        heartbeat_timeout_ms=150,
+        nameplate=Nameplate.model_validate(plate or PLATE),
+        **more.pop("requested", {}),
+    )
+    made = session_of(Shaft(shaft_of(1e-3)), request=request, mechanics=MECHANICS, dictionary=None, **more)
+    cast(Any, made).configured = True
+    made.found.identity = IDENTITY
+    made.found.mechanics = MECHANICS
+    return made
+
+
+# ---- drive.toml ------------------------------------------------------------------------------------------
+
+THE_DRIVE = {"node": 5, "name": "a drive", "vendor": 7, "product": 8, "revision": 1, "serial": 9}
+SUGGESTED = {
+    "speed_max_rpm": 3000.0,
+    "torque_max_nm": 2.0 * RATED_NM,
+    "torque_slew_max_nm_s": 200.0 * RATED_NM,
+}
+
+
+def test_a_drive_as_it_tells_of_itself_needs_few_tables() -> None:
+    assert drive_tables(session()) == {"drive": THE_DRIVE, "scale": {}, "limits": SUGGESTED}
+    unconfigured = session()
+    cast(Any, unconfigured).configured = False
+    assert drive_tables(unconfigured) == {"drive": THE_DRIVE, "scale": {}}
+
+
+def test_all_that_was_found_of_a_drive() -> None:
+    made = session()
+    found = made.found
+    found.override = ScaleOverride(1e-4, None, 0.5, 1.25, velocity_sign=1.0, torque_sign=-1.0)
+    found.quick_stop_option = QuickStopOption.CURRENT_LIMIT
+    found.current_bandwidth_hz = 800.0
+    found.controller = dict(CONTROLLER)
+    found.settings = {
+        ObjectKey(Object.POLARITY, 0): b"\x80",
+        ObjectKey(Object.QUICK_STOP_DECELERATION, 0): b"\x10\x27\0\0",
+        ObjectKey(0x1017, 0): b"\x32\0",
+    }
+    tables = drive_tables(made)
+    assert tables == {
+        "drive": THE_DRIVE,
+        "scale": {"position_rad": 1e-4, "acceleration_rad_s2": 0.5, "rated_torque_nm": 1.25},
+        "signs": {"torque": -1, "velocity": 1},
+        "stop": {"option": 3},
+        "current_loop": {"order": 1, "bandwidth_hz": 800.0},
+        "object": [{"index": 0x607E, "sub": 0, "bytes": "80"}],
+        "limits": SUGGESTED,
+        "controller": CONTROLLER,
+    }
+    found.quick_stop_rad_s2 = 300.0
+    assert drive_tables(made)["object"] == [
+        {"index": 0x607E, "sub": 0, "bytes": "80"},
+        {"index": 0x6085, "sub": 0, "bytes": "10270000"},
+    ]
+    found.override = ScaleOverride(velocity_sign=-1.0)
+    assert drive_tables(made)["signs"] == {"torque": 1, "velocity": -1}
+
+
+# ---- motor.toml ------------------------------------------------------------------------------------------
+
+
+def test_a_motor_of_which_nothing_else_is_known_stands_in() -> None:
+    """1 N m per A rms: flux 1/sqrt(2)/(3/2); the inductance has 500 us of 1 ohm; twice the tried speed."""
+    text = _motor_text(session())
+    flux = 1.0 / math.sqrt(2.0) / 1.5
+    assert text.splitlines()[0] == (
+        "# Inertia and friction are measured; they include the load on the shaft. "
+        "Not known: the flux is that of 1 N m per A rms. "
+        "Not known: resistance and inductance are stand-ins with the measured lag of the torque. "
+        "Not known: the number of pole pairs is not known. "
+        "Not known: the DC bus voltage is twice what the rated speed needs."
+    )
+    assert tomllib.loads(text) == {
+        "motor": {
+            "name": "M1",
+            "resistance_ohm": 1.0,
+            "inductance_d_h": 5e-4,
+            "inductance_q_h": 5e-4,
+            "flux_linkage_wb": pytest.approx(flux),
+            "pole_pairs": 1,
+            "transform": "amplitude_invariant",
+        },
+        "mechanics": {
+            "inertia_kg_m2": 1e-3,
+            "viscous_friction_nm_s": 2e-3,
+            "coulomb_friction_nm": 0.05,
+        },
+        "rating": {
+            "torque_nm": RATED_NM,
+            "speed_rpm": pytest.approx(3000.0),
+            "current_max_a": pytest.approx(math.sqrt(2.0) * 2.0 * RATED_NM),
+            "dc_bus_voltage_v": pytest.approx(2.0 * math.sqrt(3.0) * flux * 3000.0 * RAD_S_PER_RPM),
+        },
+    }
+
+
+def test_a_motor_of_which_all_is_known_is_that_one() -> None:
+    made = session(
+        {
+            "motor": {"name": "M2"},
+            "rating": {"speed_rpm": 2500.0, "current_max_a": 12.0, "dc_bus_voltage_v": 310.0},
+        }
+    )
+    found = made.found
+    found.torque_constant_nm_a, found.torque_lag_us = 0.6, 200.0
+    found.stated = {
+        "pole_pairs": Stated(4.0, WORD),
+        "resistance_ohm": Stated(0.5, WORD),
+        "inductance_d_h": Stated(1e-3, WORD),
+        "inductance_q_h": Stated(2e-3, "told by the drive", told=True),
+    }
+    cast(Any, made).mechanics = Mechanics(1e-3, -1e-4, -0.01, 0.0, 0.0, 0.0, 0.0, 9, 0.0)
+    text = _motor_text(made)
+    assert text.splitlines()[0] == (
+        "# Inertia, friction and torque constant are measured; they include the load on the shaft. "
+        "Not measurable over CiA 402, by the nameplate: resistance, pole pairs. "
+        "Not measured: inductance, told by the drive."
+    )
+    tables = tomllib.loads(text)
+    assert tables["motor"] == {
+        "name": "M2",
+        "resistance_ohm": 0.5,
+        "inductance_d_h": 1e-3,
+        "inductance_q_h": 2e-3,
+        "flux_linkage_wb": pytest.approx(0.6 / math.sqrt(2.0) / 6.0),
+        "pole_pairs": 4,
+        "transform": "amplitude_invariant",
+    }
+    assert tables["mechanics"] == {
+        "inertia_kg_m2": 1e-3,
+        "viscous_friction_nm_s": 0.0,
+        "coulomb_friction_nm": 0.0,
+    }
+    assert tables["rating"] == {
+        "torque_nm": RATED_NM,
+        "speed_rpm": 2500.0,
+        "current_max_a": pytest.approx(math.sqrt(2.0) * 12.0),
+        "dc_bus_voltage_v": 310.0,
+    }
+
+
+def test_a_stated_torque_constant_stands_in_for_a_measured_one() -> None:
+    made = session()
+    made.found.stated = {"torque_constant_nm_a": Stated(0.8, WORD), "resistance_ohm": Stated(2.0, WORD)}
+    made.found.torque_lag_us = 300.0
+    text = _motor_text(made)
+    assert "Not measurable over CiA 402, by the nameplate: resistance, torque constant." in text
+    motor = tomllib.loads(text)["motor"]
+    assert motor["flux_linkage_wb"] == pytest.approx(0.8 / math.sqrt(2.0) / 1.5)
+    assert (motor["resistance_ohm"], motor["inductance_q_h"]) == (2.0, pytest.approx(6e-4))
+
+
+# ---- what is written -------------------------------------------------------------------------------------
+
+
+class Journal:
+    """Changes to objects, each with what it held."""
+
+    def __init__(self, *changes: tuple[int, int, bytes, bytes]) -> None:
+        self.changes = [
+            SimpleNamespace(object=ObjectKey(index, sub), old=old, new=new)
+            for index, sub, old, new in changes
+        ]
+        self.contents = self
+
+    def originals(self) -> dict[ObjectKey, bytes]:
+        first: dict[ObjectKey, bytes] = {}
+        for change in self.changes:
+            first.setdefault(change.object, change.old)
+        return first
+
+
+def test_what_a_drive_was_set_to_is_without_what_served_a_step() -> None:
+    made = session(
+        network=SimpleNamespace(
+            journal=Journal(
+                (0x607E, 0, b"\0", b"\x80"),
+                (0x1017, 0, b"\0\0", b"\x32\0"),
+                (0x1017, 0, b"\x32\0", b"\x64\0"),
+                (0x6085, 0, b"\x01", b"\x02"),
+                (0x6085, 0, b"\x02", b"\x01"),
+                (0x6071, 0, b"\0\0", b"\x05\0"),
+                (0x6098, 0, b"\0", b"\x22"),
+                (0x6099, 1, b"\0", b"\x22"),
+                (0x1400, 1, b"\0", b"\x01"),
+                (0x1600, 1, b"\0", b"\x01"),
+                (0x1401, 1, b"\0", b"\x01"),
+            )
+        )
+    )
+    plan = [SimpleNamespace(communication_index=0x1400)]
+    made.found.plan = cast(Any, plan)
+    expected = {
+        ObjectKey(0x607E, 0): b"\x80",
+        ObjectKey(0x1017, 0): b"\x64\0",
+        ObjectKey(0x1400, 1): b"\x01",
+        ObjectKey(0x1600, 1): b"\x01",
+    }
+    assert set_objects(made) == expected
+    made.found.plan = None
+    assert set_objects(made) == {
+        key: held for key, held in expected.items() if key.index not in (0x1400, 0x1600)
+    }
+    assert set_objects(session(network=SimpleNamespace(journal=None))) == {}
+
+
+def written(made: Session, folder: Path) -> dict[str, str]:
+    write_files(made)
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def test_a_dry_run_leaves_nothing(tmp_path: Path) -> None:
+    made = session(requested={"out": tmp_path}, network=SimpleNamespace(journal=None))
+    made.found.identity = made.found.mechanics = None
+    made.found.controller = dict(CONTROLLER)
+    assert written(made, tmp_path) == {}
+
+
+def test_all_files_are_written_and_read_again(tmp_path: Path) -> None:
+    journal = Journal((0x1017, 0, b"\0\0", b"\x32\0"))
+    made = session(requested={"out": tmp_path}, network=SimpleNamespace(journal=journal))
+    found = made.found
+    found.controller, found.period = dict(CONTROLLER), Duration(2 * NS_PER_MS)
+    found.network = Network(period_us=2000, losses_in_a_row_max=1, delay_max_us=1300)
+    found.settings = {ObjectKey(0x1017, 0): b"\x32\0"}
+    found.dump, found.originals = {(0x1000, 0): b"\x92\1\2\0"}, {ObjectKey(0x1017, 0): b"\0\0"}
+    texts = written(made, tmp_path)
+    assert sorted(texts) == ["bench.toml", "drive.dcf", "drive.toml", "motor.toml", "network.toml"]
+    assert texts["drive.toml"].startswith("# The drive as commissioning found it.\n\n")
+    assert tomllib.loads(texts["drive.toml"]) == drive_tables(made)
+    assert texts["network.toml"].startswith("# What the bus does to readings and commands, measured.\n\n")
+    assert load_network(tmp_path / "network.toml") == found.network
+    assert texts["motor.toml"] == _motor_text(made)
+    assert texts["bench.toml"].startswith(
+        "# A bench for this drive, with the suggested controller and limits.\n\n"
+    )
+    heartbeats = {"heartbeat_ms": 50, "heartbeat_timeout_ms": 150}
+    rpm = float(round(0.4 * LIMITS.speed_rad_s / RAD_S_PER_RPM))
+    assert rpm == 600.0
+    assert tomllib.loads(texts["bench.toml"]) == {
+        "bench": {"name": "commissioned", "duration_s": 3.0},
+        "bus": {"spec": "hub:a", "bitrate_bit_s": 500_000},
+        "host": heartbeats,
+        "loop": {"period_us": 2000},
+        "drive": {
+            "axis1": {
+                "node": 5,
+                "motor": "motor.toml",
+                "commissioned": "drive.toml",
+                **heartbeats,
+                "limits": SUGGESTED,
+                "controller": CONTROLLER,
+            }
+        },
+        "reference": {
+            "axis1": [
+                {"kind": "ramp", "at_s": 0.2, "speed_rpm": 600.0, "over_s": 0.4},
+                {"kind": "ramp", "at_s": 1.5, "speed_rpm": -600.0, "over_s": 0.8},
+            ]
+        },
+        "verdict": {
+            "speed_error_rms_rad_s_max": float(f"{0.25 * 600.0 * RAD_S_PER_RPM:.4g}"),
+            "dropouts_percent_max": 10.0,
+        },
+    }
+    held = {ObjectKey(0x1000, 0): b"\x92\1\2\0", ObjectKey(0x1017, 0): b"\0\0"}
+    assert texts["drive.dcf"] == dcf_text(found.settings, held, None, 5, 500_000, IDENTITY)
