@@ -30,7 +30,10 @@ from hil.rows.records import FATE_SAMPLE, Rows
 from hil.verdict.summary import PositionError, SpeedError, StepResponse
 
 _NEVER = -(2**62)
+"""Before every instant, and the time between it and one that a clock shows still has 64 bits."""
 _ROUNDING = 1.0 + 1e-9
+"""A ramp at the very limit is no step: in double precision it misses it by 1e-16 of the speeds it is the
+difference of."""
 AnyFigures = TypeVar("AnyFigures", SpeedError, PositionError, StepResponse)
 
 

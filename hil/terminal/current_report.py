@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from hil.studies.current.design import CurrentResult
 
 _POINTS = 220
+"""Three to a column of the picture, so that a steep flank has few gaps."""
 
 
 def print_result(result: "CurrentResult") -> None:
