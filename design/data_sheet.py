@@ -36,6 +36,7 @@ SATURATION = 0.5
 _KRPM = 1000.0 * math.pi / 30.0
 """1000 r/min in rad/s."""
 _SIX_STEP = 3.0 * math.sqrt(3.0) / math.pi
+"""Mean of three phases' rectified voltage, over the peak of one."""
 
 FLUX_FACTORS: Mapping[str, float] = {
     "kt_nm_arms": 3.0 / math.sqrt(2.0),

@@ -28,7 +28,10 @@ _PIECES_R, _PIECES_L = 6, 3
 _HALVINGS = 14
 """Of the interval from 0 to 1 / spread, so that mu is known to 1/16384 of it."""
 _GRID = 240
+"""First frequencies. With the refinements below 30 find the same peaks of the paper's loops."""
 _REFINEMENTS, _PEAKS = 4, 5
+"""Without refinements the bound falls short by 4 % at a peak of the paper's loops, with three by 4e-4; of the
+peaks two suffice."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from design.motor import PmsmParameters
 from design.statespace import ComplexArray, StateSpace, Zpk, connect, series, zpk
 
 _PAPER_RESISTANCE_OHM = 0.6
-_PAPER_RATE = {"q": 0.6 / 2.8e-3, "d": 0.6 / 1.4e-3}
-"""r/L of the motor that the rules of 3.2 were made for, rad/s."""
+_PAPER_RATE = {"q": _PAPER_RESISTANCE_OHM / 2.8e-3, "d": _PAPER_RESISTANCE_OHM / 1.4e-3}
+"""r, and r/L, of the motor that the rules of 3.2 were made for, rad/s."""
 _RULES = {"q": (156.75, 1.51, 235.0 / math.sqrt(3.0)), "d": (50.0, 1.7, 1000.0 / math.sqrt(3.0))}
 """Crossing of w1, rad/s; high-frequency gain of 1/w1; end of w3's flat part, rad/s."""
 _VANISHES = 1e-12

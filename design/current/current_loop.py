@@ -21,6 +21,8 @@ from design.hinf.weights import Weights
 from design.statespace import StateSpace, balanced, connect, series, state_space
 
 RATE_MAX_HZ = 1_000_000.0
+"""From where a search goes down: no drive samples its currents as fast. From 10 kHz or 1 GHz on it ends at
+the same rate with the paper's q axis."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,14 @@ from design.delay.delay_loop import Array, DelayLoop
 from design.delay.delay_norm import is_stable
 
 _POINTS = 8
+"""Order 15: on a piece of the length below an error of 3e-11 of the peak, beside 1e-8 with six points."""
 _FINE = 16
 """Points to a piece at which a response is given."""
 _PIECE_TURN = 1.5
 """A piece is cut until the fastest rate times its length is at most this."""
 _INTERVALS_MAX = 1_000_000
+"""0.9999 of the largest stable delay needs 250 000, and a minute. What decays more slowly still has had its
+peak in the first of them."""
 _SETTLED = 1e-7
 """Distance from the final value, relative to the peak, at which the search for a higher one ends."""
 

@@ -24,7 +24,11 @@ from design.hinf.weights import Weights
 from design.statespace import Array, ComplexArray, StateSpace, from_zpk
 
 _BAD = 1e3
+"""A norm beyond it is no optimum but a start that ran away: no controller could be made of it. Norms of
+optima are near 1; a limit of 10 decides alike."""
 _ROUNDS = 6
+"""Three leave 4e-5 of the norm of the paper's PI, six nothing of its eighth digit; from poor starts 2e-3 and
+8e-4."""
 
 
 class Structure(Enum):

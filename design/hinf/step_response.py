@@ -14,8 +14,12 @@ import scipy.optimize
 from design.statespace import Array, StateSpace, balanced
 
 _POINTS = 20_001
+"""For the overshoot: right to 0.1 % of the step with a damping ratio of 0.01, where 2001 leave 1 %. The times
+are found between them by root finding, whatever their number."""
 _RISE = (0.1, 0.9)
+"""With these and the band below come the paper's 13 and 25 ms of the q axis, 32 and 59 ms of the d axis."""
 _SETTLED = 0.02
+"""The usual band, and the paper's."""
 
 
 @dataclass(frozen=True, slots=True)

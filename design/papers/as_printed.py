@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from design.delay.certificate import STABLE_MARGIN
 from design.delay.delay_lmi import STRICT, scaled
 from design.delay.delay_loop import Array, DelayLoop
 from design.errors import NoSolution
-
-_MARGIN = 1e-9
 
 
 def theorem_3_3(loop: DelayLoop, state_scale: Array, gain_scale: float) -> float:
@@ -49,7 +48,7 @@ def theorem_3_1(loop: DelayLoop, state_scale: Array) -> bool:
     constraints += [M << -margin * np.eye(M.shape[0]), cp.trace(P) + cp.trace(Q) + cp.trace(Z) <= 1.0]
     problem = cp.Problem(cp.Maximize(margin), constraints)
     problem.solve(solver=cp.CLARABEL)
-    return bool(problem.status == "optimal" and problem.value > _MARGIN)
+    return bool(problem.status == "optimal" and problem.value > STABLE_MARGIN)
 
 
 def _cvxpy() -> Any:

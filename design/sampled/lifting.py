@@ -21,6 +21,7 @@ from design.sampled.held_loop import HeldInput, Jump, Operation
 from design.statespace import StateSpace
 
 NODES = 5
+"""Three leave 3e-9 of the gain, four 1e-12, five rounding errors."""
 _PIECE_TURN = 2.0
 """A piece is cut until the fastest rate of the plant times its length is at most this."""
 

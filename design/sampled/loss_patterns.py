@@ -51,6 +51,7 @@ _SCORING = 10
 _FORGOTTEN = 1e-40
 """Entries of Phi below which nothing of the beginning is left: its square changes no digit."""
 _BEYOND = 2.0
+"""Nearness of what exceeds the level: of all else it ends at 1."""
 _LEVELS = 20
 """Parts into which the span of a gain is cut at once."""
 _NEAR = 3.0

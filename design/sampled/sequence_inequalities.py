@@ -24,12 +24,14 @@ from design.sampled.value_map import ValueMap, nothing
 MARGIN = 1e-9
 """Smallest eigenvalue that counts as proof."""
 _EXCHANGES = 12
+"""At most: the problems of the paper's loop and of a random one need one."""
 _ADDED = 3
 """Corners of an edge that are added in one exchange."""
 _LOOKED_AT = 1000
 """Corners of an edge that are looked at, evenly spread, until these are met; then at every one."""
 _ALL = slice(None)
 _FIRST_PARTS = (0.0, 0.2, 0.5, 1.0)
+"""Of the corners, in their order; an exchange adds what is missing, so that the first alone ends alike."""
 _TOLERANCE = 1e-8
 """Of the solver, relative; whether it is reached or not, what it returns is proved anew."""
 _DOUBLINGS = 14

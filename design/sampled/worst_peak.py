@@ -25,6 +25,7 @@ _ENDS = (0.0, 1.0)
 _INSTANTS = 8
 """Between two switchings, at which the error is looked at."""
 _PERIODS_MIN = 40
+"""For ages below five periods; six loops reach their peak within 10."""
 _AGES = 8
 """So many of the largest ages the search goes on, and some periods at least."""
 

@@ -35,6 +35,7 @@ ITERATIONS_MAX = 30
 _FIRST_STEP = 0.05
 """Relative increase of the delay after a success; a failure divides it by 4."""
 _LAST_STEP = 5e-4
+"""Four failures: the last increase that is tried is 8e-4."""
 _STARTS = 8
 """First delays tried, each half of the last."""
 _SETTLED = 10

@@ -28,6 +28,7 @@ from design.errors import NoSolution
 from design.speed.speed_design import GainWalk, SpeedDesign, largest_delay, least_gain
 
 _ROUNDS = 6
+"""At most: from the paper's gains the first reaches the largest delay."""
 _ENOUGH = 2e-6
 """Relative gain of a round below which no further one is begun."""
 _CLIMBED = 2

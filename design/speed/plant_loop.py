@@ -25,6 +25,8 @@ SHAFT = 3
 INPUT = SHAFT
 """Where the command in force stands in xi."""
 _WHOLE = 1e-9
+"""Of a period: a quotient of two times in double precision is off by 1e-16 of itself, and no period by as
+much."""
 _SEARCH = 20
 """Steps of a period in which a delay margin is sought."""
 

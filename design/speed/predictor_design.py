@@ -26,6 +26,7 @@ from design.speed.predictor_plant import KalmanModel, PredictorPlant, kalman_mod
 from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
 
 _INERTIAS = (1.0, 0.7, 1.3)
+"""The motor's own, and +-30 %: what the load on a shaft may add or lack."""
 PHASES = (0.0, 0.2, 0.35, 0.5)
 """Of a period, between a sample and the load step; later ones are nearer to that of the next sample."""
 DELAY_MARGIN_S = 0.5e-3

@@ -19,7 +19,11 @@ from design.speed.predictor_plant import READ, KalmanModel, of_state
 from design.speed.predictor_trial import Walks
 
 _HISTORIES_MAX = 6000
+"""Five losses in a row need 1629; with 500 their certified gain is 40 % higher. At 6000 the boxes have cost
+up to 23 s."""
 _SAMPLES_MAX = 12
+"""Six are enough for five losses in a row, for by then the past is forgotten to the width below; with four
+the box of the load's gain is 14 % wider."""
 _NARROW = 1e-2
 """Half of what a history leaves open of a gain, relative: none is made longer than that needs."""
 _ROUNDS = 2000

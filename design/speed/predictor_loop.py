@@ -22,6 +22,7 @@ from design.statespace import StateSpace
 _OBSERVER = INPUT + 1
 _BUFFER = _OBSERVER + STATES
 _STEADY = 1.0 - 1e-9
+"""A pole at 1, as a load that nothing corrects leaves it, is told to rounding errors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,16 +25,22 @@ from design.delay.speed_loop import Feedback, SpeedModel
 from design.errors import NoSolution
 
 _EXCHANGES = 30
+"""Of 40 searches 35 end within 19, two are ended here."""
 _RADIUS = 0.5
 """How far one exchange may go at first, in parts of each gain and of the delay."""
 _RESTARTS = 5
+"""At most: seven problems, with integral and without, were at their optimum after the first run, to seven
+digits."""
 _LEAST = 1e-12
+"""Gain at rest beside an integral, whose logarithm is asked for."""
 _LESS = (0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1)
+"""Of the delay: one norm each, where the bisection behind them takes some fifty."""
 _EXCESS = 1e-8
 """Relative excess of a peak over the bound that is let pass."""
 _K1_STARTS = (-2.0, -1.4, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.2)
 """Current feedback, A/A, among which the search for full feedback chooses where to start."""
 _K1_FAST = (-4.0, -8.0, -16.0, -32.0, -64.0, -128.0)
+"""The same where none of those keeps the gain: the current loop is up to 129 times as fast."""
 _REFINED = 2
 """So many of the best starts are refined."""
 

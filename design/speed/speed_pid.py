@@ -24,6 +24,8 @@ from design.motor import PmsmParameters
 from design.statespace import Array, ComplexArray, StateSpace
 
 _LOWEST_RAD_S = 1e-2
+"""Below every crossover of a speed loop: for delays of 1 to 60 ms any start up to 10 rad/s gives the same
+gains and margins."""
 Loop = Callable[[Array], ComplexArray]
 
 

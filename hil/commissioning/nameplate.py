@@ -15,8 +15,8 @@ from drivers.vendors.families import motor_objects_for
 from drivers.vendors.motor_objects import QUANTITIES
 from hil.commissioning.findings import BY_NAMEPLATE, Stated
 from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.request import POLE_PAIRS_MAX
 from hil.commissioning.session import Session
+from hil.configuration.motor_file import POLE_PAIRS_MAX
 
 _RATING_TOLERANCE: Final = 0.03
 """Plates are printed with three digits, and 6075h and 6076h hold whole mA and mN m."""

@@ -17,6 +17,7 @@ from hil.configuration.toml_text import key_text
 Location = tuple[int | str, ...]
 
 VALUE_SHOWN_MAX = 60
+"""Characters: a message names file and key before the value, in one line."""
 KEY_ITSELF = "[key]"
 """The validator's last step where the name of a table is at fault, not its value."""
 NAME_EXPECTED = "a name of letters, digits and _, a letter first"

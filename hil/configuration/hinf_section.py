@@ -14,6 +14,7 @@ from hil.control.setup import Setup
 from hil.loop.axis_roles import Controller
 
 _ORDER_MAX = 64
+"""States, or entries of a row; a design for a delay of 1.1 ms at 1 kHz has four."""
 Vector = Annotated[tuple[Gain, ...], Field(strict=False, min_length=1, max_length=_ORDER_MAX)]
 
 

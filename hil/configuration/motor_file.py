@@ -1,7 +1,7 @@
 """Motor files: the parameters of a PMSM in TOML, turned into :class:`design.motor.PmsmParameters`."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 from pydantic import Field
 
@@ -22,6 +22,9 @@ from hil.configuration.quantities import (
     Voltage,
 )
 
+POLE_PAIRS_MAX: Final = 200
+"""A motor with as many has 1 kHz in its windings at 300 r/min: more is a slip of the pen."""
+
 
 class Windings(Section):
     """``[motor]``: the electric part, in the dq frame of ``transform``."""
@@ -31,7 +34,7 @@ class Windings(Section):
     inductance_d_h: Inductance = Field(description="d-axis inductance, H")
     inductance_q_h: Inductance = Field(description="q-axis inductance, H")
     flux_linkage_wb: FluxLinkage = Field(description="permanent-magnet flux of the dq equations, Wb")
-    pole_pairs: int = Field(gt=0, le=200, description="number of pole pairs")
+    pole_pairs: int = Field(gt=0, le=POLE_PAIRS_MAX, description="number of pole pairs")
     transform: Literal["power_invariant", "amplitude_invariant"] = Field(
         description="'power_invariant' or 'amplitude_invariant'"
     )

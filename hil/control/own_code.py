@@ -32,6 +32,7 @@ from hil.loop.samples import Sample, StateEstimate
 OBJECT_PATTERN: Final = r"^([A-Za-z_][\w.]*|.+\.py):[A-Za-z_]\w*$"
 """MODULE:NAME or FILE.py:NAME."""
 DIGEST_BYTES: Final = 16
+"""128 bits: of 2^64 files two are alike by chance."""
 _FILES: Final = "controller file "
 """Before the names of modules from files: no import statement finds them."""
 _SIGNAL: Final = signal.SIGRTMIN + 7

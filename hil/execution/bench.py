@@ -51,6 +51,7 @@ from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.fault_log import FaultLog
 
 ENABLE_TIMEOUT_S = 2.0
+"""A drive that charges its DC link or releases a brake takes a second or so."""
 RUNS_FOLDER = Path("runs")
 
 

@@ -39,6 +39,7 @@ REMEDY: Final = (
     "--allow-uncertified, which warns instead"
 )
 _RELATIVE = 1e-6
+"""Controller files hold the motor's figures in full: what differs by more than rounding is another motor."""
 _Certified = StateFeedbackController | PredictorController | HinfSection
 """Controllers whose files may say what they were made for."""
 

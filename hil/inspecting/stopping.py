@@ -19,7 +19,7 @@ from drivers.canopen.nmt_states import NmtCommand
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
 from drivers.errors import BusDown, NoAnswer, PeerFault, TransferAborted
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
 
 _LIMIT: Final = Duration(5 * NS_PER_S)
 """A drive with a ramp of its own takes seconds."""
@@ -32,9 +32,10 @@ _PATIENCE: Final = 3
 """Rounds in which a quick stop by SDO has no effect, or nothing is answered, before NMT is used."""
 _ASK_EVERY: Final = Duration(NS_PER_MS)
 """A frame of eight bytes takes 1 ms at 125 kbit/s."""
-_ASK_WAIT: Final = Duration(50 * NS_PER_MS)
 _SDO_TIMEOUT_S: Final = 0.05
 """Somebody waits for drives to stop: who is silent for so long is stopped by NMT."""
+_ASK_WAIT: Final = duration_s(_SDO_TIMEOUT_S)
+"""After the last node was asked; an answer is waited for as long as any other."""
 _WORD: Final = 1 << 32
 _UPLOAD: Final = 0x40
 _DOWNLOAD_TWO_BYTES: Final = 0x2B

@@ -197,6 +197,7 @@ class ReferenceProfile:
 
 
 _TAYLOR = tuple((-1.0) ** k * (2.0 * math.pi) ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(9))
+"""The next term is (pi/2)^19/19! = 4e-14 at a quarter turn; with one less it would be 6e-12."""
 
 
 def sine_of_turns(turns: float) -> float:

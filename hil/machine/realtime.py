@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 FIFO_PRIORITY = 50
+"""That of the kernel's interrupt threads: above every ordinary process, and not before the frames it waits
+for."""
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 """<asm-generic/mman.h>. On fault: what was once touched stays, and nothing else is brought in. Without that
 the loop's process has 530 MB instead of 230: libraries of which a part is used, and OpenBLAS's work space."""

@@ -13,7 +13,7 @@ from drivers.wire.adapters import parse_bus_spec
 from drivers.wire.frame_port import EchoBasis
 from hil.configuration.config import Guard
 from hil.configuration.motor_file import LING2012
-from hil.execution.bench import RUNS_FOLDER
+from hil.execution.bench import ENABLE_TIMEOUT_S, RUNS_FOLDER
 from hil.execution.bus_guard import BusGuard
 from hil.execution.drives import connect, stop_all
 from hil.execution.segments import sync_log
@@ -39,8 +39,6 @@ from virtual_bus.drive.servo import SimulatedServo
 
 CONNECT_LIMIT_S: Final = 5.0
 """A device that was just switched on boots in a second or two."""
-ENABLE_LIMIT_S: Final = 2.0
-"""A drive that charges its DC link or releases a brake takes a second or so."""
 
 Say = Callable[[str], None]
 
@@ -160,7 +158,7 @@ class Measurement:
         self._progress("enabling", 0.0)
         for subject in self._subjects:
             drive = subject.drive
-            drive.enable(self._network.deadline_after(duration_s(ENABLE_LIMIT_S)))
+            drive.enable(self._network.deadline_after(duration_s(ENABLE_TIMEOUT_S)))
             subject.notes.append(f"commands are watched by {drive.supervise_commands()}")
             self._stop.check()
 

@@ -14,7 +14,8 @@ from hil.rows.run_files import FRAMES_FILE
 FAULT_FILE = "fault.txt"
 FRAMES_MAX = 300
 EMERGENCIES_MAX = 50
-_LINE_BYTES_MAX = 80
+_LINE_BYTES_MAX = 320
+"""47 and the interface, whose name, of a serial adapter by its ID, may be a path of 18 and 255 letters."""
 _FRAME = re.compile(r"^\((\d+\.\d+)\) (\S+) ([0-9A-F]+)#([0-9A-F]*)")
 
 Make = tuple[int, str]

@@ -42,6 +42,8 @@ from virtual_bus.child_python import python_command, python_environment
 from virtual_bus.faults.fault_log import FAULTS_FILE, entry_line
 
 _BLOCK_ROWS = 8_192
+"""Of 30 bytes a row, where half as many take 52; twice as many take 17, and are written in 27 ms, not 18. In
+real time the flush of each second comes first."""
 _LIVE_MEMORY = "256MiB"
 _LOOPBACK = "127.0.0.1"
 LIVE_VIEW = "live view"

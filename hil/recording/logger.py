@@ -39,6 +39,7 @@ from hil.verdict.summary import Summary, summarise
 from hil.verdict.verdict import RunOutcome
 
 _DRAIN_PERIOD_S = 0.1
+"""So often a live view moves; the ring of rows holds a minute of 1 kHz."""
 _FLUSH_PERIOD_NS = NS_PER_S
 _BUSY_ROWS = 2_000
 """A drain that finds more than this is followed by the next one at once: simulated time is fast."""

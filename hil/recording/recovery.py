@@ -46,6 +46,7 @@ ROOM_BYTES: Final = 4 << 20
 """On the disk, for layout, verdict and events of run.rrd; rows take less than they do in memory."""
 
 _INSTANT_MAX: Final = 1 << 62
+"""146 years in ns: the time between two instants of a run still has 64 bits."""
 
 
 def recover(

@@ -60,6 +60,7 @@ from hil.verdict.verdict import LimitResult
 _LOST = COMMAND_FATES.index(CommandFate.LOST)
 _BARS_MAX = 44
 _LATEST = 2**62
+"""Beyond every instant, and the time between it and one that a clock shows still has 64 bits."""
 _FLUSH_MAX_S = 10.0
 _EVENT_COLUMNS = 64
 """A longer text goes on in the next line: so much a list at the right of a screen of 1920 shows."""

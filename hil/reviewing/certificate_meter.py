@@ -32,6 +32,7 @@ from hil.rows.recording_plan import AxisPlan, CertifiedPlan
 from hil.rows.records import FATE_SAMPLE, NOTHING, Rows
 
 _ROUNDING = 1e-9
+"""A command at the limit is the limit but for rounding; no command in N m is set as finely."""
 _EXACT_US = 10.0
 """By which a constant delay may be missed, either way: what two clocks that are matched leave open of it."""
 

@@ -7,9 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MANTISSA_BITS = 10
+"""A bucket is 1/1024 of its octave's begin wide, and a figure off by half of it."""
 _BUCKETS_PER_OCTAVE = 1 << _MANTISSA_BITS
-_LARGEST_NS = (1 << 50) - 1
-_BUCKETS = (50 - _MANTISSA_BITS + 1) * _BUCKETS_PER_OCTAVE
+_LARGEST_BITS = 50
+"""13 days; the buckets of a histogram take 330 KB."""
+_LARGEST_NS = (1 << _LARGEST_BITS) - 1
+_BUCKETS = (_LARGEST_BITS - _MANTISSA_BITS + 1) * _BUCKETS_PER_OCTAVE
 
 
 class TimeHistogram:

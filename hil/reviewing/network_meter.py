@@ -19,6 +19,7 @@ from hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
 from hil.verdict.summary import Summary
 
 _BARS = 100
+"""The largest delay is told to a percent, in bars of whole us."""
 ACTING, LOST, _NOT_IDENTIFIABLE = (
     COMMAND_FATES.index(fate) for fate in (CommandFate.ACTING, CommandFate.LOST, CommandFate.NOT_IDENTIFIABLE)
 )

@@ -20,6 +20,7 @@ from hil.verdict.summary import DropoutCounts, Figures, Percentiles, PositionErr
 from hil.verdict.verdict import WorstPlace
 
 DIGEST_BYTES = 16
+"""128 bits: of 2^64 runs two are alike by chance."""
 
 
 class LargestTime:

@@ -30,7 +30,8 @@ from hil.rows.records import FATE_SAMPLE, Rows
 from hil.verdict.summary import PositionError, SpeedError, StepResponse
 
 ROUNDING = 1.0 + 1e-9
-"""Of a bound that a reference may just reach: the product of two floats must not make a step of it."""
+"""A ramp at the very limit is no step: in double precision it misses it by 1e-16 of the speeds it is the
+difference of."""
 AnyFigures = TypeVar("AnyFigures", SpeedError, PositionError, StepResponse)
 
 

@@ -27,6 +27,7 @@ SILENCE_NS: Final = 200 * NS_PER_MS
 """A segment that brought nothing since the last look is not waited for, once others went on for so long: as
 much as a recording may lack that is cut off."""
 _EARLIEST: Final = -(2**62)
+"""Before every instant, and the time between it and one that a clock shows still has 64 bits."""
 
 
 class FrameOrder:

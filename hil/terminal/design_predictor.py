@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hil.configuration.drive_current_loop import KnownLoop
 
 _PERIOD_MS = 1.0
+"""That of a bench which says nothing of it."""
 _NOISE_SHARE = 0.05
 """Of the rated torque."""
 _LOSSES, _LOSSES_MAX = 1, 5

@@ -31,6 +31,7 @@ FACTOR = 1.05
 RATE_FACTORS = (4.0, 2.0, 1.0, 0.5, 0.25)
 """Times the rate: where gamma_min is told."""
 SPEEDS = 11
+"""Standstill, and every tenth of the largest."""
 MARGIN_KEPT = 0.9
 """Of the continuous modulus margin: what the lowest rate is to hold, if nothing else is asked for."""
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from design.delay.speed_loop import Units
 from design.motor import PmsmParameters
 from design.papers.ling2012 import (
+    BANDS,
     DELAY_S,
     LOAD_NM,
     LOAD_ON_S,
@@ -64,7 +65,6 @@ VARIANTS = (
 """Case, and what is done with samples, or which PI: each a bench of examples/ling2012_cases."""
 LOAD_AT_S = 3.0
 """Of Case 3, when the start is over; 0.5 s in the paper, where it is not (Case 1)."""
-_BANDS = (0.05, 0.02)
 _END_S = 0.2
 """So long, at its end, a run must stay within 5 % to count as settled."""
 _PROCESSES = 2
@@ -167,7 +167,7 @@ def _figures(
     share = error / SPEED_RAD_S
     if not loaded:
         return {
-            "settled": bool(np.abs(share[time_s > time_s[-1] - _END_S]).max() < _BANDS[0]),
+            "settled": bool(np.abs(share[time_s > time_s[-1] - _END_S]).max() < BANDS[0]),
             "overshoot_percent": 100.0 * max(0.0, -float(share.min())),
             **_settling(time_s, share, "settling"),
         }
@@ -185,7 +185,7 @@ def _figures(
 def _settling(time_s: NDArray[np.float64], share: NDArray[np.float64], name: str) -> dict[str, float | None]:
     """When |share| stays within each band from then on; None if it is outside at the end."""
     times_s: dict[str, float | None] = {}
-    for band in _BANDS:
+    for band in BANDS:
         outside = np.flatnonzero(np.abs(share) > band)
         first = outside[-1] + 1 if len(outside) else 0
         times_s[f"{name}_{100 * band:g}_percent_s"] = None if first == len(share) else float(time_s[first])

@@ -31,6 +31,7 @@ from hil.studies.speed.controller_text import US_PER_S, begun_us, plant_of, sequ
 
 ENCODER_COUNTS = 65_536
 SPEED_FILTER_HZ = 500.0
+"""Both of the simulated drive, for drives of which nothing is said."""
 DEAD_TIME_US = 100.0
 """Of the simulated drive: one and a half ticks of 62.5 us from a command to its voltage."""
 _INNER_RATE_HZ = 16_000.0

@@ -170,3 +170,21 @@ def test_largest_gain_is_that_of_the_formula() -> None:
     S = StateSpace(T.A, T.B, -T.C, 1.0 - T.D)
     omega = np.logspace(0, 5, 30)
     assert largest_gain(S, omega) == pytest.approx(_sensitivity(R_OHM, L_H, Q.controller, omega), rel=1e-7)
+
+
+@pytest.mark.parametrize("seed", [24, 38, 83, 142])
+def test_margins_at_a_resonance_narrower_than_a_grid(seed: int) -> None:
+    """A pair of poles beside one of zeros, damped by thousandths: polynomials on a dense grid."""
+    draw = np.random.default_rng(seed)
+    at, damping = 100.0 * 10.0 ** draw.uniform(-1, 1), 10.0 ** draw.uniform(-3, -1)
+    poles = [0.0, -10.0 * draw.uniform(0.5, 2), *np.roots([1.0, 2.0 * damping * at, at**2])]
+    notch = 2.0 * damping * draw.uniform(0.5, 2) * at * 1.05
+    zeros = np.roots([1.0, notch, (at * draw.uniform(0.8, 1.2)) ** 2])
+    gain = 10.0 ** draw.uniform(1, 4)
+    found = margins(from_zpk(zeros, poles, gain))
+    omega = np.union1d(np.logspace(-3, 4, 20_000), at * np.linspace(0.7, 1.3, 400_000))
+    values = gain * np.polyval(np.poly(zeros), 1j * omega) / np.polyval(np.poly(poles), 1j * omega)
+    assert found.modulus_margin == pytest.approx(np.abs(1.0 + values).min(), rel=1e-3)
+    crossings = np.flatnonzero(np.diff(np.sign(np.abs(values) - 1.0)))
+    phases = np.degrees(np.angle(-values[crossings]))
+    assert found.phase_margin_deg == pytest.approx(phases[np.argmin(np.abs(phases))], abs=0.1)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from drivers.canopen.nmt import Emergency
 from drivers.timebase import NS_PER_MS, Instant
-from hil.recording.fault_report import FAULT_FILE, last_frames, write_fault_report
+from hil.recording.fault_report import FAULT_FILE, FRAMES_MAX, last_frames, write_fault_report
 
 FRAMES = "(1.000000) can0 080#\n(1.000135) can0 181#2706000000000000\n(1.002000) can0 081#1023028000000000\n"
 
@@ -30,6 +30,14 @@ def test_only_the_end_of_a_long_log_is_read(tmp_path: Path) -> None:
     assert len(frames) == 10
     assert frames[-1].split()[0] == "0.000"
     assert frames[0].split()[0] == "9000.000"
+
+
+def test_a_long_name_of_an_interface_leaves_room_for_as_many_frames(tmp_path: Path) -> None:
+    path = tmp_path / "frames.log"
+    interface = "/dev/serial/by-id/usb-Protofusion_Labs_CANable_1205aa6_https:__github.com_normaldotcom-if00"
+    line = "({:010}.000000) {} 18FF50E5#0011223344556677\n"
+    path.write_text("".join(line.format(n, interface) for n in range(400)))
+    assert len(last_frames(path)) == FRAMES_MAX
 
 
 def test_without_frames_and_emergencies(tmp_path: Path) -> None:
