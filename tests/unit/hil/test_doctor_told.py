@@ -309,6 +309,7 @@ class Kernel:
 def of_kernel(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Kernel]:
     def make(*refuses: str) -> Kernel:
         kernel = Kernel(*refuses)
+        monkeypatch.setattr("gc.collect", lambda: 0)  # of all that pytest has, it takes a while
         monkeypatch.setattr(ctypes, "CDLL", lambda *_arguments, **_options: kernel)
         monkeypatch.setattr(os, "sched_setscheduler", kernel.setscheduler)
         monkeypatch.setattr(os, "sched_getscheduler", lambda _process: os.SCHED_OTHER)

@@ -144,13 +144,13 @@ def test_a_parameter_at_its_bound_is_no_model() -> None:
 
 
 def test_independent_losses_have_the_rate_and_its_bounds() -> None:
-    outcomes = np.zeros(2000, np.int8)
-    outcomes[np.random.default_rng(4).choice(1999, 60, replace=False)] = LOST
+    outcomes = np.zeros(500, np.int8)
+    outcomes[np.random.default_rng(4).choice(499, 20, replace=False)] = LOST
     outcomes[-1] = UNKNOWN
     model = fit(outcomes)
     assert model.independent
-    assert model.parameters == Parameters(0.0, 1.0, 1.0, 60 / 1999)
-    assert model.intervals == {"probability": clopper_pearson(60, 1999)}
+    assert model.parameters == Parameters(0.0, 1.0, 1.0, 20 / 499)
+    assert model.intervals == {"probability": clopper_pearson(20, 499)}
 
 
 @pytest.mark.parametrize(("length", "independent"), [(1, True), (2, False)])

@@ -16,6 +16,7 @@ from hil.execution.segments import (
     check_sync_source,
     heard_syncs,
     kernel_sync,
+    listen_for_syncs,
     masters,
     record_frames,
     sync_log,
@@ -24,7 +25,7 @@ from hil.execution.segments import (
 )
 from hil.execution.world import WorldPlan, open_world
 from hil.loop.loop import Actuation, LoopTiming
-from hil.loop.pace import HeardSync
+from hil.loop.pace import HeardSync, OwnSync
 from tests.unit.hil.loop_fakes import FakeBus
 from tests.unit.hil.test_config import edited, load
 from virtual_bus.bus.segment import CanSegment
@@ -211,6 +212,20 @@ def test_frames_of_each_segment_go_to_its_own_tap() -> None:
         for number, name in enumerate(("first", "second", "third"))
         for what in ("frames", "errors")
     ]
+
+
+@pytest.mark.parametrize("sync", ["own", "foreign"])
+def test_the_pace_of_a_loop_is_its_own_or_that_of_whom_it_hears(sync: str) -> None:
+    config = load(edited("loop", "sync", value=sync))
+    clock = FakeBus([])
+    world: Any = SimpleNamespace(clock=clock, faults=SimpleNamespace(host_stall=None))
+    network = Listening(EchoBasis.BUS)
+    networks: Any = {None: network}
+    logs, pace = listen_for_syncs(config, world, networks, clock, PERIOD)
+    assert list(logs) == [None]
+    assert type(pace) is (OwnSync if sync == "own" else HeardSync)
+    network.heard[0x080](b"", Instant(300_000))
+    assert logs[None].surplus == (1 if sync == "own" else 0)
 
 
 @pytest.mark.parametrize(("source", "count"), [("kernel", 5), ("own", 0), ("foreign", 0)])
