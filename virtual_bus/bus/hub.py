@@ -15,6 +15,7 @@ from can.typechecking import AutoDetectedConfig, CanFilters
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant, MonotonicClock, instant_after
 from drivers.wire.message import frame_of, message_of
 from virtual_bus.bus.error_message import bus_state
+from virtual_bus.bus.held_frames import NEVER
 from virtual_bus.bus.hub_place import HubPlace, known_hubs
 from virtual_bus.bus.hub_port import HubPort
 from virtual_bus.bus.hub_protocol import (
@@ -27,8 +28,6 @@ from virtual_bus.bus.hub_protocol import (
     encode_hello,
 )
 from virtual_bus.child_python import python_command, python_environment
-
-_NEVER = Instant(1 << 62)
 
 
 class HubBus(can.BusABC):
@@ -106,7 +105,7 @@ class HubBus(can.BusABC):
         Raises can.CanOperationError if the broker is gone or the bus is shut down.
         """
         port = self.frame_port
-        frame = port.receive(_NEVER if timeout is None else instant_after(self._clock.now(), timeout))
+        frame = port.receive(NEVER if timeout is None else instant_after(self._clock.now(), timeout))
         if frame is None:
             return None
         return message_of(frame, port.came_at, is_rx=not port.came_own, channel=self._channel)

@@ -26,6 +26,7 @@ from typing import Final
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Instant
 from virtual_bus.bus.controller import ErrorState
+from virtual_bus.bus.held_frames import NEVER
 from virtual_bus.bus.hub_place import HubPlace, try_lock
 from virtual_bus.bus.hub_protocol import (
     ACTIONS,
@@ -62,7 +63,6 @@ _WAIT_MAX_NS: Final = 60 * NS_PER_S
 """Of one ``select``; nothing is due, and a longer wait brings nothing."""
 _PACKETS_PER_TURN: Final = 64
 """Of one client in a row, so that one that floods does not keep the others from the bus."""
-_NEVER: Final = Instant(1 << 62)
 
 
 class Client(Listener):
@@ -76,7 +76,7 @@ class Client(Listener):
         self.batches = False
         self.wire: _Wire | None = None
         self.outbox: deque[bytes] = deque()
-        self.due = _NEVER
+        self.due = NEVER
         """When to send from the outbox; never while the socket is full."""
         self.full = False
         """Its socket takes nothing for now."""
@@ -111,7 +111,7 @@ class Client(Listener):
     def flush(self) -> None:
         """Send from the outbox what its socket takes."""
         outbox = self.outbox
-        self.due = _NEVER
+        self.due = NEVER
         self.full = False
         try:
             while outbox:
@@ -194,7 +194,7 @@ class Broker:
     def _wait(self) -> tuple[list[int], list[int]]:
         """Until the next event or a socket is ready. select's time-out is good to 1 us, epoll's to 1 ms."""
         due = self._timeline.next_at()
-        wake_at: int = _NEVER if due is None else due
+        wake_at: int = NEVER if due is None else due
         sources = [self._listener.fileno()]
         full = []
         for client in self._clients:
@@ -239,9 +239,8 @@ class Broker:
                 packet = client.socket.recv(PACKET_BYTES_MAX)
             except BlockingIOError:
                 return
-            except (
-                ConnectionResetError
-            ):  # reported once if it left without reading all; what it sent is still there
+            except ConnectionResetError:
+                # Reported once, if it left without reading all; what it sent is still there.
                 client.deaf = True
                 continue
             # What it sent may be younger than this turn, and must not go out before it was sent.

@@ -13,6 +13,7 @@ from can.typechecking import CanFilters
 from drivers.timebase import Instant, instant_after
 from drivers.wire.message import frame_of, message_of
 from virtual_bus.bus.error_message import bus_state
+from virtual_bus.bus.held_frames import NEVER
 from virtual_bus.bus.host_port import HostPort
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
 from virtual_bus.bus.segment import CanSegment
@@ -71,9 +72,6 @@ class TimelineCyclicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskA
             self._event = None
         else:
             self._event = self._timeline.call_at(due, self._fire)
-
-
-_NEVER = Instant(1 << 62)
 
 
 class SimulatedBus(can.BusABC):
@@ -135,7 +133,7 @@ class SimulatedBus(can.BusABC):
             raise can.CanOperationError(f"{self.channel_info}: the bus is shut down")
         inbox = self.frame_port.received
         if timeout is None:
-            self._step_until(lambda: bool(inbox), _NEVER)
+            self._step_until(lambda: bool(inbox), NEVER)
             if not inbox:
                 raise can.CanOperationError(f"{self.channel_info}: no event is left that could bring a frame")
         port = self.frame_port
