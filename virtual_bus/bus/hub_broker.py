@@ -26,6 +26,7 @@ from typing import Final
 
 from drivers.timebase import NEVER, NS_PER_MS, NS_PER_S, Clock, Instant
 from virtual_bus.bus.controller import ErrorState
+from virtual_bus.bus.held_frames import NEVER
 from virtual_bus.bus.hub_place import HubPlace, try_lock
 from virtual_bus.bus.hub_protocol import (
     ACTIONS,
@@ -238,9 +239,8 @@ class Broker:
                 packet = client.socket.recv(PACKET_BYTES_MAX)
             except BlockingIOError:
                 return
-            except (
-                ConnectionResetError
-            ):  # reported once if it left without reading all; what it sent is still there
+            except ConnectionResetError:
+                # Reported once, if it left without reading all; what it sent is still there.
                 client.deaf = True
                 continue
             # What it sent may be younger than this turn, and must not go out before it was sent.

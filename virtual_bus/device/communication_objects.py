@@ -5,11 +5,10 @@ from typing import Any
 from drivers.canopen.cob_ids import EMERGENCY, SDO_ANSWER, SDO_REQUEST, SYNC
 from drivers.canopen.data_types import DataType
 from drivers.canopen.objects301 import (
+    MAPPING_OFFSET,
     RPDO_COMMUNICATION,
-    RPDO_MAPPING,
     SDO_SERVER,
     TPDO_COMMUNICATION,
-    TPDO_MAPPING,
     Cia301,
 )
 from virtual_bus.device.device_options import DeviceOptions, PdoDefault
@@ -39,9 +38,9 @@ def add_communication_objects(dictionary: ObjectDictionary, options: DeviceOptio
     _add_storage(dictionary)
     _add_sdo_server(dictionary)
     for number, default in enumerate(options.rpdos):
-        _add_rpdo(dictionary, number, default)
+        _add_pdo(dictionary, number, default, transmit=False)
     for number, default in enumerate(options.tpdos):
-        _add_tpdo(dictionary, number, default)
+        _add_pdo(dictionary, number, default, transmit=True)
 
 
 def _add(
@@ -112,22 +111,19 @@ def _add_sdo_server(dictionary: ObjectDictionary) -> None:
     record.add(2, "COB-ID server to client (tx)", U32, RO, default=SDO_ANSWER, node_relative=True)
 
 
-def _add_rpdo(dictionary: ObjectDictionary, number: int, default: PdoDefault) -> None:
-    record = dictionary.add_record(RPDO_COMMUNICATION + number, f"RPDO {number + 1} communication parameter")
-    record.add(1, "COB-ID used by RPDO", U32, RW, default=default.cob_id, node_relative=True)
+def _add_pdo(dictionary: ObjectDictionary, number: int, default: PdoDefault, *, transmit: bool) -> None:
+    name, communication = ("TPDO", TPDO_COMMUNICATION) if transmit else ("RPDO", RPDO_COMMUNICATION)
+    record = dictionary.add_record(communication + number, f"{name} {number + 1} communication parameter")
+    record.add(1, f"COB-ID used by {name}", U32, RW, default=default.cob_id, node_relative=True)
     record.add(2, "Transmission type", U8, RW, default=default.transmission_type)
-    record.add(5, "Event-timer", U16, RW, default=default.event_timer_ms)
-    _add_mapping(dictionary, RPDO_MAPPING + number, f"RPDO {number + 1} mapping parameter", default)
-
-
-def _add_tpdo(dictionary: ObjectDictionary, number: int, default: PdoDefault) -> None:
-    record = dictionary.add_record(TPDO_COMMUNICATION + number, f"TPDO {number + 1} communication parameter")
-    record.add(1, "COB-ID used by TPDO", U32, RW, default=default.cob_id, node_relative=True)
-    record.add(2, "Transmission type", U8, RW, default=default.transmission_type)
-    record.add(3, "Inhibit time", U16, RW, default=default.inhibit_time_100us)
-    record.add(5, "Event timer", U16, RW, default=default.event_timer_ms)
-    record.add(6, "SYNC start value", U8, RW)
-    _add_mapping(dictionary, TPDO_MAPPING + number, f"TPDO {number + 1} mapping parameter", default)
+    if transmit:
+        record.add(3, "Inhibit time", U16, RW, default=default.inhibit_time_100us)
+    timer = "Event timer" if transmit else "Event-timer"
+    record.add(5, timer, U16, RW, default=default.event_timer_ms)
+    if transmit:
+        record.add(6, "SYNC start value", U8, RW)
+    index = communication + MAPPING_OFFSET + number
+    _add_mapping(dictionary, index, f"{name} {number + 1} mapping parameter", default)
 
 
 def _add_mapping(dictionary: ObjectDictionary, index: int, name: str, default: PdoDefault) -> None:

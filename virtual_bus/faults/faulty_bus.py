@@ -23,13 +23,12 @@ from drivers.timebase import NS_PER_S, Clock, Instant
 from drivers.wire.frame_port import ERROR_FLAG, FramePort
 from drivers.wire.message import frame_of, message_of
 from drivers.wire.message_port import MessagePort, StampSource
-from virtual_bus.bus.held_frames import HeldFrames
+from virtual_bus.bus.held_frames import NEVER, HeldFrames
 from virtual_bus.bus.host_port import HostPort
 from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.frame_fault import Side
-from virtual_bus.faults.strikes import FOREVER
 from virtual_bus.frame import Frame
 
 POLL_MAX = 4096
@@ -55,7 +54,7 @@ class FaultyPort(FramePort):
         self._injector = injector
         self._now = clock.now
         self._out, self._in = ways(side)
-        self._seen_until: int = -FOREVER
+        self._seen_until: int = -NEVER
 
     def receive(self, until: Instant) -> Frame | None:
         """The next that comes through, no later than ``until``."""
@@ -89,7 +88,7 @@ class FaultyPort(FramePort):
 
     def send_held(self) -> None:
         """Send at once what is held."""
-        self._send_due(FOREVER)
+        self._send_due(NEVER)
 
     def flush(self) -> None:
         """Forget what is held for sending."""
@@ -100,7 +99,7 @@ class FaultyPort(FramePort):
             self._inner.transmit(held[2])
 
     def _hand_over(self) -> Frame | None:
-        held = self.held_in.take(FOREVER)
+        held = self.held_in.take(NEVER)
         if held is None:
             return None
         at, _, frame, own = held
@@ -184,7 +183,7 @@ class FaultyBus(can.BusABC):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next message to come through, within ``timeout`` seconds; its stamp is that of its release."""
         self._require_open()
-        until = FOREVER if timeout is None else self._clock.now() + round(timeout * NS_PER_S)
+        until = NEVER if timeout is None else self._clock.now() + round(timeout * NS_PER_S)
         port = self.frame_port
         frame = port.receive(Instant(until))
         return None if frame is None else message_of(frame, port.came_at, is_rx=not port.came_own)

@@ -7,10 +7,11 @@ from pydantic import Field, PlainValidator, model_validator
 
 from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.errors import BadInput
+from virtual_bus.bus.held_frames import NEVER
 from virtual_bus.bus.judge import Direction
 from virtual_bus.faults.fault_streams import UniformStream
 from virtual_bus.faults.fault_table import NodeIds, TimeWindow, require
-from virtual_bus.faults.strikes import FOREVER, Hold, Strike
+from virtual_bus.faults.strikes import Hold, Strike
 
 BROADCAST: Final = 0
 """Stands for the node of a frame that belongs to no single one."""
@@ -95,7 +96,7 @@ class FrameFault(TimeWindow):
     @property
     def window(self) -> tuple[int, int]:
         """First ns in which it acts, and the first in which it does so no more."""
-        return self.from_ns, FOREVER if self.until_ns is None else self.until_ns
+        return self.from_ns, NEVER if self.until_ns is None else self.until_ns
 
     def at_work(self, stream: UniformStream) -> Strike | Hold:
         """What it does to the frames of one link (or COB-ID), with the random stream of that link."""

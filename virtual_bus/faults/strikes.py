@@ -7,14 +7,10 @@ or not, in its window or not, so that none of its draws depends on its own setti
 from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import Final
 
 from mypy_extensions import mypyc_attr
 
-from drivers.timebase import Instant
 from virtual_bus.faults.fault_streams import UniformStream
-
-FOREVER: Final = Instant(2**63 - 1)
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

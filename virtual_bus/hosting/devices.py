@@ -37,6 +37,12 @@ class _Wake(Action):
         self._attached._on_event(now)
 
 
+def _tell_state(device: Device, off: bool, now: Instant) -> Sequence[Frame]:
+    """Tell a device that wants to know that its controller is bus-off, or back; what it then sends."""
+    tell = getattr(device, "bus_off" if off else "bus_recovered", None)
+    return () if tell is None else tell(now) or ()
+
+
 class AttachedDevice(Listener):
     """A device on a segment, powered on when this is made, and woken by the segment's timeline.
 
@@ -81,17 +87,10 @@ class AttachedDevice(Listener):
             self._schedule()
 
     def _on_error_state(self, state: ErrorState, now: Instant) -> None:
-        """Tell a device that wants to know that its controller is bus-off, or back."""
-        if state is ErrorState.BUS_OFF:
-            self._off = True
-            tell = getattr(self.device, "bus_off", None)
-            if tell is not None:
-                tell(now)
-        elif self._off:
-            self._off = False
-            tell = getattr(self.device, "bus_recovered", None)
-            if tell is not None:
-                self._send(tell(now))
+        off = state is ErrorState.BUS_OFF
+        if off or self._off:
+            self._off = off
+            self._send(_tell_state(self.device, off, now))
         self._schedule()
 
     def _send(self, frames: Sequence[Frame]) -> None:
@@ -169,7 +168,8 @@ class RealTimeHost:
         if off != self._off:
             self._off = off
             self._advance(at)
-            self._tell_state(off)
+            for device in self._devices:
+                self._distribute(device, _tell_state(device, off, self._now))
         self._wake(at)
         if frame is not None and frame.can_id < ERROR_FLAG and not port.came_own:
             self._advance(at)
@@ -207,13 +207,6 @@ class RealTimeHost:
             return self._off
         told = told_bus_off(frame.can_id) if frame.can_id >= ERROR_FLAG else False
         return self._off if told is None else told
-
-    def _tell_state(self, off: bool) -> None:
-        """Tell the devices that want to know that their controller is bus-off, or back."""
-        for device in self._devices:
-            tell = getattr(device, "bus_off" if off else "bus_recovered", None)
-            if tell is not None:
-                self._distribute(device, tell(self._now) or ())
 
     def _patience(self) -> Instant:
         """Until when to wait for a frame."""

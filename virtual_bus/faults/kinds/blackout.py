@@ -4,11 +4,12 @@ from pydantic import model_validator
 
 from drivers.errors import MISSING
 from drivers.timebase import Duration
+from virtual_bus.bus.held_frames import NEVER
 from virtual_bus.faults.fault_streams import UniformStream
 from virtual_bus.faults.fault_table import Count, Lasting, ns, require
 from virtual_bus.faults.frame_fault import FrameFault
 from virtual_bus.faults.log_kind import LogKind
-from virtual_bus.faults.strikes import FOREVER, FirstStrikes, Strike
+from virtual_bus.faults.strikes import FirstStrikes, Strike
 
 
 class Blackout(FrameFault):
@@ -38,4 +39,4 @@ class Blackout(FrameFault):
         return super().until_ns if self.duration_s is None else ns(self.from_s + self.duration_s)
 
     def at_work(self, stream: UniformStream) -> Strike:  # noqa: ARG002
-        return FirstStrikes(self.kind, self.window, FOREVER if self.count is None else self.count)
+        return FirstStrikes(self.kind, self.window, NEVER if self.count is None else self.count)
