@@ -15,7 +15,6 @@ from can.typechecking import AutoDetectedConfig, CanFilters
 from drivers.timebase import NEVER, NS_PER_S, Clock, Duration, Instant, MonotonicClock, instant_after
 from drivers.wire.message import frame_of, message_of
 from virtual_bus.bus.error_message import bus_state
-from virtual_bus.bus.held_frames import NEVER
 from virtual_bus.bus.hub_place import HubPlace, known_hubs
 from virtual_bus.bus.hub_port import HubPort
 from virtual_bus.bus.hub_protocol import (

@@ -26,7 +26,6 @@ from typing import Final
 
 from drivers.timebase import NEVER, NS_PER_MS, NS_PER_S, Clock, Instant
 from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.held_frames import NEVER
 from virtual_bus.bus.hub_place import HubPlace, try_lock
 from virtual_bus.bus.hub_protocol import (
     ACTIONS,

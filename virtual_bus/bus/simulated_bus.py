@@ -13,7 +13,6 @@ from can.typechecking import CanFilters
 from drivers.timebase import NEVER, Instant, instant_after
 from drivers.wire.message import frame_of, message_of
 from virtual_bus.bus.error_message import bus_state
-from virtual_bus.bus.held_frames import NEVER
 from virtual_bus.bus.host_port import HostPort
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
 from virtual_bus.bus.segment import CanSegment

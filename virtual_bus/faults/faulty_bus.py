@@ -19,11 +19,11 @@ import can
 import can.typechecking
 from can.broadcastmanager import CyclicSendTaskABC
 
-from drivers.timebase import NS_PER_S, Clock, Instant
+from drivers.timebase import NEVER, NS_PER_S, Clock, Instant
 from drivers.wire.frame_port import ERROR_FLAG, FramePort
 from drivers.wire.message import frame_of, message_of
 from drivers.wire.message_port import MessagePort, StampSource
-from virtual_bus.bus.held_frames import NEVER, HeldFrames
+from virtual_bus.bus.held_frames import HeldFrames
 from virtual_bus.bus.host_port import HostPort
 from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.simulated_bus import SimulatedBus

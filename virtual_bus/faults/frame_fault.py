@@ -7,7 +7,7 @@ from pydantic import Field, PlainValidator, model_validator
 
 from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.errors import BadInput
-from virtual_bus.bus.held_frames import NEVER
+from drivers.timebase import NEVER
 from virtual_bus.bus.judge import Direction
 from virtual_bus.faults.fault_streams import UniformStream
 from virtual_bus.faults.fault_table import NodeIds, TimeWindow, require

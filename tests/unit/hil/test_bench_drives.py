@@ -9,9 +9,8 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.drive_setup import DriveSettings, Identity
-from drivers.cia402.profile import Mode, QuickStopOption
+from drivers.cia402.profile import BENCH_MODES, Mode, QuickStopOption
 from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import NoAnswer, PeerFault

@@ -25,7 +25,7 @@ from hil.recording.run_recorder import RunRecorder
 from tests.motors import LING
 from tests.unit.hil.test_shaft_loads import MS, STEP, ZERO, Dictionary, Instrument, network, signal_file
 from tests.unit.hil.test_signal_file import written
-from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.serial_line.device_line import LineFaults
 
 # ---- all of a bench -----------------------------------------------------------------------------------
 

@@ -18,13 +18,19 @@ from design.speed.predictor_trial import Walks
 from hil.configuration.motor_file import LING2012
 from hil.configuration.speed_controller_file import CurrentLoop
 from hil.studies.numbers import short
-from hil.studies.speed import hinf, predictor
+from hil.studies.speed import dynamic
 from hil.studies.speed.controller_text import (
     plant_of,
 )
-from hil.studies.speed.dynamic import certified_of, loss_certificate, loss_figures, request_of
-from hil.studies.speed.hinf import HinfResult
-from hil.studies.speed.predictor import PredictorResult, design_speed_predictor
+from hil.studies.speed.dynamic import (
+    HinfResult,
+    PredictorResult,
+    certified_of,
+    design_speed_predictor,
+    loss_certificate,
+    loss_figures,
+    request_of,
+)
 from tests.unit.hil.made_analyses import MARGINS, made_analysis, unproved
 
 MOTOR = LING2012.parameters
@@ -101,7 +107,7 @@ def predicted(**more: Any) -> PredictorResult:
 @pytest.fixture
 def gains(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a predictor with so many lost."""
-    monkeypatch.setattr(predictor, "losses_gain", lambda _design, lost: 90.0 if lost == [1] else math.inf)
+    monkeypatch.setattr(dynamic, "losses_gain", lambda _design, lost: 90.0 if lost == [1] else math.inf)
 
 
 @pytest.mark.usefixtures("gains")
@@ -184,7 +190,7 @@ def test_a_file_is_made_for_a_network_that_was_measured_or_certified(
 
 def test_losses_are_certified_from_the_most_down(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        predictor, "predictor_losses", lambda _design, most: refuted(most) if most else lossy(0)
+        dynamic, "predictor_losses", lambda _design, most: refuted(most) if most else lossy(0)
     )
     done = predicted().certified()
     assert [each.network.losses_max for each in done.losses] == [2, 1, 0]
@@ -195,8 +201,8 @@ def test_losses_are_certified_from_the_most_down(monkeypatch: pytest.MonkeyPatch
 
 def test_a_predictor_is_looked_at_with_the_digits_of_its_file(monkeypatch: pytest.MonkeyPatch) -> None:
     rough = PredictorDesign(REQUEST, np.array([0.123456789, 0.987654321]), Walks(0.3333333333, 6.6666666666))
-    monkeypatch.setattr(predictor, "design_predictor", lambda _request: rough)
-    monkeypatch.setattr(predictor, "predictor_robustness", lambda _design: ROBUST)
+    monkeypatch.setattr(dynamic, "design_predictor", lambda _request: rough)
+    monkeypatch.setattr(dynamic, "predictor_robustness", lambda _design: ROBUST)
     done = design_speed_predictor(REQUEST, 3, measured=True)
     assert done.design.F.tolist() == [0.123457, 0.987654]
     assert (done.design.walks.quiet, done.design.walks.bold) == (0.333333, 6.66667)
@@ -214,7 +220,7 @@ def hinf_result() -> HinfResult:
 
 
 def test_an_h_infinity_controller_is_told_with_its_norm_and_orders(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hinf, "uncertainty_norm", lambda _design: 0.75)
+    monkeypatch.setattr(dynamic, "uncertainty_norm", lambda _design: 0.75)
     done = hinf_result()
     figures = done.figures
     assert figures["weights"] == {"error_s_rad": 0.5, "noise_rad_s": 0.1, "integral_rad_s": 2.0}

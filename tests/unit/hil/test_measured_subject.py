@@ -10,7 +10,8 @@ import pytest
 from drivers.canopen.network import CanopenNetwork
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_plans import mode_plan, status_timer_ms
+from drivers.cia402.pdo_planner import mode_plan
+from drivers.cia402.pdo_plans import PlanWish, status_timer_ms
 from drivers.cia402.profile import Mode
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import BadInput
@@ -115,14 +116,10 @@ def test_it_settles_for_ten_periods_or_for_50_ms(period_us: int, settle_ms: floa
 
 
 def plan(*, changes: bool, every: int) -> Any:
-    return mode_plan(
-        1,
-        Mode.CYCLIC_SYNCHRONOUS_TORQUE,
-        device_stamp=True,
-        position_every_cycles=every,
-        status_timer_ms=status_timer_ms(150),
-        demand_changes=changes,
+    wish = PlanWish(
+        Mode.CYCLIC_SYNCHRONOUS_TORQUE, position_every_cycles=every, status_timer_ms=status_timer_ms(150)
     )
+    return mode_plan(1, wish, demand_changes=changes)
 
 
 def test_an_enabled_drive_is_watched_closely_and_limited(bench: Bench) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.timebase import NS_PER_US
 from hil.loop.samples import CommandFate
-from hil.reviewing.premises import PremisesMeter
+from hil.reviewing.certificate_meter import PremisesMeter
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan
 from hil.rows.records import COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
 

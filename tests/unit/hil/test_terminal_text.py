@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from drivers.bounded_file import writing
 from drivers.errors import BadInput, BenchError
 from hil.campaign.campaign import CampaignProgress
 from hil.terminal.campaign import _duration, _ProgressLine
-from hil.terminal.current_report import advice, print_current, root_text
-from hil.terminal.exit_status import error_text, writing
+from hil.terminal.current_report import advice, plot, print_current, root_text
+from hil.terminal.exit_status import error_text
 from hil.terminal.output import columns, figure_text, on_terminal, print_figures, titled
-from hil.terminal.plot import plot
 
 Capture = pytest.CaptureFixture[str]
 

@@ -3,8 +3,7 @@
 from pydantic import model_validator
 
 from drivers.errors import MISSING
-from drivers.timebase import Duration
-from virtual_bus.bus.held_frames import NEVER
+from drivers.timebase import NEVER, Duration
 from virtual_bus.faults.fault_streams import UniformStream
 from virtual_bus.faults.fault_table import Count, Lasting, ns, require
 from virtual_bus.faults.frame_fault import FrameFault
