@@ -36,6 +36,8 @@ RUNTIME := $(VENV)/.runtime
 TOOLS   := $(VENV)/.tools
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Tests, swarms and mutants start hundreds of processes: each would compile every module anew.
+unexport PYTHONDONTWRITEBYTECODE
 # The matrices are small: a second thread costs more than it saves, and takes a core from the tests beside it.
 export OPENBLAS_NUM_THREADS := 1
 

@@ -15,11 +15,17 @@ import matplotlib.pyplot as plt
 
 @contextmanager
 def picture(
-    path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0), **options: Any
+    path: Path,
+    rows: int = 1,
+    columns: int = 1,
+    size: tuple[float, float] = (8.0, 5.0),
+    *,
+    asked_by: str = "--figures",
+    **options: Any,
 ) -> Iterator[Any]:
     """The axes, one or (rows, columns) of them without an axis of length 1, with a grid; saved when left.
 
-    Raises BadInput for a path that cannot be written to.
+    ``asked_by``: the option. Raises BadInput for a path that cannot be written to.
     """
     figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", **options)
     for axis in figure.axes:
@@ -29,8 +35,8 @@ def picture(
         try:
             figure.savefig(path, dpi=120)
         except (OSError, ValueError) as error:
-            expected = f"the path of a .png, .svg or .pdf file that can be written ({error})"
-            raise BadInput("picture", "", str(path), expected) from None
+            expected = f"a .png, .svg or .pdf file that can be written ({error})"
+            raise BadInput(asked_by, "", str(path), expected) from None
     finally:
         plt.close(figure)
 

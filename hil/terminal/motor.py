@@ -141,7 +141,7 @@ def _draw(parameters: "PmsmParameters", path: Path) -> None:
     from hil.studies.drawing import picture
 
     speed = np.linspace(0.0, 1.02 * speed_limit(parameters, 0.0), 600)
-    with picture(path, size=(7.0, 4.2)) as axes:
+    with picture(path, size=(7.0, 4.2), asked_by="--picture") as axes:
         axes.plot(speed * RPM_PER_RAD_S, torque_limit(parameters, speed), label="peak, i_d = 0")
         axes.axhline(parameters.rated_torque_nm, color="0.5", linestyle="--", label="rated torque")
         axes.plot(

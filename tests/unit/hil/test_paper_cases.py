@@ -326,8 +326,8 @@ def test_a_picture_that_cannot_be_written_is_bad_input(tmp_path: Path) -> None:
     nowhere = tmp_path / "none" / "a.png"
     with pytest.raises(BadInput) as caught, drawing.picture(nowhere) as axis:
         axis.plot([0.0, 1.0])
-    assert (caught.value.source, caught.value.value) == ("picture", str(nowhere))
-    assert caught.value.expected.startswith("the path of a PNG file that can be written (")
+    assert (caught.value.source, caught.value.value) == ("--figures", str(nowhere))
+    assert caught.value.expected.startswith("a .png, .svg or .pdf file that can be written (")
     with drawing.picture(tmp_path / "a.png", 2, size=(1.0, 1.0)) as axes:
         assert len(axes) == 2
         assert all(line.get_alpha() == 0.3 for line in axes[0].get_xgridlines())

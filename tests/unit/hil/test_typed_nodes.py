@@ -105,7 +105,7 @@ NUMBER = "serial numbers 0..4294967295, decimal or with 0x"
 @pytest.mark.parametrize("text", ["", "x", "-1", "4294967296", "0x100000000", "0000000000012", "ff"])
 def test_what_is_no_serial_number_is_refused(text: str) -> None:
     assert refusal(serial_numbers, [text], 1) == ("--serial", "", text, NUMBER, "")
-    assert refusal(serial_numbers, ["1", text], 2, "--id") == ("--id", "", text, NUMBER, "")
+    assert refusal(serial_numbers, ["1", text], 2) == ("--serial", "", text, NUMBER, "")
 
 
 def test_counting_up_ends_with_the_last_serial_number() -> None:
