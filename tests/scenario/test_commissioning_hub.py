@@ -1,13 +1,28 @@
-"""What commissioning leaves, in real time; a whole one on a hub is in the tutorial, on vcan in tests/vcan."""
+"""Commissioning in real time, over a serial adapter that is on the hub; on vcan it is in tests/vcan."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.scenario.commission_suite import SEED, unknown_drive
+from tests.scenario.commission_suite import SEED, CommissionSuite, unknown_drive
 from tests.scenario.processes import HIL, hub_name, run, run_command
+from tests.scenario.serial_processes import adapter_process
 
 pytestmark = pytest.mark.xdist_group("real time")
+
+
+class TestOverSerial(CommissionSuite):
+    """The host has an emulated SLCAN adapter on a pty, the drive is on the hub behind it."""
+
+    @pytest.fixture
+    def drive_spec(self) -> str:
+        return hub_name("commission-serial")
+
+    @pytest.fixture
+    def bus_spec(self, drive_spec: str) -> Iterator[str]:
+        with adapter_process(drive_spec) as adapter:
+            yield adapter.bus
 
 
 def test_a_bench_runs_with_the_files_that_it_leaves(tmp_path: Path) -> None:
