@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.pdo import DONE
@@ -30,7 +31,6 @@ from hil.execution.drives import (
 from hil.execution.network_guard import Certificates
 from hil.execution.recorded_bench import keep_files, recording_plan
 from hil.execution.segments import check_sync_source, listen_for_syncs, masters, record_frames, sync_producer
-from hil.execution.simulated_drives import simulated_drives
 from hil.execution.timing_report import distrust, timing_report
 from hil.execution.world import World, WorldPlan, check_time, open_world
 from hil.load.load_machines import LoadMachines
@@ -47,8 +47,10 @@ from hil.recording.run_recorder import RunRecorder
 from hil.recording.watch import RecordingWatch
 from hil.rows.recording_plan import RecordingPlan
 from hil.verdict.summary import Summary
-from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.fault_log import FaultLog
+
+if TYPE_CHECKING:
+    from virtual_bus.drive.servo import SimulatedServo
 
 ENABLE_TIMEOUT_S = 2.0
 """A drive that charges its DC link or releases a brake takes a second or so."""
@@ -96,7 +98,7 @@ def run_bench(
     code = axis_code(config, controllers, real_time=paced or not config.simulated)
     log = FaultLog() if config.faults is not None else None
     world_plan = WorldPlan.of_bench(config, spec, paced, log)
-    devices = simulated_drives(config) if config.simulated else []
+    devices = _simulated(config)
     with stop_signals(stop) as asked, open_world(world_plan, devices) as world:
         folder = (record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
         plan = replace(
@@ -125,6 +127,16 @@ def run_bench(
                 raise
 
 
+def _simulated(config: BenchConfig) -> "Sequence[SimulatedServo]":
+    """The drives of the bench, if its bus is simulated."""
+    if not config.simulated:
+        return ()
+    # It loads numba, which a host of other drives does without.
+    from hil.execution.simulated_drives import simulated_drives
+
+    return simulated_drives(config)
+
+
 def _check_axes(config: BenchConfig, controllers: Mapping[str, Controller]) -> None:
     """Raises BadInput for a controller of an axis that is not there: the bench's own would run instead."""
     for name in controllers:
@@ -146,7 +158,7 @@ class _Run:
         progress: Progress,
         code: Mapping[str, AxisCode],
         certificates: Certificates,
-        servos: Sequence[SimulatedServo],
+        servos: "Sequence[SimulatedServo]",
         sheets: Mapping[str, LoadedDictionary],
     ) -> None:
         self._config = config

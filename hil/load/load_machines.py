@@ -5,7 +5,7 @@ cycle.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.cia402.servo import ServoDrive
@@ -16,21 +16,28 @@ from drivers.wire.adapters import SIMULATED
 from drivers.wire.serial_line import ByteLine, open_line
 from hil.configuration.config import BenchConfig, LoadMachineConfig
 from hil.configuration.references import Load, SignalFile
-from hil.load.simulated_load import load_table
 from hil.loop.axis_roles import LoadMachine
 from hil.recording.run_recorder import RunRecorder
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_objects import LOAD_MACHINE, LoadCourse
+from virtual_bus.drive.load_object import (
+    LOAD_COURSE_SUB,
+    LOAD_DELAY_SUB,
+    LOAD_MACHINE,
+    LOAD_NUMBER_SUB,
+    LOAD_TORQUE_SUB,
+    LoadCourse,
+)
 from virtual_bus.instruments.dynamometer.hosting import TimelineLine
 from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
 from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.timeline import SimulatedClock
 
+if TYPE_CHECKING:
+    from virtual_bus.drive.servo import SimulatedServo
+
 TOLERANCE = 0.05
 """A measured torque within this share of the asked one counts as reached."""
 Say = Callable[[str, str], None]
 """Takes a text for the reader and its level."""
-LOAD_TORQUE_SUB, LOAD_COURSE_SUB, LOAD_NUMBER_SUB, LOAD_DELAY_SUB = 1, 3, 4, 5
 NM_PER_COUNT = 1e-3
 US_PER_S = 1e6
 
@@ -154,7 +161,7 @@ class InstrumentLoadMachine:
 
 
 def instrument_line(
-    config: LoadMachineConfig, source: str, clock: Clock, servo: SimulatedServo | None, seed: int
+    config: LoadMachineConfig, source: str, clock: Clock, servo: "SimulatedServo | None", seed: int
 ) -> ByteLine:
     """The line to the instrument: its serial port, or that of one simulated on the shaft of ``servo``.
 
@@ -238,6 +245,9 @@ def find_load_machine(
             "none, for this drive has no load machine (object 0x2100)",
             "take the load out of the file, or run against a simulated drive",
         ) from None
+    # It loads numba, which a host without such loads does without.
+    from hil.load.simulated_load import load_table
+
     if number != load_table(over_time.signal).number:
         told = "another file" if number else "none"
         expected = f"a drive that was started with this file; node {node_id} has {told}"
@@ -254,7 +264,7 @@ class LoadMachines:
         config: BenchConfig,
         network: CanopenNetwork,
         recorder: RunRecorder,
-        servos: Sequence[SimulatedServo],
+        servos: "Sequence[SimulatedServo]",
     ) -> None:
         """``servos``: the drives simulated in this process, in the order of the axes; empty if elsewhere."""
         self._config = config

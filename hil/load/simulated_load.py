@@ -6,17 +6,20 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from design.motor import PmsmParameters
 from drivers.errors import BadInput
 from hil.configuration.signal_file import Signal, load_signal
 from hil.loop.scenario import Quantity
 from virtual_bus.drive.load_table import LoadTable
-from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
 from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
 from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
+
+if TYPE_CHECKING:
+    from virtual_bus.drive.servo import SimulatedServo
 
 OPTION = "--load"
 
@@ -63,7 +66,7 @@ class SimulatedLoadMachine:
 
     @contextmanager
     def coupled_to(
-        self, servo: SimulatedServo, seed: int, announce: Callable[[str], None]
+        self, servo: "SimulatedServo", seed: int, announce: Callable[[str], None]
     ) -> Iterator[InstrumentAtTerminal]:
         """The instrument on the shaft of ``servo``, to be hosted beside it."""
         terminal = PseudoTerminal(self.link)

@@ -17,7 +17,6 @@ from hil.execution.bench import ENABLE_TIMEOUT_S, RUNS_FOLDER
 from hil.execution.bus_guard import BusGuard
 from hil.execution.drives import connect, stop_all
 from hil.execution.segments import sync_log
-from hil.execution.simulated_drives import drive_parameters
 from hil.execution.timing_report import distrust, timing_report
 from hil.execution.world import World, WorldPlan, open_world
 from hil.loop.axis import Axis
@@ -35,7 +34,7 @@ from hil.measuring.subject import MeasureRequest, Subject, affordable, timing_of
 from hil.restoring.journal import Journal, JournaledNetwork
 from hil.restoring.restore import head_of, restore
 from hil.rows.records import Rows
-from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.device.canopen_device import CanopenDevice
 
 CONNECT_LIMIT_S: Final = 5.0
 """A device that was just switched on boots in a second or two."""
@@ -51,8 +50,12 @@ def run_measurement(request: MeasureRequest, say: Say, progress: Progress) -> Me
     spec = parse_bus_spec(request.bus, "--bus")
     if request.motor is not None and not spec.simulated:
         raise BadInput("--motor", "", request.bus, "the bus 'simulated': other drives have their own motors")
-    devices: Sequence[SimulatedServo] = ()
+    devices: Sequence[CanopenDevice] = ()
     if spec.simulated:
+        # They load numba, which a host of other drives does without.
+        from hil.execution.simulated_drives import drive_parameters
+        from virtual_bus.drive.servo import SimulatedServo
+
         motor, drive = request.motor or LING2012.parameters, drive_parameters(())
         devices = [SimulatedServo(node, motor, drive, request.seed) for node in request.nodes]
     plan = WorldPlan(spec, request.bitrate_bit_s, faults=request.faults, seed=request.seed)

@@ -90,7 +90,10 @@ def beside_the_bench(
             put_on_the_bus(made, *nodes)
             yield made
 
-    with patch.object(bench, "open_world", open_world), patch.object(bench, "simulated_drives", drives):
+    with (
+        patch.object(bench, "open_world", open_world),
+        patch("hil.execution.simulated_drives.simulated_drives", drives),
+    ):
         yield
 
 

@@ -122,7 +122,7 @@ def test_an_emcy_that_nobody_planned_keeps_a_run_from_passing(
         drives[:] = simulated_drives(config)
         return drives
 
-    monkeypatch.setattr("hil.execution.bench.simulated_drives", made)
+    monkeypatch.setattr("hil.execution.simulated_drives.simulated_drives", made)
     run = servo_bench(BENCH, SHORT, faults={}, controllers={"axis1": Warned(drives)})
     verdict = run.summary.verdict
     assert (verdict.outcome, verdict.exit_status) == (VerdictKind.PEER_FAULT, 3)

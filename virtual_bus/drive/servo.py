@@ -34,13 +34,14 @@ from virtual_bus.drive.axis import REST_S, SimulatedAxis
 from virtual_bus.drive.failures import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES, Failures
 from virtual_bus.drive.firmware import Firmware, InnerControl
 from virtual_bus.drive.lacks import take_away
+from virtual_bus.drive.load_object import LoadCourse
 from virtual_bus.drive.machine import SimulatedMachine
 from virtual_bus.drive.motion_objects import MotionObjects
 from virtual_bus.drive.motor_kernel import D_LOAD, S_COUNT
 from virtual_bus.drive.operation_mode import OperationMode
 from virtual_bus.drive.operation_modes import MODES
 from virtual_bus.drive.power_state import MotorAction, PowerStateMachine
-from virtual_bus.drive.servo_objects import LoadCourse, ServoObjects
+from virtual_bus.drive.servo_objects import ServoObjects
 from virtual_bus.drive.servo_parameters import DriveParameters, device_options
 from virtual_bus.drive.user_units import UserUnits
 

@@ -25,6 +25,15 @@ from drivers.cia402.profile import (
 from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
 from virtual_bus.device.sdo_abort import AbortCode
+from virtual_bus.drive.load_object import (
+    LOAD_ACTUAL_SUB,
+    LOAD_COURSE_SUB,
+    LOAD_DELAY_SUB,
+    LOAD_MACHINE,
+    LOAD_NUMBER_SUB,
+    LOAD_TORQUE_SUB,
+    LoadCourse,
+)
 from virtual_bus.drive.servo_parameters import DriveParameters, current_per_rms
 
 I8, I16, I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
@@ -33,24 +42,9 @@ RO, RW, CONST = Access.READ_ONLY, Access.READ_WRITE, Access.CONST
 
 PERMANENT_MAGNET_SINUSOIDAL = 10
 """Motor type 6402h: sinusoidal, PM, brushless."""
-LOAD_MACHINE = 0x2100
-"""Manufacturer-specific: the load machine on the simulated shaft."""
 ROTOR_FRAME = 0x2101
 """Manufacturer-specific: what the current loops see and do."""
 PER_THOUSAND_MAX = 0xFFFF
-
-
-class LoadCourse(IntEnum):
-    """2100h:3: the delay of 2100h:5 after the next SYNC a load over time begins."""
-
-    OFF = 0
-    """The shaft bears 2100h:1."""
-    STRAIGHT = 1
-    """Straight between two points."""
-    HELD = 2
-    """As at the point before."""
-
-
 VELOCITY_UNIT_RAD_S = RAD_S_PER_RPM / 1000.0
 
 
@@ -157,15 +151,17 @@ class ServoObjects:
     def _add_load_machine(self, drive: DriveParameters) -> None:
         load = self._dictionary.add_record(LOAD_MACHINE, "Load machine")
         self.load_torque = load.add(
-            1, "Load torque, mN m against positive speed", I32, RW, mappable=True, stored=False
+            LOAD_TORQUE_SUB, "Load torque, mN m against positive speed", I32, RW, mappable=True, stored=False
         )
-        self.load_actual = load.add(2, "Load torque actual value, mN m", I32, RO, mappable=True)
+        self.load_actual = load.add(LOAD_ACTUAL_SUB, "Load torque actual value, mN m", I32, RO, mappable=True)
         self.load_course = load.add(
-            3, "Load torque over time", U8, RW, high=int(max(LoadCourse)), stored=False
+            LOAD_COURSE_SUB, "Load torque over time", U8, RW, high=int(max(LoadCourse)), stored=False
         )
         number = 0 if drive.load is None else drive.load.number
-        load.add(4, "Load torque over time, its number", U32, CONST, default=number)
-        self.load_delay = load.add(5, "Load torque over time, delay in us", U32, RW, stored=False)
+        load.add(LOAD_NUMBER_SUB, "Load torque over time, its number", U32, CONST, default=number)
+        self.load_delay = load.add(
+            LOAD_DELAY_SUB, "Load torque over time, delay in us", U32, RW, stored=False
+        )
 
 
 def add_profile_object(

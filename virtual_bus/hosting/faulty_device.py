@@ -12,6 +12,7 @@ affair.
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from heapq import heappop, heappush
+from typing import TYPE_CHECKING, cast
 
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.timebase import NEVER, Instant
@@ -19,12 +20,14 @@ from virtual_bus.bus.held_frames import HeldFrames
 from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.port import Port
 from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.drive.servo import ServoApplication
 from virtual_bus.faults.fates import FateSource, Queue
 from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, FaultLog
 from virtual_bus.faults.node_fault import NodeEvent
 from virtual_bus.faults.node_faults import NodeSource, node_kind
 from virtual_bus.frame import Frame
+
+if TYPE_CHECKING:
+    from virtual_bus.drive.servo import ServoApplication
 
 _NOTHING: tuple[Frame, ...] = ()
 _LATE, _BOOT = KIND_CODES["late"], KIND_CODES["boot"]
@@ -276,10 +279,9 @@ class FaultyDevice:
         self._order += 1
         heappush(self._timers, (due, self._order, action))
 
-    def _befall_drive(self, act: Callable[[ServoApplication], None], now: Instant) -> None:
+    def _befall_drive(self, act: "Callable[[ServoApplication], None]", now: Instant) -> None:
         """The drive is brought to ``now``, ``act`` happens to it, and it reacts."""
-        drive = self.device.application
-        assert isinstance(drive, ServoApplication), "see Injection.wrap"
+        drive = cast("ServoApplication", self.device.application)  # see Injection.wrap
         frames = list(self.device.wake(now))
         act(drive)
         frames += self.device.wake(now)

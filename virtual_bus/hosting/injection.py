@@ -13,7 +13,6 @@ from functools import partial
 from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant
 from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.drive.servo import ServoApplication
 from virtual_bus.faults.disturber import Disturber, disturber
 from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.fault_injector import FaultInjector
@@ -103,9 +102,13 @@ class Injection:
             if fates is None:
                 return device
             source = DrawnNode(FaultPlan(), node, self._seed)
-        if source.needs_drive and not isinstance(device.application, ServoApplication):
-            here = f"node {node}"
-            raise BadInput("fault plan", source.needs_drive, here, "a simulated drive, with a motor inside")
+        if source.needs_drive:
+            # It loads numba, which is there already if a drive is.
+            from virtual_bus.drive.servo import ServoApplication
+
+            if not isinstance(device.application, ServoApplication):
+                expected = "a simulated drive, with a motor inside"
+                raise BadInput("fault plan", source.needs_drive, f"node {node}", expected)
         made = FaultyDevice(device, source, self.log, fates)
         self._devices.append(made)
         return made

@@ -25,8 +25,9 @@ from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, SYNC, ServoBench
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.drive import motor_kernel as kernel
+from virtual_bus.drive.load_object import LOAD_MACHINE
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_objects import LOAD_MACHINE, VELOCITY_UNIT_RAD_S
+from virtual_bus.drive.servo_objects import VELOCITY_UNIT_RAD_S
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Frame
 

@@ -8,11 +8,13 @@ DSP6001: five), five characters of torque with its point, the direction.
 """
 
 import math
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from virtual_bus.drive.servo import SimulatedServo
+
+if TYPE_CHECKING:
+    from virtual_bus.drive.servo import SimulatedServo
 
 STEP_NS: Final = NS_PER_MS
 """The torque loop of the brake runs so often."""
@@ -25,7 +27,7 @@ _SETTLED_NM = 1e-4
 class Shaft:
     """The shaft of a simulated drive, to which a brake is coupled."""
 
-    def __init__(self, servo: SimulatedServo) -> None:
+    def __init__(self, servo: "SimulatedServo") -> None:
         self._drive = servo.drive
 
     def speed_rad_s(self, now: Instant) -> float:

@@ -1,0 +1,26 @@
+"""Object 2100h of a simulated drive, manufacturer-specific: the load machine on its shaft."""
+
+from enum import IntEnum
+from typing import Final
+
+LOAD_MACHINE: Final = 0x2100
+LOAD_TORQUE_SUB: Final = 1
+"""mN m against positive speed."""
+LOAD_ACTUAL_SUB: Final = 2
+LOAD_COURSE_SUB: Final = 3
+"""A :class:`LoadCourse`."""
+LOAD_NUMBER_SUB: Final = 4
+"""Of the load over time that the drive has; 0: none."""
+LOAD_DELAY_SUB: Final = 5
+"""us."""
+
+
+class LoadCourse(IntEnum):
+    """2100h:3: the delay of 2100h:5 after the next SYNC a load over time begins."""
+
+    OFF = 0
+    """The shaft bears 2100h:1."""
+    STRAIGHT = 1
+    """Straight between two points."""
+    HELD = 2
+    """As at the point before."""
