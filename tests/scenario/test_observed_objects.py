@@ -4,6 +4,7 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import pytest
 from typer.testing import CliRunner
 
 from hil.cli import app
@@ -13,6 +14,7 @@ from tests.scenario.processes import BENCH, hub_name, simulated_drive
 from tests.unit.hil.test_observed_objects import EXAMPLES, told
 
 
+@pytest.mark.xdist_group("real time")
 def test_on_the_hub_a_drive_of_another_process_tells_them(tmp_path: Path) -> None:
     bus = hub_name("observed")
     tables = tomllib.loads(BENCH.read_text())

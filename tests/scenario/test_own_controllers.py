@@ -49,7 +49,7 @@ class Pi(Controller):
 
     def output(self, context: Context) -> SetPoint:
         self.error = context.reference_rad_s - context.estimate.velocity_rad_s
-        if context.sequence == 20 and self.fails:
+        if context.sequence >= 20 and self.fails:  # a late host leaves cycles out
             return self.fail(context)
         return TorqueSetPoint(self.gain * self.error + self.sum_nm)
 
@@ -143,6 +143,7 @@ def test_what_fails_in_it_ends_the_run_and_is_named(
     assert all(drive.at_rest for drive in run.summary.drives)
 
 
+@pytest.mark.xdist_group("real time")
 @pytest.mark.servo_bus("hub")
 @pytest.mark.parametrize("fails", ["hang", "spin"])
 def test_a_call_that_does_not_come_back_is_interrupted(
@@ -153,6 +154,7 @@ def test_a_call_that_does_not_come_back_is_interrupted(
     assert all(drive.at_rest for drive in run.summary.drives)
 
 
+@pytest.mark.xdist_group("real time")
 @pytest.mark.servo_bus("hub")
 def test_it_runs_the_same_in_real_time_and_its_time_is_judged(servo_bench: BenchRunner, code: Path) -> None:
     limit = {"verdict": {"compute_us_max": 1e6}}
