@@ -35,3 +35,16 @@ def numbers(path: Path, entity: str) -> tuple[np.ndarray, np.ndarray]:
     )
     kept = ~np.isnan(found) if found.ndim == 1 else np.ones(len(times), bool)
     return times[kept], found[kept]
+
+
+def view_ranges(path: Path) -> list[tuple[int, int]]:
+    """Absolute ones, ns, of all views of the last layout."""
+    reader = RrdReader(path)
+    found = []
+    for store in reader.blueprints():
+        for chunk in reader.stream(store=store):
+            batch = chunk.to_record_batch()
+            if "TimeAxis:view_range" in batch.schema.names:
+                for (window,) in batch.column("TimeAxis:view_range").to_pylist():
+                    found.append((window["start"], window["end"]))
+    return [window for window in found if all(isinstance(end, int) for end in window)]

@@ -2,16 +2,15 @@
 
 import subprocess
 import sys
+from types import FunctionType
 
 import pytest
 
-from virtual_bus.bus import bit_length
+from virtual_bus.bus.bit_length import frame_bits
 
 
 @pytest.mark.long
-@pytest.mark.skipif(
-    bit_length.frame_bits.__class__.__name__ == "function", reason="interpreted, numba counts bits"
-)
+@pytest.mark.skipif(isinstance(frame_bits, FunctionType), reason="interpreted: numba counts bits")
 @pytest.mark.parametrize(
     "module",
     [

@@ -20,7 +20,7 @@ from hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, 
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary, summarise
 from hil.verdict.verdict import VerdictLimits
-from tests.rrd_columns import columns, numbers
+from tests.rrd_columns import columns, numbers, view_ranges
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -230,23 +230,10 @@ def _view_names(batch: object) -> list[str]:
 def test_the_overview_opens_on_the_whole_run(recording: Path) -> None:
     """Not on the viewer's own window of a minute: each of its views has the range of the run."""
     found = [
-        (low, high) for low, high in _time_ranges(recording) if low <= 0 and high >= (CYCLES - 1) * NS_PER_MS
+        (low, high) for low, high in view_ranges(recording) if low <= 0 and high >= (CYCLES - 1) * NS_PER_MS
     ]
     assert len(found) >= 5
     assert all(high - low < 1.2 * CYCLES * NS_PER_MS for low, high in found)
-
-
-def _time_ranges(path: Path) -> list[tuple[int, int]]:
-    """Absolute ones, ns, of all views of the last layout."""
-    reader = RrdReader(path)
-    found = []
-    for store in reader.blueprints():
-        for chunk in reader.stream(store=store):
-            batch = chunk.to_record_batch()
-            if "TimeAxis:view_range" in batch.schema.names:
-                for (window,) in batch.column("TimeAxis:view_range").to_pylist():
-                    found.append((window["start"], window["end"]))
-    return [window for window in found if all(isinstance(end, int) for end in window)]
 
 
 def test_a_long_run_has_an_envelope_beside_its_rows(tmp_path: Path) -> None:

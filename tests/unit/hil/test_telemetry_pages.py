@@ -18,7 +18,7 @@ from hil.rows.records import FATE_MISSED, NOTHING, Rows
 from hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.verdict.summary import summarise
 from hil.verdict.verdict import Check, LimitResult
-from tests.rrd_columns import columns, numbers
+from tests.rrd_columns import columns, numbers, view_ranges
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows
 from tests.unit.hil.test_summary import summary_with
@@ -48,19 +48,6 @@ def write(
 def names(path: Path) -> set[str]:
     """Of all entities."""
     return {str(chunk.entity_path) for chunk in RrdReader(path).stream()}
-
-
-def windows(path: Path) -> list[tuple[int, int]]:
-    """Absolute ones of the views, ns."""
-    reader = RrdReader(path)
-    found = []
-    for store in reader.blueprints():
-        for chunk in reader.stream(store=store):
-            batch = chunk.to_record_batch()
-            if "TimeAxis:view_range" in batch.schema.names:
-                for (window,) in batch.column("TimeAxis:view_range").to_pylist():
-                    found.append((window["start"], window["end"]))
-    return [window for window in found if all(isinstance(end, int) for end in window)]
 
 
 def shown(path: Path, track: str) -> list[tuple[float, str]]:
@@ -144,7 +131,9 @@ def test_pages_open_on_the_cycles_and_some_of_what_was_around_them(
     path = write(plan, [rows[:50], rows[50:]], events)
     margin = (end_ms - begin_ms) * MS // 50
     expected = (begin_ms * MS - margin, end_ms * MS + margin)
-    assert any(window == pytest.approx(expected, abs=2_000) for window in windows(path)), windows(path)
+    assert any(window == pytest.approx(expected, abs=2_000) for window in view_ranges(path)), view_ranges(
+        path
+    )
 
 
 def test_an_event_of_an_injected_fault_is_a_window_to_the_end(plan: RecordingPlan) -> None:
