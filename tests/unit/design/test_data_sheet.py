@@ -172,6 +172,15 @@ def test_a_published_motor_has_its_published_figures() -> None:
     assert figures["tau_mechanical_ms"] == pytest.approx(4.303, rel=1e-3)
 
 
+def test_speeds_at_a_torque_are_told_in_turns_a_minute() -> None:
+    motor = HURST300.motor()
+    figures = motor_figures(motor)
+    for key, torque_nm in (("rated", motor.rated_torque_nm), ("peak", motor.torque_max_nm)):
+        turns = figures[f"base_speed_{key}_torque_rpm"] / 60.0
+        assert turns * 2.0 * math.pi == pytest.approx(speed_limit(motor, torque_nm), rel=1e-12)
+        assert torque_limit(motor, np.array([turns * 2.0 * math.pi]))[0] == pytest.approx(torque_nm, rel=1e-3)
+
+
 @pytest.mark.parametrize("wrong", ["ke_line_vpk_krpm", "ke_phase_vrms_krpm", "ke_phase_vpk_krpm"])
 def test_a_published_motor_in_the_wrong_convention_is_refused(wrong: str) -> None:
     assert list(replace(HURST300, flux={wrong: 4.753}).contradictions())
