@@ -20,6 +20,8 @@ from design.papers.ling2012 import (
     table2_row,
 )
 
+pytestmark = pytest.mark.xdist_group("ling2012")
+
 
 def test_printed_controller() -> None:
     found = published_design()

@@ -12,7 +12,7 @@ from design.sampled.loss_patterns import slowest_pattern, worst_gain
 from design.speed.sampled_design import least_sampled_gain
 from design.speed.speed_design import SpeedDesign, least_gain
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.xdist_group("sampled design")]
 
 NETWORK = SampledNetwork(Strategy.ARRIVAL, 0.002, 1, 0.001)
 
