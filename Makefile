@@ -38,8 +38,6 @@ TOOLS   := $(VENV)/.tools
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Tests, swarms and mutants start hundreds of processes: each would compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
-# The matrices are small: a second thread costs more than it saves, and takes a core from the tests beside it.
-export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
 .PHONY: help setup compile pure wheel demo check format test unit test-dask test-vcan truth swarm rehearsals mutate pictures exits bench docs lock clean
