@@ -19,10 +19,6 @@ Tap = Callable[[Direction, int, bytes, bool, bool, Instant], None]
 """Sees every frame: direction, identifier, data, extended, remote, instant."""
 
 
-ERROR_FLAG: Final = 0x2000_0000
-"""CAN_ERR_FLAG of linux/can.h. An identifier that bears it is that of an error frame, told by the adapter."""
-
-
 UNTOLD: Final = Instant(-1)
 """No instant of a hand-over is known."""
 

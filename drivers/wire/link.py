@@ -6,9 +6,10 @@ import can
 
 from drivers.errors import BusDown
 from drivers.timebase import Clock, Instant
-from drivers.wire.frame_port import ERROR_FLAG, UNTOLD, CallbackTap, EchoBasis, FramePort, FrameTap, WireFrame
+from drivers.wire.frame_port import UNTOLD, CallbackTap, EchoBasis, FramePort, FrameTap, WireFrame
 from drivers.wire.frame_port import Direction as Direction
 from drivers.wire.frame_port import Tap as Tap
+from drivers.wire.identifiers import ERROR_FLAG
 from drivers.wire.message_port import MessagePort
 from drivers.wire.message_port import StampSource as StampSource
 

@@ -3,7 +3,8 @@
 import can
 
 from drivers.timebase import Instant
-from drivers.wire.frame_port import ERROR_FLAG, WireFrame
+from drivers.wire.frame_port import WireFrame
+from drivers.wire.identifiers import ERROR_FLAG
 
 
 def frame_of(message: can.Message) -> WireFrame:

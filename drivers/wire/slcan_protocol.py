@@ -12,6 +12,7 @@ from enum import IntFlag
 from typing import NamedTuple
 
 from drivers.wire.frame_port import WireFrame
+from drivers.wire.identifiers import EXTENDED_ID_MAX, STANDARD_ID_MAX
 
 CR, BEL = b"\r", b"\a"
 _BITRATES_BIT_S = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
@@ -105,7 +106,7 @@ def decode_frame(text: bytes) -> WireFrame | None:
     kind, digits, length, rest = match.groups()
     can_id, extended, remote = int(digits, 16), kind in b"TR", kind in b"rR"
     end = 0 if remote else 2 * int(length)
-    if can_id > (0x1FFFFFFF if extended else 0x7FF) or len(rest) not in (end, end + 4):
+    if can_id > (EXTENDED_ID_MAX if extended else STANDARD_ID_MAX) or len(rest) not in (end, end + 4):
         return None
     data = bytes.fromhex(rest[:end].decode("ascii"))
     return WireFrame(can_id, data, extended, remote, int(length) if remote else 0)

@@ -10,7 +10,8 @@ import can
 from can.interfaces.socketcan import SocketcanBus
 
 from drivers.timebase import NS_PER_S, Clock, Instant, MonotonicClock, wall_between
-from drivers.wire.frame_port import ERROR_FLAG, EchoBasis, FramePort, WireFrame
+from drivers.wire.frame_port import EchoBasis, FramePort, WireFrame
+from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG, STANDARD_ID_MAX
 from drivers.wire.socketcan_stamps import (
     ANCILLARY_BYTES,
     HARDWARE_STAMPS,
@@ -27,8 +28,6 @@ RECEIVE_BUFFER_BYTES = 4 << 20
 
 _FRAME = Struct("=IB3x8s")
 """struct can_frame: identifier with flags, length, data."""
-_EXTENDED, _REMOTE = 0x80000000, 0x40000000
-"""CAN_EFF_FLAG and CAN_RTR_FLAG of linux/can.h."""
 _SO_RCVBUFFORCE = 33
 """asm-generic/socket.h."""
 _FIRST_COMPARISONS = 8
@@ -72,10 +71,10 @@ class SocketcanPort(FramePort):
         self.came_own = bool(flags & _MSG_CONFIRM)
         self.came_at = self._stamp(ancillary)
         word, length, data = _FRAME.unpack(frame)
-        remote, extended = bool(word & _REMOTE), bool(word & _EXTENDED)
+        remote, extended = bool(word & REMOTE_FLAG), bool(word & EXTENDED_FLAG)
         if word & ERROR_FLAG:
-            return WireFrame(word & (ERROR_FLAG | 0x1FFFFFFF), data[:length])
-        can_id = word & (0x1FFFFFFF if extended else 0x7FF)
+            return WireFrame(word & (ERROR_FLAG | EXTENDED_ID_MAX), data[:length])
+        can_id = word & (EXTENDED_ID_MAX if extended else STANDARD_ID_MAX)
         payload = b"" if remote else data[:length]
         return WireFrame(can_id, payload, extended, remote, length if remote else 0)
 
@@ -83,7 +82,7 @@ class SocketcanPort(FramePort):
         """Queue a frame; raises can.CanOperationError if the interface is down or its queue is full."""
         can_id, data, extended = frame.can_id, frame.data, frame.extended
         remote, remote_length = frame.remote, frame.remote_length
-        word = can_id | (_EXTENDED if extended else 0) | (_REMOTE if remote else 0)
+        word = can_id | (EXTENDED_FLAG if extended else 0) | (REMOTE_FLAG if remote else 0)
         length = remote_length if remote else len(data)
         try:
             self._socket.send(_FRAME.pack(word, length, data), socket.MSG_DONTWAIT)

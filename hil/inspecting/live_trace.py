@@ -8,7 +8,8 @@ import can
 from drivers.errors import BusDown
 from drivers.timebase import NS_PER_MS, Duration, Instant, MonotonicClock
 from drivers.wire.adapters import BusSpec
-from drivers.wire.frame_port import ERROR_FLAG, FramePort
+from drivers.wire.frame_port import FramePort
+from drivers.wire.identifiers import ERROR_FLAG
 from drivers.wire.message_port import MessagePort
 from hil.inspecting.scanning import ScanPlan, open_to_look
 from hil.reviewing.trace.log_frame import LogFrame

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_US
+from drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
 from hil.rows.run_files import DIRECTION_BYTES
-from hil.rows.side_rows import EXTENDED_FLAG, REMOTE_FLAG
 
 _HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
 _IDENTIFIER_MASK = (1 << 30) - 1

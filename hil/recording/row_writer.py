@@ -2,10 +2,11 @@
 
 from drivers.timebase import Instant
 from drivers.wire.frame_port import FrameTap
+from drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
 from hil.loop.samples import CycleRecord
 from hil.recording.ring import RingWriter
 from hil.rows.records import row_of
-from hil.rows.side_rows import EXTENDED_FLAG, REMOTE_FLAG, frame_row
+from hil.rows.side_rows import frame_row
 
 
 class RowWriter(FrameTap):

@@ -2,20 +2,19 @@
 
 from drivers.canopen.cob_ids import BROADCASTS, NODE_BITS, SERVICES
 from drivers.canopen.error_codes import error_text
+from drivers.wire.identifiers import ERROR_FLAG, STANDARD_ID_MAX
 
 _EMCY_CODE_BYTES = 2
-_ERROR_FRAME = 0x2000_0000
-"""CAN_ERR_FLAG, by which a log marks an error frame."""
 
 
 def frame_name(can_id: int, data: bytes = b"") -> str:
     """In words, e.g. ``EMCY of node 1, 4310h excess temperature of the drive``."""
     if can_id in BROADCASTS:
         return BROADCASTS[can_id]
-    if can_id & _ERROR_FRAME:
+    if can_id & ERROR_FLAG:
         return "error frame"
     service, node = SERVICES.get(can_id & ~NODE_BITS), can_id & NODE_BITS
-    if service is None or not node or can_id > 0x7FF:
+    if service is None or not node or can_id > STANDARD_ID_MAX:
         return "no identifier of CANopen"
     if service == "EMCY" and len(data) >= _EMCY_CODE_BYTES:
         code = int.from_bytes(data[:_EMCY_CODE_BYTES], "little")

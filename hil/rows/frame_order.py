@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_MS
-from drivers.wire.frame_port import ERROR_FLAG
+from drivers.wire.identifiers import ERROR_FLAG
 from hil.rows.side_rows import FRAME_DTYPE
 
 JITTER_NS: Final = 20 * NS_PER_MS

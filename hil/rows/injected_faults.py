@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.wire.identifiers import EXTENDED_FLAG
 from hil.rows.side_rows import StateEvent, TextEvent
-from virtual_bus.faults.fault_log import EXTENDED_FLAG, HOST_KINDS, FaultEntry
+from virtual_bus.faults.fault_log import HOST_KINDS, FaultEntry
 from virtual_bus.faults.log_kind import NONE
 from virtual_bus.faults.node_fault import NodeEvent
 from virtual_bus.faults.node_faults import node_kind

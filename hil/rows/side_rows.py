@@ -9,10 +9,6 @@ from numpy.typing import NDArray
 
 from drivers.timebase import Instant
 
-EXTENDED_FLAG: Final = 1 << 31
-REMOTE_FLAG: Final = 1 << 30
-"""Flags beside the identifier, at the places where SocketCAN has them (struct can_frame)."""
-
 FRAME: Final = struct.Struct("<qIBBxx8s")
 FRAME_DTYPE: Final = np.dtype(
     {
@@ -27,7 +23,7 @@ number of the segment, 0 for the first."""
 
 
 def frame_row(at: Instant, can_id: int, sent: int, data: bytes) -> bytes:
-    """A row of FRAME; ``can_id`` with its flags."""
+    """A row of FRAME; ``can_id`` with its flags (:mod:`drivers.wire.identifiers`)."""
     row = BytesWriter()
     write_i64_le(row, at)
     write_i64_le(row, can_id | len(data) << 32 | sent << 40)

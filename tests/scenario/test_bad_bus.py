@@ -17,7 +17,7 @@ from drivers.cia402.servo import ServoDrive
 from drivers.errors import BusDown
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.frame_port import ERROR_FLAG
+from drivers.wire.identifiers import ERROR_FLAG
 from drivers.wire.link import BusLink, StampSource
 from hil.cli import app
 from hil.testing.bench_runs import BenchRunner

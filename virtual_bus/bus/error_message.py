@@ -4,7 +4,7 @@ from typing import Final
 
 import can
 
-from drivers.wire.frame_port import ERROR_FLAG
+from drivers.wire.identifiers import ERROR_FLAG
 from virtual_bus.bus.controller import PASSIVE_FROM, CanController, ErrorState
 from virtual_bus.bus.disturbance import BusError, ErrorKind
 from virtual_bus.frame import Frame

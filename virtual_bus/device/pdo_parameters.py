@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from drivers.canopen import cob_ids
+from drivers.wire.identifiers import EXTENDED_ID_MAX
 from virtual_bus.device.pdo_codec import Field, resolve, resolve_all
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 from virtual_bus.device.station import Station
@@ -80,7 +81,7 @@ class PdoParameters:
         # Bits 0..29 stay while the PDO exists and goes on to exist; bit 30 may not be changed either.
         if self.exists and value != self.parameter(1):
             return AbortCode.INVALID_VALUE
-        if cob_ids.restricted(value & cob_ids.CAN_ID) or value & 0x1FFFFFFF & ~cob_ids.CAN_ID:
+        if cob_ids.restricted(value & cob_ids.CAN_ID) or value & EXTENDED_ID_MAX & ~cob_ids.CAN_ID:
             return AbortCode.INVALID_VALUE
         return None
 

@@ -7,10 +7,11 @@ so at a probability p a frame takes 1 / (1 - p) attempts in the mean.
 from collections.abc import Callable
 
 from drivers.timebase import Instant
+from drivers.wire.identifiers import EXTENDED_FLAG
 from virtual_bus.bus.bit_length import frame_bits
 from virtual_bus.bus.disturbance import Disturbance
 from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, FaultLog
+from virtual_bus.faults.fault_log import KIND_CODES, FaultLog
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.fault_streams import UniformStream
 from virtual_bus.faults.frame_fault import node_of

@@ -10,8 +10,9 @@ from typing import Final
 from mypy_extensions import mypyc_attr
 
 from drivers.timebase import Duration, Instant
+from drivers.wire.identifiers import EXTENDED_FLAG
 from virtual_bus.bus.judge import LOST, Direction, Judge
-from virtual_bus.faults.fault_log import AT_NODE, EXTENDED_FLAG, KIND_CODES, FaultLog
+from virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultLog
 from virtual_bus.faults.frame_fault import node_of
 from virtual_bus.faults.log_kind import NONE, UNDAMAGED
 from virtual_bus.faults.register import LOG_KINDS

@@ -7,12 +7,13 @@ not. So a change of one fault never shifts the draws of another.
 """
 
 from drivers.timebase import Instant
+from drivers.wire.identifiers import EXTENDED_FLAG, STANDARD_ID_MAX
 from virtual_bus.bus.judge import Direction
 from virtual_bus.faults.fates import FateSource, Queue, Route
-from virtual_bus.faults.fault_log import EXTENDED_FLAG, FaultLog
+from virtual_bus.faults.fault_log import FaultLog
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.fault_streams import UniformStream
-from virtual_bus.faults.frame_fault import STANDARD_ID_MAX, FrameFault, node_of
+from virtual_bus.faults.frame_fault import FrameFault, node_of
 from virtual_bus.faults.strikes import Hold, Strike
 
 

@@ -28,8 +28,8 @@ from librt.strings import BytesWriter, write_i64_le
 
 from drivers.bounded_file import parse_json
 from drivers.errors import BadInput
+from drivers.wire.identifiers import EXTENDED_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
 from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.frame_fault import EXTENDED_ID_MAX, STANDARD_ID_MAX
 from virtual_bus.faults.log_kind import NONE, LogNumber
 from virtual_bus.faults.register import LOG_KINDS
 
@@ -48,8 +48,6 @@ _DELAY_LINE: Final = '{"kind":"delay","at_ns":%d,"direction":"%s","can_id":%d,"n
 _COMPACT: Final = (",", ":")
 AT_NODE: Final = len(Direction)
 """A frame's link at a drive's own connection is its direction plus so many times the drive's node id."""
-EXTENDED_FLAG: Final = 1 << 31
-"""In ``can_id``: an extended frame."""
 
 _ENTRY: Final = struct.Struct("<8q")
 _BLOCK_ENTRIES: Final = 60

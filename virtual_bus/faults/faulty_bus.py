@@ -20,7 +20,8 @@ import can.typechecking
 from can.broadcastmanager import CyclicSendTaskABC
 
 from drivers.timebase import NEVER, NS_PER_S, Clock, Instant
-from drivers.wire.frame_port import ERROR_FLAG, FramePort
+from drivers.wire.frame_port import FramePort
+from drivers.wire.identifiers import ERROR_FLAG
 from drivers.wire.message import frame_of, message_of
 from drivers.wire.message_port import MessagePort, StampSource
 from virtual_bus.bus.held_frames import HeldFrames

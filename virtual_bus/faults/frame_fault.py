@@ -8,6 +8,7 @@ from pydantic import Field, PlainValidator, model_validator
 from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.errors import BadInput
 from drivers.timebase import NEVER
+from drivers.wire.identifiers import EXTENDED_ID_MAX, STANDARD_ID_MAX
 from virtual_bus.bus.judge import Direction
 from virtual_bus.faults.fault_streams import UniformStream
 from virtual_bus.faults.fault_table import NodeIds, TimeWindow, require
@@ -15,8 +16,6 @@ from virtual_bus.faults.strikes import Hold, Strike
 
 BROADCAST: Final = 0
 """Stands for the node of a frame that belongs to no single one."""
-STANDARD_ID_MAX: Final = 0x7FF
-EXTENDED_ID_MAX: Final = 0x1FFF_FFFF
 
 Side = Literal["host", "drive"]
 """Whose connection to the bus: that of the host, or of a drive as through a gateway between bus and drive."""

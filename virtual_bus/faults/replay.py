@@ -7,16 +7,9 @@ from pathlib import Path
 
 from drivers.bounded_file import NamedBy, read_lines
 from drivers.timebase import Duration
+from drivers.wire.identifiers import EXTENDED_FLAG
 from virtual_bus.faults.fates import FateSource, Queue, Route
-from virtual_bus.faults.fault_log import (
-    EXTENDED_FLAG,
-    FRAME_KINDS,
-    HOST_KINDS,
-    NODE_KINDS,
-    FaultEntry,
-    FaultLog,
-    read_line,
-)
+from virtual_bus.faults.fault_log import FRAME_KINDS, HOST_KINDS, NODE_KINDS, FaultEntry, FaultLog, read_line
 from virtual_bus.faults.kinds.corruption import ERROR_FRAME
 
 SIZE_MAX_BYTES = 4_000_000_000

@@ -10,7 +10,8 @@ import can
 from drivers.errors import BusDown
 from drivers.timebase import NEVER, NS_PER_MS, Clock, Instant
 from drivers.wire.frame_port import FramePort
-from drivers.wire.message_port import ERROR_FLAG, MessagePort, StampSource
+from drivers.wire.identifiers import ERROR_FLAG
+from drivers.wire.message_port import MessagePort, StampSource
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.error_message import told_bus_off
 from virtual_bus.bus.port import Listener

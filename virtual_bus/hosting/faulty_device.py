@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, cast
 
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.timebase import NEVER, Instant
+from drivers.wire.identifiers import EXTENDED_FLAG
 from virtual_bus.bus.held_frames import HeldFrames
 from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.port import Port
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.faults.fates import FateSource, Queue
-from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, FaultLog
+from virtual_bus.faults.fault_log import KIND_CODES, FaultLog
 from virtual_bus.faults.node_fault import NodeEvent
 from virtual_bus.faults.node_faults import NodeSource, node_kind
 from virtual_bus.frame import Frame

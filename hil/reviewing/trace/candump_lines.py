@@ -13,7 +13,8 @@ from datetime import UTC, datetime
 from typing import Final
 
 from drivers.timebase import NS_PER_S
-from hil.reviewing.trace.log_frame import LogFrame
+from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
+from hil.reviewing.trace.log_frame import CLASSICAL_BYTES_MAX, FD_BYTES_MAX, LogFrame
 
 _STAMP: Final = rb"\((?:(?P<date>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)|(?P<s>\d{1,12}))\.(?P<part>\d{1,9})\)"
 _ID: Final = rb"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
@@ -28,10 +29,6 @@ _SHOWN: Final = re.compile(
 )  # fmt: skip
 _COLOUR: Final = re.compile(rb"\x1b\[[0-9;]*m")
 _EXTENDED_DIGITS: Final = 8
-_ERROR_FLAG: Final = 0x2000_0000
-_ID_MASK: Final = 0x1FFF_FFFF
-_CLASSICAL_MAX: Final = 8
-_FD_MAX: Final = 64
 
 
 def frame_of_line(line: bytes, number: int) -> LogFrame | None:
@@ -49,12 +46,12 @@ def frame_of_line(line: bytes, number: int) -> LogFrame | None:
         return None
     digits = match["id"]
     can_id, extended = int(digits, 16), len(digits) == _EXTENDED_DIGITS
-    error = extended and bool(can_id & _ERROR_FLAG)
-    if can_id > (_ID_MASK | _ERROR_FLAG if extended else 0x7FF):
+    error = extended and bool(can_id & ERROR_FLAG)
+    if can_id > (EXTENDED_ID_MAX | ERROR_FLAG if extended else STANDARD_ID_MAX):
         return None
     channel = match["channel"].decode("utf-8", "replace")
     sent = (match["sent"] or b"").decode()
-    can_id &= _ID_MASK
+    can_id &= EXTENDED_ID_MAX
     return LogFrame(number, at_ns, channel, can_id, data, extended and not error, remote, error, fd, sent)
 
 
@@ -81,7 +78,7 @@ def _logged(match: re.Match[bytes]) -> tuple[bytes, bool, bool]:
     """Data, and whether it is a remote or a CAN FD frame. Raises ValueError for what no frame has."""
     data = bytes.fromhex(match["data"].replace(b".", b"").decode())
     remote, fd = match["remote"] is not None, match["fd"] is not None
-    if len(data) > (0 if remote else _FD_MAX if fd else _CLASSICAL_MAX):
+    if len(data) > (0 if remote else FD_BYTES_MAX if fd else CLASSICAL_BYTES_MAX):
         raise ValueError(match["data"])
     return data, remote, fd
 
@@ -92,6 +89,6 @@ def _shown(match: re.Match[bytes]) -> tuple[bytes, bool, bool]:
     if rest.startswith(b"remote request"):
         return b"", True, False
     words = rest.split(None, length)
-    if length > _FD_MAX or len(words) < length or any(len(word) != 2 for word in words[:length]):
+    if length > FD_BYTES_MAX or len(words) < length or any(len(word) != 2 for word in words[:length]):
         raise ValueError(rest)
     return bytes(int(word, 16) for word in words[:length]), False, len(match["length"]) == 2

@@ -13,7 +13,8 @@ from struct import Struct
 from typing import BinaryIO, Final, NamedTuple
 
 from drivers.timebase import NS_PER_S
-from hil.reviewing.trace.log_frame import LogFrame
+from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG, STANDARD_ID_MAX
+from hil.reviewing.trace.log_frame import CLASSICAL_BYTES_MAX, FD_BYTES_MAX, LogFrame
 
 PCAP_MAGICS: Final = {
     b"\xd4\xc3\xb2\xa1": ("<", 1000),
@@ -29,12 +30,9 @@ _SOCKETCAN, _COOKED, _COOKED_2, _UPPER_PDU = 227, 113, 276, 252
 _COOKED_PROTOCOLS: Final = (0x000C, 0x000D)
 """LINUX_SLL_P_CAN, LINUX_SLL_P_CANFD."""
 _OUTGOING: Final = 4
-_EXTENDED, _REMOTE, _ERROR = 1 << 31, 1 << 30, 1 << 29
 _FD_FRAME: Final = 0x04
 """CANFD_FDF in the flags behind the length."""
 _HEADER: Final = 8
-_CLASSICAL_MAX: Final = 8
-_FD_MAX: Final = 64
 
 
 class BrokenCapture(Exception):
@@ -172,13 +170,13 @@ def _frame(
     if len(data) < _HEADER:
         return OtherPacket(number)
     word, length, flags = Struct(id_order + "IBB").unpack_from(data)
-    fd = bool(flags & _FD_FRAME) or length > _CLASSICAL_MAX
-    if length > _FD_MAX or (not word & _REMOTE and len(data) < _HEADER + length):
+    fd = bool(flags & _FD_FRAME) or length > CLASSICAL_BYTES_MAX
+    if length > FD_BYTES_MAX or (not word & REMOTE_FLAG and len(data) < _HEADER + length):
         return OtherPacket(number)
-    remote, error = bool(word & _REMOTE), bool(word & _ERROR)
-    can_id = word & (0x1FFF_FFFF if word & (_EXTENDED | _ERROR) else 0x7FF)
+    remote, error = bool(word & REMOTE_FLAG), bool(word & ERROR_FLAG)
+    can_id = word & (EXTENDED_ID_MAX if word & (EXTENDED_FLAG | ERROR_FLAG) else STANDARD_ID_MAX)
     payload = b"" if remote else data[_HEADER : _HEADER + length]
-    extended = bool(word & _EXTENDED) and not error
+    extended = bool(word & EXTENDED_FLAG) and not error
     return LogFrame(number, at_ns, link.name, can_id, payload, extended, remote, error, fd, sent)
 
 

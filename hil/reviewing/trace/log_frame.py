@@ -1,6 +1,9 @@
 """A frame as a log has it."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+CLASSICAL_BYTES_MAX: Final = 8
+FD_BYTES_MAX: Final = 64
 
 
 class LogFrame(NamedTuple):

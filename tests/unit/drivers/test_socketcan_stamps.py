@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant, MonotonicClock, wall_between
-from drivers.wire.frame_port import ERROR_FLAG, EchoBasis, WireFrame
+from drivers.wire.frame_port import EchoBasis, WireFrame
+from drivers.wire.identifiers import ERROR_FLAG
 from drivers.wire.socketcan import SocketcanPort
 from drivers.wire.socketcan_stamps import (
     ANCILLARY_BYTES,

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_MS, NS_PER_S
-from drivers.wire.frame_port import ERROR_FLAG
+from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG
 from hil.rows.frame_order import JITTER_NS, SILENCE_NS, FrameOrder
-from hil.rows.side_rows import EXTENDED_FLAG, FRAME, FRAME_DTYPE
+from hil.rows.side_rows import FRAME, FRAME_DTYPE
 
 SENT, RECEIVED, SENT_ON_SECOND, RECEIVED_ON_SECOND = 1, 0, 3, 2
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant
+from drivers.wire.identifiers import EXTENDED_FLAG
 from tests.fates import fate_of, keys
 from tests.unit.virtual_bus.test_faults import IN, MS, OUT, RPDO1, TPDO1, TPDO2, uniform
 from tests.unit.virtual_bus.test_special_faults import ONE_OF_EACH
@@ -17,7 +18,6 @@ from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.fault_injector import FaultInjector
 from virtual_bus.faults.fault_log import (
     BLOCK_BYTES,
-    EXTENDED_FLAG,
     KIND_CODES,
     KINDS,
     FaultEntry,
