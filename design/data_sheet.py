@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from design.errors import DesignError
-from design.motor import PmsmParameters, Transform
+from design.motor import RAD_S_PER_KRPM, PmsmParameters, Transform
 
 COPPER_C = 235.0
 """R is proportional to this plus the winding's temperature in degrees C: copper, IEC 60034-1."""
@@ -33,8 +33,6 @@ LOSSES = 0.25
 SATURATION = 0.5
 """The same towards the peak."""
 
-_KRPM = 1000.0 * math.pi / 30.0
-"""1000 r/min in rad/s."""
 _SIX_STEP = 3.0 * math.sqrt(3.0) / math.pi
 """Mean of three phases' rectified voltage, over the peak of one."""
 
@@ -42,10 +40,10 @@ FLUX_FACTORS: Mapping[str, float] = {
     "kt_nm_arms": 3.0 / math.sqrt(2.0),
     "kt_nm_apk": 1.5,
     "kt_nm_adc": _SIX_STEP,
-    "ke_line_vrms_krpm": math.sqrt(1.5) * _KRPM,
-    "ke_line_vpk_krpm": math.sqrt(3.0) * _KRPM,
-    "ke_phase_vrms_krpm": math.sqrt(0.5) * _KRPM,
-    "ke_phase_vpk_krpm": _KRPM,
+    "ke_line_vrms_krpm": math.sqrt(1.5) * RAD_S_PER_KRPM,
+    "ke_line_vpk_krpm": math.sqrt(3.0) * RAD_S_PER_KRPM,
+    "ke_phase_vrms_krpm": math.sqrt(0.5) * RAD_S_PER_KRPM,
+    "ke_phase_vpk_krpm": RAD_S_PER_KRPM,
 }
 """What a sheet may give for p phi -> that figure per p phi in V s. The first that is given makes the flux."""
 SPEED_FACTORS: Mapping[str, float] = {

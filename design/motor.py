@@ -15,6 +15,9 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+RAD_S_PER_KRPM = 1000.0 * math.pi / 30.0
+"""1000 r/min in rad/s: EMF constants are given for so much."""
+
 
 class Transform(Enum):
     """Scaling of the three-phase to dq transform."""

@@ -5,11 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from design.motor import PmsmParameters, Transform
+from design.motor import RAD_S_PER_KRPM, PmsmParameters, Transform
 
 Array = NDArray[np.float64]
-
-_KRPM = 1000.0 * math.pi / 30.0
 
 
 def phase_emf_constant(motor: PmsmParameters) -> float:
@@ -61,7 +59,7 @@ def motor_figures(motor: PmsmParameters) -> dict[str, float]:
     return {
         "kt_nm_arms": 3.0 / math.sqrt(2.0) * emf,
         "kt_nm_apk": 1.5 * emf,
-        "ke_line_vrms_krpm": math.sqrt(1.5) * emf * _KRPM,
+        "ke_line_vrms_krpm": math.sqrt(1.5) * emf * RAD_S_PER_KRPM,
         "rated_current_arms": motor.rated_current_a * peak / math.sqrt(2.0),
         "peak_current_arms": motor.current_max_a * peak / math.sqrt(2.0),
         "peak_torque_nm": motor.torque_max_nm,

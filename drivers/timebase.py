@@ -17,6 +17,7 @@ Duration = NewType("Duration", int)
 NS_PER_US: Final = 1_000
 NS_PER_MS: Final = 1_000_000
 NS_PER_S: Final = 1_000_000_000
+US_PER_S: Final = 1_000_000.0
 NS_PER_100_US: Final = 100_000
 """The unit of CANopen's inhibit times (CiA 301, 7.5.2.18 and 7.5.2.37)."""
 NEVER: Final = Instant(1 << 62)

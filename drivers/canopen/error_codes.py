@@ -3,12 +3,15 @@
 import tomllib
 from enum import IntFlag
 from importlib.resources import files
+from typing import Final
 
 from drivers.vendors.families import codes_of
 
 _TABLES = tomllib.loads(files(__package__).joinpath("error_codes.toml").read_text("utf-8"))
 ERROR_TEXTS: dict[int, str] = {int(code, 16): text for code, text in _TABLES["codes"].items()}
 """Error codes of 0x603F and of EMCY, CiA 402-1 (error codes) and CiA 301 table 26."""
+NO_ERROR: Final = 0x0000
+"""The EMCY that says that all errors are gone (CiA 301 7.2.7.1)."""
 
 
 class ErrorRegister(IntFlag):

@@ -12,7 +12,7 @@ a yes for a 0.
 
 from collections.abc import Iterator
 from struct import Struct
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.canopen.cob_ids import LSS_ANSWER, LSS_REQUEST
 from drivers.canopen.network import CanopenNetwork
@@ -43,7 +43,8 @@ _IDENTIFY_UNCONFIGURED, _IDENTIFIED_UNCONFIGURED = 0x4C, 0x50
 _FAST_SCAN, _IDENTIFIED = 0x51, 0x4F
 _INQUIRE_VENDOR = 0x5A
 _WAITING = 0
-_SCAN_RESET = 0x80
+SCAN_RESET: Final = 0x80
+"""Instead of the number of a bit: fast scan begins anew (CiA 305)."""
 _SCAN = Struct("<BLBBB")
 _NUMBER = Struct("<BL3x")
 
@@ -154,7 +155,7 @@ class LssMaster:
         answered = False
         for _ in range(TRIALS):
             asked_at = clock.now()
-            request = _SCAN.pack(_FAST_SCAN, 0, _SCAN_RESET, 0, 0)
+            request = _SCAN.pack(_FAST_SCAN, 0, SCAN_RESET, 0, 0)
             if self._ask(request, Duration(LATE_BY * ANSWER_NS), _IDENTIFIED) is not None:
                 answered = True
                 slowest = max(slowest, clock.now() - asked_at)
@@ -185,7 +186,7 @@ class LssMaster:
         if self._followed == known:
             return True
         self.to_waiting()
-        self._ask(_SCAN.pack(_FAST_SCAN, 0, _SCAN_RESET, 0, 0), wait, _IDENTIFIED)
+        self._ask(_SCAN.pack(_FAST_SCAN, 0, SCAN_RESET, 0, 0), wait, _IDENTIFIED)
         self._network.pump(Instant(self._network.clock.now() + wait // 2))
         steps = (self._scan_step(number, 0, part, part + 1, wait) for part, number in enumerate(known))
         self._followed = known if all(steps) else None

@@ -16,6 +16,10 @@ TPDO_MAPPING: Final = 0x1A00
 PDO_PARAMETERS: Final = range(RPDO_COMMUNICATION, TPDO_MAPPING + 0x200)
 MAPPING_OFFSET: Final = 0x200
 """From a PDO's communication parameter to its mapping."""
+PDOS_MAX: Final = 512
+"""In either direction (CiA 301, 7.5.2.35 and 7.5.2.37)."""
+PDO_ENTRIES_MAX: Final = 64
+"""Objects that one PDO can carry, of a bit each (CiA 301, 7.5.2.36)."""
 
 
 class Cia301(IntEnum):

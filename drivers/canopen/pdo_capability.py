@@ -9,12 +9,9 @@ from dataclasses import dataclass, field
 
 from drivers.canopen.cob_ids import CAN_ID, NOT_VALID
 from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.objects301 import mapping_word
+from drivers.canopen.objects301 import PDO_ENTRIES_MAX, mapping_word
 from drivers.canopen.pdo import Key, PdoDirection, PdoEntry, key_of
 from drivers.canopen.sdo import object_name
-
-ENTRIES_MAX = 64
-"""Objects that one PDO can carry, at a bit each (CiA 301 7.5.2.36)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +146,7 @@ def _slot_of_drive(objects: RemoteObjects, direction: PdoDirection, number: int)
     cob_id = objects.read_if_there(communication, 1)
     if cob_id is None:
         return None
-    count = min(objects.read_if_there(mapping, 0, "B") or 0, ENTRIES_MAX)
+    count = min(objects.read_if_there(mapping, 0, "B") or 0, PDO_ENTRIES_MAX)
     words = tuple(objects.read_if_there(mapping, sub) or 0 for sub in range(1, count + 1))
     kind = objects.read_if_there(communication, 2, "B")
     return PdoSlot(direction, number, cob_id, True, kind, True, words, False, count)

@@ -6,7 +6,7 @@ from typing import Final
 from drivers.canopen.nmt import NodeStatus
 from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.objects402 import Object
+from drivers.cia402.objects402 import INTERLOCK, Object
 from drivers.cia402.profile import state_of
 from drivers.cia402.readings import LastStatusword
 from drivers.cia402.state_control import FAULTY, StateControl
@@ -18,8 +18,6 @@ _ENABLED: Final = 0x27
 """OPERATION ENABLED, as :data:`drivers.cia402.profile.STATUS_PATTERNS` has it (CiA 402-2)."""
 _VOLTAGE: Final = 0x10
 """Bit 4 of the statusword, voltage enabled."""
-_INTERLOCK: Final = 1 << 3
-"""Of 60FDh (CiA 402-2): where a drive shows safe torque off."""
 _UNWATCHED: Final = Duration(1 << 62)
 """No silence is as long."""
 
@@ -115,7 +113,7 @@ class DriveWatch:
             inputs = control.objects.read_if_there(Object.DIGITAL_INPUTS, 0, "I")
         if inputs is None:
             cause = "it has no 60FDh that could tell why"
-        elif inputs & _INTERLOCK:
+        elif inputs & INTERLOCK:
             cause = "safe torque off: 60FDh shows an interlock"
         else:
             cause = "60FDh shows no interlock"

@@ -15,7 +15,16 @@ from drivers.canopen.objects import SettingRefused
 from drivers.cia402.drive_setup import write_optional
 from drivers.cia402.mode_control import ModeControl
 from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Control, Mode, State, Status, state_of
+from drivers.cia402.profile import (
+    CHANGE_AT_ONCE,
+    NEW_SET_POINT,
+    RELATIVE,
+    Control,
+    Mode,
+    State,
+    Status,
+    state_of,
+)
 from drivers.cia402.scaling import Scaling
 from drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
 from drivers.errors import DriveInFault
@@ -24,9 +33,7 @@ from drivers.timebase import NS_PER_MS, Instant
 CONFIRM_NS = 5 * NS_PER_MS
 """A bit that is set already when a move begins counts only if it stays for so long: it may be an old one."""
 
-NEW_SET_POINT = START_HOMING = Control.MODE_4
-CHANGE_AT_ONCE = Control.MODE_5
-RELATIVE = Control.MODE_6
+START_HOMING = Control.MODE_4
 ACKNOWLEDGED = HOMED = Status.MODE_12
 HOMING_FAILED = Status.MODE_13
 

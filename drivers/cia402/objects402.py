@@ -5,6 +5,10 @@ the prefix is a signed power of ten (CiA 402-2 clause 8.4, codes of CiA 303-2).
 """
 
 from enum import IntEnum
+from typing import Final
+
+INTERLOCK: Final = 1 << 3
+"""Of 60FDh: motion is forbidden; where a drive shows safe torque off."""
 
 
 class Object(IntEnum):

@@ -14,7 +14,7 @@ The layouts of the TPDOs, the best first:
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from drivers.canopen.objects301 import Cia301
+from drivers.canopen.objects301 import PDO_ENTRIES_MAX, Cia301
 from drivers.canopen.pdo import (
     EVENT_DRIVEN,
     EVERY_SYNC,
@@ -24,7 +24,7 @@ from drivers.canopen.pdo import (
     PdoEntry,
     PdoPlan,
 )
-from drivers.canopen.pdo_capability import ENTRIES_MAX, PdoCapability, PdoSlot, objects_of
+from drivers.canopen.pdo_capability import PdoCapability, PdoSlot, objects_of
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
 
@@ -175,7 +175,7 @@ STANDARD_CODES: dict[Key, str] = {
 STANDARD = PdoCapability(
     tuple(
         PdoSlot(
-            *(direction, number, None, True, None, True, (), True, ENTRIES_MAX),
+            *(direction, number, None, True, None, True, (), True, PDO_ENTRIES_MAX),
             inhibit_writable=True,
             event_timer_writable=True,
         )

@@ -91,6 +91,11 @@ class Control:
     HALT = 1 << 8
 
 
+NEW_SET_POINT: Final = Control.MODE_4
+CHANGE_AT_ONCE: Final = Control.MODE_5
+RELATIVE: Final = Control.MODE_6
+"""Bits of the controlword in PP (CiA 402-2)."""
+
 STATUS_PATTERNS: dict[State, BitPattern] = {
     State.NOT_READY: BitPattern(0x4F, 0x00),
     State.SWITCH_ON_DISABLED: BitPattern(0x4F, 0x40),
@@ -103,16 +108,17 @@ STATUS_PATTERNS: dict[State, BitPattern] = {
 }
 """How the statusword tells the state, CiA 402-2 table "state coding"."""
 
-_STATE_BITS: Final = 0x6F
+STATE_BITS: Final = 0x6F
+"""Of the statusword: those that name the state."""
 _STATE_OF_BITS: tuple[State | None, ...] = tuple(
     next((state for state, pattern in STATUS_PATTERNS.items() if pattern.matches(bits)), None)
-    for bits in range(_STATE_BITS + 1)
+    for bits in range(STATE_BITS + 1)
 )
 
 
 def state_of(statusword: int) -> State | None:
     """The state that a statusword tells; None if its bits are no coding of the standard."""
-    return _STATE_OF_BITS[statusword & _STATE_BITS]
+    return _STATE_OF_BITS[statusword & STATE_BITS]
 
 
 class DriveCommand(Enum):

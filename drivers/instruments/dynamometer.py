@@ -19,10 +19,8 @@ from typing import NamedTuple
 from drivers.errors import NoAnswer, PeerFault
 from drivers.instruments.magtrol import Dialect
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
-from drivers.wire.serial_line import ByteLine, LineFull
+from drivers.wire.serial_line import BITS_A_BYTE, ByteLine, LineFull
 
-BITS_A_BYTE = 10
-"""A start bit, eight of data, a stop bit."""
 BAUD = 9600
 ANSWER_TIMEOUT = Duration(NS_PER_S)
 READING_EVERY = Duration(20 * NS_PER_MS)
@@ -39,8 +37,8 @@ RELEASE_S = 3
 """In which a load must be gone."""
 RESIDUE_NM, RESIDUE_SHARE = 0.02, 0.05
 """What may be left of a load, of itself and of the largest one asked for: drag and the instrument's zero."""
-_LINE_BYTES_MAX = 256
-"""Kept of a line without an end; a data string has 15."""
+LINE_BYTES_MAX = 256
+"""Of a line without an end no more is kept; a data string has 15, and no command is as long."""
 _STEP_NS = 5 * NS_PER_MS
 """While it waits: a quarter of :data:`READING_EVERY`."""
 
@@ -216,7 +214,7 @@ class Dynamometer:
             return
         # CR LF, either alone, or the other way round: instruments and their settings differ
         *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
-        self._rest = rest[-_LINE_BYTES_MAX:]
+        self._rest = rest[-LINE_BYTES_MAX:]
         for line in lines:
             if line:
                 self._take(line, now)

@@ -6,9 +6,9 @@ from typing import Any
 import canopen.objectdictionary as od
 
 from drivers.canopen.data_types import BITS, REAL_BITS, STRUCT_CODES
-from drivers.canopen.objects301 import FIRST_OBJECT
+from drivers.canopen.objects301 import FIRST_OBJECT, PDO_ENTRIES_MAX
 from drivers.canopen.pdo import PdoDirection
-from drivers.canopen.pdo_capability import ENTRIES_MAX, MappedObject, PdoCapability, PdoSlot
+from drivers.canopen.pdo_capability import MappedObject, PdoCapability, PdoSlot
 from drivers.sheets.dictionary import LoadedDictionary, held_by
 
 _PDOS_MAX = 64
@@ -96,7 +96,7 @@ def _entries(mapping: Mapping[int, Any], places: list[int]) -> tuple[int, int]:
     there = len(places)
     if not isinstance(told, int) or told <= 0:
         return there, 0
-    return min(there, told), min(told, ENTRIES_MAX) if told > there else 0
+    return min(there, told), min(told, PDO_ENTRIES_MAX) if told > there else 0
 
 
 def _mapping_words(mapping: Mapping[int, Any]) -> tuple[int, ...]:

@@ -57,8 +57,9 @@ TYPES: Final[Mapping[str, tuple[int, bool]]] = MappingProxyType({
     "UNSIGNED16": (2, False), "INTEGER32": (4, True), "UNSIGNED32": (4, False),
 })  # fmt: skip
 """Data types by their names in CiA 301: octets, and whether signed."""
-_POLE_PAIRS_MAX: Final = 200
-"""Torque motors have some tens; beyond this the object holds something else."""
+POLE_PAIRS_MAX: Final = 200
+"""Torque motors have some tens, and this many make 1 kHz in the windings at 300 r/min: more is a slip of the
+pen, or an object that holds something else."""
 
 
 class NotTold(ValueError):
@@ -112,7 +113,7 @@ class MotorObject:
 
 
 def _is_count(value: float) -> bool:
-    return value == int(value) <= _POLE_PAIRS_MAX
+    return value == int(value) <= POLE_PAIRS_MAX
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

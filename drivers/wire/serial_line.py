@@ -9,14 +9,17 @@ import os
 import select
 import termios
 from collections import deque
-from typing import Protocol
+from typing import Final, Protocol
 
 import serial
 
 from drivers.errors import BusDown
 from drivers.timebase import NS_PER_S, Clock, Instant
 
-READ_BYTES = 4096
+BITS_A_BYTE: Final = 10
+"""A start bit, eight of data, a stop bit."""
+READ_BYTES: Final = 4096
+"""As much as Linux keeps of a terminal's input (N_TTY_BUF_SIZE)."""
 HELD_BYTES_MAX = 4096
 """Bytes that wait for the port to take them; a line of 115200 baud needs a third of a second for them."""
 

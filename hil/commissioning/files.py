@@ -16,15 +16,13 @@ from hil.commissioning.findings import Findings
 from hil.commissioning.outcome import LOSSES_MAX
 from hil.commissioning.session import Session
 from hil.commissioning.steps_design import rounded, suggested_limits
-from hil.configuration.network_file import network_text
+from hil.configuration.network_file import NETWORK_FILE, network_text
 from hil.configuration.toml_text import toml_text
 from hil.restoring.journal import SET_POINTS, ObjectKey
 from hil.restoring.restore import pdo_of
-from hil.rows.run_files import COMMISSIONED_FILE
+from hil.rows.run_files import BENCH_FILE, COMMISSIONED_FILE
 
 MOTOR_FILE: Final = "motor.toml"
-NETWORK_FILE: Final = "network.toml"
-BENCH_FILE: Final = "bench.toml"
 DCF_FILE: Final = "drive.dcf"
 
 _EXERCISE: Final = frozenset({*SET_POINTS, Object.HOMING_METHOD, Object.HOMING_SPEEDS})

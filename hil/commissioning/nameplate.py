@@ -12,19 +12,19 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.told_motor import ToldFigure, ToldMotor, read_told_motor
 from drivers.cia402.unit_factors import WINDING_SLIPS, likely_slip
 from drivers.vendors.families import motor_objects_for
-from drivers.vendors.motor_objects import QUANTITIES
+from drivers.vendors.motor_objects import POLE_PAIRS_MAX, QUANTITIES
 from hil.commissioning.findings import BY_NAMEPLATE, Stated
 from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.session import Session
-from hil.configuration.motor_file import POLE_PAIRS_MAX
 
 _RATING_TOLERANCE: Final = 0.03
 """Plates are printed with three digits, and 6075h and 6076h hold whole mA and mN m."""
 _RATING_SLIP: Final = 1.5
 """Between two words for one rating, as stall and continuous torque: more is a slip of plate or drive."""
 _CONSTANT: Final = "torque_constant_nm_a"
-_CONSTANT_TOLERANCE: Final = 0.1
-"""Between the torque constant that was told and the measured one: magnets differ by percents."""
+CONSTANT_TOLERANCE: Final = 0.1
+"""Between the torque constant that was told and the measured one: ratings are rounded, and magnets differ by
+percents."""
 _SLIP_TOLERANCE: Final = 0.05
 """Slips lie a fifth and more apart, and a plate is good to some percent."""
 _ALIKE: Final = 0.02
@@ -244,7 +244,7 @@ def compare_constant(told: ToldMotor, measured: float, outcome: StepOutcome) -> 
     ratio = measured / figure.value
     outcome.figures["told_nm_a"] = figure.value
     outcome.say(f"{figure.value:.5g} N m/A, {figure}")
-    if abs(ratio - 1.0) > _CONSTANT_TOLERANCE:
+    if abs(ratio - 1.0) > CONSTANT_TOLERANCE:
         outcome.faults.append(
             f"torque and current contradict the torque constant {figure.value:.4g} N m/A, {figure}, by "
             f"{ratio:.4g}: 6076h, the rated current or {figure.object} is wrong"

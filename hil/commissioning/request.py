@@ -10,8 +10,8 @@ from pydantic import Field
 from drivers.bounded_file import NamedBy
 from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.rotation import RAD_S_PER_RPM
+from drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from hil.configuration.config_files import Section, load_file
-from hil.configuration.motor_file import POLE_PAIRS_MAX
 from hil.configuration.quantities import Current, Inductance, Resistance, Speed, Torque, Voltage
 
 

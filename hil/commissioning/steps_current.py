@@ -18,7 +18,7 @@ from drivers.errors import TransferAborted
 from drivers.timebase import Instant
 from hil.commissioning.excitation import TimedTorque
 from hil.commissioning.identify import COVERAGE_FACTOR, Array, slope_error
-from hil.commissioning.nameplate import compare_constant, rated_current
+from hil.commissioning.nameplate import CONSTANT_TOLERANCE, compare_constant, rated_current
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.plots import draw_current
 from hil.commissioning.sequence import Step
@@ -27,8 +27,6 @@ from hil.commissioning.steps_mechanics import guide_mechanics, tells_torque
 
 _CURRENT_S: Final = 1.5
 """Three swings at the slowest, of 2 Hz."""
-_CONSTANT_TOLERANCE: Final = 0.1
-"""Between the torque constant and the nameplate's: ratings are rounded, and magnets differ by percents."""
 
 
 class TorqueConstant(Step):
@@ -112,7 +110,7 @@ class TorqueConstant(Step):
             plate_nm_a = rating.torque_nm / rating.current_a
             outcome.say(f"the nameplate's ratings make {plate_nm_a:.5g} N m/A")
             outcome.figures["nameplate_nm_a"] = plate_nm_a
-            if abs(abs(slope) / plate_nm_a - 1.0) > _CONSTANT_TOLERANCE:
+            if abs(abs(slope) / plate_nm_a - 1.0) > CONSTANT_TOLERANCE:
                 by = abs(slope) / plate_nm_a
                 slip = likely_slip(by, TORQUE_SLIPS, tolerance=0.03)
                 outcome.faults.append(

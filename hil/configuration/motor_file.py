@@ -1,13 +1,14 @@
 """Motor files: the parameters of a PMSM in TOML, turned into :class:`design.motor.PmsmParameters`."""
 
 from pathlib import Path
-from typing import Final, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from design.motor import PmsmParameters, Transform
 from drivers.bounded_file import NamedBy
 from drivers.rotation import RAD_S_PER_RPM
+from drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from hil.configuration.config_files import Section, load_file
 from hil.configuration.quantities import (
     CoulombFriction,
@@ -21,9 +22,6 @@ from hil.configuration.quantities import (
     ViscousFriction,
     Voltage,
 )
-
-POLE_PAIRS_MAX: Final = 200
-"""A motor with as many has 1 kHz in its windings at 300 r/min: more is a slip of the pen."""
 
 
 class Windings(Section):

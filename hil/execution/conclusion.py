@@ -5,6 +5,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
+from drivers.canopen.error_codes import NO_ERROR
 from drivers.canopen.nmt import Emergency
 from drivers.cia402.profile import State
 from drivers.cia402.servo import ServoDrive
@@ -22,8 +23,6 @@ from virtual_bus.hosting.injection import Faults
 TOLD_WITHIN: Final = Duration(100 * NS_PER_MS)
 """From a drive fault that was noticed to its EMCY: the drive sends it at once, and a full bus or a fault that
 holds frames keeps it for tens of ms."""
-NO_ERROR: Final = 0x0000
-"""The EMCY that says that all errors are gone, CiA 301 7.2.7.1."""
 
 
 class Conclusion:

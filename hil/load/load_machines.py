@@ -11,7 +11,7 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import BadInput, PeerFault, TransferAborted
 from drivers.instruments.dynamometer import Dynamometer, LineCounts, LoadReading
-from drivers.timebase import NS_PER_S, Clock, Duration, Instant
+from drivers.timebase import NS_PER_S, US_PER_S, Clock, Duration, Instant
 from drivers.wire.adapters import SIMULATED
 from drivers.wire.serial_line import ByteLine, open_line
 from hil.configuration.config import BenchConfig, LoadMachineConfig
@@ -39,7 +39,6 @@ TOLERANCE = 0.05
 Say = Callable[[str, str], None]
 """Takes a text for the reader and its level."""
 NM_PER_COUNT = 1e-3
-US_PER_S = 1e6
 
 
 class _Plateau:

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from drivers.bounded_file import NoSuchFile
 from drivers.errors import BadInput
@@ -17,6 +16,7 @@ from hil.loop.loop import planned_cycles
 from hil.recording.lanes import error_limit_rpm
 from hil.recording.row_series import main_lines_of
 from hil.recording.run_folder import read_summary
+from hil.recording.whole_figures import COUNTED_SHARE
 from hil.reviewing.envelope import Envelope
 from hil.reviewing.histogram import TimeHistogram
 from hil.reviewing.review import Review
@@ -25,9 +25,6 @@ from hil.rows.records import Rows
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, SUMMARY_FILE
 from hil.verdict.summary import Summary
-
-_COUNTED_SHARE: Final = 0.98
-"""As in the pages: a fault of a few cycles does not flatten the rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,9 +122,7 @@ class RunSignals:
     def counted_error_rpm(self) -> dict[str, float]:
         """How large nearly all of the speed error is that counts, by axis."""
         meters = zip(self.axes, self.review.errors, strict=True)
-        return {
-            name: (meter.counted.largest(_COUNTED_SHARE) or 0.0) * RPM_PER_RAD_S for name, meter in meters
-        }
+        return {name: (meter.counted.largest(COUNTED_SHARE) or 0.0) * RPM_PER_RAD_S for name, meter in meters}
 
 
 def signals_of(run: RecordedRun) -> RunSignals:

@@ -16,7 +16,7 @@ from hil.rows.recording_plan import AxisPlan, RecordingPlan
 
 _WORTH_SHOWING: Final = 4.0
 """A limit so many times the signal, or farther, would flatten it: the title names it then."""
-_COUNTED_SHARE: Final = 0.98
+COUNTED_SHARE: Final = 0.98
 """Of the error that counts: what a fault of a few cycles does beyond it does not flatten the rest."""
 _NEARLY_REACHED: Final = 1.2
 """A limit of the drive that is farther from its signal is said in the title alone."""
@@ -166,7 +166,7 @@ class WholeFigures:
 
 def _counted_reach(counted: Envelope) -> float:
     """The peak of an error that counts, but no more than some times what nearly all of it keeps."""
-    peak, most = counted.largest(), counted.largest(_COUNTED_SHARE)
+    peak, most = counted.largest(), counted.largest(COUNTED_SHARE)
     return 0.0 if peak is None or most is None else min(peak, _WORTH_SHOWING * most or peak)
 
 

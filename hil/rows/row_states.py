@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cia402.profile import state_of
+from drivers.cia402.profile import STATE_BITS, state_of
 from drivers.cia402.readings import NEVER_TOLD
 from hil.rows.records import FATE_MISSED, FATE_SAMPLE, Rows
 
@@ -15,9 +15,6 @@ LINK_WINDOW_CYCLES = 20
 LINK_DEGRADED_DROPOUTS = LINK_WINDOW_CYCLES // 4
 LINK_OK, LINK_DEGRADED, LINK_DOWN = "OK", "DEGRADED", "DOWN"
 HOST_IN_TIME, HOST_MISSED = "In time", "MISSED"
-
-_STATE_BITS = 0x6F
-"""The bits of 0x6041 that name the state (CiA 402-2, statusword)."""
 
 
 class LabelChange(NamedTuple):
@@ -49,7 +46,7 @@ class DriveStates(_Codes):
     def changes(self, rows: Rows) -> list[LabelChange]:
         """In rows of one axis, in order."""
         read = rows[rows["fate"] == FATE_SAMPLE]
-        words = (read["statusword"] & _STATE_BITS).astype(np.int64)
+        words = (read["statusword"] & STATE_BITS).astype(np.int64)
         told_at = np.where(read["status_told_at"] == NEVER_TOLD, read["due_at"], read["status_told_at"])
         return self._changes(words, told_at, drive_label)
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 
-from drivers.canopen.data_types import DataType
 from drivers.canopen.objects301 import (
     MANDATORY,
     MANUFACTURER,
@@ -12,6 +11,7 @@ from drivers.canopen.objects301 import (
     TPDO_MAPPING,
     Cia301,
 )
+from drivers.sheets.eds.types import TEXT_TYPES
 from virtual_bus.device.object_dictionary import (
     DictionaryObject,
     ObjectCode,
@@ -21,7 +21,6 @@ from virtual_bus.device.object_dictionary import (
 
 SERIAL_NUMBER = (Cia301.IDENTITY, 4)
 """Each device's own; the sheet is of them all."""
-_TEXT_TYPES = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 
 
 def export_eds(dictionary: ObjectDictionary) -> str:
@@ -136,5 +135,5 @@ def _default(variable: Variable) -> str:
     if variable.node_relative:
         return f"$NODEID+0x{default:X}"
     if isinstance(default, bytes):
-        return default.decode("latin-1") if variable.data_type in _TEXT_TYPES else default.hex()
+        return default.decode("latin-1") if variable.data_type in TEXT_TYPES else default.hex()
     return str(default)

@@ -7,7 +7,7 @@ cause is told apart by ``source`` where one code has several (two lost heartbeat
 from collections import deque
 
 from drivers.canopen import cob_ids
-from drivers.canopen.error_codes import ErrorRegister
+from drivers.canopen.error_codes import NO_ERROR, ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.objects301 import Cia301
 from drivers.timebase import NS_PER_100_US, Instant
@@ -20,7 +20,6 @@ _MAY_SEND = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 _QUEUE_MAX = 32
 """Messages that wait for their inhibit time. A simulated drive has fewer causes of errors, each reported once
 while it lasts: length and deadline of four RPDOs, four heartbeats, guarding, SYNC, bus-off, its own five."""
-NO_ERROR = 0x0000
 
 
 class EmergencyProducer:

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from enum import IntEnum
 
 from drivers.canopen.cob_ids import LSS_ANSWER, LSS_REQUEST
+from drivers.canopen.lss import SCAN_RESET
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
 from drivers.canopen.objects301 import Cia301
 from drivers.errors import BenchError
@@ -32,7 +33,6 @@ BIT_RATE_KEY = (0x0000, 2)
 _TABLE_BIT_S = (1_000_000, 800_000, 500_000, 250_000, 125_000, 0, 50_000, 20_000, 10_000)
 BIT_RATES = {index: bit_s for index, bit_s in enumerate(_TABLE_BIT_S) if bit_s}
 """The standard bit timing table, bit/s by index; 5 is reserved, 9 (detected by itself) is not offered."""
-SCAN_RESET = 0x80
 
 
 class Lss(IntEnum):

@@ -13,6 +13,7 @@ node-ID stays there until LSS gives it one.
 
 from collections.abc import Callable
 
+from drivers.canopen import cob_ids
 from drivers.canopen.cob_ids import ERROR_CONTROL
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects301 import Cia301
@@ -38,8 +39,6 @@ ERROR_BEHAVIOUR: dict[int, dict[NmtState, NmtState]] = {
 }
 """1029h: by its value, what each state becomes on an error; a state left out stays (CiA 301, 7.5.2.32)."""
 
-NMT_CAN_ID = 0x000
-
 StateListener = Callable[[NmtState, Instant], None]
 
 
@@ -58,7 +57,7 @@ class NmtSlave:
             NmtCommand.RESET_COMMUNICATION: reset_communication,
         }
         self._listeners: list[StateListener] = []
-        station.listen(NMT_CAN_ID, self._on_command)
+        station.listen(cob_ids.NMT, self._on_command)
         station.dictionary.hook(Cia301.ERROR_BEHAVIOUR, 1, check=_check_behaviour)
 
     def add_listener(self, listener: StateListener) -> None:

@@ -3,7 +3,7 @@
 from typing import Final
 
 from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION
+from drivers.canopen.objects301 import MAPPING_OFFSET, PDOS_MAX, RPDO_COMMUNICATION, TPDO_COMMUNICATION
 from drivers.timebase import NEVER, NS_PER_MS, Instant
 from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.object_dictionary import ObjectDictionary
@@ -11,8 +11,6 @@ from virtual_bus.device.rpdo import ReceivePdo
 from virtual_bus.device.station import Station
 from virtual_bus.device.tpdo import TransmitPdo
 
-PDOS_MAX: Final = 512
-"""Of each direction (CiA 301, 7.5.2.33: 1400h..15FFh)."""
 LOOK_NS: Final = NS_PER_MS
 """A mapped value that changes by time or motion is looked at no later than that after the last look."""
 _OPERATIONAL: Final = NmtState.OPERATIONAL

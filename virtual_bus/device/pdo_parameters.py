@@ -5,15 +5,13 @@ words; mapping count = n; COB-ID bit 31 = 0. Any other order is refused and chan
 """
 
 from collections.abc import Sequence
-from typing import Final
 
 from drivers.canopen import cob_ids
+from drivers.canopen.objects301 import PDO_ENTRIES_MAX
 from drivers.wire.identifiers import EXTENDED_ID_MAX
 from virtual_bus.device.pdo_codec import Field, resolve, resolve_all
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 from virtual_bus.device.station import Station
-
-MAPPING_ENTRIES_MAX: Final = 64
 
 
 class PdoParameters:
@@ -96,7 +94,7 @@ class PdoParameters:
         if self.exists:
             return AbortCode.DEVICE_STATE
         # FEh and FFh would be multiplex PDOs, which this device has not.
-        if value > MAPPING_ENTRIES_MAX:
+        if value > PDO_ENTRIES_MAX:
             return AbortCode.INVALID_VALUE
         if value >= len(self._mapping):
             return AbortCode.PDO_LENGTH

@@ -26,7 +26,7 @@ from virtual_bus.drive.motor_kernel import (
 from virtual_bus.drive.servo_objects import ServoObjects
 from virtual_bus.drive.user_units import UserUnits, wrapped
 
-_INTERNAL_LIMIT_ACTIVE: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
+INTERNAL_LIMIT_ACTIVE: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
 _COUNT: Final = int(S_COUNT)
 _SPEED: Final = int(S_SPEED_MEASURED)
 _TORQUE: Final = int(S_TORQUE_MEASURED)
@@ -75,7 +75,7 @@ class ActualValues:
         self._velocity.value = _round(speed) if -_INT32_MAX < speed < _INT32_MAX else clipped(speed, 32)
         self._torque.value = _int16(state[_TORQUE] / self._torque_unit_nm)
         if state[_LIMITED] != 0.0:
-            status |= _INTERNAL_LIMIT_ACTIVE
+            status |= INTERNAL_LIMIT_ACTIVE
         self._statusword.value = status
 
 

@@ -11,11 +11,11 @@ from typing import Final
 
 from drivers.canopen.objects301 import MANDATORY, TPDO_COMMUNICATION, TPDO_MAPPING, is_mapping
 from virtual_bus.device.object_dictionary import DictionaryObject, ObjectDictionary
+from virtual_bus.device.tpdo import REMOTE_EVENT
 
 TPDO_EVENTS: Final = "tpdo events"
 PATTERN: Final = rf"^([0-9A-Fa-f]{{4}}(:[0-9]{{1,3}})?|{TPDO_EVENTS})$"
 _TPDOS: Final = range(TPDO_COMMUNICATION, TPDO_MAPPING)
-_REMOTE_EVENT: Final = 253
 
 
 def take_away(dictionary: ObjectDictionary, lacks: Sequence[str]) -> None:
@@ -40,7 +40,7 @@ def _refuse_events(dictionary: ObjectDictionary) -> None:
     for entry in dictionary:
         kind = entry.members.get(2)
         if entry.index in _TPDOS and kind is not None:
-            kind.high = _REMOTE_EVENT
+            kind.high = REMOTE_EVENT
             kind.default = min(kind.default, 1)
 
 

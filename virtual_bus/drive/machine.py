@@ -17,14 +17,12 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from drivers.canopen.data_types import DataType
-from drivers.cia402.objects402 import Object
+from drivers.cia402.objects402 import INTERLOCK, Object
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary
 from virtual_bus.drive.homing_methods import Sensor, SwitchEdge
 
 MACHINE: Final = 0x2110
 """Manufacturer-specific."""
-INTERLOCK: Final = 1 << 3
-"""60FDh: motion is forbidden; here by safe torque off."""
 _SWITCH_BITS: Final = 0x7
 _LIMIT_BITS: Final = 0x3
 _FAR: Final = 0x7FFF_FFFF

@@ -21,15 +21,12 @@ PT: to the target torque (6071h) by the torque slope (6087h).
 
 from typing import Final
 
-from drivers.cia402.profile import Control, Status
+from drivers.cia402.profile import CHANGE_AT_ONCE, NEW_SET_POINT, RELATIVE, Status
 from virtual_bus.drive.axis import SimulatedAxis, WindowTimer
 from virtual_bus.drive.motion_objects import NO_WINDOW
 from virtual_bus.drive.operation_mode import HaltedMode
 from virtual_bus.drive.trajectory import MoveLimits, plan_move, plan_speed, plan_stop
 
-NEW_SET_POINT: Final = Control.MODE_4
-CHANGE_AT_ONCE: Final = Control.MODE_5
-RELATIVE: Final = Control.MODE_6
 CHANGE_ON_SET_POINT: Final = 1 << 9
 
 

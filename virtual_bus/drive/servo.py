@@ -29,7 +29,7 @@ from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import ParameterStore
 from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.drive.actual_values import LOAD_NM, ActualValues, provide_slow_values
+from virtual_bus.drive.actual_values import INTERNAL_LIMIT_ACTIVE, LOAD_NM, ActualValues, provide_slow_values
 from virtual_bus.drive.axis import REST_S, SimulatedAxis
 from virtual_bus.drive.failures import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES, Failures
 from virtual_bus.drive.firmware import Firmware, InnerControl
@@ -49,8 +49,6 @@ _WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS
 """The period of profiles and position loop (virtual_bus.drive.firmware); rest is seen within it."""
 _WAKE_NS: Final = 20 * NS_PER_MS
 """Without frames the motor is still carried along, so that none finds a long way to go."""
-
-INTERNAL_LIMIT_ACTIVE: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
 
 _BASE_STATUS: dict[State, int] = {
     state: STATUS_PATTERNS[state].value | Status.VOLTAGE_ENABLED | Status.REMOTE for state in State

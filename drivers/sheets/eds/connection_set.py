@@ -9,7 +9,14 @@ from typing import Final
 
 from drivers.canopen.cob_ids import CAN_ID, EMERGENCY, NOT_VALID, RPDOS, TPDOS
 from drivers.canopen.data_types import DataType
-from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION, Cia301
+from drivers.canopen.objects301 import (
+    MAPPING_OFFSET,
+    PDO_ENTRIES_MAX,
+    PDOS_MAX,
+    RPDO_COMMUNICATION,
+    TPDO_COMMUNICATION,
+    Cia301,
+)
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry
 from drivers.sheets.eds.information import DeviceInformation
@@ -27,10 +34,6 @@ _PREDEFINED: Final[dict[tuple[int, int], int]] = {
 """COB-IDs of the predefined connection set without the node-ID (CiA 301, 7.3.5)."""
 _WITNESSES_MIN: Final = 3
 """So many identifiers have to be those of one node: two may be by chance, or by somebody's wish."""
-_PDOS_MAX = 512
-"""In either direction (CiA 301, 7.5.2.35 and 7.5.2.37)."""
-_MAPPED_MAX = 64
-"""Objects of a bit each (CiA 301, 7.5.2.36)."""
 _SUBS = {
     1: ("COB-ID", DataType.UNSIGNED32),
     2: ("Transmission type", DataType.UNSIGNED8),
@@ -49,7 +52,7 @@ def add_compact_pdos(objects: dict[int, EdsObject], device: DeviceInformation) -
         (RPDO_COMMUNICATION, 0x200, device.receive_pdos, "RPDO"),
         (TPDO_COMMUNICATION, 0x180, device.transmit_pdos, "TPDO"),
     ):
-        for number in range(min(count or 0, _PDOS_MAX)):
+        for number in range(min(count or 0, PDOS_MAX)):
             title = f"{name}{number + 1}"
             made = _communication(base + number, first_id + 0x100 * number, device.compact_pdo, title)
             objects.setdefault(made.index, made)
@@ -73,7 +76,7 @@ def _communication(index: int, cob_id: int, mask: int, title: str) -> EdsObject:
 def _mapping(index: int, granularity: int, title: str) -> EdsObject:
     made = EdsObject(index, f"{title} mapping parameter", types.RECORD)
     made.entries[0] = _entry(index, 0, "Number of mapped objects", DataType.UNSIGNED8, "rw", 0)
-    for sub in range(1, _MAPPED_MAX // max(1, min(granularity, _MAPPED_MAX)) + 1):
+    for sub in range(1, PDO_ENTRIES_MAX // max(1, min(granularity, PDO_ENTRIES_MAX)) + 1):
         made.entries[sub] = _entry(index, sub, f"Mapped object {sub}", DataType.UNSIGNED32, "rw", 0)
     return made
 

@@ -6,14 +6,13 @@ from typing import Final, NamedTuple
 
 from drivers.canopen.cob_ids import CAN_ID, EXTENDED, NOT_VALID
 from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS
-from drivers.canopen.objects301 import FIRST_OBJECT
+from drivers.canopen.objects301 import FIRST_OBJECT, PDO_ENTRIES_MAX
 from drivers.canopen.pdo import PdoDirection, key_of
 from hil.reviewing.trace.node_objects import NodeObjects
 from hil.reviewing.trace.object_value import ObjectValue
 
 _PREDEFINED: Final = 4
 """Lower indices are data types: what they map is a gap."""
-_MAPPED_MAX: Final = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +93,7 @@ def _identifier(objects: NodeObjects, direction: PdoDirection, number: int, node
 
 def _mapping(objects: NodeObjects, index: int) -> tuple[MappedField, ...] | None:
     count = objects.held(index, 0)
-    if count is None or not 0 < count <= _MAPPED_MAX:
+    if count is None or not 0 < count <= PDO_ENTRIES_MAX:
         return None
     fields, shift = [], 0
     for sub in range(1, count + 1):

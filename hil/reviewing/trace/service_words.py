@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Final
 
 from drivers.canopen.error_codes import fault_text
+from drivers.canopen.lss import SCAN_RESET
 from drivers.canopen.nmt import parse_emergency
 from drivers.canopen.nmt_states import UNCONFIGURED, NmtCommand, NmtState
 from drivers.timebase import Instant
@@ -51,7 +52,6 @@ _IDENTIFY: Final = (
 _BIT_RATES_KBIT_S: Final = (1000, 800, 500, 250, 125, None, 50, 20, 10)
 """Table 0 of CiA 305 by index; 9: found by the device itself."""
 _DETECTED: Final = 9
-_SCAN_RESET: Final = 0x80
 _OTHER_ERROR: Final = 0xFF
 _CONFIRMED: Final = {
     0x11: {1: "node-ID out of range"},
@@ -137,7 +137,7 @@ def lss_text(data: bytes, answer: bool) -> str:
 
 def _fast_scan(data: bytes, number: int) -> str:
     bit, part, following = data[5], data[6], data[7]
-    if bit == _SCAN_RESET:
+    if bit == SCAN_RESET:
         return "fast scan: is anybody without node-ID?"
     name = _PARTS[part] if part < len(_PARTS) else f"part {part}"
     then = f", then {_PARTS[following]}" if following < len(_PARTS) and following != part else ""

@@ -10,6 +10,7 @@ from design.motor import PmsmParameters
 from design.sampled.analysis import SampledAnalysis
 from design.sampled.bandwidth_range import BandwidthRange
 from design.sampled.held_loop import SampledNetwork, Strategy
+from drivers.timebase import US_PER_S
 from hil.configuration.config_files import Section
 from hil.configuration.controller_kinds import StateFeedbackController
 from hil.configuration.speed_controller_file import (
@@ -22,8 +23,6 @@ from hil.configuration.speed_controller_file import (
 from hil.configuration.toml_text import toml_text
 from hil.studies.numbers import finite
 from hil.studies.speed.synthesis import DesignResult
-
-US_PER_S = 1e6
 
 
 def whole_us(time_s: float) -> int:

@@ -22,12 +22,13 @@ from design.speed.predictor_design import (
 )
 from design.speed.predictor_plant import encoder_noise_rad_s
 from design.speed.predictor_trial import Walks
+from drivers.timebase import US_PER_S
 from hil.configuration.config_files import Section
 from hil.configuration.hinf_section import HinfSection
 from hil.configuration.predictor_section import PredictorController
 from hil.configuration.speed_controller_file import CurrentLoop, LoopFigures, LossCertificate, MadeFor
 from hil.studies.numbers import finite, margin_figures, short
-from hil.studies.speed.controller_text import US_PER_S, begun_us, plant_of, sequence_proof, whole_us
+from hil.studies.speed.controller_text import begun_us, plant_of, sequence_proof, whole_us
 
 ENCODER_COUNTS = 65_536
 SPEED_FILTER_HZ = 500.0

@@ -10,6 +10,7 @@ DSP6001: five), five characters of torque with its point, the direction.
 import math
 from typing import TYPE_CHECKING, Final
 
+from drivers.instruments.dynamometer import LINE_BYTES_MAX
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 
@@ -74,8 +75,6 @@ class Brake:
         self.shaft.brake(self.torque_nm, now)
 
 
-LINE_BYTES_MAX = 256
-"""Of a line without an end no more is kept; no command is as long."""
 _TORQUE_WIDTH = 5
 _REST_RPM = 0.5
 """Below it the data string shows 0 rpm."""

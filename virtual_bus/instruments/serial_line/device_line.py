@@ -10,11 +10,10 @@ import numpy as np
 from drivers.errors import BadInput
 from drivers.key_advice import nearest
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
-from virtual_bus.instruments.serial_line.pseudo_terminal import READ_BYTES, PseudoTerminal
+from drivers.wire.serial_line import BITS_A_BYTE, READ_BYTES
+from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 _PROBABILITIES = ("drop", "garble", "truncate", "noise", "terminator", "refuse", "lose")
-BITS_A_BYTE = 10
-"""Start bit, eight data bits, stop bit."""
 
 
 @dataclass(frozen=True, slots=True)

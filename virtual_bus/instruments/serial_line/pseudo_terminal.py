@@ -7,9 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from drivers.errors import BadInput
-
-READ_BYTES = 4096
-"""As much as Linux keeps of a terminal's input (N_TTY_BUF_SIZE)."""
+from drivers.wire.serial_line import READ_BYTES
 
 
 class PseudoTerminal:
