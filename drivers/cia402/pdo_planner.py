@@ -175,6 +175,20 @@ def _serves(slot: PdoSlot, group: Group) -> bool:
     return numbered and switchable and typed and (not group.event_timer_ms or slot.event_timer_writable)
 
 
+def _first_fit(entry: PdoEntry, bins: list[_Bin], free: list[PdoSlot], group: Group | None = None) -> bool:
+    """Put it into the first PDO with room, or the first free one that serves; False if there is none."""
+    taking = next((made for made in bins if made.takes(entry)), None)
+    if taking is None:
+        slot = next((slot for slot in free if group is None or _serves(slot, group)), None)
+        if slot is None:
+            return False
+        free.remove(slot)
+        taking = _Bin(slot, group=group)
+        bins.append(taking)
+    taking.entries.append(entry)
+    return True
+
+
 class _Planner:
     def __init__(self, capability: PdoCapability, node_id: int, notes: list[str]) -> None:
         self.lacks: list[str] = []
@@ -210,18 +224,8 @@ class _Planner:
             filled: list[_Bin] = []
             for key in group.keys:
                 able = self._capability.flexible_object(key, PdoDirection.TRANSMIT)
-                if able is None:
+                if able is None or not _first_fit(PdoEntry(*key, able.code), filled, free, group):
                     return None
-                entry = PdoEntry(*key, able.code)
-                taking = next((made for made in filled if made.takes(entry)), None)
-                if taking is None:
-                    slot = next((slot for slot in free if _serves(slot, group)), None)
-                    if slot is None:
-                        return None
-                    free.remove(slot)
-                    taking = _Bin(slot, group=group)
-                    filled.append(taking)
-                taking.entries.append(entry)
             if STAMP in group.keys and len(filled) > 1:
                 return None
             bins += filled
@@ -271,17 +275,11 @@ class _Planner:
         return [slot for slot in self._capability.of(direction) if not slot.mapping_writable]
 
     def _pack(self, flexible: Mapping[Key, MappedObject], direction: PdoDirection) -> list[_Bin]:
-        """First fit in order."""
+        """As many of the objects as find room, in order."""
         free = self._free(direction)
         bins: list[_Bin] = []
         for key, able in flexible.items():
-            entry = PdoEntry(*key, able.code)
-            taking = next((made for made in bins if made.takes(entry)), None)
-            if taking is None and free:
-                taking = _Bin(free.pop(0))
-                bins.append(taking)
-            if taking is not None:
-                taking.entries.append(entry)
+            _first_fit(PdoEntry(*key, able.code), bins, free)
         return bins
 
     def _fixed_slot(self, key: Key, keys: Sequence[Key], direction: PdoDirection) -> PdoSlot | None:
