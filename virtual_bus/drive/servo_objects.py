@@ -45,7 +45,6 @@ PERMANENT_MAGNET_SINUSOIDAL = 10
 ROTOR_FRAME = 0x2101
 """Manufacturer-specific: what the current loops see and do."""
 PER_THOUSAND_MAX = 0xFFFF
-VELOCITY_UNIT_RAD_S = RAD_S_PER_RPM / 1000.0
 
 
 class ServoObjects:
