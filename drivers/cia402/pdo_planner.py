@@ -140,8 +140,8 @@ def _plan(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult
     needed = [STATUS, VELOCITY, *([] if torque is None else [torque]), POSITION]
     sent = planner.wanted(needed, PdoDirection.TRANSMIT) if laid_out is None else laid_out
     target = TARGETS.get(wish.mode)
-    told = [CONTROL] if target is None else [CONTROL, (target.index, target.sub)]
-    received = planner.wanted(told, PdoDirection.RECEIVE)
+    commanded = [CONTROL] if target is None else [CONTROL, (target.index, target.sub)]
+    received = planner.wanted(commanded, PdoDirection.RECEIVE)
     if planner.lacks:
         raise PlanImpossible(
             f"the drive's PDOs cannot carry what {wish.mode.title} needs",
@@ -304,14 +304,14 @@ class _Planner:
         return entry.code if entry is not None and entry.bits == word & 0xFF else ""
 
     def _entries(self, slot: PdoSlot) -> list[PdoEntry]:
-        made = []
+        entries = []
         for word in slot.mapping:
             key = key_of(word)
             code = self._code(key, slot) or {8: "B", 16: "H", 32: "I"}.get(
                 word & 0xFF, f"{(word & 0xFF) // 8}s"
             )
-            made.append(PdoEntry(*key, code))
-        return made
+            entries.append(PdoEntry(*key, code))
+        return entries
 
     def _lack(self, key: Key, direction: PdoDirection) -> str:
         """Why no PDO can carry an object."""
@@ -335,10 +335,10 @@ class _Planner:
     # ---- communication parameters -------------------------------------------------------------------------
 
     def transmit(self, bins: Iterable[_Bin], wish: PlanWish) -> tuple[PdoMap, ...]:
-        made = []
+        maps = []
         for each in bins:
             if each.group is not None:
-                made.append(self._map(each, each.group.transmission_type))
+                maps.append(self._map(each, each.group.transmission_type))
                 continue
             keys = {(entry.index, entry.sub) for entry in each.entries}
             alone = POSITION in keys and not keys & {STATUS, VELOCITY}
@@ -347,12 +347,12 @@ class _Planner:
             if kind > SYNCHRONOUS_MAX and each.slot.inhibit_time:
                 named = f"{each.slot.name} is not synchronous and has an inhibit time"
                 self._notes.append(f"{named} of {each.slot.inhibit_time / 10:g} ms")
-            made.append(self._map(each, kind))
-        return tuple(made)
+            maps.append(self._map(each, kind))
+        return tuple(maps)
 
     def receive(self, bins: Iterable[_Bin], wish: PlanWish) -> tuple[PdoMap, ...]:
-        wanted = EVERY_SYNC if wish.synchronous_command else EVENT_DRIVEN
-        return tuple(self._map(each, self._type(each.slot, wanted)) for each in bins)
+        kind = EVERY_SYNC if wish.synchronous_command else EVENT_DRIVEN
+        return tuple(self._map(each, self._type(each.slot, kind)) for each in bins)
 
     def _type(self, slot: PdoSlot, wanted: int) -> int:
         held = slot.transmission_type
