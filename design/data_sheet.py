@@ -168,10 +168,10 @@ class DataSheet:
         self, point: str, current_a: float, torque_nm: float, lost: float
     ) -> Iterator[Contradiction]:
         """``lost``: share of the torque that need not reach the shaft."""
-        made = 1.5 * self.emf_constant_v_s * current_a
+        airgap_nm = 1.5 * self.emf_constant_v_s * current_a
 
         def agree(factor: float) -> bool:
-            return 1.0 - AGREEING <= factor * made / torque_nm <= 1.0 / (1.0 - lost)
+            return 1.0 - AGREEING <= factor * airgap_nm / torque_nm <= 1.0 / (1.0 - lost)
 
         if agree(1.0):
             return
@@ -181,7 +181,7 @@ class DataSheet:
         }
         yield Contradiction(
             f"{point} torque {torque_nm:g} N m and {point} current {current_a / math.sqrt(2.0):.4g} A rms",
-            f"with {self.made_flux} this current makes {made:.4g} N m",
+            f"with {self.made_flux} this current makes {airgap_nm:.4g} N m",
             "".join(text for factor, text in readings.items() if agree(factor)),
         )
 

@@ -111,8 +111,8 @@ def _growth(loop: HeldLoop) -> Array:
 def instants_for(loop: HeldLoop, states: Array, allowed: float) -> int:
     """So many instants that the error of ``states`` departs from its chords by ``allowed`` at most."""
     bend = max(between_instants(loop, xi, 1) for xi in states)
-    wanted = math.ceil(math.sqrt(bend / allowed))
-    return min(max(wanted, _INSTANTS_MIN), _INSTANTS_MAX)
+    instants = math.ceil(math.sqrt(bend / allowed))
+    return min(max(instants, _INSTANTS_MIN), _INSTANTS_MAX)
 
 
 def between_instants(loop: HeldLoop, xi: Array, instants: int) -> float:

@@ -9,8 +9,6 @@ from a sample until its set-point acts; it need be no whole number of periods. I
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,21 +22,6 @@ _GRID = 2000
 """Frequencies up to half the rate: S is flat between two of them, even with a delay of 100 periods."""
 _BISECTIONS = 50
 """Halvings that leave 2^-50 of an interval: a double has 53 bits."""
-
-
-@dataclass(frozen=True, slots=True)
-class PositionDesign:
-    """A gain and its margins, exact for the sampled loop without losses."""
-
-    gain_per_s: float
-    sensitivity_peak: float
-    """max |S| over frequency."""
-    complementary_peak: float
-    """max |T|."""
-    gain_margin: float
-    """Times which the gain makes the loop unstable."""
-    delay_margin_s: float
-    """By which the delay may be longer."""
 
 
 def position_model(bandwidth_rad_s: float) -> SpeedModel:
@@ -57,44 +40,22 @@ def feedback(gain_per_s: float) -> Array:
     return np.array([0.0, -gain_per_s])
 
 
-def design_position(period_s: float, delay_s: float, bandwidth_rad_s: float) -> PositionDesign:
-    """The largest gain at which |S| peaks at :data:`SENSITIVITY_PEAK`. Raises ValueError for what is no time.
+def design_position(period_s: float, delay_s: float, bandwidth_rad_s: float) -> float:
+    """K, 1/s: the largest at which |S| peaks at :data:`SENSITIVITY_PEAK`.
 
-    ``delay_s``: from sample to actuator, tau.
+    ``delay_s``: from sample to actuator, tau. Raises ValueError for what is no time.
     """
     if not (period_s > 0.0 and delay_s >= 0.0 and bandwidth_rad_s > 0.0):
         raise ValueError("a period and a bandwidth above 0 and a delay of at least 0 expected")
     loop = _SampledIntegrator(period_s, delay_s, bandwidth_rad_s)
     # An integrator with dead time D is unstable from K = pi / 2 D on.
     high = math.pi / 2.0 / (delay_s + period_s / 2.0 + 1.0 / bandwidth_rad_s) * 4.0
-    gain = _largest(
-        lambda gain: loop.radius(gain) < 1.0 and loop.peaks(gain)[0] <= SENSITIVITY_PEAK, 0.0, high
-    )
-
-    def stable(more_s: float) -> bool:
-        return _SampledIntegrator(period_s, delay_s + more_s, bandwidth_rad_s).radius(gain) < 1.0
-
-    return PositionDesign(
-        gain,
-        *loop.peaks(gain),
-        _first_unkept(lambda times: loop.radius(times * gain) < 1.0, 1.0, 2.0),
-        _first_unkept(stable, 0.0, period_s),
-    )
-
-
-def _largest(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Up to which it ``holds``, from ``low``, where it does, to ``high``, where it does not."""
+    low = 0.0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if holds(middle) else (low, middle)
+        keeps = loop.radius(middle) < 1.0 and loop.sensitivity_peak(middle) <= SENSITIVITY_PEAK
+        low, high = (middle, high) if keeps else (low, middle)
     return low
-
-
-def _first_unkept(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """The same where ``high`` has to be looked for, by doubling."""
-    while holds(high):
-        low, high = high, 2.0 * high
-    return _largest(holds, low, high)
 
 
 def closed_loop(gain_per_s: float, period_s: float, delay_s: float, bandwidth_rad_s: float) -> Array:
@@ -106,7 +67,6 @@ class _SampledIntegrator:
     """theta at the samples out of the set-points, exactly."""
 
     def __init__(self, period_s: float, delay_s: float, bandwidth_rad_s: float) -> None:
-        self.period_s, self.delay_s, self.bandwidth_rad_s = period_s, delay_s, bandwidth_rad_s
         self.behind = math.floor(delay_s / period_s + 1e-9)
         rest_s = max(0.0, delay_s - self.behind * period_s)
         self.transition, whole = _held(bandwidth_rad_s, period_s)
@@ -129,15 +89,15 @@ class _SampledIntegrator:
         step[:2, 1 + self.behind] -= gain_per_s * self._new
         return step
 
-    def peaks(self, gain_per_s: float) -> tuple[float, float]:
-        """max |S| and max |T| over frequency."""
+    def sensitivity_peak(self, gain_per_s: float) -> float:
+        """max |S| over frequency."""
         z = np.exp(1j * np.pi * np.arange(1, _GRID + 1) / _GRID)
         (a, _), (c, d) = self.transition
         # theta of [v, theta] out of (zI - Phi)^-1 Gamma, Phi lower triangular
         drive = self._old * z[:, None] ** -(self.behind + 1) + self._new * z[:, None] ** -self.behind
         speed = drive[:, 0] / (z - a)
         loop = gain_per_s * (drive[:, 1] + c * speed) / (z - d)
-        return float(np.abs(1.0 / (1.0 + loop)).max()), float(np.abs(loop / (1.0 + loop)).max())
+        return float(np.abs(1.0 / (1.0 + loop)).max())
 
 
 def _held(bandwidth_rad_s: float, length_s: float) -> tuple[Array, Array]:

@@ -193,7 +193,7 @@ class BusScan:
         """The node-IDs that answer a request for 1000h, with a value or with an abort."""
         network = self._network
         answered = self._answered
-        wanted = [
+        unheard = [
             node_id
             for node_id in NODES
             if node_id not in self._read_already and not self.traffic.masters_on(node_id)
@@ -203,14 +203,14 @@ class BusScan:
         self._knocking = True
         for _ in range(ROUNDS):
             due = network.clock.now()
-            for node_id in wanted:
+            for node_id in unheard:
                 if node_id not in answered:
                     network.link.send(SDO_REQUEST + node_id, request)
                     due = Instant(due + KNOCK_EVERY_NS)
                     network.pump(due)
             network.pump(Instant(network.clock.now() + KNOCK_WAIT_NS))
         self._knocking = False
-        return answered & set(wanted)
+        return answered & set(unheard)
 
     def _read(self, node: NodeFound) -> None:
         try:

@@ -230,7 +230,7 @@ class LssMaster:
 
     def _verify(self, address: LssAddress) -> None:
         """The device in configuration state has that address; one that cannot be asked is selected by it."""
-        told: list[int] = []
+        numbers: list[int] = []
         for part in range(len(address)):
             answers = self._ask_all(bytes((_INQUIRE_VENDOR + part,)))
             if not answers:
@@ -243,11 +243,11 @@ class LssMaster:
                     "",
                     "no two devices may have one identity (1018h): give each its node-ID alone on the bus",
                 )
-            told.append(_NUMBER.unpack(answers[0])[1])
-        if LssAddress(*told) != address:
+            numbers.append(_NUMBER.unpack(answers[0])[1])
+        if LssAddress(*numbers) != address:
             raise PeerFault(
                 f"a device on {self._network.link.name} answers questions of a fast scan that are not for it",
-                f"found {address}; it says {LssAddress(*told)}",
+                f"found {address}; it says {LssAddress(*numbers)}",
                 "give it its node-ID by its own switches or tool, or alone on the bus",
             )
 

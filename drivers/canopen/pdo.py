@@ -190,18 +190,18 @@ def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:
     """
     notes: list[str] = []
     for direction in PdoDirection:
-        wanted = [pdo for pdo in plan if pdo.direction is direction]
-        used = {pdo.number for pdo in wanted}
+        pdos = [pdo for pdo in plan if pdo.direction is direction]
+        used = {pdo.number for pdo in pdos}
         for number in range(1, _PDOS_LOOKED_AT + 1):
             if number not in used:
                 notes += _switch_off_unused(objects, direction, number)
         # All are switched off before one is moved: two PDOs may swap identifiers.
-        for pdo in wanted:
+        for pdo in pdos:
             if differences(objects, pdo):
                 # With a read-only COB-ID it stays on; its transmission type may be writable.
                 with suppress(TransferAborted):
                     _switch_off(objects, pdo.communication_index)
-        for pdo in wanted:
+        for pdo in pdos:
             if differences(objects, pdo):
                 _write_pdo(objects, pdo)
                 notes.append(f"{pdo.name}{_WRITTEN}")
@@ -235,9 +235,9 @@ def differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
         texts.append(f"{pdo.name} has transmission type {kind} instead of {pdo.transmission_type}")
     texts += _timer_differences(objects, pdo)
     held = _held_mapping(objects, pdo.mapping_index)
-    wanted = [entry.mapping_word for entry in pdo.entries]
-    if held != wanted:
-        texts.append(f"{pdo.name} maps {mapping_text(held) or 'nothing'} instead of {mapping_text(wanted)}")
+    planned = [entry.mapping_word for entry in pdo.entries]
+    if held != planned:
+        texts.append(f"{pdo.name} maps {mapping_text(held) or 'nothing'} instead of {mapping_text(planned)}")
     return texts
 
 

@@ -323,9 +323,9 @@ def _map_as_held(
 ) -> tuple[PdoPlan, list[str]]:
     """The mappings that the drive holds, used as they are; raises ``refusal`` if they do not serve."""
     standard = mode_plan(objects.node_id, _wish(settings), demand_changes=settings.demand_changes)
-    wanted = {(entry.index, entry.sub): entry.code for pdo in standard for entry in pdo.entries}
+    codes = {(entry.index, entry.sub): entry.code for pdo in standard for entry in pdo.entries}
     try:
-        result = plan_pdos(capability_of_drive(objects, wanted), objects.node_id, _wish(settings))
+        result = plan_pdos(capability_of_drive(objects, codes), objects.node_id, _wish(settings))
     except PlanImpossible as error:
         raise refusal from error
     notes = [f"mappings are used as the drive has them: {refusal.evidence}", *result.notes]

@@ -105,8 +105,8 @@ class Motion:
 
     def await_target(self, deadline: Instant) -> None:
         """Wait until the drive says that it has reached what it was told."""
-        wanted = Status.TARGET_REACHED
-        self._await(wanted, wanted, deadline, "reach its target", confirm_ns=CONFIRM_NS)
+        reached = Status.TARGET_REACHED
+        self._await(reached, reached, deadline, "reach its target", confirm_ns=CONFIRM_NS)
 
     def start_speed(self, speed_rad_s: float, deadline: Instant, profile: MoveProfile) -> None:
         """Have the drive go to a speed by its ramps."""
@@ -130,8 +130,8 @@ class Motion:
         self._control.clear_bits(START_HOMING)
         self._write_homing(method, how)
         self._control.set_bits(START_HOMING, START_HOMING)
-        wanted = HOMED | Status.TARGET_REACHED
-        self._await(wanted, wanted, deadline, "find its home", CONFIRM_NS, failed=HOMING_FAILED)
+        homed = HOMED | Status.TARGET_REACHED
+        self._await(homed, homed, deadline, "find its home", CONFIRM_NS, failed=HOMING_FAILED)
         self._control.clear_bits(START_HOMING)
 
     def halt(self, deadline: Instant) -> None:
@@ -146,8 +146,8 @@ class Motion:
                 "let the set-points lead it to rest, or quick_stop"
             )
         self._control.set_bits(Control.HALT, Control.HALT)
-        wanted = Status.TARGET_REACHED
-        self._await(wanted, wanted, deadline, "come to a halt", confirm_ns=CONFIRM_NS)
+        standing = Status.TARGET_REACHED
+        self._await(standing, standing, deadline, "come to a halt", confirm_ns=CONFIRM_NS)
 
     def resume(self) -> None:
         """Take the halt back; the drive goes on with what it was told."""

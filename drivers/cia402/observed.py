@@ -66,10 +66,10 @@ def map_observed(objects: RemoteObjects, plan: PdoPlan, observed: Observed) -> t
         _check(objects, entry)
     whole = with_observed(plan, objects.node_id, observed)
     if whole is None:
-        told = ", ".join(pdo.name for pdo in plan.tpdos)
+        serving = ", ".join(pdo.name for pdo in plan.tpdos)
         names = _names(observed.entries)
         raise NotObservable(
-            f"node {objects.node_id} has no TPDO left for {names}", f"{told} serve the loop", _REMEDY
+            f"node {objects.node_id} has no TPDO left for {names}", f"{serving} serve the loop", _REMEDY
         )
     try:
         return whole, write_plan(objects, whole)

@@ -140,8 +140,8 @@ def _plan(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult
     needed = [STATUS, VELOCITY, *([] if torque is None else [torque]), POSITION]
     sent = planner.wanted(needed, PdoDirection.TRANSMIT) if laid_out is None else laid_out
     target = TARGETS.get(wish.mode)
-    told = [CONTROL] if target is None else [CONTROL, (target.index, target.sub)]
-    received = planner.wanted(told, PdoDirection.RECEIVE)
+    commanded = [CONTROL] if target is None else [CONTROL, (target.index, target.sub)]
+    received = planner.wanted(commanded, PdoDirection.RECEIVE)
     if planner.lacks:
         raise PlanImpossible(
             f"the drive's PDOs cannot carry what {wish.mode.title} needs",
@@ -173,6 +173,20 @@ def _serves(slot: PdoSlot, group: Group) -> bool:
     held, wanted = slot.transmission_type, group.transmission_type
     typed = slot.type_writable or held in (None, wanted)
     return numbered and switchable and typed and (not group.event_timer_ms or slot.event_timer_writable)
+
+
+def _first_fit(entry: PdoEntry, bins: list[_Bin], free: list[PdoSlot], group: Group | None = None) -> bool:
+    """Put it into the first PDO with room, or the first free one that serves; False if there is none."""
+    taking = next((made for made in bins if made.takes(entry)), None)
+    if taking is None:
+        slot = next((slot for slot in free if group is None or _serves(slot, group)), None)
+        if slot is None:
+            return False
+        free.remove(slot)
+        taking = _Bin(slot, group=group)
+        bins.append(taking)
+    taking.entries.append(entry)
+    return True
 
 
 class _Planner:
@@ -210,18 +224,8 @@ class _Planner:
             filled: list[_Bin] = []
             for key in group.keys:
                 able = self._capability.flexible_object(key, PdoDirection.TRANSMIT)
-                if able is None:
+                if able is None or not _first_fit(PdoEntry(*key, able.code), filled, free, group):
                     return None
-                entry = PdoEntry(*key, able.code)
-                taking = next((made for made in filled if made.takes(entry)), None)
-                if taking is None:
-                    slot = next((slot for slot in free if _serves(slot, group)), None)
-                    if slot is None:
-                        return None
-                    free.remove(slot)
-                    taking = _Bin(slot, group=group)
-                    filled.append(taking)
-                taking.entries.append(entry)
             if STAMP in group.keys and len(filled) > 1:
                 return None
             bins += filled
@@ -271,17 +275,11 @@ class _Planner:
         return [slot for slot in self._capability.of(direction) if not slot.mapping_writable]
 
     def _pack(self, flexible: Mapping[Key, MappedObject], direction: PdoDirection) -> list[_Bin]:
-        """First fit in order."""
+        """As many of the objects as find room, in order."""
         free = self._free(direction)
         bins: list[_Bin] = []
         for key, able in flexible.items():
-            entry = PdoEntry(*key, able.code)
-            taking = next((made for made in bins if made.takes(entry)), None)
-            if taking is None and free:
-                taking = _Bin(free.pop(0))
-                bins.append(taking)
-            if taking is not None:
-                taking.entries.append(entry)
+            _first_fit(PdoEntry(*key, able.code), bins, free)
         return bins
 
     def _fixed_slot(self, key: Key, keys: Sequence[Key], direction: PdoDirection) -> PdoSlot | None:
@@ -306,14 +304,14 @@ class _Planner:
         return entry.code if entry is not None and entry.bits == word & 0xFF else ""
 
     def _entries(self, slot: PdoSlot) -> list[PdoEntry]:
-        made = []
+        entries = []
         for word in slot.mapping:
             key = key_of(word)
             code = self._code(key, slot) or {8: "B", 16: "H", 32: "I"}.get(
                 word & 0xFF, f"{(word & 0xFF) // 8}s"
             )
-            made.append(PdoEntry(*key, code))
-        return made
+            entries.append(PdoEntry(*key, code))
+        return entries
 
     def _lack(self, key: Key, direction: PdoDirection) -> str:
         """Why no PDO can carry an object."""
@@ -337,10 +335,10 @@ class _Planner:
     # ---- communication parameters -------------------------------------------------------------------------
 
     def transmit(self, bins: Iterable[_Bin], wish: PlanWish) -> tuple[PdoMap, ...]:
-        made = []
+        maps = []
         for each in bins:
             if each.group is not None:
-                made.append(self._map(each, each.group.transmission_type))
+                maps.append(self._map(each, each.group.transmission_type))
                 continue
             keys = {(entry.index, entry.sub) for entry in each.entries}
             alone = POSITION in keys and not keys & {STATUS, VELOCITY}
@@ -349,12 +347,12 @@ class _Planner:
             if kind > SYNCHRONOUS_MAX and each.slot.inhibit_time:
                 named = f"{each.slot.name} is not synchronous and has an inhibit time"
                 self._notes.append(f"{named} of {each.slot.inhibit_time / 10:g} ms")
-            made.append(self._map(each, kind))
-        return tuple(made)
+            maps.append(self._map(each, kind))
+        return tuple(maps)
 
     def receive(self, bins: Iterable[_Bin], wish: PlanWish) -> tuple[PdoMap, ...]:
-        wanted = EVERY_SYNC if wish.synchronous_command else EVENT_DRIVEN
-        return tuple(self._map(each, self._type(each.slot, wanted)) for each in bins)
+        kind = EVERY_SYNC if wish.synchronous_command else EVENT_DRIVEN
+        return tuple(self._map(each, self._type(each.slot, kind)) for each in bins)
 
     def _type(self, slot: PdoSlot, wanted: int) -> int:
         held = slot.transmission_type

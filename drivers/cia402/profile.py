@@ -147,13 +147,8 @@ COMMAND_PATTERNS: dict[DriveCommand, BitPattern] = {
 them apart. Fault reset is not a pattern but the rising edge of bit 7."""
 
 CONTROLWORDS: dict[DriveCommand, int] = {
-    DriveCommand.SHUTDOWN: 0x0006,
-    DriveCommand.SWITCH_ON: 0x0007,
-    DriveCommand.ENABLE_OPERATION: 0x000F,
-    DriveCommand.DISABLE_OPERATION: 0x0007,
-    DriveCommand.DISABLE_VOLTAGE: 0x0000,
-    DriveCommand.QUICK_STOP: 0x0002,
-    DriveCommand.FAULT_RESET: 0x0080,
+    **{command: pattern.value for command, pattern in COMMAND_PATTERNS.items()},
+    DriveCommand.FAULT_RESET: Control.FAULT_RESET,
 }
 """The word to send for a command, every optional bit 0."""
 

@@ -68,8 +68,8 @@ class ReadingAssembler:
         told: LastStatusword,
     ) -> None:
         """Raises ValueError if the plan lacks speed, position or statusword."""
-        wanted = (Object.STATUSWORD, Object.POSITION_ACTUAL_VALUE, Object.VELOCITY_ACTUAL_VALUE)
-        missing = [f"{index:04X}h" for index in wanted if plan.tpdo_with(index) is None]
+        needed = (Object.STATUSWORD, Object.POSITION_ACTUAL_VALUE, Object.VELOCITY_ACTUAL_VALUE)
+        missing = [f"{index:04X}h" for index in needed if plan.tpdo_with(index) is None]
         if missing:
             raise ValueError(f"the PDO plan lacks {', '.join(missing)}")
         self.scaling = scaling

@@ -214,9 +214,9 @@ def _position(values: ObjectValues) -> tuple[float, str] | None:
 
 def _velocity(values: ObjectValues, position_rad: float) -> tuple[float, str] | None:
     """rad/s per velocity unit; position units per second where nothing says otherwise."""
-    told = _told_rate(values, Object.SI_UNIT_VELOCITY, position_rad, power=1)
-    if told is not None:
-        return told
+    rate = _told_rate(values, Object.SI_UNIT_VELOCITY, position_rad, power=1)
+    if rate is not None:
+        return rate
     factor, increment = _ratio(values, Object.VELOCITY_ENCODER_FACTOR), _turn_rad(values)
     if factor is not None and increment is not None:
         # DSP 402: increments per second = velocity in user units, times 6094h.
@@ -232,9 +232,9 @@ def _acceleration(
     values: ObjectValues, position_rad: float, velocity_rad_s: float
 ) -> tuple[float, str] | None:
     """rad/s^2 per acceleration unit; velocity units per second where nothing says otherwise."""
-    told = _told_rate(values, Object.SI_UNIT_ACCELERATION, position_rad, power=2)
-    if told is not None:
-        return told
+    rate = _told_rate(values, Object.SI_UNIT_ACCELERATION, position_rad, power=2)
+    if rate is not None:
+        return rate
     factor, increment = _ratio(values, Object.ACCELERATION_FACTOR), _turn_rad(values)
     of_dsp_402 = _ratio(values, Object.VELOCITY_ENCODER_FACTOR) is not None
     if factor is not None and of_dsp_402 and increment is not None:
@@ -248,8 +248,8 @@ def _acceleration(
 
 def _jerk(values: ObjectValues, position_rad: float, acceleration_rad_s2: float) -> tuple[float, str]:
     """rad/s^3 per jerk unit; acceleration units per second where no unit word says otherwise."""
-    told = _told_rate(values, Object.SI_UNIT_JERK, position_rad, power=3)
-    return told or (acceleration_rad_s2, "acceleration unit per second (no 60ABh)")
+    rate = _told_rate(values, Object.SI_UNIT_JERK, position_rad, power=3)
+    return rate or (acceleration_rad_s2, "acceleration unit per second (no 60ABh)")
 
 
 def _told_rate(
@@ -257,13 +257,13 @@ def _told_rate(
 ) -> tuple[float, str] | None:
     """rad/s^power by a unit word; None if it is not set, or tells nothing that is known here."""
     word = values.get((unit_word, 0))
-    told = _rate(word, values, position_rad, power) if word else None
-    if not word or told is None:
+    rate = _rate(word, values, position_rad, power) if word else None
+    if not word or rate is None:
         return None
     if unit_parts(word)[1] in _TURNING:  # turns of the driving shaft
         gear, by_gear = _gear(values)
-        return told * gear, f"{unit_word:04X}h{by_gear}"
-    return told, f"{unit_word:04X}h"
+        return rate * gear, f"{unit_word:04X}h{by_gear}"
+    return rate, f"{unit_word:04X}h"
 
 
 def _rate(word: int, values: ObjectValues, position_rad: float, power: int) -> float | None:

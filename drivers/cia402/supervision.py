@@ -72,8 +72,8 @@ class CommandSupervision:
             return "nobody: the drive does not look after its RPDO (1400h:05), nor tell a torque to compare"
         cycles = max(2, timeout_ms * NS_PER_MS // settings.sync_period_ns)
         self._watch_torque(CommandWatch(cycles, DEMAND_MARGIN_RAW if features.demand else ACTUAL_MARGIN_RAW))
-        told = "6074h" if features.demand else "6077h"
-        return f"the host by {told}, after {cycles} cycles ({timeout_ms} ms){_rest_text(settings)}"
+        torque_object = "6074h" if features.demand else "6077h"
+        return f"the host by {torque_object}, after {cycles} cycles ({timeout_ms} ms){_rest_text(settings)}"
 
     def sent(self, raw: int) -> None:
         """A command was handed to the bus."""

@@ -27,16 +27,16 @@ def capability_of(loaded: LoadedDictionary) -> PdoCapability:
             continue
         members = {0: entry} if isinstance(entry, od.ODVariable) else entry.subindices
         for sub, variable in members.items():
-            made = _mapped_object(index, sub, variable)
-            if made is not None:
-                objects[index, sub] = made
+            mapped = _mapped_object(index, sub, variable)
+            if mapped is not None:
+                objects[index, sub] = mapped
     slots = [
         slot
         for direction in PdoDirection
         for number in range(1, _PDOS_MAX + 1)
         if (slot := _slot(dictionary, direction, number)) is not None
     ]
-    flags_tell = any(made.mappable for made in objects.values())
+    flags_tell = any(mapped.mappable for mapped in objects.values())
     return PdoCapability(tuple(slots), objects, loaded.dummies, flags_tell)
 
 
@@ -92,11 +92,11 @@ def _writable(members: Mapping[int, Any], sub: int) -> bool:
 
 def _entries(mapping: Mapping[int, Any], places: list[int]) -> tuple[int, int]:
     """How many entries are there, and how many sub-index 0 allows beyond them (0: no more)."""
-    told = mapping[0].max if 0 in mapping else None
+    most = mapping[0].max if 0 in mapping else None
     there = len(places)
-    if not isinstance(told, int) or told <= 0:
+    if not isinstance(most, int) or most <= 0:
         return there, 0
-    return min(there, told), min(told, PDO_ENTRIES_MAX) if told > there else 0
+    return min(there, most), min(most, PDO_ENTRIES_MAX) if most > there else 0
 
 
 def _mapping_words(mapping: Mapping[int, Any]) -> tuple[int, ...]:

@@ -171,15 +171,15 @@ def assess(loaded: LoadedDictionary, node_id: int) -> Fitness:
 
 def _identity(loaded: LoadedDictionary) -> FileIdentity:
     dictionary, device = loaded.dictionary, loaded.device
-    told = told_identity(dictionary)
+    identity = told_identity(dictionary)
     name = held(dictionary, Cia301.DEVICE_NAME)
     return FileIdentity(
         vendor_name=device.vendor_name,
         product_name=device.product_name,
         order_code=device.order_code,
-        vendor=next(iter(told.vendor), None),
-        product=next(iter(told.product), None),
-        revision=next(iter(told.revision), None),
+        vendor=next(iter(identity.vendor), None),
+        product=next(iter(identity.product), None),
+        revision=next(iter(identity.revision), None),
         device_name=name if isinstance(name, str) else "",
         device_type=held_number(dictionary, Cia301.DEVICE_TYPE),
     )

@@ -45,12 +45,12 @@ def can_links(root: Path = _SYSFS, described: str | None = None) -> list[CanLink
     """The CAN interfaces of this machine, by name; ``described``: what ``ip`` printed, asked for if None."""
     if described is None:
         described = _ask_ip()
-    told = {link.name: link for link in parse_links(described)}
+    described_links = {link.name: link for link in parse_links(described)}
     links = []
     for adapter in socketcan_links(root):
         name = adapter.spec.removeprefix(f"{SOCKETCAN}:")
-        links.append(told.pop(name, CanLink(name, adapter.usable, "", None, "")))
-    return sorted([*links, *told.values()])
+        links.append(described_links.pop(name, CanLink(name, adapter.usable, "", None, "")))
+    return sorted([*links, *described_links.values()])
 
 
 def parse_links(text: str) -> list[CanLink]:

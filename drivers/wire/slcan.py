@@ -237,8 +237,8 @@ class SlcanBus(can.BusABC):
         for line in self._splitter.feed(data):
             self._note(line, now)
         # the reason, asked for after the first refusal, is worth a little patience
-        told = b"F" not in self._awaited or now - self._asked_why_at > ANSWER_NS
-        if self._refusals >= REFUSALS_MAX and told:
+        reason_known = b"F" not in self._awaited or now - self._asked_why_at > ANSWER_NS
+        if self._refusals >= REFUSALS_MAX and reason_known:
             count, self._refusals = self._refusals, 0
             raise can.CanOperationError(
                 f"{self.channel_info}: the adapter refused {count} frames one after another:"

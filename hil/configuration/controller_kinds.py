@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field
 
-from design.speed.position_loop import PositionDesign, design_position
+from design.speed.position_loop import design_position
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.configuration.config_files import Section
 from hil.configuration.controller_section import AxisController
@@ -114,8 +114,8 @@ class SpeedLoopOfDrive(Section):
     delay_us: int = Field(ge=0, description="from sample to actuator, us; hil measure tells it")
     speed_bandwidth_hz: float = Field(gt=0, le=5e3, description="of the drive's closed speed loop, Hz")
 
-    def design(self, period: Duration) -> PositionDesign:
-        """The position loop. Raises Infeasible from ``design``, never here: a delay is bounded above."""
+    def gain_per_s(self, period: Duration) -> float:
+        """K of the position loop, 1/s."""
         bandwidth_rad_s = math.tau * self.speed_bandwidth_hz
         return design_position(period / NS_PER_S, self.delay_us / 1e6, bandwidth_rad_s)
 
@@ -138,7 +138,7 @@ class PositionController(AxisController):
         """The controller of an axis."""
         gain_per_s = self.gain_per_s
         if gain_per_s is None:
-            gain_per_s = self.made_for.design(setup.period).gain_per_s
+            gain_per_s = self.made_for.gain_per_s(setup.period)
         # A held set-point stands for its middle; a first-order loop comes after by its time constant.
         lag_s = 1.0 / (math.tau * self.made_for.speed_bandwidth_hz)
         lead = Duration(setup.period // 2 + round(lag_s * NS_PER_S))

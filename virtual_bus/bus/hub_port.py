@@ -144,10 +144,10 @@ class HubPort(FramePort):
 
     def _note(self, packet: bytes) -> None:
         """Take in what the broker tells of this client's controller."""
-        told = decode_status(packet)
-        if told is None:
+        decoded = decode_status(packet)
+        if decoded is None:
             raise can.CanOperationError(f"{self._name}: the hub sent what is no frame")
-        status, asked = told
+        status, asked = decoded
         self.error_state = status.error_state
         if asked:
             self._answers.append(status)

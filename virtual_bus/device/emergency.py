@@ -67,7 +67,7 @@ class EmergencyProducer:
         self._post(code, information)
 
     def clear_error(self, code: int, source: int = 0) -> None:
-        """An error is gone; EMCY 0000h tells so, with what remains in the error register."""
+        """An error is gone, if it was active: EMCY 0000h tells so, with what is left in 1001h."""
         if self._active.pop((code, source), None) is not None:
             self._post(NO_ERROR, b"")
 

@@ -82,7 +82,6 @@ class HeartbeatConsumer:
         self._variable = variable
         self._listening: int | None = None
         self._timeout_ns = 0
-        self._lost = False
         self._timer = station.timers.create(self._on_timeout)
         variable.on_write = self._on_write
 
@@ -94,17 +93,11 @@ class HeartbeatConsumer:
 
     def reset_communication(self) -> None:
         """Take the setting from the dictionary; monitoring begins with the next heartbeat."""
-        self._lost = False
         self._configure()
 
     def _on_write(self, _value: int) -> None:
-        self._clear_loss()
+        self._emergency.clear_error(HEARTBEAT_ERROR, self._watched)
         self._configure()
-
-    def _clear_loss(self) -> None:
-        if self._lost:
-            self._lost = False
-            self._emergency.clear_error(HEARTBEAT_ERROR, self._watched)
 
     @property
     def _watched(self) -> int:
@@ -124,11 +117,10 @@ class HeartbeatConsumer:
         if len(frame.data) != 1:
             return
         self._timer.start(Instant(now + self._timeout_ns))
-        self._clear_loss()
+        self._emergency.clear_error(HEARTBEAT_ERROR, self._watched)
 
     def _on_timeout(self, now: Instant) -> None:
         node_id = self._watched
-        self._lost = True
         self._emergency.raise_error(
             HEARTBEAT_ERROR, ErrorRegister.COMMUNICATION, bytes([node_id]), source=node_id
         )
@@ -185,7 +177,6 @@ class NodeGuarding:
         self._nmt = nmt
         self._heartbeat = heartbeat
         self._toggle = 0
-        self._lost = False
         self._can_id: int | None = None
         self._timer = station.timers.create(self._on_timeout)
         for index in (Cia301.GUARD_TIME, Cia301.LIFE_TIME_FACTOR):
@@ -198,7 +189,6 @@ class NodeGuarding:
         self._can_id = ERROR_CONTROL + self._station.node_id
         self._station.listen(self._can_id, self._on_request, remote=True)
         self._toggle = 0
-        self._lost = False
         self._timer.stop()
 
     @property
@@ -217,14 +207,11 @@ class NodeGuarding:
         self._toggle ^= 0x80
         if self._life_time_ns:
             self._timer.start(Instant(now + self._life_time_ns))
-        if self._lost:
-            self._lost = False
-            self._emergency.clear_error(HEARTBEAT_ERROR, _SOURCE)
+        self._emergency.clear_error(HEARTBEAT_ERROR, _SOURCE)
 
     def _on_timeout(self, now: Instant) -> None:
         if self._heartbeat.running:
             return
-        self._lost = True
         self._emergency.raise_error(HEARTBEAT_ERROR, ErrorRegister.COMMUNICATION, source=_SOURCE)
         self._station.application.on_communication_loss(CommunicationLoss.LIFE_GUARDING, 0, now)
         self._nmt.on_communication_error(now)

@@ -1,13 +1,13 @@
 """SDO server: expedited, segmented and block transfers of the dictionary (CiA 301, 7.2.4).
 
     ccs  request               answered by
-    0    download segment      the running SegmentedDownload
-    1    initiate download     expedited at once, or a new SegmentedDownload
-    2    initiate upload       expedited at once, or a new SegmentedUpload
-    3    upload segment        the running SegmentedUpload
+    0    download segment      the running segmented download
+    1    initiate download     expedited at once, or a new segmented download
+    2    initiate upload       expedited at once, or a new segmented upload
+    3    upload segment        the running segmented upload
     4    abort                 nobody; the running transfer is forgotten
-    5    block upload          a new or the running BlockUpload
-    6    block download        a new or the running BlockDownload
+    5    block upload          a new or the running block upload
+    6    block download        a new or the running block download
 
 An initiate request amid a transfer takes its place: the client has given the other up. Anything else
 out of place is aborted with 05040001h. Messages that are not 8 bytes long are no SDOs and are ignored.
@@ -25,13 +25,14 @@ from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 from virtual_bus.device.sdo_transfer import (
     ABORT_COMMAND,
-    BlockDownload,
-    BlockUpload,
+    BLOCK_SIZE_MAX,
     Commit,
-    SegmentedDownload,
-    SegmentedUpload,
     Transfer,
+    block_download,
+    block_upload,
     check_room,
+    segmented_download,
+    segmented_upload,
 )
 from virtual_bus.device.station import Station
 from virtual_bus.frame import Frame
@@ -83,7 +84,7 @@ class SdoServer:
             self._forget()
             return
         transfer = self._transfer
-        if transfer is not None and transfer.accepts(request):
+        if transfer is not None and request[0] in transfer.commands:
             for answer in transfer.answer(request):
                 self._send(answer)
             if transfer.finished:
@@ -118,7 +119,7 @@ class SdoServer:
         else:
             size = int.from_bytes(request[4:8], "little") if sized else None
             _check_announced(variable, size)
-            self._transfer = SegmentedDownload(request[1:4], size, self._commit(index, subindex))
+            self._transfer = segmented_download(request[1:4], size, self._commit(index, subindex))
         self._send(bytes([0x60]) + request[1:4] + bytes(4))
 
     def _initiate_upload(self, request: bytes) -> None:
@@ -130,7 +131,7 @@ class SdoServer:
             command = 0x43 | (EXPEDITED_BYTES - len(data)) << 2
             self._send(bytes([command]) + multiplexer + data.ljust(EXPEDITED_BYTES, b"\x00"))
         else:
-            self._transfer = SegmentedUpload(multiplexer, data)
+            self._transfer = segmented_upload(multiplexer, data)
             self._send(bytes([0x41]) + multiplexer + len(data).to_bytes(4, "little"))
 
     def _initiate_block_download(self, request: bytes) -> None:
@@ -139,9 +140,10 @@ class SdoServer:
         command = request[0]
         size = int.from_bytes(request[4:8], "little") if command & 2 else None
         _check_announced(variable, size)
-        transfer = BlockDownload(request[1:4], size, bool(command & 4), self._commit(index, subindex))
-        self._transfer = transfer
-        self._send(transfer.initiated())
+        commit = self._commit(index, subindex)
+        self._transfer = block_download(request[1:4], size, bool(command & 4), commit)
+        # The server can do CRC, and takes 127 segments at once.
+        self._send(bytes([0xA4]) + request[1:4] + bytes([BLOCK_SIZE_MAX, 0, 0, 0]))
 
     def _initiate_block_upload(self, request: bytes) -> None:
         data = self._station.dictionary.upload(*_multiplexed(request))
@@ -150,9 +152,9 @@ class SdoServer:
         if switch_threshold and len(data) <= switch_threshold:
             self._begin_upload(request[1:4], data)
             return
-        transfer = BlockUpload(request[1:4], data, block_size, bool(request[0] & 4))
-        self._transfer = transfer
-        self._send(transfer.initiated())
+        self._transfer = block_upload(request[1:4], data, block_size, bool(request[0] & 4))
+        # CRC supported, size indicated.
+        self._send(bytes([0xC6]) + request[1:4] + len(data).to_bytes(4, "little"))
 
     def _commit(self, index: int, subindex: int) -> Commit:
         return partial(self._station.dictionary.download, index, subindex)

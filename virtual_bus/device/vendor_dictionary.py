@@ -43,11 +43,11 @@ def overlay(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
         if own.index in MANUFACTURER or (own.index not in entries and own.index not in _MANDATORY):
             dictionary.conceal(own.index)
     for index, entry in entries.items():
-        made = _object(index, entry)
-        if made.members:
+        theirs = _object(index, entry)
+        if theirs.members:
             if index in dictionary:
-                _merge(dictionary.object(index), made, _silent(entry))
-            dictionary.put(made)
+                _merge(dictionary.object(index), theirs, _silent(entry))
+            dictionary.put(theirs)
     _identify(dictionary, vendor)
 
 
@@ -58,8 +58,8 @@ def _identify(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None
         if variable is not None:
             variable.default = variable.value = next(iter(numbers), 0)
     name, product = dictionary.get(Cia301.DEVICE_NAME), vendor.device_information.product_name
-    told = vendor.get(Cia301.DEVICE_NAME)
-    if name is not None and product and told is not None and 0 in _silent(told):
+    name_entry = vendor.get(Cia301.DEVICE_NAME)
+    if name is not None and product and name_entry is not None and 0 in _silent(name_entry):
         name.default = name.value = product.encode("latin-1", errors="replace")
 
 
@@ -117,15 +117,15 @@ def _narrow(variable: Variable, wanted: Variable) -> None:
 def _object(index: int, entry: Any) -> DictionaryObject:
     if isinstance(entry, od.ODVariable):
         domain = entry.data_type == DataType.DOMAIN
-        made = DictionaryObject(index, entry.name, ObjectCode.DOMAIN if domain else ObjectCode.VAR)
+        built = DictionaryObject(index, entry.name, ObjectCode.DOMAIN if domain else ObjectCode.VAR)
         members = {0: entry}
     else:
         code = ObjectCode.ARRAY if isinstance(entry, od.ODArray) else ObjectCode.RECORD
-        made = DictionaryObject(index, entry.name, code)
+        built = DictionaryObject(index, entry.name, code)
         members = dict(entry.subindices)
     for subindex, member in sorted(members.items()):
-        made.members[subindex] = _variable(index, subindex, member)
-    return made
+        built.members[subindex] = _variable(index, subindex, member)
+    return built
 
 
 def _variable(index: int, subindex: int, member: Any) -> Variable:

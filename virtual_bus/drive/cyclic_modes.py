@@ -67,10 +67,10 @@ class CyclicSynchronousVelocity(_CyclicMode):
     def run(self) -> None:
         axis = self.axis
         now = axis.speed_rad_s
-        wanted = axis.cut_speed(self._speed_rad_s)
+        target = axis.cut_speed(self._speed_rad_s)
         left_s = (self._end_tick - axis.firmware.ticks) * axis.firmware.tick_s
         share = min(axis.period_s / max(left_s, axis.period_s), 1.0)
-        change = axis.cut_change(now, share * (wanted - now))
+        change = axis.cut_change(now, share * (target - now))
         axis.run_at(now + change)
 
 

@@ -40,8 +40,8 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     counts = [variable.default for variable in resolution]
     overlay(dictionary, vendor)
     _take_modes(dictionary, modes, held_number(vendor, Object.SUPPORTED_DRIVE_MODES))
-    told = [held_number(vendor, Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
-    _take_resolution(resolution, counts, told)
+    file_resolution = [held_number(vendor, Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
+    _take_resolution(resolution, counts, file_resolution)
     if held_number(vendor, Object.QUICK_STOP_DECELERATION) == 0:
         quick_stop.default = quick_stop.value = 1
         quick_stop.low = 0

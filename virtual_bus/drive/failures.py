@@ -5,17 +5,19 @@ from typing import Final
 
 from drivers.canopen.error_codes import ErrorRegister
 from virtual_bus.device.application import CommunicationLoss, DeviceServices
+from virtual_bus.device.canopen_device import RECOVERED_FROM_BUS_OFF
+from virtual_bus.device.heartbeat import HEARTBEAT_ERROR
 from virtual_bus.device.object_dictionary import Variable
+from virtual_bus.device.rpdo import PDO_DEADLINE
 
 COMMUNICATION_ERROR: Final = 0x8100
-HEARTBEAT_ERROR: Final = 0x8130
 LOSS_CODES: dict[CommunicationLoss, int] = {
     CommunicationLoss.HEARTBEAT: HEARTBEAT_ERROR,
     CommunicationLoss.LIFE_GUARDING: HEARTBEAT_ERROR,
-    CommunicationLoss.RPDO_DEADLINE: 0x8250,
-    CommunicationLoss.BUS_OFF: 0x8140,
+    CommunicationLoss.RPDO_DEADLINE: PDO_DEADLINE,
+    CommunicationLoss.BUS_OFF: RECOVERED_FROM_BUS_OFF,
 }
-"""Error code 603Fh by what was lost; the EMCY of it is the device engine's."""
+"""Error code 603Fh by what was lost: that of the EMCY, which the device engine sends."""
 
 FOLLOWING_ERROR: Final = 0x8611
 """60F4h was outside of 6065h for longer than 6066h."""

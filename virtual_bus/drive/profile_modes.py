@@ -243,9 +243,9 @@ class ProfileVelocity(HaltedMode):
         """Target, inside 607Fh and 6080h, and rates; rad/s, rad/s^2."""
         axis = self.axis
         most = axis.speed_of(axis.motion.max_speed.value)
-        wanted = axis.motion.target_velocity.value * axis.units.rad_s_per_velocity
-        target = axis.cut_speed(min(max(wanted, -most), most))
-        axis.limited = axis.limited or target != wanted
+        asked_for = axis.motion.target_velocity.value * axis.units.rad_s_per_velocity
+        target = axis.cut_speed(min(max(asked_for, -most), most))
+        axis.limited = axis.limited or target != asked_for
         planned = (target, axis.acceleration_rad_s2, axis.deceleration_rad_s2)
         if planned == self._planned:
             return

@@ -79,7 +79,7 @@ class ServoApplication(Application):
         self._services = services
         dictionary = services.dictionary
         self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
-        self.motion_objects = motion = MotionObjects(dictionary, self.motor, self.drive)
+        motion = MotionObjects(dictionary, self.motor, self.drive)
         self.power = PowerStateMachine(objects.option)
         self._failures = Failures(services, objects.error_code)
         counts = self.drive.encoder_counts_per_revolution

@@ -183,6 +183,6 @@ def damaged(frame: Frame, bit: int) -> Frame:
     place = bit % (8 * len(data))
     changed = bytearray(data)
     changed[place // 8] ^= 1 << place % 8
-    made = Frame(frame.can_id, bytes(changed), frame.extended, frame.remote, frame.remote_length)
-    made.handed_at = frame.handed_at
-    return made
+    struck = Frame(frame.can_id, bytes(changed), frame.extended, frame.remote, frame.remote_length)
+    struck.handed_at = frame.handed_at
+    return struck

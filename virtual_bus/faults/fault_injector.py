@@ -86,21 +86,21 @@ class FaultInjector(FateSource):
             left_to_bus = fault.on_the_wire and self._error_frames
             if left_to_bus or not fault.selects(direction, can_id, extended):
                 continue
-            made = self._make(index, fault, direction, node)
-            if isinstance(made, Hold):
-                holds.append(made)
+            at_work = self._make(index, fault, direction, node)
+            if isinstance(at_work, Hold):
+                holds.append(at_work)
             else:
-                ranked.append((fault.rank, index, made))
+                ranked.append((fault.rank, index, at_work))
         in_order = bool(holds) and all(hold.in_order for hold in holds)
         queue = self.queue(way, can_id, extended) if in_order else None
         return _DrawnRoute([strike for _, _, strike in sorted(ranked)], holds, queue)
 
     def _make(self, index: int, fault: FrameFault, direction: Direction, node: int) -> Strike | Hold:
         key = index, int(direction), node
-        made = self._at_work.get(key)
-        if made is None or fault.of_each_cob_id:
+        at_work = self._at_work.get(key)
+        if at_work is None or fault.of_each_cob_id:
             # Named by the fault's place among its own kind: those of other kinds do not count.
             place = sum(other.kind == fault.kind for other in self._faults[:index])
             name = f"{self._link}/{direction.label}/{node}/{fault.kind}/{place}"
-            made = self._at_work[key] = fault.at_work(UniformStream(self._seed, name))
-        return made
+            at_work = self._at_work[key] = fault.at_work(UniformStream(self._seed, name))
+        return at_work

@@ -206,8 +206,8 @@ class RealTimeHost:
             return self._off_by_state
         if frame is None:
             return self._off
-        told = told_bus_off(frame.can_id) if frame.can_id >= ERROR_FLAG else False
-        return self._off if told is None else told
+        off = told_bus_off(frame.can_id) if frame.can_id >= ERROR_FLAG else False
+        return self._off if off is None else off
 
     def _patience(self) -> Instant:
         """Until when to wait for a frame."""

@@ -54,31 +54,35 @@ def add_compact_pdos(objects: dict[int, EdsObject], device: DeviceInformation) -
     ):
         for number in range(min(count or 0, PDOS_MAX)):
             title = f"{name}{number + 1}"
-            made = _communication(base + number, first_id + 0x100 * number, device.compact_pdo, title)
-            objects.setdefault(made.index, made)
+            communication = _communication(
+                base + number, first_id + 0x100 * number, device.compact_pdo, title
+            )
+            objects.setdefault(communication.index, communication)
             mapping = _mapping(base + MAPPING_OFFSET + number, device.granularity or 8, title)
             objects.setdefault(mapping.index, mapping)
 
 
 def _communication(index: int, cob_id: int, mask: int, title: str) -> EdsObject:
-    made = EdsObject(index, f"{title} communication parameter", types.RECORD)
+    parameter = EdsObject(index, f"{title} communication parameter", types.RECORD)
     subs = [sub for sub in _SUBS if mask >> (sub - 1) & 1]
-    made.entries[0] = _entry(index, 0, "Highest sub-index", DataType.UNSIGNED8, "ro", max(subs, default=0))
+    parameter.entries[0] = _entry(
+        index, 0, "Highest sub-index", DataType.UNSIGNED8, "ro", max(subs, default=0)
+    )
     for sub in subs:
         name, data_type = _SUBS[sub]
-        made.entries[sub] = _entry(index, sub, name, data_type, "rw", 255 if sub == 2 else 0)
-    if 1 in made.entries:
+        parameter.entries[sub] = _entry(index, sub, name, data_type, "rw", 255 if sub == 2 else 0)
+    if 1 in parameter.entries:
         predefined = index & 0x1FF < len(TPDOS)
-        made.entries[1].default = Value(None, Formula(1, cob_id)) if predefined else Value(NOT_VALID)
-    return made
+        parameter.entries[1].default = Value(None, Formula(1, cob_id)) if predefined else Value(NOT_VALID)
+    return parameter
 
 
 def _mapping(index: int, granularity: int, title: str) -> EdsObject:
-    made = EdsObject(index, f"{title} mapping parameter", types.RECORD)
-    made.entries[0] = _entry(index, 0, "Number of mapped objects", DataType.UNSIGNED8, "rw", 0)
+    parameter = EdsObject(index, f"{title} mapping parameter", types.RECORD)
+    parameter.entries[0] = _entry(index, 0, "Number of mapped objects", DataType.UNSIGNED8, "rw", 0)
     for sub in range(1, PDO_ENTRIES_MAX // max(1, min(granularity, PDO_ENTRIES_MAX)) + 1):
-        made.entries[sub] = _entry(index, sub, f"Mapped object {sub}", DataType.UNSIGNED32, "rw", 0)
-    return made
+        parameter.entries[sub] = _entry(index, sub, f"Mapped object {sub}", DataType.UNSIGNED32, "rw", 0)
+    return parameter
 
 
 def _entry(index: int, sub: int, name: str, data_type: int, access: str, value: int) -> Entry:

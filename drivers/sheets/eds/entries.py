@@ -57,7 +57,7 @@ class EntryReader:
         """The variable (``sub`` None) or sub-object that ``section`` defines."""
         data_type = self.data_type(section, index, sub)
         place = Place(section, index, sub, data_type)
-        made = Entry(
+        entry = Entry(
             index,
             sub or 0,
             self.name(section),
@@ -67,22 +67,22 @@ class EntryReader:
             read_value(section.option("DefaultValue"), place),
             read_value(section.option("ParameterValue"), place),
         )
-        self._limits(made, place)
-        made.denotation = section.text("Denotation")
-        made.flags = section.number("ObjFlags") or 0 if section.option("ObjFlags") else 0
-        made.storage = section.text("StorageLocation") or None
-        made.extras = {
+        self._limits(entry, place)
+        entry.denotation = section.text("Denotation")
+        entry.flags = section.number("ObjFlags") or 0 if section.option("ObjFlags") else 0
+        entry.storage = section.text("StorageLocation") or None
+        entry.extras = {
             key: section.text(key) for key in ("Unit", "Factor", "Description") if section.text(key)
         }
-        return made
+        return entry
 
     def name(self, section: EdsSection) -> str:
         """ParameterName; one made up where it is missing."""
         if section.text("ParameterName"):
             return section.text("ParameterName")
-        made = f"Object {section.name}"
-        section.mend("ParameterName is missing", f"named {made!r}")
-        return made
+        name = f"Object {section.name}"
+        section.mend("ParameterName is missing", f"named {name!r}")
+        return name
 
     def data_type(self, section: EdsSection, index: int, sub: int | None) -> int:
         """DataType, or the standard's, or DOMAIN."""

@@ -167,10 +167,10 @@ def _check_list(section: EdsSection, defined: set[int], listed: dict[int, str]) 
             section.mend(fault, "counted once", option.line)
         listed.setdefault(index, section.name)
     count = section.options.get(_COUNT)
-    told = integer(count.value) if count is not None else None
+    spelled = integer(count.value) if count is not None else None
     if count is None:
         section.mend("SupportedObjects is missing", f"{entries} are listed")
-    elif told is None or told.value != entries:
+    elif spelled is None or spelled.value != entries:
         fault = f"SupportedObjects is {count.value or 'empty'}, {entries} are listed"
         section.mend(fault, "those that are listed count", count.line)
 

@@ -25,23 +25,23 @@ def to_canopen(
     node_id: int | None,
 ) -> od.ObjectDictionary:
     """The dictionary; ``node_id`` takes the place of $NODEID, a value that needs it is None without."""
-    made = od.ObjectDictionary()  # type: ignore[no-untyped-call]
-    made.node_id = node_id
+    dictionary = od.ObjectDictionary()  # type: ignore[no-untyped-call]
+    dictionary.node_id = node_id
     if commissioning is not None and commissioning.bit_rate_kbit_s:
-        made.bitrate = commissioning.bit_rate_kbit_s * 1000
-    _describe(made, device)
+        dictionary.bitrate = commissioning.bit_rate_kbit_s * 1000
+    _describe(dictionary, device)
     for number in dummies:
         dummy = od.ODVariable(f"Dummy{number:04d}", number, 0)
         dummy.data_type, dummy.access_type = number, "const"
-        made.add_object(dummy)
+        dictionary.add_object(dummy)
     configured_for = commissioning.node_id if commissioning is not None else None
     for index in sorted(objects):
-        made.add_object(_object(objects[index], node_id, configured_for))
-    return made
+        dictionary.add_object(_object(objects[index], node_id, configured_for))
+    return dictionary
 
 
-def _describe(made: od.ObjectDictionary, device: DeviceInformation) -> None:
-    information: Any = made.device_information
+def _describe(dictionary: od.ObjectDictionary, device: DeviceInformation) -> None:
+    information: Any = dictionary.device_information
     information.vendor_name, information.vendor_number = device.vendor_name, device.vendor_number
     information.product_name, information.product_number = device.product_name, device.product_number
     information.revision_number, information.order_code = device.revision_number, device.order_code
@@ -53,38 +53,38 @@ def _describe(made: od.ObjectDictionary, device: DeviceInformation) -> None:
 
 
 def _object(
-    made: EdsObject, node_id: int | None, configured_for: int | None
+    defined: EdsObject, node_id: int | None, configured_for: int | None
 ) -> od.ODVariable | od.ODArray | od.ODRecord:
-    if made.is_variable:
-        return _variable(made.entries[0], node_id, configured_for)
-    kind = od.ODArray if made.object_type == types.ARRAY else od.ODRecord
-    parent: Any = kind(made.name, made.index)
-    parent.storage_location = made.storage
-    for entry in made.entries.values():
+    if defined.is_variable:
+        return _variable(defined.entries[0], node_id, configured_for)
+    kind = od.ODArray if defined.object_type == types.ARRAY else od.ODRecord
+    parent: Any = kind(defined.name, defined.index)
+    parent.storage_location = defined.storage
+    for entry in defined.entries.values():
         parent.add_member(_variable(entry, node_id, configured_for))
     return cast(od.ODArray | od.ODRecord, parent)
 
 
 def _variable(entry: Entry, node_id: int | None, configured_for: int | None) -> od.ODVariable:
-    made: Any = od.ODVariable(entry.name, entry.index, entry.sub)
-    made.data_type, made.access_type = entry.data_type, entry.access
-    made.pdo_mappable, made.storage_location = entry.mappable, entry.storage
-    made.min, made.max = _limit(entry.low), _limit(entry.high)
-    made.default = entry.default.at(node_id)
-    made.value = entry.configured.at(node_id)
+    variable: Any = od.ODVariable(entry.name, entry.index, entry.sub)
+    variable.data_type, variable.access_type = entry.data_type, entry.access
+    variable.pdo_mappable, variable.storage_location = entry.mappable, entry.storage
+    variable.min, variable.max = _limit(entry.low), _limit(entry.high)
+    variable.default = entry.default.at(node_id)
+    variable.value = entry.configured.at(node_id)
     followed = _followed(entry, configured_for)
-    made.relative = followed is not None
-    if followed is not None and made.value is not None and node_id is not None:
-        made.value = followed.at(node_id)
+    variable.relative = followed is not None
+    if followed is not None and variable.value is not None and node_id is not None:
+        variable.value = followed.at(node_id)
     if entry.default.text:
-        made.default_raw = entry.default.text
+        variable.default_raw = entry.default.text
     if entry.configured.text:
-        made.value_raw = entry.configured.text
-    made.unit = entry.extras.get("Unit", "")
-    made.description = entry.extras.get("Description", "")
+        variable.value_raw = entry.configured.text
+    variable.unit = entry.extras.get("Unit", "")
+    variable.description = entry.extras.get("Description", "")
     with suppress(ValueError):
-        made.factor = float(entry.extras.get("Factor", "1"))
-    return cast(od.ODVariable, made)
+        variable.factor = float(entry.extras.get("Factor", "1"))
+    return cast(od.ODVariable, variable)
 
 
 def _followed(entry: Entry, configured_for: int | None) -> Formula | None:

@@ -88,22 +88,22 @@ class _Builder:
         if kind == types.NULL_OBJECT:
             head.mend("the object is of type NULL", "left out")
             return None
-        made = EdsObject(index, self._read.name(head), kind, storage=head.text("StorageLocation") or None)
-        compact = self._compact_count(head, made)
+        built = EdsObject(index, self._read.name(head), kind, storage=head.text("StorageLocation") or None)
+        compact = self._compact_count(head, built)
         if compact:
-            self._expand(made, head, compact)
-        if made.is_variable:
-            made.entries[0] = self._read.entry(head, index, None)
-            return made
+            self._expand(built, head, compact)
+        if built.is_variable:
+            built.entries[0] = self._read.entry(head, index, None)
+            return built
         for sub in sorted(subs):
-            made.entries[sub] = self._read.entry(subs[sub], index, sub)
-        if not made.entries and not self._without_subs(made, head):
+            built.entries[sub] = self._read.entry(subs[sub], index, sub)
+        if not built.entries and not self._without_subs(built, head):
             return None
-        if not made.is_variable:
-            self._check_count(made, head, compact)
-            self._add_sub_0(made, head)
-        made.entries = dict(sorted(made.entries.items()))
-        return made
+        if not built.is_variable:
+            self._check_count(built, head, compact)
+            self._add_sub_0(built, head)
+        built.entries = dict(sorted(built.entries.items()))
+        return built
 
     # ---- what kind of object ------------------------------------------------------------------------------
 
@@ -221,10 +221,10 @@ class _Builder:
 
     def _check_table_count(self, table: EdsSection, listed: int) -> None:
         option = table.option("NrOfEntries")
-        told = integer(option.value) if option is not None else None
+        spelled = integer(option.value) if option is not None else None
         if option is None:
             table.mend("NrOfEntries is missing", f"the {listed} entries that are there count")
-        elif told is None or told.value != listed:
+        elif spelled is None or spelled.value != listed:
             fault = f"NrOfEntries is {option.value}, {listed} are there"
             table.mend(fault, "those that are there count", option.line)
 
@@ -234,8 +234,8 @@ class _Builder:
         """An array or record of which no entry is defined; False if it is to be left out."""
         data_type = integer(head.text("DataType") or "0")
         typed = data_type is not None and data_type.value in types.KNOWN_TYPES
-        told = integer(head.text("SubNumber") or "0")
-        count = min((told.value if told is not None else 0) - 1, _SUBS_MAX)
+        spelled = integer(head.text("SubNumber") or "0")
+        count = min((spelled.value if spelled is not None else 0) - 1, _SUBS_MAX)
         kind = "an array" if made.object_type == types.ARRAY else "a record"
         if typed and count > 0:
             head.mend(f"{kind} without sub-objects", f"given {count} like its head")
@@ -253,11 +253,11 @@ class _Builder:
         option = head.options.get("subnumber")
         if option is None or (compact and not option.value):
             return
-        told = head.number("SubNumber")
+        count = head.number("SubNumber")
         there = len(made.entries)
         # A compact object has none that stand in the file; some tools count those it stands for.
-        if told is not None and told != there and not (compact and told in (0, compact)):
-            fault = f"SubNumber is {told}, {there} sub-objects are there"
+        if count is not None and count != there and not (compact and count in (0, compact)):
+            fault = f"SubNumber is {count}, {there} sub-objects are there"
             head.mend(fault, "those that are there count", option.line)
 
     def _add_sub_0(self, made: EdsObject, head: EdsSection) -> None:

@@ -235,22 +235,24 @@ class _Reader:
 
     def sections(self) -> Sections:
         """All that was found."""
-        made: Sections = {}
+        sections: Sections = {}
         for name, options in self._information.items():
             line = min(option.line for option in options.values())
-            made[name] = EdsSection(name, line, self._log)
-            made[name].options.update(options)
+            sections[name] = EdsSection(name, line, self._log)
+            sections[name].options.update(options)
         for each in self._objects:
             name = section_name(each.index, each.sub)
-            if name in made:
-                made[name].mend(
-                    f"the object occurs twice, first in line {made[name].line}", "the first counts", each.line
+            if name in sections:
+                sections[name].mend(
+                    f"the object occurs twice, first in line {sections[name].line}",
+                    "the first counts",
+                    each.line,
                 )
                 continue
-            made[name] = EdsSection(name, each.line, self._log)
+            sections[name] = EdsSection(name, each.line, self._log)
             for option, value in self._options(each).items():
-                made[name].options[option.lower()] = Option(option, printable(value.strip()), each.line)
-        return made
+                sections[name].options[option.lower()] = Option(option, printable(value.strip()), each.line)
+        return sections
 
     def _options(self, each: _Object) -> dict[str, str]:
         attributes = each.attributes

@@ -70,7 +70,7 @@ def test_a_sync_brings_both_pdos_with_the_sampled_values() -> None:
     position, _stamp = struct.unpack("<iI", frames[1].data)
     firmware = bench.servo.drive.firmware
     assert status == bench.statusword
-    assert 1e-3 * velocity * RAD_S_PER_RPM == pytest.approx(bench.speed_rad_s, rel=0.03)
+    assert velocity * 1e-3 * RAD_S_PER_RPM == pytest.approx(bench.speed_rad_s, rel=0.03)
     assert torque == pytest.approx(800, abs=2)
     turned = firmware.state[kernel.S_TURNS] + firmware.state[kernel.S_ANGLE] / math.tau
     assert position == math.floor(turned * 65_536)

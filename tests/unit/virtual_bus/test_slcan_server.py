@@ -19,6 +19,8 @@ from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 from virtual_bus.instruments.slcan.server import AdapterServer, BusCan, open_far_side, serve_adapter
 
 BITRATE = 1_000_000
+_CARRIED_S = 0.02
+"""Within which a terminal carries what was written to it, on a busy machine too."""
 RIGHT, WRONG = b"S8\rO\r", b"S6\rO\r"
 """LAWICEL: S8 is 1 Mbit/s, S6 500 kbit/s; O opens."""
 
@@ -81,9 +83,11 @@ class Host:
         return self.read()
 
     def read(self) -> bytes:
-        if not select.select([self.port], [], [], 0)[0]:
-            return b""
-        return os.read(self.port, 65536)
+        """All that came: the kernel may carry what the server wrote to the terminal a little later."""
+        came = b""
+        while select.select([self.port], [], [], _CARRIED_S)[0]:
+            came += os.read(self.port, 65536)
+        return came
 
     def close(self) -> None:
         os.close(self.port)

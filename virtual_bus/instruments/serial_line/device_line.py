@@ -143,11 +143,9 @@ class DeviceLine:
         self._output_free_at = Instant(0)
         self._readable_at = Instant(0)
         self._unplug_at: Instant | None = None
-        self._started = False
 
     def start(self, now: Instant) -> None:
         """The device's start, from which an unplugging counts."""
-        self._started = True
         self._unplug_at = self._faults.goes_at(now)
 
     def read(self, now: Instant) -> bytes:

@@ -147,8 +147,8 @@ def open_far_side(spec: BusSpec, bitrate_bit_s: int | None) -> tuple[can.BusABC,
     Raises BusDown or BadInput.
     """
     if spec.interface != "hub":
-        wanted = bitrate_bit_s or 1_000_000
-        return open_bus(spec, wanted, for_link=False).bus, wanted
+        bit_s = bitrate_bit_s or 1_000_000
+        return open_bus(spec, bit_s, for_link=False).bus, bit_s
     try:
         bus = HubBus(spec.channel, bitrate=bitrate_bit_s, receive_own_messages=True)
     except can.CanError as error:
