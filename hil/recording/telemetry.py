@@ -201,7 +201,7 @@ class Telemetry:
             self._show_event(_end_event(Instant(self._last_at), summary))
             enveloped = self._show_envelopes()
             self._show_end_lanes(summary, review)
-            figures = WholeFigures(self._plan, self._envelopes, review, self._marks)
+            figures = WholeFigures(self._plan, self._envelopes, review)
             self._show_limits(figures)
             whole = self._whole(figures, enveloped)
         self._show_verdict(summary)
