@@ -53,7 +53,7 @@ from hil.rows.injected_faults import INJECTED_TRACK, QUIET
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, Rows
 from hil.rows.row_states import DriveStates, HostStates, LabelChange, LinkStates
-from hil.rows.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent, drives_of
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import LimitResult
 
@@ -263,8 +263,9 @@ class Telemetry:
     def _start_at(self, origin: int) -> None:
         self._origin = origin
         held, self._held = self._held, []
-        drives = {event.axis: event.text for event in held if isinstance(event, IdentityEvent)}
-        told: dict[str, Any] = {**(self.metadata or run_metadata(self._plan, Instant(origin), drives))}
+        told: dict[str, Any] = dict(
+            self.metadata or run_metadata(self._plan, Instant(origin), drives_of(held))
+        )
         self._stream.send_property(_PROPERTIES, rr.AnyValues(**told))
         self._told = told
         self.take_events(held)
