@@ -342,10 +342,10 @@ class Telemetry:
         self._stream.send_columns(path, self._times(due_at), rr.Scalars.columns(scalars=values))
 
     def _style(self, path: str) -> rr.SeriesLines | rr.SeriesPoints:
-        """By the part below the axis."""
-        parts = path.removeprefix(OVERVIEW).removeprefix(LIMITS).split("/")
-        below = "/".join(parts[2:])
-        own = own_series(self._plan, parts[1])
+        """By the part below the axis, which no name in it divides; the axis may be called like OVERVIEW."""
+        _, axis, plot, line = path.rsplit("/", 3)
+        below = f"{plot}/{line}"
+        own = own_series(self._plan, axis)
         known: tuple[Series | Marks, ...] = (*SERIES, *MARKS, *LIMIT_SERIES, *own)
         return next(each for each in known if each.path == below).styled()
 
