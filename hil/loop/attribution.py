@@ -23,17 +23,6 @@ Tell = Callable[[str], None]
 class Health:
     """What was seen that a run must be judged by."""
 
-    __slots__ = (
-        "before_sync",
-        "below_transit",
-        "duplicates",
-        "error_ns_max",
-        "placed",
-        "steps",
-        "two_stamps",
-        "unmatched",
-    )
-
     def __init__(self) -> None:
         self.placed = 0
         """Readings placed."""
@@ -59,8 +48,6 @@ class Question:
     A reading that comes meanwhile is marked uncertain at first. With the answer its mark is taken back, or
     stays; the rows of a run wait for that (:data:`HELD_MAX` cycles, :data:`HELD_FOR` at most).
     """
-
-    __slots__ = ("_amended", "cleared", "open", "since")
 
     def __init__(self) -> None:
         self.open = False

@@ -31,8 +31,6 @@ DELAYS_WATCHED: Final = 256
 class Suspect:
     """A reading that came while it is open whether the clock was set."""
 
-    __slots__ = ("device_ns", "guess", "received_at", "second")
-
     def __init__(self, device_ns: int, received_at: Instant, second: bool) -> None:
         self.device_ns = device_ns
         self.received_at = received_at
@@ -56,8 +54,6 @@ class Line(NamedTuple):
 
 class DelayWindow:
     """Smallest and largest delay of the last readings."""
-
-    __slots__ = ("_count", "_high", "_low", "_seen", "high", "low")
 
     def __init__(self) -> None:
         self.low = self.high = self._low = self._high = -1

@@ -33,8 +33,6 @@ ECHO_CYCLES: Final = 2
 class _Followed:
     """A command and what is known of its effect."""
 
-    __slots__ = ("acts_after", "acts_by", "fate", "heard_ns", "sent", "shows")
-
     def __init__(self, sent: SentCommand, shows: bool, heard_ns: int) -> None:
         """``shows``: its own echo tells when it is on the bus. ``heard_ns``: for how long the bus had been
         heard of."""

@@ -12,8 +12,6 @@ from hil.loop.syncs import SyncMark
 class Tick:
     """What all axes of a cycle share."""
 
-    __slots__ = ("due_at", "sequence", "time_s", "woke_at")
-
     def __init__(self, sequence: int, due_at: Instant, woke_at: Instant | None, time_s: float) -> None:
         """``woke_at``: None for a tick for which the host was not there; ``time_s``: since the run began."""
         self.sequence = sequence
@@ -24,21 +22,6 @@ class Tick:
 
 class Decision:
     """What was done in one cycle, while the fates of its reading and of its command may still be open."""
-
-    __slots__ = (
-        "channels",
-        "command",
-        "compute_ns",
-        "estimate",
-        "fate",
-        "load_torque_nm",
-        "mark",
-        "reference_nm",
-        "reference_rad",
-        "reference_rad_s",
-        "sent",
-        "tick",
-    )
 
     def __init__(self, tick: Tick, reference_rad_s: float, load_torque_nm: float) -> None:
         self.tick = tick

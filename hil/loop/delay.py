@@ -26,8 +26,6 @@ outlier hardly moves it."""
 class Fate:
     """The end of one sequence."""
 
-    __slots__ = ("delay", "observation", "sequence")
-
     def __init__(self, sequence: int, observation: Observation, delay: Duration | None) -> None:
         """``delay``: sampled to received; None if it never came."""
         self.sequence = sequence
@@ -37,8 +35,6 @@ class Fate:
 
 class _Outstanding:
     """A SYNC whose reading is still awaited, or has come but waits for earlier ones."""
-
-    __slots__ = ("doubtful", "due_at", "fate", "heard_ns", "sequence")
 
     def __init__(self, sequence: int, due_at: Instant, heard_ns: int) -> None:
         self.sequence = sequence
@@ -51,8 +47,6 @@ class _Outstanding:
 
 class _Doubt:
     """Cycles whose readings were of uncertain place."""
-
-    __slots__ = ("first", "last")
 
     def __init__(self, first: int, last: int) -> None:
         self.first = first

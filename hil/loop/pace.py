@@ -38,8 +38,6 @@ Stall = Callable[[Instant], Duration]
 class Start:
     """What becomes of the next tick."""
 
-    __slots__ = ("due_at", "served", "woke_at")
-
     def __init__(self, due_at: Instant, woke_at: Instant | None, served: bool) -> None:
         """``woke_at``: when the host came for it; None if it did not. ``served``: it is a cycle now."""
         self.due_at = due_at

@@ -202,19 +202,26 @@ class StampAttribution:
 
     def _exonerate_free(self) -> None:
         """The clock is as it was: suspects alone on a SYNC of their own are certain after all."""
-        guesses = [suspect.guess for suspect in self._suspects]
-        proved = 0
+        placed: list[tuple[Suspect, SyncMark]] = []
         match_ns = self._match_ns + self.clock.error_ns
         for suspect in self._suspects:
             at = self.clock.place(suspect.device_ns)
             mark = self._syncs.nearest(at)
-            if mark is None or mark.on_bus_at is None or abs(at - mark.on_bus_at) > match_ns:
-                continue
-            if mark.sequence == suspect.guess and guesses.count(suspect.guess) == 1:
+            if mark is not None and mark.on_bus_at is not None and abs(at - mark.on_bus_at) <= match_ns:
+                placed.append((suspect, mark))
+        self.question.cleared = self._exonerate(placed)
+
+    def _exonerate(self, placed: list[tuple[Suspect, SyncMark]]) -> bool:
+        """Suspects that had been placed where they are known to be now, and none beside them there, are
+        certain after all; whether all are."""
+        guesses = [suspect.guess for suspect in self._suspects]
+        proved = 0
+        for suspect, mark in placed:
+            if suspect.guess == mark.sequence and guesses.count(suspect.guess) == 1:
                 self._answer(mark, suspect.device_ns)
-                self.question.amend(suspect.guess, True, 2 * match_ns)
+                self.question.amend(suspect.guess, True, 2 * (self._match_ns + self.clock.error_ns))
                 proved += 1
-        self.question.cleared = proved == len(guesses)
+        return proved == len(guesses)
 
     def _acquit(self) -> None:
         """The clock is as it was: a second stamp for a SYNC has no explanation then."""
@@ -322,7 +329,8 @@ class StampAttribution:
             self.health.steps += 1
         else:
             self._case.delays = DelayWindow()
-        self._exonerate(last, line)
+        all_proved = self._exonerate(list(zip(last, line.marks, strict=True)))
+        self.question.cleared = all_proved and not (line.steps and self._case.revoked)
         if line.steps:
             self._close()
         else:
@@ -332,13 +340,3 @@ class StampAttribution:
             self._answer(mark, suspect.device_ns)
             assert mark.on_bus_at is not None
             self._case.delays.add(suspect.received_at - mark.on_bus_at)
-
-    def _exonerate(self, last: list[Suspect], line: Line) -> None:
-        """Suspects that had been placed where the answer puts them are certain after all."""
-        guesses = [suspect.guess for suspect in self._suspects]
-        proved = 0
-        for suspect, mark in zip(last, line.marks, strict=True):
-            if suspect.guess == mark.sequence and guesses.count(suspect.guess) == 1:
-                self.question.amend(suspect.guess, True, 2 * (self._match_ns + self.clock.error_ns))
-                proved += 1
-        self.question.cleared = proved == len(guesses) and not (line.steps and self._case.revoked)

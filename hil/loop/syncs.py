@@ -38,8 +38,6 @@ SURPLUS: Final = 0
 class SyncMark:
     """One SYNC."""
 
-    __slots__ = ("handed_at", "number", "on_bus_at", "sequence", "sure")
-
     def __init__(self, number: int, sequence: int, handed_at: Instant) -> None:
         self.number = number
         """Counted along all SYNCs of the segment, 1, 2, ..., a surplus one included."""

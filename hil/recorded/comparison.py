@@ -6,7 +6,7 @@ signals are is taken of cycles that have a reading in both.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +20,7 @@ from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S
 from hil.configuration.config_files import Section, load_file
 from hil.recorded.recorded_run import RecordedRun, RunSignals
+from hil.reviewing.largest import Largest, largest
 from hil.rows.records import DIGESTED_BYTES, FATE_SAMPLE, NAMES, ROW_DTYPE, Rows
 
 _SIGNALS: Final = ("velocity_rad_s", "torque_nm", "command_torque_nm", "reference_rad_s", "load_torque_nm")
@@ -60,32 +61,26 @@ def load_tolerances(path: Path) -> Tolerances:
     return load_file(Tolerances, path, "a file of tolerances", NamedBy("--tolerances", "", str(path)))
 
 
-@dataclass(slots=True)
 class Difference:
     """Of one signal of one axis."""
 
-    count: int = 0
-    square_sum: float = 0.0
-    largest: float = 0.0
-    at_ns: int | None = None
-    """When it was largest, run time."""
+    def __init__(self) -> None:
+        self.largest = Largest()
+        """By size, and when, run time."""
+        self._count, self._square_sum = 0, 0.0
 
     def add(self, due_at: np.ndarray[Any, Any], apart: np.ndarray[Any, Any]) -> None:
         """(n,) instants and differences; what is no number is left out."""
         known = ~np.isnan(apart)
-        apart, due_at = np.abs(apart[known]), due_at[known]
-        if not apart.size:
-            return
-        self.count += apart.size
-        self.square_sum += float((apart * apart).sum())
-        place = int(apart.argmax())
-        if self.at_ns is None or apart[place] > self.largest:
-            self.largest, self.at_ns = float(apart[place]), int(due_at[place])
+        apart = np.abs(apart[known])
+        self._count += apart.size
+        self._square_sum += float((apart * apart).sum())
+        self.largest.look(due_at[known], apart)
 
     @property
     def rms(self) -> float | None:
         """None: no cycle has both."""
-        return math.sqrt(self.square_sum / self.count) if self.count else None
+        return math.sqrt(self._square_sum / self._count) if self._count else None
 
 
 @dataclass(slots=True)
@@ -164,51 +159,46 @@ def compare_runs(runs: Sequence[RecordedRun], tolerances: Tolerances | None = No
 
 def _beside(base: RecordedRun, run: RecordedRun) -> Against:
     beside = Against(run, RunSignals(run))
+    if run is base:
+        for rows in run.rows():
+            beside.signals.add(rows)
+        return beside
     shared = {name: (base.axes.index(name), run.axes.index(name)) for name in run.axes if name in base.axes}
-    if run is not base:
-        beside.differences = {name: {signal: Difference() for signal in _SIGNALS} for name in shared}
-    held: dict[str, list[Rows]] = {name: [] for name in shared}
-    others = base.rows() if run is not base else iter(())
+    beside.differences = {name: {signal: Difference() for signal in _SIGNALS} for name in shared}
+    others = _RowsByAxis(base, [theirs for theirs, _ in shared.values()])
     for rows in run.rows():
         beside.signals.add(rows)
-        if run is base:
-            continue
-        for name, (_, ours) in shared.items():
+        for name, (theirs, ours) in shared.items():
             mine = rows[rows["axis"] == ours]
             if mine.size:  # a batch may end between two axes of a cycle: each goes as far as it has come
-                _hold(beside, name, _up_to(held, others, shared, name, int(mine["sequence"][-1])), mine)
+                _hold(beside, name, others.up_to(theirs, int(mine["sequence"][-1])), mine)
     return beside
 
 
-def _up_to(
-    held: Mapping[str, list[Rows]],
-    others: Iterator[Rows],
-    shared: Mapping[str, tuple[int, int]],
-    name: str,
-    cycle: int,
-) -> Rows:
-    """The base's rows of an axis that are not taken yet, as far as ``cycle``; what is behind it is kept."""
-    while not held[name] or int(held[name][-1]["sequence"][-1]) < cycle:
-        batch = next(others, None)
-        if batch is None:
-            break
-        for each, (theirs, _) in shared.items():
-            mine = batch[batch["axis"] == theirs]
-            if mine.size:
-                held[each].append(mine)
-    if not held[name]:
-        return np.empty(0, ROW_DTYPE)
-    together = held[name][0] if len(held[name]) == 1 else np.concatenate(held[name])
-    now = int(np.searchsorted(together["sequence"], cycle, side="right"))
-    held[name][:] = [together[now:]] if now < together.size else []
-    return together[:now]
+class _RowsByAxis:
+    """The rows of a run, axis by axis as far as they are asked for."""
+
+    def __init__(self, run: RecordedRun, axes: Sequence[int]) -> None:
+        self._batches = run.rows()
+        self._held = {axis: np.empty(0, ROW_DTYPE) for axis in axes}
+
+    def up_to(self, axis: int, cycle: int) -> Rows:
+        """Those up to a cycle that were not taken yet."""
+        while not (self._held[axis]["sequence"][-1:] >= cycle).any():
+            batch = next(self._batches, None)
+            if batch is None:
+                break
+            for each, held in self._held.items():
+                self._held[each] = np.concatenate((held, batch[batch["axis"] == each]))
+        held = self._held[axis]
+        end = int(np.searchsorted(held["sequence"], cycle, side="right"))
+        self._held[axis] = held[end:]
+        return held[:end]
 
 
 def _hold(beside: Against, name: str, other: Rows, mine: Rows) -> None:
-    base, own = other, mine
-    if not np.array_equal(other["sequence"], mine["sequence"]):
-        _, left, right = np.intersect1d(other["sequence"], mine["sequence"], return_indices=True)
-        base, own = other[left], mine[right]
+    _, left, right = np.intersect1d(other["sequence"], mine["sequence"], return_indices=True)
+    base, own = other[left], mine[right]
     if not base.size:
         return
     beside.cycles_of_both += base.size
@@ -250,11 +240,10 @@ def _regressions(base: Against, other: Against, tolerances: Tolerances) -> Itera
 
 
 def _speed_apart(other: Against) -> dict[str, float | None]:
-    of_axes = [signals["velocity_rad_s"] for signals in other.differences.values()]
-    apart = [each for each in of_axes if each.count]
+    apart = [signals["velocity_rad_s"] for signals in other.differences.values()]
     return {
-        "speed_difference_rms_rad_s": max((each.rms or 0.0 for each in apart), default=None),
-        "speed_difference_max_rad_s": max((each.largest for each in apart), default=None),
+        "speed_difference_rms_rad_s": largest(each.rms for each in apart),
+        "speed_difference_max_rad_s": largest(each.largest.value for each in apart),
     }
 
 
@@ -269,11 +258,7 @@ def comparison_json(compared: Sequence[Against]) -> dict[str, Any]:
                 "cycles_of_both": each.cycles_of_both,
                 "differences": {
                     axis: {
-                        signal: {
-                            "rms": one.rms,
-                            "max": one.largest if one.count else None,
-                            "at_ns": one.at_ns,
-                        }
+                        signal: {"rms": one.rms, "max": one.largest.value, "at_ns": one.largest.at}
                         for signal, one in signals.items()
                     }
                     for axis, signals in each.differences.items()
@@ -311,10 +296,9 @@ def _apart(each: Against) -> Iterator[str]:
     yield f"  first divergence: {divergence.axis}, cycle {divergence.cycle} at {at_s:.6f} s, in {named}"
     for axis, signals in each.differences.items():
         for signal, one in signals.items():
-            if one.count and one.largest:
-                at = "" if one.at_ns is None else f" at {one.at_ns / NS_PER_S:.3f} s"
-                sizes = f"rms {_number(one.rms):>10}  largest {_number(one.largest):>10}"
-                yield f"  {axis} {signal:20} {sizes}{at}"
+            if one.largest.value and one.largest.at is not None:
+                sizes = f"rms {_number(one.rms):>10}  largest {_number(one.largest.value):>10}"
+                yield f"  {axis} {signal:20} {sizes} at {one.largest.at / NS_PER_S:.3f} s"
 
 
 def _judged(one: Regression) -> str:

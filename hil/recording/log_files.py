@@ -31,11 +31,11 @@ from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import (
     FRAME_DTYPE,
     BeginEvent,
-    IdentityEvent,
     LoadEvent,
     RunEvent,
     StateEvent,
     TextEvent,
+    drives_of,
 )
 from hil.verdict.summary import Summary
 from virtual_bus.child_python import python_command, python_environment
@@ -69,7 +69,8 @@ class Keeper:
 class RowBlocks:
     """Collects drained rows into fewer, larger blocks; small ones cost more room than their content."""
 
-    def __init__(self) -> None:
+    def __init__(self, size: int = _BLOCK_ROWS) -> None:
+        self._size = size
         self._parts: list[Rows] = []
         self._count = 0
 
@@ -78,7 +79,7 @@ class RowBlocks:
         if rows.size:
             self._parts.append(rows)
             self._count += rows.size
-        return self._count >= _BLOCK_ROWS
+        return self._count >= self._size
 
     def take(self) -> Rows | None:
         """All collected rows; None if there are none."""
@@ -108,9 +109,7 @@ class RecordsKeeper(Keeper):
         self._begun = False
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
-        for event in events:
-            if isinstance(event, IdentityEvent):
-                self._drives[event.axis] = event.text
+        self._drives |= drives_of(events)
         if self._zero.look(events):
             self._begin()
         if self._blocks.add(rows):
@@ -284,16 +283,13 @@ class FaultsKeeper(Keeper):
         self._file.close()
 
 
-class RerunKeeper(Keeper):
-    """run.rrd; in a stream of its own, so that no viewer can hold it up."""
+class PageKeeper(Keeper):
+    """What shows the run in Rerun."""
 
-    name = RERUN_FILE
-
-    def __init__(self, plan: RecordingPlan, folder: Path, recording_id: str, review: Review) -> None:
-        self._telemetry = Telemetry(plan, recording_id, rr.FileSink(folder / RERUN_FILE))
-        self._blocks = RowBlocks()
+    def __init__(self, telemetry: Telemetry, review: Review, block_rows: int = _BLOCK_ROWS) -> None:
+        self._telemetry = telemetry
         self._review = review
-        self._show_at_end = folder / RERUN_FILE if plan.view and not plan.real_time else None
+        self._blocks = RowBlocks(block_rows)
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
         self._telemetry.take_events(events)
@@ -308,8 +304,6 @@ class RerunKeeper(Keeper):
     def finish(self, summary: Summary) -> None:
         self._send_block()
         self._telemetry.finish(summary, self._review)
-        if self._show_at_end is not None:
-            start_viewer(str(self._show_at_end))
 
     def _send_block(self) -> None:
         block = self._blocks.take()
@@ -317,28 +311,35 @@ class RerunKeeper(Keeper):
             self._telemetry.take_rows(block)
 
 
-class LiveKeeper(Keeper):
+class RerunKeeper(PageKeeper):
+    """run.rrd; in a stream of its own, so that no viewer can hold it up."""
+
+    name = RERUN_FILE
+
+    def __init__(self, plan: RecordingPlan, folder: Path, recording_id: str, review: Review) -> None:
+        self._path = folder / RERUN_FILE
+        super().__init__(Telemetry(plan, recording_id, rr.FileSink(self._path)), review)
+        self._shows_at_end = plan.view and not plan.real_time
+
+    def finish(self, summary: Summary) -> None:
+        super().finish(summary)
+        if self._shows_at_end:
+            start_viewer(str(self._path))
+
+
+class LiveKeeper(PageKeeper):
     """A Rerun viewer that shows a real-time run while it goes on; served on the loopback only."""
 
     name = LIVE_VIEW
 
     def __init__(self, plan: RecordingPlan, recording_id: str, review: Review) -> None:
         sink = rr.GrpcServerSink(bind_ip=_LOOPBACK, port=_free_port(), server_memory_limit=_LIVE_MEMORY)
-        self._telemetry = Telemetry(plan, recording_id, sink, live=True)
-        self._review = review
+        super().__init__(Telemetry(plan, recording_id, sink, live=True), review, block_rows=1)
         start_viewer("--connect", sink.uri)
-
-    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
-        self._telemetry.take_events(events)
-        self._telemetry.observed.take(frames)
-        self._telemetry.take_rows(rows)
 
     def flush(self) -> None:
         self._telemetry.show_running(self._review)
-        self._telemetry.flush()
-
-    def finish(self, summary: Summary) -> None:
-        self._telemetry.finish(summary, self._review)
+        super().flush()
 
 
 def open_keepers(plan: RecordingPlan, review: Review) -> list[Keeper]:

@@ -136,14 +136,14 @@ class Logger:
         self._for_each(lambda keeper: keeper.flush())
 
     def _finish(self, outcome: RunOutcome) -> Summary:
-        for what, ring in (
-            ("cycle record", self._rows),
-            ("frame", self._frames),
-            ("event", self._events),
-            ("block of injected faults", self._fault_blocks),
+        for one, more, ring in (
+            ("cycle record", "cycle records", self._rows),
+            ("frame", "frames", self._frames),
+            ("event", "events", self._events),
+            ("block of injected faults", "blocks of injected faults", self._fault_blocks),
         ):
             if count := ring.refused:
-                self._note(f"{count} {what}{'s' if count > 1 else ''} lost, the logger was too slow")
+                self._note(f"{count} {more if count > 1 else one} lost, the logger was too slow")
         self._flush()  # who waits for room on a full disk must not take what is kept for the end
         if self._plan.folder is not None:
             self._end_records(self._plan.folder)

@@ -17,7 +17,7 @@ from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
 from hil.rows.run_zero import RunZero
 from hil.rows.set_points import SetPointTeller
-from hil.rows.side_rows import IdentityEvent, RunEvent
+from hil.rows.side_rows import RunEvent, drives_of
 from hil.verdict.summary import Summary, summarise
 from hil.verdict.verdict import RunOutcome
 from virtual_bus.faults.fault_log import BLOCK
@@ -108,8 +108,8 @@ class MemoryRecorder(RunRecorder):
         """The same as ``records.arrow`` has it: in run time, with nulls, units and metadata."""
         from hil.rows.records_file import records_table  # pyarrow, which no loop needs
 
-        drives = {event.axis: event.text for event in self.events if isinstance(event, IdentityEvent)}
-        return records_table(self.rows(), run_metadata(self._plan, self._zero.at, drives), self._zero.at)
+        metadata = run_metadata(self._plan, self._zero.at, drives_of(self.events))
+        return records_table(self.rows(), metadata, self._zero.at)
 
     def frames(self) -> list[KeptFrame]:
         """Every frame in order of time, in run time."""

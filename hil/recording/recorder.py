@@ -135,7 +135,7 @@ def start_recording(plan: RecordingPlan) -> Recorder:
     if plan.folder is not None:
         _make_folder(plan.folder)
         try:
-            (plan.folder / BENCH_FILE).write_text(plan.bench_toml)
+            (plan.folder / BENCH_FILE).write_text(plan.bench_toml, encoding="utf-8")
         except OSError as error:
             raise RecordingFailed(f"{plan.folder / BENCH_FILE}: {error.strerror}") from error
     recorder = Recorder(plan)

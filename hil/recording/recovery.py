@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -19,8 +19,6 @@ from uuid import uuid4
 import numpy as np
 import rerun as rr
 
-from drivers.bounded_file import parse_json
-from drivers.errors import BadInput
 from drivers.printable import printable
 from drivers.timebase import Instant
 from hil.recording.append_file import AppendFile
@@ -32,6 +30,7 @@ from hil.recording.telemetry import RERUN_FILE, Telemetry
 from hil.recording.whole_records import Rings, first_cycle, whole_records
 from hil.reviewing.review import Review
 from hil.reviewing.trace.run_trace import RecordedBus
+from hil.rows.event_lines import read_events
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW, ROW_DTYPE
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
@@ -185,7 +184,7 @@ def _write_rerun_anew(plan: RecordingPlan, summary: Summary, review: Review) -> 
 def _send(plan: RecordingPlan, folder: Path, telemetry: Telemetry, summary: Summary, review: Review) -> None:
     """As a logger sends it: what was before the first cycle, the cycles, what came after."""
     telemetry.metadata = read_metadata(folder / RECORDS_FILE)
-    told = [*_told_in(folder / EVENTS_FILE, _event), *_told_in(folder / LOAD_FILE, _load)]
+    told = [*_events(folder / EVENTS_FILE), *_loads(folder / LOAD_FILE)]
     telemetry.take_events([event for event in told if event.at <= 0])
     if plan.observed and plan.frames:
         for frames in RecordedBus(folder).arrays(plan.segments):
@@ -196,31 +195,30 @@ def _send(plan: RecordingPlan, folder: Path, telemetry: Telemetry, summary: Summ
     telemetry.finish(summary, review)
 
 
-def _told_in(path: Path, event_of: Callable[[str], RunEvent]) -> Iterator[RunEvent]:
-    """The events in the lines of a file; a line that is none, such as a head, is passed over."""
+def _events(path: Path) -> Iterator[RunEvent]:
+    """The entries of events.jsonl; what is none is passed over."""
+    for fields in read_events(path):
+        with suppress(ValueError, KeyError):
+            at = _instant(fields["at_ns"])
+            if "begin" in fields:
+                yield BeginEvent(at)
+            elif "track" in fields:
+                yield StateEvent(at, printable(str(fields["track"])), printable(str(fields["state"])))
+            else:
+                yield TextEvent(at, printable(str(fields["level"])), printable(str(fields["text"])))
+
+
+def _loads(path: Path) -> Iterator[RunEvent]:
+    """The lines of load.csv; one that is none, such as its head, is passed over."""
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else ():
-        with suppress(BadInput, ValueError, KeyError, TypeError):
-            yield event_of(line)
-
-
-def _event(line: str) -> RunEvent:
-    fields = parse_json(line, EVENTS_FILE, "an event")
-    at = _instant(fields["at_ns"])
-    if "begin" in fields:
-        return BeginEvent(at)
-    if "track" in fields:
-        return StateEvent(at, printable(str(fields["track"])), printable(str(fields["state"])))
-    return TextEvent(at, printable(str(fields["level"])), printable(str(fields["text"])))
-
-
-def _load(line: str) -> RunEvent:
-    at, axis, torque_nm, speed_rad_s = line.split(",")
-    return LoadEvent(_instant(int(at)), printable(axis), float(torque_nm), float(speed_rad_s))
+        with suppress(ValueError):
+            at, axis, torque_nm, speed_rad_s = line.split(",")
+            yield LoadEvent(_instant(int(at)), printable(axis), float(torque_nm), float(speed_rad_s))
 
 
 def _instant(value: int) -> Instant:
     """Raises ValueError for what no clock shows."""
-    if not isinstance(value, int) or abs(value) > _INSTANT_MAX:
+    if abs(value) > _INSTANT_MAX:
         raise ValueError(value)
     return Instant(value)
 

@@ -53,7 +53,7 @@ from hil.rows.injected_faults import INJECTED_TRACK, QUIET
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, Rows
 from hil.rows.row_states import DriveStates, HostStates, LabelChange, LinkStates
-from hil.rows.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent, drives_of
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import LimitResult
 
@@ -201,7 +201,7 @@ class Telemetry:
             self._show_event(_end_event(Instant(self._last_at), summary))
             enveloped = self._show_envelopes()
             self._show_end_lanes(summary, review)
-            figures = WholeFigures(self._plan, self._envelopes, review, self._marks)
+            figures = WholeFigures(self._plan, self._envelopes, review)
             self._show_limits(figures)
             whole = self._whole(figures, enveloped)
         self._show_verdict(summary)
@@ -263,8 +263,9 @@ class Telemetry:
     def _start_at(self, origin: int) -> None:
         self._origin = origin
         held, self._held = self._held, []
-        drives = {event.axis: event.text for event in held if isinstance(event, IdentityEvent)}
-        told: dict[str, Any] = {**(self.metadata or run_metadata(self._plan, Instant(origin), drives))}
+        told: dict[str, Any] = dict(
+            self.metadata or run_metadata(self._plan, Instant(origin), drives_of(held))
+        )
         self._stream.send_property(_PROPERTIES, rr.AnyValues(**told))
         self._told = told
         self.take_events(held)
@@ -341,10 +342,10 @@ class Telemetry:
         self._stream.send_columns(path, self._times(due_at), rr.Scalars.columns(scalars=values))
 
     def _style(self, path: str) -> rr.SeriesLines | rr.SeriesPoints:
-        """By the part below the axis."""
-        parts = path.removeprefix(OVERVIEW).removeprefix(LIMITS).split("/")
-        below = "/".join(parts[2:])
-        own = own_series(self._plan, parts[1])
+        """By the part below the axis, which no name in it divides; the axis may be called like OVERVIEW."""
+        _, axis, plot, line = path.rsplit("/", 3)
+        below = f"{plot}/{line}"
+        own = own_series(self._plan, axis)
         known: tuple[Series | Marks, ...] = (*SERIES, *MARKS, *LIMIT_SERIES, *own)
         return next(each for each in known if each.path == below).styled()
 

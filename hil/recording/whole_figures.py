@@ -9,10 +9,10 @@ from drivers.rotation import RPM_PER_RAD_S
 from drivers.timebase import NS_PER_US
 from hil.recording.lanes import error_limit_rpm
 from hil.recording.page_series import torque_scale
-from hil.recording.plot_scale import about, around_zero
+from hil.recording.plot_scale import Range, about, around_zero
 from hil.reviewing.envelope import Envelope, Points
 from hil.reviewing.review import Review
-from hil.rows.recording_plan import AxisPlan, RecordingPlan
+from hil.rows.recording_plan import RecordingPlan
 
 _WORTH_SHOWING: Final = 4.0
 """A limit so many times the signal, or farther, would flatten it: the title names it then."""
@@ -23,6 +23,7 @@ _NEARLY_REACHED: Final = 1.2
 _DRAWN: Final = {
     "speed": ("speed/measured", "speed/reference"),
     "torque": ("torque/measured", "torque/command", "torque/load", "torque/brake"),
+    "position": ("position/measured", "position/reference"),
 }
 _MARGIN: Final = 1.15
 """Bars end below the frame, with room for the label above the largest."""
@@ -33,85 +34,89 @@ def in_view(limit: float, signal: float) -> bool:
     return limit <= _WORTH_SHOWING * signal
 
 
-class _DrawnError(NamedTuple):
-    """An error and its limit in the unit of its plot, and the times that do not count."""
+class _Limit(NamedTuple):
+    """What a plot is held against, up and down, in the plot's unit."""
 
     plot: str
-    limit: float | None
+    size: float | None
+    """None: nobody says."""
     reach: float
-    settling: Sequence[tuple[int, int]]
+    """How far the signal comes; of an error what counts of it."""
+    drawn: bool
+    """It is near enough to its signal to be a line."""
+    title: str
+    settling: Sequence[tuple[int, int]] = ()
+    """From when to when it does not hold."""
 
 
 class WholeFigures:
     """Of one run."""
 
-    def __init__(
-        self,
-        plan: RecordingPlan,
-        envelopes: Mapping[str, Envelope],
-        review: Review,
-        marks: Mapping[str, int],
-    ) -> None:
-        """``envelopes``: by the path of the series. ``marks``: dropouts by axis."""
-        self._plan = plan
+    def __init__(self, plan: RecordingPlan, envelopes: Mapping[str, Envelope], review: Review) -> None:
+        """``envelopes``: by the path of the series."""
         self._envelopes = envelopes
-        self._marks = marks
-        self._axes = plan.review.axes
-        self._error_limits = {
-            axis.name: error_limit_rpm(meter, plan.review.limits)
-            for axis, meter in zip(plan.review.axes, review.errors, strict=True)
+        self._deadline_us = plan.deadline / NS_PER_US
+        self._limits = {
+            axis.name: self._of_axis(plan, review, place) for place, axis in enumerate(plan.review.axes)
         }
-        self._speeds = dict(zip((axis.name for axis in self._axes), review.errors, strict=True))
-        self._positions = dict(zip((axis.name for axis in self._axes), review.positions, strict=True))
 
-    def ranges(self) -> dict[str, tuple[float, float]]:
+    def ranges(self) -> dict[str, Range]:
         """Of the values, by axis and plot; what is not here is as wide as its data."""
-        ranges = {}
-        for axis in self._axes:
-            for plot, low_high in (
-                ("speed", self._data_range(axis.name, *_DRAWN["speed"])),
-                ("torque", self._data_range(axis.name, *_DRAWN["torque"])),
-                ("delay", self._delay_range(axis.name)),
-                ("position", self._data_range(axis.name, "position/measured", "position/reference")),
-                *((each.plot, self._error_range(each)) for each in self._errors(axis.name)),
-            ):
+        ranges: dict[str, Range] = {}
+        for name, limits in self._limits.items():
+            plots = {plot: about(self._ends(name, *paths)) for plot, paths in _DRAWN.items()}
+            plots["delay"] = self._delay_range(name)
+            plots |= {each.plot: _error_range(each) for each in limits if each.plot not in _DRAWN}
+            for plot, low_high in plots.items():
                 if low_high is not None and low_high[0] < low_high[1]:
-                    ranges[f"{axis.name}/{plot}"] = low_high
+                    ranges[f"{name}/{plot}"] = low_high
         return ranges
 
     def remarks(self) -> dict[str, str]:
         """What the titles of plots say of limits that are not in the picture, by axis and plot."""
-        remarks = {}
-        for axis in self._axes:
-            for error in self._errors(axis.name):
-                if error.limit is not None:
-                    remarks[f"{axis.name}/{error.plot}"] = f" · limit ±{error.limit:.3g}"
-            deadline_us = self._plan.deadline / NS_PER_US
-            for plot, most in (("torque", self._torque_limit(axis)), ("speed", self._speed_limit(axis))):
-                if most is not None:
-                    remarks[f"{axis.name}/{plot}"] = f" · limit ±{most:.0f}"
-            remarks[f"{axis.name}/delay"] = f" · deadline {deadline_us:.0f}"
-            remarks[f"{axis.name}/histogram"] = f", deadline {deadline_us:.0f}"
+        remarks: dict[str, str] = {}
+        for name, limits in self._limits.items():
+            remarks |= {f"{name}/{each.plot}": f" · limit ±{each.title}" for each in limits if each.title}
+            remarks[f"{name}/delay"] = f" · deadline {self._deadline_us:.0f}"
+            remarks[f"{name}/histogram"] = f", deadline {self._deadline_us:.0f}"
         return remarks
 
     def limit_lines(self, begin: int, end: int) -> dict[str, Points]:
         """By the path of the line, instants and values; those that are in the picture."""
         lines: dict[str, Points] = {}
-        ends = np.array([begin, end])
-        for axis in self._axes:
-            name = axis.name
-            if in_view(self._plan.deadline / NS_PER_US, self._reach(name, "delay/delay")):
-                lines[f"/{name}/delay/deadline"] = ends, np.full(2, self._plan.deadline / NS_PER_US)
-            for plot, limit, reach, windows in self._errors(name):
-                if limit is not None and in_view(limit, reach):
-                    times, scale = _outside(windows, begin, end)
-                    lines[f"/{name}/{plot}/most"] = times, limit * scale
-                    lines[f"/{name}/{plot}/least"] = times, -limit * scale
-            for plot, most in (("torque", self._torque_limit(axis)), ("speed", self._speed_limit(axis))):
-                if most is not None and most <= _NEARLY_REACHED * self._reach(name, *_DRAWN[plot]):
-                    lines[f"/{name}/{plot}/most"] = ends, np.full(2, most)
-                    lines[f"/{name}/{plot}/least"] = ends, np.full(2, -most)
+        for name, limits in self._limits.items():
+            if in_view(self._deadline_us, self._reach(name, "delay/delay")):
+                lines[f"/{name}/delay/deadline"] = np.array([begin, end]), np.full(2, self._deadline_us)
+            for each in limits:
+                if each.size is not None and each.drawn:
+                    times, scale = _outside(each.settling, begin, end)
+                    lines[f"/{name}/{each.plot}/most"] = times, each.size * scale
+                    lines[f"/{name}/{each.plot}/least"] = times, -each.size * scale
         return lines
+
+    def _of_axis(self, plan: RecordingPlan, review: Review, place: int) -> list[_Limit]:
+        axis, limits = plan.review.axes[place], plan.review.limits
+        speed, position = review.errors[place], review.positions[place]
+        of_errors = (
+            ("error", error_limit_rpm(speed, limits), RPM_PER_RAD_S, speed),
+            ("position_error", limits.position_error_peak_rad_max, 1.0, position),
+        )
+        of_drive = (
+            ("torque", axis.torque_max_nm, torque_scale(axis)[0]),
+            ("speed", axis.speed_max_rad_s, RPM_PER_RAD_S),
+        )
+        held = []
+        for plot, size, scale, meter in of_errors:
+            reach = scale * _counted_reach(meter.counted)
+            near = size is not None and in_view(size, reach)
+            title = "" if size is None else f"{size:.3g}"
+            held.append(_Limit(plot, size, reach, near, title, meter.settling))
+        for plot, most, scale in of_drive:
+            if most is not None:
+                reach = self._reach(axis.name, *_DRAWN[plot])
+                near = scale * most <= _NEARLY_REACHED * reach
+                held.append(_Limit(plot, scale * most, reach, near, f"{scale * most:.0f}"))
+        return held
 
     def _reach(self, name: str, *paths: str) -> float:
         """The largest by size."""
@@ -123,45 +128,21 @@ class WholeFigures:
             if envelope is not None and (ends := envelope.ends()) is not None:
                 yield from ends
 
-    def _data_range(self, name: str, *paths: str) -> tuple[float, float] | None:
-        return about(self._ends(name, *paths))
-
-    def _errors(self, name: str) -> tuple[_DrawnError, ...]:
-        """Of the speed and of the position."""
-        speed, position = self._speeds[name], self._positions[name]
-        speed_reach = _counted_reach(speed.counted) * RPM_PER_RAD_S
-        position_limit = self._plan.review.limits.position_error_peak_rad_max
-        return (
-            _DrawnError("error", self._error_limits[name], speed_reach, speed.settling),
-            _DrawnError(
-                "position_error", position_limit, _counted_reach(position.counted), position.settling
-            ),
-        )
-
-    @staticmethod
-    def _error_range(error: _DrawnError) -> tuple[float, float] | None:
-        """As wide as the error that counts, not as a step's first instant; with a limit that is near."""
-        reach = error.reach
-        if error.limit is not None and in_view(error.limit, reach):
-            reach = max(reach, error.limit)
-        return around_zero(reach) if reach else None
-
-    def _torque_limit(self, axis: AxisPlan) -> float | None:
-        return None if axis.torque_max_nm is None else axis.torque_max_nm * torque_scale(axis)[0]
-
-    def _speed_limit(self, axis: AxisPlan) -> float | None:
-        return None if axis.speed_max_rad_s is None else axis.speed_max_rad_s * RPM_PER_RAD_S
-
-    def _delay_range(self, name: str) -> tuple[float, float] | None:
+    def _delay_range(self, name: str) -> Range | None:
         """From 0, or from where a drive's clock was wrong, with the deadline, if that is near."""
         values = list(self._ends(name, "delay/delay"))
         if not values:
             return None
-        deadline_us, top = self._plan.deadline / NS_PER_US, max(values)
-        if in_view(deadline_us, top):
-            top = max(top, deadline_us)
-        least = min(values)
-        return min(-0.08 * top, _MARGIN * least), _MARGIN * top
+        top = max(values)
+        if in_view(self._deadline_us, top):
+            top = max(top, self._deadline_us)
+        return min(-0.08 * top, _MARGIN * min(values)), _MARGIN * top
+
+
+def _error_range(error: _Limit) -> Range | None:
+    """As wide as the error that counts, not as a step's first instant; with a limit that is near."""
+    reach = max(error.reach, error.size or 0.0) if error.drawn else error.reach
+    return around_zero(reach) if reach else None
 
 
 def _counted_reach(counted: Envelope) -> float:

@@ -23,7 +23,7 @@ from hil.rows.records_file import (
 )
 from hil.rows.run_files import FIRST_CYCLE
 from hil.rows.run_zero import RunZero
-from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, IdentityEvent, events_of
+from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, drives_of, events_of
 
 
 class Rings:
@@ -57,9 +57,8 @@ def whole_records(plan: RecordingPlan, folder: Path, rings: Rings | None = None)
     path = folder / RECORDS_FILE
     zero = first_cycle(plan, path, rings)
     if not path.exists() or not read_metadata(path):  # the logger had not come so far
-        identities = [] if rings is None else [one for one in rings.events if isinstance(one, IdentityEvent)]
         writer = RecordsWriter(path)
-        writer.begin(run_metadata(plan, zero.at, {one.axis: one.text for one in identities}), zero.at)
+        writer.begin(run_metadata(plan, zero.at, drives_of(rings.events if rings else ())), zero.at)
         writer.close()
     stored = sum(rows.size for rows in read_records(path))
     more: list[Rows] = [tail for tail in [read_tail(folder / TAIL_FILE, ROW_DTYPE, stored)] if tail.size]

@@ -175,15 +175,13 @@ def _save(file: Any, content: dict[str, Any]) -> None:
 
 def _vector(rows: RecordedRows, name: str) -> NDArray[Any]:
     """(n,) of all rows."""
-    parts, exact = [], True
-    for chunk in rows.chunks([name]):
-        values = _numbers(chunk.column(0), pa.int8())
-        parts.append(values)
-        if pa.types.is_int64(values.type) and values.null_count < len(values):
-            known = values.drop_null().to_numpy()
-            exact = exact and bool(np.abs(known).max(initial=0) <= _EXACT_MAX)
-    nulls = any(part.null_count for part in parts)
-    return np.concatenate([_plain(part, nulls, exact) for part in parts])
+    values = _numbers(pa.concat_tables(rows.chunks([name])).column(0), pa.int8())
+    if not values.null_count:
+        return np.asarray(values.to_numpy())
+    known = values.drop_null().to_numpy()
+    if pa.types.is_int64(values.type) and np.abs(known).max(initial=0) > _EXACT_MAX:
+        return np.asarray(values.fill_null(NOTHING).to_numpy())
+    return np.asarray(values.cast(pa.float64()).fill_null(np.nan).to_numpy())
 
 
 def _numbers(values: pa.ChunkedArray, truth: pa.DataType) -> pa.ChunkedArray:
@@ -191,14 +189,6 @@ def _numbers(values: pa.ChunkedArray, truth: pa.DataType) -> pa.ChunkedArray:
     if pa.types.is_dictionary(values.type):
         return pa.chunked_array([part.indices for part in values.chunks], pa.int8())
     return values.cast(truth) if pa.types.is_boolean(values.type) else values
-
-
-def _plain(part: pa.ChunkedArray, nulls: bool, exact: bool) -> NDArray[Any]:
-    if not nulls:
-        return np.asarray(part.to_numpy())
-    if pa.types.is_floating(part.type) or exact:
-        return np.asarray(part.cast(pa.float64()).fill_null(np.nan).to_numpy())
-    return np.asarray(part.cast(pa.int64()).fill_null(NOTHING).to_numpy())
 
 
 # ---- MDF ----------------------------------------------------------------------------------------------

@@ -53,7 +53,7 @@ class PositionErrorMeter:
     def figures(self) -> PositionError:
         """Of all rows so far."""
         return PositionError(
-            peak_rad=self.counted.peak,
+            peak_rad=self.counted.peak.value,
             rms_rad=self.counted.rms,
             following_peak_rad=self._following_peak,
         )

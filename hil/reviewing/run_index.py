@@ -3,7 +3,7 @@
 import fcntl
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -106,21 +106,22 @@ def _run_folders(folder: Path) -> Iterator[Path]:
 
 
 def _listed(folder: Path) -> ListedRun:
-    records = folder / RECORDS_FILE
-    metadata = _metadata(records)
-    told = _bench_tables(folder / BENCH_FILE)
-    summary = _summary(folder / SUMMARY_FILE)
+    path = folder / SUMMARY_FILE
+    metadata = _table(lambda: read_metadata(folder / RECORDS_FILE))
+    # raw: the bench of an earlier version need not be one of today's
+    told = _table(lambda: read_toml(folder / BENCH_FILE, "bench file"))
+    summary = _table(lambda: parse_json(read_text(path, "summary"), str(path), "a summary"))
     state, note = _state(folder, metadata, summary)
-    verdict = _table(summary, "verdict")
-    cycles = (summary or {}).get("cycles")
-    bench = _table(told, "bench")
+    verdict, bench = _table(lambda: summary.get("verdict")), _table(lambda: told.get("bench"))
+    drives = _table(lambda: json.loads(metadata.get("drives", "{}")))
+    cycles = summary.get("cycles")
     return ListedRun(
         path=str(folder),
         at=_at(folder, metadata),
         state=state,
         bench=metadata.get("bench") or str(bench.get("name", "")),
-        drives=tuple(str(drive) for drive in _json_table(metadata.get("drives")).values()),
-        controllers=tuple(_controller(drive) for drive in _table(told, "drive").values()),
+        drives=tuple(str(drive) for drive in drives.values()),
+        controllers=tuple(_controller(drive) for drive in _table(lambda: told.get("drive")).values()),
         verdict=str(verdict.get("outcome", "")),
         reason=str(verdict.get("reason", "")),
         cycles=cycles if isinstance(cycles, int) else None,
@@ -131,15 +132,14 @@ def _listed(folder: Path) -> ListedRun:
     )
 
 
-def _state(
-    folder: Path, metadata: Mapping[str, str], summary: Mapping[str, Any] | None
-) -> tuple[RunState, str]:
+def _state(folder: Path, metadata: Mapping[str, str], summary: Mapping[str, Any]) -> tuple[RunState, str]:
+    """``summary``: empty if there is none, or no whole one."""
     records = folder / RECORDS_FILE
     try:
         refuse_later_format(metadata, records)
     except BadInput as error:
         return RunState.LATER_FORMAT, f"format {metadata['format']}: expected {error.expected}"
-    if summary is None:
+    if not summary:
         if _is_recorded(folder):
             return RunState.RECORDING, ""
         return RunState.NO_SUMMARY, f"its recorder did not live to its end: hil recover {folder}"
@@ -173,45 +173,17 @@ def _at(folder: Path, metadata: Mapping[str, str]) -> datetime:
     return datetime.fromtimestamp((folder / BENCH_FILE).stat().st_mtime, UTC)
 
 
-def _metadata(records: Path) -> dict[str, str]:
+def _table(told: Callable[[], Any]) -> dict[str, Any]:
+    """What is told, if that is a table: files may be damaged, or those of another version."""
     try:
-        return read_metadata(records)
-    except (OSError, UnicodeDecodeError):
+        table = told()
+    except (BadInput, OSError, ValueError):
         return {}
-
-
-def _bench_tables(path: Path) -> dict[str, Any]:
-    """Raw: the bench of an earlier version need not be one of today's."""
-    try:
-        return read_toml(path, "bench file")
-    except BadInput:
-        return {}
-
-
-def _summary(path: Path) -> dict[str, Any] | None:
-    """None: there is none, or no whole one."""
-    try:
-        summary = parse_json(read_text(path, "summary"), str(path), "a summary")
-    except BadInput:
-        return None
-    return summary if isinstance(summary, dict) else None
-
-
-def _json_table(text: str | None) -> dict[str, Any]:
-    try:
-        table = json.loads(text or "{}")
-    except ValueError:
-        return {}
-    return table if isinstance(table, dict) else {}
-
-
-def _table(tables: Mapping[str, Any] | None, name: str) -> dict[str, Any]:
-    table = (tables or {}).get(name)
     return table if isinstance(table, dict) else {}
 
 
 def _controller(drive: Any) -> str:
-    controller = drive.get("controller") if isinstance(drive, dict) else None
+    controller = _table(lambda: drive).get("controller")
     if not isinstance(controller, dict):
         return str(controller or "")
     kind = str(controller.get("kind", ""))

@@ -16,7 +16,7 @@ reference changes.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import TypeVar
 
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from drivers.timebase import NEVER, NS_PER_S
 from hil.reviewing.envelope import Envelope
+from hil.reviewing.largest import Largest, largest
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, Rows
 from hil.verdict.summary import PositionError, SpeedError, StepResponse
@@ -62,9 +63,8 @@ class CountedErrors(Envelope):
 
     def __init__(self) -> None:
         super().__init__()
-        self.peak: float | None = None
-        self.peak_at: int | None = None
-        """The largest, and when its cycle was due, ns; None: there is none."""
+        self.peak = Largest()
+        """And when its cycle was due, ns."""
         self._count, self._square_sum = 0, 0.0
 
     def add(self, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
@@ -72,9 +72,7 @@ class CountedErrors(Envelope):
         if not values.size:
             return
         super().add(times, values)
-        place = int(values.argmax())
-        if self.peak is None or values[place] > self.peak:
-            self.peak, self.peak_at = float(values[place]), int(times[place])
+        self.peak.look(times, values)
         self._count += values.size
         # cumsum adds from left to right; sum() adds in pairs, whose result depends on the chunk
         self._square_sum = float(np.cumsum(np.concatenate(([self._square_sum], values * values)))[-1])
@@ -94,15 +92,14 @@ class SpeedErrorMeter:
         self._rows = 0
         self._step_at = -NEVER
         self._reference_changed_row = self._load_changed_row = -1
-        self._after_load_peak = 0.0
         self.reference_peak = 0.0
         """Largest reference by size, rad/s; the base of the peak in percent."""
         self.settling: list[tuple[int, int]] = []
         """From when to when the error is not counted, ns; in order, and apart from each other."""
         self.counted = CountedErrors()
         """rad/s."""
-        self.after_load_at: int | None = None
-        """When the cycle of the largest error after a change of load was due, ns; None: there is none."""
+        self.after_load = Largest()
+        """Of the errors after a change of load, as a share of the reference, and when it was due, ns."""
 
     def add(self, rows: Rows) -> None:
         """Take in rows of this axis: (n,) of ROW_DTYPE, in order of sequence."""
@@ -114,23 +111,18 @@ class SpeedErrorMeter:
         self.reference_peak = max(self.reference_peak, float(np.abs(reference).max()))
         self.counted.add(rows["due_at"][counts], error[counts])
         relative = counts & after_load & (reference != 0.0)
-        if relative.any():
-            share = error[relative] / np.abs(reference[relative])
-            place = int(share.argmax())
-            if self.after_load_at is None or share[place] > self._after_load_peak:
-                self._after_load_peak = float(share[place])
-                self.after_load_at = int(rows["due_at"][relative][place])
+        self.after_load.look(rows["due_at"][relative], error[relative] / np.abs(reference[relative]))
 
     def figures(self) -> SpeedError:
         """Of all rows so far."""
-        peak = self.counted.peak
+        peak, share = self.counted.peak.value, self.after_load.value
         return SpeedError(
             peak_rad_s=peak,
             peak_percent=100.0 * peak / self.reference_peak
             if peak is not None and self.reference_peak
             else None,
             rms_rad_s=self.counted.rms,
-            after_load_percent=None if self.after_load_at is None else 100.0 * self._after_load_peak,
+            after_load_percent=None if share is None else 100.0 * share,
         )
 
     def _windows(self, rows: Rows) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -167,8 +159,3 @@ def worst(kind: type[AnyFigures], figures: Sequence[AnyFigures]) -> AnyFigures:
     """The largest of each figure of a ``kind`` over the axes; None: it was measured on none."""
     names = [each.name for each in fields(kind)]
     return kind(**{name: largest(getattr(one, name) for one in figures) for name in names})
-
-
-def largest(values: Iterable[float | None]) -> float | None:
-    """Of those that were measured; None: none was."""
-    return max((value for value in values if value is not None), default=None)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_MS
+from hil.reviewing.largest import Largest
 from hil.reviewing.speed_error import AskedChanges, worst
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, Rows
@@ -34,18 +35,6 @@ class _Step(NamedTuple):
     """Of the reference's step, with its sign; for a load that of the reference."""
 
 
-class _Worst:
-    """The largest of what was found, and when its step was."""
-
-    def __init__(self) -> None:
-        self.value: float | None = None
-        self.at: int | None = None
-
-    def look(self, value: float, at: int) -> None:
-        if self.value is None or value > self.value:
-            self.value, self.at = value, at
-
-
 class StepMeter:
     """Feed it rows of its axis in order of sequence; any division into chunks gives the same figures."""
 
@@ -58,7 +47,7 @@ class StepMeter:
         self._overshoot_rad_s = 0.0
         self._lasted = 0
         """Cycles since the step that is open."""
-        self._settling, self._recovery, self._over = _Worst(), _Worst(), _Worst()
+        self._settling, self._recovery, self._over = Largest(), Largest(), Largest()
         self._unsettled = [False, False]
         """A step of the reference, or of the load, did not come into its band."""
 
@@ -132,9 +121,9 @@ class StepMeter:
 
     def _look(self, step: _Step) -> None:
         time_ms = (self._outside_at - step.at) / NS_PER_MS
-        (self._recovery if step.of_load else self._settling).look(time_ms, step.at)
+        (self._recovery if step.of_load else self._settling).note(step.at, time_ms)
         if not step.of_load:
-            self._over.look(100.0 * self._overshoot_rad_s / abs(step.size), step.at)
+            self._over.note(step.at, 100.0 * self._overshoot_rad_s / abs(step.size))
 
 
 def worst_steps(meters: Sequence[StepMeter]) -> StepResponse:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_S
+from hil.reviewing.largest import Largest
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import NOTHING, Rows
 
@@ -71,10 +72,8 @@ class TorqueSwingMeter:
         self._due_at = np.empty(0, np.int64)
         self._judged = 0
         self._told = False
-        self.rms_nm: float | None = None
-        """The largest of all blocks so far; None: no block has been steady."""
-        self.worst_at: int | None = None
-        """When the last cycle of that block was due, ns."""
+        self.worst = Largest()
+        """Rms of the blocks so far, N m, and when the last cycle of that block was due, ns."""
         self._swings: list[Swing] = []
 
     def add(self, rows: Rows) -> None:
@@ -124,8 +123,7 @@ class TorqueSwingMeter:
     def _judge(self, torque: NDArray[np.float64], due_at: NDArray[np.int64]) -> None:
         """Take in the block at the end of a window, which is shorter soon after a change."""
         rms_nm = float(np.std(torque[-BLOCK:]))
-        if self.rms_nm is None or rms_nm > self.rms_nm:
-            self.rms_nm, self.worst_at = rms_nm, int(due_at[-1])
+        self.worst.note(int(due_at[-1]), rms_nm)
         if self._told or rms_nm < self._swing_nm:
             return
         line, share = strongest_line(torque)

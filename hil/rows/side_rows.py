@@ -1,6 +1,7 @@
 """Rows of the two small rings beside the cycle records: raw frames, and events with their text."""
 
 import struct
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -86,6 +87,11 @@ class IdentityEvent(NamedTuple):
 RunEvent = TextEvent | StateEvent | BeginEvent | LoadEvent | IdentityEvent
 EVENTS: tuple[type[RunEvent], ...] = (TextEvent, StateEvent, BeginEvent, LoadEvent, IdentityEvent)
 """A row's kind is the place of its event's class here."""
+
+
+def drives_of(events: Sequence[RunEvent]) -> dict[str, str]:
+    """By axis, who its drive says it is."""
+    return {event.axis: event.text for event in events if isinstance(event, IdentityEvent)}
 
 
 def event_row(event: RunEvent) -> bytes:

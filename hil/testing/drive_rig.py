@@ -61,7 +61,6 @@ class DriveRig:
         self.client = ServoDrive(self.network, wish.node)
         """The drive as the bench talks to it: states, modes, moves, objects."""
         self._live = world.real_time
-        self._allowed: list[str] = []
 
     @property
     def period(self) -> Duration:

@@ -157,7 +157,7 @@ class BusDecoder:
         channel = self._sdo.get(node)
         if channel is None:
             channel = self._sdo[node] = SdoChannel()
-        ended = channel.answer(frame) if answer else channel.request(frame)
+        ended = channel.take(frame, answer)
         if not ended and channel.pending is None:
             what = "answer" if answer else "request"
             text = f"{what} {frame.data.hex(' ')} of a transfer whose beginning is not in the log"

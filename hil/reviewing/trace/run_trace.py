@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from itertools import chain, islice
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Final
 
@@ -45,18 +46,12 @@ class RecordedBus:
     def __iter__(self) -> Iterator[LogFrame]:
         """Each frame with T or R."""
         path = self._folder / DIRECTIONS_FILE
-        if not path.exists():
+        if not path.exists() or not path.stat().st_size:
             yield from self.log
             return
-        first, letters = 1, b""
-        with path.open("rb") as directions:
+        with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as letters:
             for frame in self.log:
-                while frame.number >= first + len(letters) // DIRECTION_BYTES:
-                    first += len(letters) // DIRECTION_BYTES
-                    letters = directions.read(_CHUNK * DIRECTION_BYTES)
-                    if not letters:
-                        break
-                place = (frame.number - first) * DIRECTION_BYTES
+                place = (frame.number - 1) * DIRECTION_BYTES
                 yield frame._replace(sent=letters[place : place + 1].decode("latin-1"))
 
     def arrays(self, segments: Sequence[str]) -> Iterator[NDArray[np.void]]:

@@ -83,55 +83,33 @@ class SdoChannel:
         """The transfer that has not ended."""
         return self._open
 
-    def request(self, frame: LogFrame) -> list[SdoTransfer]:
-        """A frame of the client; the transfers that end with it."""
-        data = frame.data
-        if not data:
-            self._count(frame)
-            return []
-        if self._block is not None and self._open is not None and self._open.download and data[0] != _ABORT:
+    def take(self, frame: LogFrame, answered: bool) -> list[SdoTransfer]:
+        """A frame of the client, or of the server if it is an answer; the transfers that end with it."""
+        data, transfer = frame.data, self._open
+        sends = transfer is not None and transfer.download != answered
+        """Whether it comes from the side that has the value."""
+        if self._block is not None and sends and data and data[0] != _ABORT:
             return self._block_segment(frame)
         if len(data) < 8:
             self._count(frame)
             return []
         command = data[0] >> 5
-        if command in (1, 2) or (command == 5 and data[0] & 3 == 0) or (command == 6 and not data[0] & 1):
+        if not answered and (
+            command in (1, 2) or (command == 5 and data[0] & 3 == 0) or (command == 6 and not data[0] & 1)
+        ):
             return self._begin(frame, command)
-        transfer = self._count(frame)
+        foreign = transfer is None or (command in (2, 3) and _object(data) != (transfer.index, transfer.sub))
+        if answered and foreign:
+            return self._unasked(frame)
+        self._count(frame)
         if transfer is None:
             return []
         if command == 4:
-            return self._abort(frame, "client")
-        if command == 0 and transfer.download:
-            self._segment(data)
-        elif command == 5 and data[0] & 3 == 3:
-            self._block, self._last_number = {}, 0
-        elif command == 5 and data[0] & 3 == 2:
-            self._acknowledged(data[1])
-        elif command == 5 and data[0] & 3 == 1 and not transfer.download:
-            return self._end()
-        elif command == 6 and data[0] & 1:
-            self._end_of_data(transfer, data)
-        return []
-
-    def answer(self, frame: LogFrame) -> list[SdoTransfer]:
-        """A frame of the server; the transfers that end with it."""
-        data, transfer = frame.data, self._open
-        if not data:
-            self._count(frame)
-            return []
-        upload = transfer is not None and not transfer.download
-        if self._block is not None and upload and data[0] != _ABORT:
-            return self._block_segment(frame)
-        if len(data) < 8:
-            self._count(frame)
-            return []
-        if transfer is None or (data[0] >> 5 in (2, 3) and _object(data) != (transfer.index, transfer.sub)):
-            return self._unasked(frame)
-        self._count(frame)
-        if data[0] >> 5 == 4:
-            return self._abort(frame, "server")
-        return self._of_download(transfer, data) if transfer.download else self._of_upload(transfer, data)
+            transfer.abort_code, transfer.aborted_by = _size(data), "server" if answered else "client"
+            return self.close()
+        if answered and command in (1, 2, 3):
+            return self._answered(transfer, data)
+        return self._sent(transfer, data) if sends else self._received(transfer, data)
 
     def close(self) -> list[SdoTransfer]:
         """The log ends: what has not ended."""
@@ -151,40 +129,23 @@ class SdoChannel:
         transfer = SdoTransfer(index, sub, command in (1, 6), frame, frame, frames=1)
         self._open, self._segment_before, self._seen_last, self._complete = transfer, None, False, True
         if command == 1:
-            if data[0] & 2:
-                transfer.add(_expedited(data))
-            else:
-                transfer.kind = "segmented"
-                transfer.announced = _size(data) if data[0] & 1 else None
-        elif command == 5:
+            _initiate(transfer, data)
+        elif command in (5, 6):
             transfer.kind, self._crc = "block", [bool(data[0] & 4), False]
-        elif command == 6:
-            transfer.kind, self._crc = "block", [bool(data[0] & 4), False]
-            transfer.announced = _size(data) if data[0] & 2 else None
+            transfer.announced = _size(data) if command == 6 and data[0] & 2 else None
         return ended
 
-    def _count(self, frame: LogFrame) -> SdoTransfer | None:
+    def _count(self, frame: LogFrame) -> None:
         if self._open is not None:
             self._open.frames += 1
             self._open.last = frame
-        return self._open
 
-    def _end(self) -> list[SdoTransfer]:
-        transfer = self._open
-        if transfer is None:
-            return []
+    def _end(self, transfer: SdoTransfer) -> list[SdoTransfer]:
         transfer.finished = True
         if not self._complete:
             transfer.notes.append("segments are missing")
         elif transfer.announced is not None and transfer.announced != transfer.length:
             transfer.notes.append(f"{transfer.announced} bytes were announced, {transfer.length} came")
-        return self.close()
-
-    def _abort(self, frame: LogFrame, who: str) -> list[SdoTransfer]:
-        transfer = self._open
-        if transfer is None:
-            return []
-        transfer.abort_code, transfer.aborted_by = _size(frame.data), who
         return self.close()
 
     def _unasked(self, frame: LogFrame) -> list[SdoTransfer]:
@@ -202,22 +163,23 @@ class SdoChannel:
             transfer.finished = True
         return [transfer]
 
-    def _of_download(self, transfer: SdoTransfer, data: bytes) -> list[SdoTransfer]:
-        """An answer: everything confirmed, a segment, or a step of a block."""
+    def _answered(self, transfer: SdoTransfer, data: bytes) -> list[SdoTransfer]:
+        """To an initiate frame or to a segment of a download."""
         command = data[0] >> 5
-        if command == 3:
-            return self._end() if transfer.kind == "expedited" else []
-        if command == 1:
-            return self._end() if self._seen_last else []
-        return self._block_answer(data) if command == 5 else []
+        if command == 2 and not transfer.download:
+            _initiate(transfer, data)
+        ends = (
+            {1: self._seen_last, 3: transfer.kind == "expedited"} if transfer.download else {2: data[0] & 2}
+        )
+        return self._end(transfer) if ends.get(command) else []
 
-    def _of_upload(self, transfer: SdoTransfer, data: bytes) -> list[SdoTransfer]:
-        """An answer: all of the value, its announcement, or a piece of it."""
+    # ---- segments and blocks --------------------------------------------------------------------------
+
+    def _sent(self, transfer: SdoTransfer, data: bytes) -> list[SdoTransfer]:
+        """A segment, the server's beginning of a block upload, or the end of a block's data."""
         command = data[0] >> 5
-        if command == 2:
-            return self._uploaded(transfer, data)
         if command == 0:
-            return self._segment(data)
+            return self._segment(transfer, data)
         if command == 6 and data[0] & 1:
             self._end_of_data(transfer, data)
         elif command == 6:
@@ -225,33 +187,33 @@ class SdoChannel:
             transfer.announced = _size(data) if data[0] & 2 else None
         return []
 
-    # ---- segments -------------------------------------------------------------------------------------
+    def _received(self, transfer: SdoTransfer, data: bytes) -> list[SdoTransfer]:
+        """Of a block: it may begin, a sub-block has come, or all of it."""
+        command, step = data[0] >> 5, data[0] & 3
+        if command != 5:
+            return []
+        if step == (0 if transfer.download else 3):
+            if transfer.download:
+                self._crc[1] = bool(data[0] & 4)
+            self._block, self._last_number = {}, 0
+        elif step == 2:
+            self._acknowledged(transfer, data[1])
+        return self._end(transfer) if step == 1 else []
 
-    def _uploaded(self, transfer: SdoTransfer, data: bytes) -> list[SdoTransfer]:
-        if data[0] & 2:
-            transfer.kind = "expedited"
-            transfer.add(_expedited(data))
-            return self._end()
-        transfer.kind = "segmented"
-        transfer.announced = _size(data) if data[0] & 1 else None
-        return []
-
-    def _segment(self, data: bytes) -> list[SdoTransfer]:
+    def _segment(self, transfer: SdoTransfer, data: bytes) -> list[SdoTransfer]:
         """Of a segmented transfer, from whichever side.
 
         The toggle bit alternates from 0 on: the same frame is sent again, another one with the same bit
         follows one that is missing.
         """
-        transfer, before = self._open, self._segment_before
-        if transfer is None or self._seen_last or data == before:
+        before = self._segment_before
+        if self._seen_last or data == before:
             return []
         self._complete &= _toggle(data) == (0 if before is None else 1 - _toggle(before))
         self._segment_before = data
         transfer.add(data[1 : 1 + _SEGMENT - (data[0] >> 1 & 7)])
         self._seen_last = bool(data[0] & 1)
-        return self._end() if self._seen_last and not transfer.download else []
-
-    # ---- blocks ---------------------------------------------------------------------------------------
+        return self._end(transfer) if self._seen_last and not transfer.download else []
 
     def _block_segment(self, frame: LogFrame) -> list[SdoTransfer]:
         """Of the sub-block under way; it counts once it is acknowledged."""
@@ -263,22 +225,10 @@ class SdoChannel:
             self._last_number = number
         return []
 
-    def _block_answer(self, data: bytes) -> list[SdoTransfer]:
-        """Of the server of a download."""
-        step = data[0] & 3
-        if step == 0:
-            self._crc[1] = bool(data[0] & 4)
-            self._block, self._last_number = {}, 0
-        elif step == 2:
-            self._acknowledged(data[1])
-        elif step == 1:
-            return self._end()
-        return []
-
-    def _acknowledged(self, count: int) -> None:
+    def _acknowledged(self, transfer: SdoTransfer, count: int) -> None:
         """So many segments of the sub-block have come; the others will be sent again."""
-        block, transfer = self._block, self._open
-        if block is None or transfer is None:
+        block = self._block
+        if block is None:
             return
         for number in range(1, count + 1):
             self._complete &= number in block
@@ -307,6 +257,16 @@ def _object(data: bytes) -> tuple[int, int]:
 def _size(data: bytes) -> int:
     """The UNSIGNED32 behind the object."""
     return int.from_bytes(data[4:8], "little")
+
+
+def _initiate(transfer: SdoTransfer, data: bytes) -> None:
+    """The value itself, or how long it will be."""
+    if data[0] & 2:
+        transfer.kind = "expedited"
+        transfer.add(_expedited(data))
+    else:
+        transfer.kind = "segmented"
+        transfer.announced = _size(data) if data[0] & 1 else None
 
 
 def _toggle(segment: bytes) -> int:

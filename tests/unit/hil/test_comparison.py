@@ -84,7 +84,7 @@ def test_differences_are_those_of_the_cycles_that_both_have(
         apart = [each for each in apart if not math.isnan(each[0])]
         largest, at = max(apart, key=lambda each: each[0])
         difference = found.differences[axis][signal]
-        assert (difference.count, difference.largest, difference.at_ns) == (len(apart), largest, at)
+        assert (difference.largest.value, difference.largest.at) == (largest, at)
         assert difference.rms == pytest.approx(math.sqrt(sum(each**2 for each, _ in apart) / len(apart)))
 
 
@@ -135,7 +135,9 @@ def test_another_number_of_the_axis_is_no_difference() -> None:
     turned["axis"] = 1 - rows["axis"]
     found = beside(made_run(rows, ("a", "b")), made_run(turned, ("b", "a")))
     assert (found.divergence, found.cycles_of_both) == (None, 2 * CYCLES)
-    assert all(each.largest == 0.0 for signals in found.differences.values() for each in signals.values())
+    assert all(
+        each.largest.value == 0.0 for signals in found.differences.values() for each in signals.values()
+    )
 
 
 @pytest.mark.parametrize(("first", "second"), [(50, CYCLES), (CYCLES, 50), (0, CYCLES), (CYCLES, 0)])
@@ -163,17 +165,17 @@ def test_runs_of_another_period_are_not_compared() -> None:
 
 def test_a_difference_keeps_the_first_of_the_largest() -> None:
     found = Difference()
-    assert (found.rms, found.at_ns) == (None, None)
+    assert (found.rms, found.largest.value, found.largest.at) == (None, None, None)
     found.add(np.array([1, 2]), np.array([math.nan, math.nan]))
-    assert (found.count, found.at_ns) == (0, None)
+    assert (found.rms, found.largest.at) == (None, None)
     found.add(np.array([3]), np.array([0.0]))
-    assert (found.count, found.rms, found.largest, found.at_ns) == (1, 0.0, 0.0, 3)
+    assert (found.rms, found.largest.value, found.largest.at) == (0.0, 0.0, 3)
     found.add(np.array([4, 5, 6]), np.array([-2.0, 2.0, math.nan]))
-    assert (found.count, found.largest, found.at_ns) == (3, 2.0, 4)
+    assert (found.largest.value, found.largest.at) == (2.0, 4)
     found.add(np.array([7]), np.array([2.0]))
-    assert found.at_ns == 4
+    assert found.largest.at == 4
     found.add(np.array([8]), np.array([-2.5]))
-    assert (found.largest, found.at_ns) == (2.5, 8)
+    assert (found.largest.value, found.largest.at) == (2.5, 8)
     assert found.rms == pytest.approx(math.sqrt((4 + 4 + 4 + 6.25) / 5))
 
 

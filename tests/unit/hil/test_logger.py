@@ -27,6 +27,9 @@ CYCLES = 300
 OUTCOME = json.dumps(asdict(whole_outcome(CYCLES))).encode() + b"\n"
 
 
+FAULT_BLOCKS = 1 << 4
+
+
 @dataclass
 class Rings:
     rows: RingWriter
@@ -49,7 +52,7 @@ class Rings:
 
 @pytest.fixture
 def rings() -> Iterator[Rings]:
-    sizes = ((ROW, 1 << 9), (FRAME, 1 << 9), (EVENT, 1 << 4), (BLOCK, 1 << 4))
+    sizes = ((ROW, 1 << 9), (FRAME, 1 << 9), (EVENT, 1 << 4), (BLOCK, FAULT_BLOCKS))
     found = Rings(*(RingWriter(row, capacity) for row, capacity in sizes))
     yield found
     for ring in found.all:
@@ -100,6 +103,14 @@ def test_an_input_that_ends_means_a_dead_writer(tmp_path: Path, rings: Rings) ->
     assert summary.cycles == CYCLES
     assert not summary.verdict.passed
     assert summary.verdict.reason == "the process of the loop died"
+
+
+@pytest.mark.parametrize(("lost", "told"), [(1, "1 block"), (2, "2 blocks")])
+def test_what_found_its_ring_full_is_counted(tmp_path: Path, rings: Rings, lost: int, told: str) -> None:
+    for _ in range(FAULT_BLOCKS + lost):
+        rings.faults.push(BLOCK.pack(0, b""))
+    (fault,) = run_logger(tmp_path, rings, OUTCOME).recording_faults
+    assert fault == f"{told} of injected faults lost, the logger was too slow"
 
 
 @pytest.mark.parametrize("name", ["frames.log", "events.jsonl", "records.arrow"])

@@ -1,5 +1,6 @@
 """The writer's side, with the real logger process behind it."""
 
+import io
 import json
 import os
 import select
@@ -171,6 +172,14 @@ def test_interrupts_do_not_end_the_logger(tmp_path: Path) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(recorder.logger_process_id, number)
     assert play(recorder).cycles == CYCLES
+
+
+def test_the_bench_file_is_in_utf_8_in_every_locale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(io, "text_encoding", lambda encoding, *_: encoding or "ascii")
+    monkeypatch.setattr("hil.recording.recorder.Recorder", lambda plan: plan)
+    text = 'name = "Prüfstand"\n'
+    start_recording(replace(plan_for(tmp_path), bench_toml=text))
+    assert (tmp_path / "bench.toml").read_bytes() == text.encode()
 
 
 def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:

@@ -341,14 +341,14 @@ MOST: Final = 1 << 62
 def test_a_line_that_is_no_event_is_passed_over(tmp_path: Path, line: str, event: RunEvent | None) -> None:
     path = tmp_path / "events.jsonl"
     path.write_text(f"{line}\n")
-    assert list(recovery._told_in(path, recovery._event)) == ([] if event is None else [event])
+    assert list(recovery._events(path)) == ([] if event is None else [event])
 
 
 def test_lines_of_a_load_are_numbers_behind_a_head(tmp_path: Path) -> None:
     path = tmp_path / "load.csv"
-    assert list(recovery._told_in(path, recovery._load)) == []
+    assert list(recovery._loads(path)) == []
     path.write_text("at_ns,axis,torque_nm,speed_rad_s\n5,left,0.25,-10\n6,left,0.5\n7,left,x,1\n8,a,1,2\n")
-    assert list(recovery._told_in(path, recovery._load)) == [
+    assert list(recovery._loads(path)) == [
         LoadEvent(Instant(5), "left", 0.25, -10.0),
         LoadEvent(Instant(8), "a", 1.0, 2.0),
     ]

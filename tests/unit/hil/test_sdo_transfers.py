@@ -25,7 +25,7 @@ def ended(lines: Iterable[Line], channel: SdoChannel | None = None) -> list[SdoT
     channel = channel or SdoChannel()
     transfers: list[SdoTransfer] = []
     for number, (who, data) in enumerate(lines, 1):
-        transfers += (channel.request if who == "c" else channel.answer)(frame(number, data))
+        transfers += channel.take(frame(number, data), who == "s")
     return transfers
 
 

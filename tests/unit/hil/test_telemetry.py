@@ -78,6 +78,14 @@ def test_speed_and_reference_are_those_of_the_records(recording: Path, rows: Row
     np.testing.assert_allclose(error, (read["reference_rad_s"] - read["velocity_rad_s"]) * RPM)
 
 
+@pytest.mark.parametrize("name", ["limits", "limits_2", "overview", "overview2"])
+def test_an_axis_may_be_called_like_a_branch_of_the_recording(tmp_path: Path, rows: Rows, name: str) -> None:
+    plan = plan_for(tmp_path)
+    path = write_run(replace(plan, review=ReviewPlan((AxisPlan(name, 6_250.0),))), rows)
+    assert numbers(path, f"/{name}/speed/measured")[0].size
+    assert numbers(path, f"/limits/{name}/delay/deadline")[0].size
+
+
 def test_every_dropout_is_marked_in_both_plots(recording: Path, rows: Rows) -> None:
     due_at = rows["due_at"][rows["fate"] != FATE_SAMPLE] - ORIGIN
     assert due_at.size > 20

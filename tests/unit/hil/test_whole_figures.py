@@ -46,7 +46,7 @@ def figures(
     review = ReviewPlan((one,), VerdictLimits(**limits))
     seen = SimpleNamespace(errors=[speed or meter()], positions=[position or meter()])
     envelopes = {f"/axis1/{path}": signal(*values) for path, values in (signals or {}).items()}
-    return WholeFigures(replace(plan, review=review), envelopes, cast(Review, seen), {"axis1": 0})
+    return WholeFigures(replace(plan, review=review), envelopes, cast(Review, seen))
 
 
 @pytest.mark.parametrize(
