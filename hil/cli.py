@@ -28,6 +28,7 @@ from drivers.errors import BadInput
 from hil.terminal import analyse_speed, design_speed
 from hil.terminal.adapter import adapter
 from hil.terminal.campaign import campaign
+from hil.terminal.commands import add_commands
 from hil.terminal.commission import commission, rehearse, restore
 from hil.terminal.compare import compare
 from hil.terminal.design_current import current
@@ -61,38 +62,17 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     no_args_is_help=True,
 )
-app.command()(init)
-app.command()(adapter)
-app.command()(scan)
-app.command()(simulate)
-app.command()(measure)
-app.command()(eds)
-app.command()(fault)
-app.command()(stop)
-app.command()(commission)
-app.command()(restore)
-app.command()(rehearse)
-app.command()(recover)
-app.command()(trace)
-app.command()(export)
-app.command()(runs)
-app.command()(picture)
-app.command()(review)
-app.command()(compare)
-app.command()(view)
+add_commands(app, init, adapter, scan, simulate, measure, eds, fault, stop, commission, restore, rehearse)
+add_commands(app, recover, trace, export, runs, picture, review, compare, view)
 
 reproduce = typer.Typer(name="reproduce", help="The papers' own results beside ours.", no_args_is_help=True)
-reproduce.command()(azaiz2007)
-reproduce.command()(ling2012)
+add_commands(reproduce, azaiz2007, ling2012)
 
 design = typer.Typer(name="design", help="Design a controller.", no_args_is_help=True)
-design.command()(current)
-design.command()(hinf)
-design.command()(pid)
-design.command()(design_speed.speed)
+add_commands(design, current, hinf, pid, design_speed.speed)
 
 analyse = typer.Typer(name="analyse", help="Exact and certified figures of a loop.", no_args_is_help=True)
-analyse.command()(analyse_speed.speed)
+add_commands(analyse, analyse_speed.speed)
 
 for group in (reproduce, analyse, design, motor, campaign):
     app.add_typer(group)
@@ -241,17 +221,18 @@ def run(
         raise typer.Exit(summary.verdict.exit_status)
 
 
-@app.command()
 def doctor(as_json: JsonOption = False) -> None:
     """Say what this machine can do, and the exact command that mends each lack."""
-    with reported_errors():
-        from hil.machine.doctor import print_checks, run_checks
+    from hil.machine.doctor import print_checks, run_checks
 
-        checks = run_checks()
-        if as_json:
-            typer.echo(json.dumps([asdict(check) for check in checks]))
-        else:
-            print_checks(checks)
+    checks = run_checks()
+    if as_json:
+        typer.echo(json.dumps([asdict(check) for check in checks]))
+    else:
+        print_checks(checks)
+
+
+add_commands(app, doctor)
 
 
 def main() -> None:

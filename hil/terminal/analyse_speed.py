@@ -14,7 +14,6 @@ from hil.terminal.current_loop_options import (
     CurrentBandwidthOption,
     current_loop,
 )
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, MotorArgument, flag, motor_file, seed_option, valued
 from hil.terminal.output import print_figures, put
 
@@ -118,47 +117,44 @@ def speed(
 
     Gains are from load torque to speed error, rad/s per N m; the load step is one of 1 N m.
     """
-    with reported_errors():
-        gains, parameters = _gain_of(gain), motor_file(motor).parameters
-        network = _network(period_ms, strategy, loss_max, tau_max_ms, delay_ms)
-        inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
-        delay_s = _delay_s(delay_ms, network)
+    gains, parameters = _gain_of(gain), motor_file(motor).parameters
+    network = _network(period_ms, strategy, loss_max, tau_max_ms, delay_ms)
+    inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
+    delay_s = _delay_s(delay_ms, network)
 
-        from design.errors import DesignError
-        from drivers.rotation import RAD_S_PER_RPM
-        from hil.studies.speed.analysis import (
-            LoopRequest,
-            chance_figures,
-            continuous_figures,
-            figures_as_printed,
-            sampled_figures,
-        )
+    from design.errors import DesignError
+    from drivers.rotation import RAD_S_PER_RPM
+    from hil.studies.speed.analysis import (
+        LoopRequest,
+        chance_figures,
+        continuous_figures,
+        figures_as_printed,
+        sampled_figures,
+    )
 
-        request = LoopRequest(
-            motor=parameters,
-            K=gains,
-            delay_s=delay_s,
-            order=order,
-            current_bandwidth_hz=inner.bandwidth_hz,
-            load_nm=load_nm or parameters.rated_torque_nm,
-            speed_rad_s=speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s,
-        )
-        chance = _chance(
-            monte_carlo, seed, loss_probability, uncertainty_percent, duration_s, request.load_nm
-        )
-        if chance is not None and network is None:
-            raise BadInput("--monte-carlo", "", monte_carlo, "a sampled loop: --period-ms and the network")
-        try:
-            figures = {"current_bandwidth_from": inner.key} | continuous_figures(request)
-            if as_printed:
-                figures["as_printed"] = figures_as_printed(request)
-            if network is not None:
-                figures |= sampled_figures(request, network)
-                if chance is not None:
-                    figures["monte_carlo"] = chance_figures(request, network, chance)
-        except DesignError as error:
-            raise BadInput(str(motor), "", str(error), "a loop that can be analysed") from error
-        put(figures, as_json, print_figures)
+    request = LoopRequest(
+        motor=parameters,
+        K=gains,
+        delay_s=delay_s,
+        order=order,
+        current_bandwidth_hz=inner.bandwidth_hz,
+        load_nm=load_nm or parameters.rated_torque_nm,
+        speed_rad_s=speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s,
+    )
+    chance = _chance(monte_carlo, seed, loss_probability, uncertainty_percent, duration_s, request.load_nm)
+    if chance is not None and network is None:
+        raise BadInput("--monte-carlo", "", monte_carlo, "a sampled loop: --period-ms and the network")
+    try:
+        figures = {"current_bandwidth_from": inner.key} | continuous_figures(request)
+        if as_printed:
+            figures["as_printed"] = figures_as_printed(request)
+        if network is not None:
+            figures |= sampled_figures(request, network)
+            if chance is not None:
+                figures["monte_carlo"] = chance_figures(request, network, chance)
+    except DesignError as error:
+        raise BadInput(str(motor), "", str(error), "a loop that can be analysed") from error
+    put(figures, as_json, print_figures)
 
 
 def _network(

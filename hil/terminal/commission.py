@@ -5,7 +5,6 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import (
     BitrateOption,
     DriveBusOption,
@@ -91,31 +90,30 @@ def commission(
 
     Exit status: 0 done, 1 a step failed or the end came early, 2 bad input, 3 bus or drive fault.
     """
-    with reported_errors():
-        from hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
+    from hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
 
-        plate = load_nameplate(motor) if motor is not None else Nameplate()
-        request = CommissionRequest(
-            bus=bus,
-            node=node,
-            out=out,
-            eds=eds,
-            nameplate=plate,
-            bitrate_bit_s=bitrate,
-            period_us=period_us,
-            dry_run=dry_run,
-            store=store,
-            trust_nameplate=trust_nameplate,
-            heartbeat_timeout_ms=heartbeat_timeout_ms,
-            unwatched=unwatched,
-        )
-        from hil.commissioning.commission import run_command
+    plate = load_nameplate(motor) if motor is not None else Nameplate()
+    request = CommissionRequest(
+        bus=bus,
+        node=node,
+        out=out,
+        eds=eds,
+        nameplate=plate,
+        bitrate_bit_s=bitrate,
+        period_us=period_us,
+        dry_run=dry_run,
+        store=store,
+        trust_nameplate=trust_nameplate,
+        heartbeat_timeout_ms=heartbeat_timeout_ms,
+        unwatched=unwatched,
+    )
+    from hil.commissioning.commission import run_command
 
-        result, figures = run_command(
-            request, yes=yes, rehearse=rehearse, rehearse_eds=rehearse_eds, plate_given=motor is not None
-        )
-        put(figures, as_json, lambda _figures: None)
-        raise typer.Exit(result)
+    result, figures = run_command(
+        request, yes=yes, rehearse=rehearse, rehearse_eds=rehearse_eds, plate_given=motor is not None
+    )
+    put(figures, as_json, lambda _figures: None)
+    raise typer.Exit(result)
 
 
 def restore(
@@ -128,12 +126,11 @@ def restore(
     as_json: JsonOption = False,
 ) -> None:
     """Put back every object that a commissioning or a measurement changed, after a crash or a lost bus."""
-    with reported_errors():
-        from hil.commissioning.commission import run_restore
+    from hil.commissioning.commission import run_restore
 
-        outcome: dict[str, Any] = run_restore(bus, node, journal, bitrate)
-        put(outcome, as_json, lambda _figures: say("\n".join(outcome["text"])))
-        raise typer.Exit(ExitStatus.PASSED if outcome["complete"] else ExitStatus.FAILED)
+    outcome: dict[str, Any] = run_restore(bus, node, journal, bitrate)
+    put(outcome, as_json, lambda _figures: say("\n".join(outcome["text"])))
+    raise typer.Exit(ExitStatus.PASSED if outcome["complete"] else ExitStatus.FAILED)
 
 
 def rehearse(
@@ -152,17 +149,16 @@ def rehearse(
     bitrate: BitrateOption = 1_000_000,
 ) -> None:
     """A simulated drive that nobody has described, with faults in what it tells, until Ctrl-C."""
-    with reported_errors():
-        from hil.commissioning.rehearsal import rehearse as serve_unknown
+    from hil.commissioning.rehearsal import rehearse as serve_unknown
 
-        serve_unknown(
-            bus_spec=bus,
-            node=node,
-            seed=seed,
-            nameplate=nameplate,
-            truth_file=truth,
-            faults=fault_plan(faults),
-            clock_drift_ppm=drift_ppm,
-            bitrate_bit_s=bitrate,
-            announce=say,
-        )
+    serve_unknown(
+        bus_spec=bus,
+        node=node,
+        seed=seed,
+        nameplate=nameplate,
+        truth_file=truth,
+        faults=fault_plan(faults),
+        clock_drift_ppm=drift_ppm,
+        bitrate_bit_s=bitrate,
+        announce=say,
+    )

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import (
     ControllerOutOption,
     JsonOption,
@@ -110,40 +109,39 @@ def current(
     as_json: JsonOption = False,
 ) -> None:
     """Design a current controller: synthesis, reduction, sampling, margins and robustness."""
-    with reported_errors():
-        from design.hinf.reduction import Method
-        from drivers.errors import BadInput
-        from drivers.rotation import RAD_S_PER_RPM
-        from hil.configuration.weights_file import load_weights
-        from hil.studies.current.design import design_current
-        from hil.studies.current.figures import CurrentRequest
-        from hil.terminal.design_errors import refused
+    from design.hinf.reduction import Method
+    from drivers.errors import BadInput
+    from drivers.rotation import RAD_S_PER_RPM
+    from hil.configuration.weights_file import load_weights
+    from hil.studies.current.design import design_current
+    from hil.studies.current.figures import CurrentRequest
+    from hil.terminal.design_errors import refused
 
-        if gamma is not None and gamma_factor is not None:
-            raise BadInput("--gamma-factor", "", gamma_factor, "either --gamma or --gamma-factor")
-        if discrete and sample_rate_hz is None:
-            raise BadInput("--discrete", "", discrete, "--sample-rate-hz with it")
-        request = CurrentRequest(
-            motor=motor_file(motor).parameters,
-            axis=axis.value,
-            weights=load_weights(weights) if weights else None,
-            gamma=gamma,
-            gamma_factor=gamma_factor,
-            structure=structure.value,
-            order=reduce,
-            method=Method(reduce_by.value),
-            rate_hz=sample_rate_hz,
-            delay_samples=delay_samples,
-            discrete=discrete,
-            modulus_margin=modulus_margin,
-            other=_other_axis(other, axis.value),
-            speed_max_rad_s=None if speed_rpm is None else speed_rpm * RAD_S_PER_RPM,
-            decoupling_factor=decoupling_factor,
-            advance_periods=advance_periods,
-        )
-        with refused(f"axis {axis.value}"):
-            result = design_current(request)
-        _finish(result, axis.value, out, picture, as_json)
+    if gamma is not None and gamma_factor is not None:
+        raise BadInput("--gamma-factor", "", gamma_factor, "either --gamma or --gamma-factor")
+    if discrete and sample_rate_hz is None:
+        raise BadInput("--discrete", "", discrete, "--sample-rate-hz with it")
+    request = CurrentRequest(
+        motor=motor_file(motor).parameters,
+        axis=axis.value,
+        weights=load_weights(weights) if weights else None,
+        gamma=gamma,
+        gamma_factor=gamma_factor,
+        structure=structure.value,
+        order=reduce,
+        method=Method(reduce_by.value),
+        rate_hz=sample_rate_hz,
+        delay_samples=delay_samples,
+        discrete=discrete,
+        modulus_margin=modulus_margin,
+        other=_other_axis(other, axis.value),
+        speed_max_rad_s=None if speed_rpm is None else speed_rpm * RAD_S_PER_RPM,
+        decoupling_factor=decoupling_factor,
+        advance_periods=advance_periods,
+    )
+    with refused(f"axis {axis.value}"):
+        result = design_current(request)
+    _finish(result, axis.value, out, picture, as_json)
 
 
 def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":

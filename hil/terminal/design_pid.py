@@ -15,7 +15,6 @@ from hil.terminal.current_loop_options import (
     current_loop,
     loop_of_bench,
 )
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import ControllerOutOption, JsonOption, MotorArgument, motor_file
 from hil.terminal.output import put, say_written
 
@@ -51,28 +50,25 @@ def pid(
     as_json: JsonOption = False,
 ) -> None:
     """Tune a PID speed loop: Td from the current loop, the crossover from the phase margin and the delay."""
-    with reported_errors():
-        from design.speed.speed_pid import pid_by_rule
-        from drivers.bounded_file import write_file
-        from hil.studies.speed.controller_text import controller_text
-        from hil.studies.speed.pid import controller_of, current_loop_of, pid_figures
-        from hil.terminal.current_report import print_current
-        from hil.terminal.design_errors import refused
+    from design.speed.speed_pid import pid_by_rule
+    from drivers.bounded_file import write_file
+    from hil.studies.speed.controller_text import controller_text
+    from hil.studies.speed.pid import controller_of, current_loop_of, pid_figures
+    from hil.terminal.current_report import print_current
+    from hil.terminal.design_errors import refused
 
-        controller, loop_hz = _current_loop(current_control, bench, axis, commissioned, current_bandwidth_hz)
-        parameters = motor_file(motor).parameters
-        closed, crossover = current_loop_of(parameters, controller, loop_hz)
-        period_s, latency_s = 1e-3 * period_ms, 1e-3 * latency_ms
-        with refused(str(motor)):
-            gains = pid_by_rule(
-                parameters, closed, crossover, period_s, latency_s, phase_margin_deg, integral_ratio
-            )
-        put(pid_figures(gains), as_json, print_current)
-        if out is not None:
-            write_file(
-                "--out", out, controller_text(controller_of(parameters, closed.order, crossover, gains))
-            )
-            say_written(out)
+    controller, loop_hz = _current_loop(current_control, bench, axis, commissioned, current_bandwidth_hz)
+    parameters = motor_file(motor).parameters
+    closed, crossover = current_loop_of(parameters, controller, loop_hz)
+    period_s, latency_s = 1e-3 * period_ms, 1e-3 * latency_ms
+    with refused(str(motor)):
+        gains = pid_by_rule(
+            parameters, closed, crossover, period_s, latency_s, phase_margin_deg, integral_ratio
+        )
+    put(pid_figures(gains), as_json, print_current)
+    if out is not None:
+        write_file("--out", out, controller_text(controller_of(parameters, closed.order, crossover, gains)))
+        say_written(out)
 
 
 def _current_loop(

@@ -28,7 +28,6 @@ from hil.terminal.design_predictor import (
     finish_predictor,
     refuse_given,
 )
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, MotorArgument, controller_out_option, flag, motor_file
 from hil.terminal.output import on_terminal, print_figures, put, say_written
 from hil.verdict.verdict import ExitStatus
@@ -167,38 +166,37 @@ def speed(
     and the loop that really runs over it is certified as well. A predictor and an H-infinity
     controller are designed for a delay or a network: for the least peak after the load step.
     """
-    with reported_errors():
-        asked = PredictorOptions(
-            period_ms, encoder_counts, speed_filter_hz, drive_dead_time_us, torque_noise_nm, losses_max
+    asked = PredictorOptions(
+        period_ms, encoder_counts, speed_filter_hz, drive_dead_time_us, torque_noise_nm, losses_max
+    )
+    if structure is not SpeedStructure.STATIC:
+        _refuse_static(gamma, error_percent, integral_time_ms, integral)
+    else:
+        refuse_given(asked.given, "--structure predictor or hinf with it")
+        _check_known(gamma, error_percent, delay_ms, network)
+        _check_method(method, feedback, integral, integral_time_ms, target, network)
+    parameters = motor_file(motor).parameters
+    inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
+    over = _network(network, strategy, delay_margin_percent, extra_losses) if network else None
+    if structure is not SpeedStructure.STATIC:
+        finish_predictor(
+            structure.value, parameters, inner, asked, _seconds(delay_ms), over, load_nm, out, as_json
         )
-        if structure is not SpeedStructure.STATIC:
-            _refuse_static(gamma, error_percent, integral_time_ms, integral)
-        else:
-            refuse_given(asked.given, "--structure predictor or hinf with it")
-            _check_known(gamma, error_percent, delay_ms, network)
-            _check_method(method, feedback, integral, integral_time_ms, target, network)
-        parameters = motor_file(motor).parameters
-        inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
-        over = _network(network, strategy, delay_margin_percent, extra_losses) if network else None
-        if structure is not SpeedStructure.STATIC:
-            finish_predictor(
-                structure.value, parameters, inner, asked, _seconds(delay_ms), over, load_nm, out, as_json
-            )
-            return
+        return
 
-        from design.delay.speed_loop import Feedback, gain_for_error
-        from drivers.rotation import RAD_S_PER_RPM
-        from hil.studies.speed.synthesis import DesignRequest, Way
+    from design.delay.speed_loop import Feedback, gain_for_error
+    from drivers.rotation import RAD_S_PER_RPM
+    from hil.studies.speed.synthesis import DesignRequest, Way
 
-        sampled, integral_s = target is TargetName.SAMPLED, _seconds(integral_time_ms)
-        way = Way(method.value, Feedback(feedback.value), integral, integral_s, sampled)
-        load = load_nm or parameters.rated_torque_nm
-        at_rad_s = speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s
-        if error_percent:
-            gamma = gain_for_error(error_percent, load, at_rad_s)
-        delay_s = over.constant_delay_s if over else _seconds(delay_ms)
-        request = DesignRequest(parameters, gamma, delay_s, over, way, load, at_rad_s, inner.bandwidth_hz)
-        _finish(request, inner.key, out, as_json)
+    sampled, integral_s = target is TargetName.SAMPLED, _seconds(integral_time_ms)
+    way = Way(method.value, Feedback(feedback.value), integral, integral_s, sampled)
+    load = load_nm or parameters.rated_torque_nm
+    at_rad_s = speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s
+    if error_percent:
+        gamma = gain_for_error(error_percent, load, at_rad_s)
+    delay_s = over.constant_delay_s if over else _seconds(delay_ms)
+    request = DesignRequest(parameters, gamma, delay_s, over, way, load, at_rad_s, inner.bandwidth_hz)
+    _finish(request, inner.key, out, as_json)
 
 
 def _seconds(time_ms: float | None) -> float | None:

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, bitrate_option, flag
 from hil.terminal.output import put
 from hil.verdict.verdict import ExitStatus
@@ -44,20 +43,19 @@ def eds(
 
     Exit status: 0 it can serve a bench, 1 it cannot (the output says why), 2 the file cannot be read.
     """
-    with reported_errors():
-        from drivers.sheets.dictionary import load_dictionary
-        from drivers.sheets.fitness import assess
-        from hil.terminal.eds_report import print_sheet
-        from hil.terminal.eds_sheet import plan_for, sheet
+    from drivers.sheets.dictionary import load_dictionary
+    from drivers.sheets.fitness import assess
+    from hil.terminal.eds_report import print_sheet
+    from hil.terminal.eds_sheet import plan_for, sheet
 
-        loaded = load_dictionary(file, node)
-        if loaded.dictionary.node_id is None:
-            loaded = load_dictionary(file, ANY_NODE)
-        node_id = loaded.dictionary.node_id or ANY_NODE
-        fitness = assess(loaded, node_id)
-        planned = None
-        if plan or mode:
-            planned = plan_for(loaded, fitness, node_id, mode.value if mode else None, period_us, bitrate)
-        figures = sheet(file, loaded, fitness, planned)
-        put(figures, as_json, lambda _figures: print_sheet(file, loaded, fitness, planned))
-        raise typer.Exit(ExitStatus.PASSED if fitness.serves else ExitStatus.FAILED)
+    loaded = load_dictionary(file, node)
+    if loaded.dictionary.node_id is None:
+        loaded = load_dictionary(file, ANY_NODE)
+    node_id = loaded.dictionary.node_id or ANY_NODE
+    fitness = assess(loaded, node_id)
+    planned = None
+    if plan or mode:
+        planned = plan_for(loaded, fitness, node_id, mode.value if mode else None, period_us, bitrate)
+    figures = sheet(file, loaded, fitness, planned)
+    put(figures, as_json, lambda _figures: print_sheet(file, loaded, fitness, planned))
+    raise typer.Exit(ExitStatus.PASSED if fitness.serves else ExitStatus.FAILED)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import (
     EVERY_STREAM,
     BitrateOption,
@@ -81,32 +80,31 @@ def measure(
 
     Exit status: 0 measured, 1 not to be trusted, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
     """
-    with reported_errors():
-        from drivers.rotation import RAD_S_PER_RPM
-        from hil.measuring.subject import MeasureRequest
-        from hil.terminal.measure_report import print_measured
-        from hil.terminal.node_list import drive_ids
+    from drivers.rotation import RAD_S_PER_RPM
+    from hil.measuring.subject import MeasureRequest
+    from hil.terminal.measure_report import print_measured
+    from hil.terminal.node_list import drive_ids
 
-        _require_places({"--out": out, "--faults-out": faults_out, "--picture": picture})
-        request = MeasureRequest(
-            bus=bus,
-            nodes=tuple(drive_ids([*node, *(more_nodes or [])])),
-            cycles=cycles,
-            period_us=period_us,
-            bitrate_bit_s=bitrate,
-            enable=enable,
-            torque_max_nm=torque_max_nm,
-            speed_max_rad_s=speed_max_rpm * RAD_S_PER_RPM,
-            motor=motor_file(motor, "--motor").parameters if motor else None,
-            faults=fault_plan(faults),
-            seed=seed,
-        )
-        measured = _measured(request)
-        put(measured.as_json(), as_json, lambda _figures: print_measured(measured))
-        if measured.interrupted:
-            raise typer.Exit(ExitStatus.INTERRUPTED)
-        _write_files(measured, out, faults_out, picture)
-        raise typer.Exit(ExitStatus.FAILED if measured.distrust else ExitStatus.PASSED)
+    _require_places({"--out": out, "--faults-out": faults_out, "--picture": picture})
+    request = MeasureRequest(
+        bus=bus,
+        nodes=tuple(drive_ids([*node, *(more_nodes or [])])),
+        cycles=cycles,
+        period_us=period_us,
+        bitrate_bit_s=bitrate,
+        enable=enable,
+        torque_max_nm=torque_max_nm,
+        speed_max_rad_s=speed_max_rpm * RAD_S_PER_RPM,
+        motor=motor_file(motor, "--motor").parameters if motor else None,
+        faults=fault_plan(faults),
+        seed=seed,
+    )
+    measured = _measured(request)
+    put(measured.as_json(), as_json, lambda _figures: print_measured(measured))
+    if measured.interrupted:
+        raise typer.Exit(ExitStatus.INTERRUPTED)
+    _write_files(measured, out, faults_out, picture)
+    raise typer.Exit(ExitStatus.FAILED if measured.distrust else ExitStatus.PASSED)
 
 
 def _measured(request: "MeasureRequest") -> "Measured":

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import RunArgument, flag, valued
 from hil.terminal.output import say_written
 
@@ -40,27 +39,26 @@ def picture(
 
     Exit status: 0 drawn, 2 bad input, 3 the viewer cannot run here.
     """
-    with reported_errors():
-        if span is not None and at is None:
-            raise BadInput("--span", "", f"{span:g}", "--at beside it: about which instant")
-        if out.is_dir() or not out.parent.is_dir():
-            raise BadInput("OUT", "", str(out), "a file in a folder that is there")
-        window = (None, None) if at is None or span is None else (at - span / 2, at + span / 2)
-        if paper:
-            if page is not None:
-                raise BadInput("--page", "", page, "no --paper beside it")
-            from drivers.bounded_file import writing
-            from hil.recorded.paper import paper_figure, save_figure
-            from hil.recorded.recorded_run import open_run, signals_of
+    if span is not None and at is None:
+        raise BadInput("--span", "", f"{span:g}", "--at beside it: about which instant")
+    if out.is_dir() or not out.parent.is_dir():
+        raise BadInput("OUT", "", str(out), "a file in a folder that is there")
+    window = (None, None) if at is None or span is None else (at - span / 2, at + span / 2)
+    if paper:
+        if page is not None:
+            raise BadInput("--page", "", page, "no --paper beside it")
+        from drivers.bounded_file import writing
+        from hil.recorded.paper import paper_figure, save_figure
+        from hil.recorded.recorded_run import open_run, signals_of
 
-            figure = paper_figure(signals_of(open_run(run)), *window)
-            with writing("OUT", out):
-                save_figure(figure, out)
-        else:
-            if out.suffix != ".png":
-                raise BadInput("OUT", "", str(out), "a file that ends in .png, or --paper")
-            from drivers.bounded_file import write_file
-            from hil.recorded.viewer import draw_page
+        figure = paper_figure(signals_of(open_run(run)), *window)
+        with writing("OUT", out):
+            save_figure(figure, out)
+    else:
+        if out.suffix != ".png":
+            raise BadInput("OUT", "", str(out), "a file that ends in .png, or --paper")
+        from drivers.bounded_file import write_file
+        from hil.recorded.viewer import draw_page
 
-            write_file("OUT", out, draw_page(run, page, at, window))
-        say_written(out)
+        write_file("OUT", out, draw_page(run, page, at, window))
+    say_written(out)

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, RunArgument, valued
 from hil.terminal.output import columns, put, say_written
 
@@ -36,18 +35,17 @@ def review(
     What a controller is certified for counts too: a run with --allow-uncertified that left it has not passed
     here. Exit status: as docs/verdict.md has it; 2 for what is no whole recording.
     """
-    with reported_errors():
-        from hil.recorded.judgement import judge_run
-        from hil.recorded.recorded_run import open_run
+    from hil.recorded.judgement import judge_run
+    from hil.recorded.recorded_run import open_run
 
-        judged = judge_run(open_run(run), against)
-        put(judged.summary.as_json(), as_json, lambda _figures: _print(judged))
-        if report is not None:
-            from hil.recorded.report import write_report
+    judged = judge_run(open_run(run), against)
+    put(judged.summary.as_json(), as_json, lambda _figures: _print(judged))
+    if report is not None:
+        from hil.recorded.report import write_report
 
-            write_report(judged, report)
-            say_written(report)
-        raise typer.Exit(judged.summary.verdict.exit_status)
+        write_report(judged, report)
+        say_written(report)
+    raise typer.Exit(judged.summary.verdict.exit_status)
 
 
 def _print(judged: "Judged") -> None:

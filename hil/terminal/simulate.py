@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import (
     BitrateOption,
     DriveFaultsOption,
@@ -99,40 +98,39 @@ def simulate(
     seed: SeedOption = None,
 ) -> None:
     """Simulated drives as a process of their own on a real-time bus, until Ctrl-C."""
-    with reported_errors():
-        from drivers.bounded_file import NamedBy
-        from hil.configuration.background import load_background
-        from hil.configuration.motor_file import LING2012
-        from hil.execution.device_files import DeviceFiles
-        from hil.load.simulated_load import load_tables
-        from hil.terminal.node_list import node_ids, serial_numbers
+    from drivers.bounded_file import NamedBy
+    from hil.configuration.background import load_background
+    from hil.configuration.motor_file import LING2012
+    from hil.execution.device_files import DeviceFiles
+    from hil.load.simulated_load import load_tables
+    from hil.terminal.node_list import node_ids, serial_numbers
 
-        files = DeviceFiles(eds, store, export_eds)
-        typed = [*(node or []), *(more_nodes or [])]
-        if not typed and (commissioned := files.commissioned_node()) is not None:
-            typed = [str(commissioned)]
-        nodes = node_ids(typed)
-        parameters = (motor_file(motor, "--motor") if motor else LING2012).parameters
-        named_by = NamedBy("--background", "", str(background))
-        others = load_background(background, named_by) if background else ()
+    files = DeviceFiles(eds, store, export_eds)
+    typed = [*(node or []), *(more_nodes or [])]
+    if not typed and (commissioned := files.commissioned_node()) is not None:
+        typed = [str(commissioned)]
+    nodes = node_ids(typed)
+    parameters = (motor_file(motor, "--motor") if motor else LING2012).parameters
+    named_by = NamedBy("--background", "", str(background))
+    others = load_background(background, named_by) if background else ()
 
-        from hil.execution.simulated_drives import simulate as simulate_drives
-        from hil.load.simulated_load import SimulatedLoadMachine
+    from hil.execution.simulated_drives import simulate as simulate_drives
+    from hil.load.simulated_load import SimulatedLoadMachine
 
-        instrument = SimulatedLoadMachine.wanted(load_machine, load_machine_fault or [], parameters)
-        simulate_drives(
-            bus_spec=bus,
-            nodes=nodes,
-            serials=serial_numbers(serial or [], len(nodes)),
-            motor=parameters,
-            faults=fault_plan(faults),
-            bitrate_bit_s=bitrate,
-            seed=seed or 0,
-            announce=say,
-            files=files,
-            background=others,
-            current_control=current_control or (),
-            loads=load_tables(load or [], nodes),
-            load_machine=instrument,
-            force=force,
-        )
+    instrument = SimulatedLoadMachine.wanted(load_machine, load_machine_fault or [], parameters)
+    simulate_drives(
+        bus_spec=bus,
+        nodes=nodes,
+        serials=serial_numbers(serial or [], len(nodes)),
+        motor=parameters,
+        faults=fault_plan(faults),
+        bitrate_bit_s=bitrate,
+        seed=seed or 0,
+        announce=say,
+        files=files,
+        background=others,
+        current_control=current_control or (),
+        loads=load_tables(load or [], nodes),
+        load_machine=instrument,
+        force=force,
+    )
