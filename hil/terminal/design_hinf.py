@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.terminal.options import JsonOption, gamma_option
+from hil.terminal.options import JsonOption, gamma_option, valued
 from hil.terminal.output import put
 
 
@@ -15,7 +15,7 @@ def hinf(
     ],
     gamma: Annotated[float | None, gamma_option(1e-12)] = None,
     gamma_factor: Annotated[
-        float, typer.Option("--gamma-factor", min=1.0, help="Without --gamma: times gamma_min.")
+        float, valued("--gamma-factor", None, "Without --gamma: times gamma_min.", min=1.0)
     ] = 1.1,
     as_json: JsonOption = False,
 ) -> None:
