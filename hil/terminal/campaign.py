@@ -2,9 +2,8 @@
 
 import json
 import sys
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.core import TyperGroup
@@ -35,20 +34,13 @@ FOUND_SHOWN = 40
 """Lines; the column ``findings`` has all."""
 
 
-class HeldAgainst(StrEnum):
-    """What every run may be held against, beside its own limits."""
-
-    CERTIFICATE = "certificate"
-
-
 DirArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the campaign.")]
 
 
 def run(
     sweep: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="The sweep file.")],
     workers: Annotated[
-        int | None,
-        typer.Option("--workers", metavar="N", min=1, max=1024, help="Processes; else one a core."),
+        int | None, valued("--workers", "N", "Processes; else one a core.", min=1, max=1024)
     ] = None,
     dask: Annotated[
         str | None, valued("--dask", "ADDRESS", "Scheduler of a Dask cluster, whose workers run it instead.")
@@ -58,14 +50,13 @@ def run(
         Path | None, valued("--out", "DIR", "Folder of the campaign; campaigns/NAME if absent.")
     ] = None,
     against: Annotated[
-        HeldAgainst | None,
-        typer.Option(
-            "--against", help="Every run within the premises of its certificate must keep what is certified."
+        Literal["certificate"] | None,
+        valued(
+            "--against", None, "Every run within the premises of its certificate must keep what is certified."
         ),
     ] = None,
     seconds: Annotated[
-        float | None,
-        typer.Option("--seconds", metavar="S", min=0.0, help="End after so long; --resume goes on."),
+        float | None, valued("--seconds", "S", "End after so long; --resume goes on.", min=0.0)
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -123,7 +114,7 @@ def report(folder: DirArgument, as_json: JsonOption = False) -> None:
 
 def replay(
     folder: DirArgument,
-    number: Annotated[int, typer.Option("--run", metavar="K", min=0, help="Number of the run.")],
+    number: Annotated[int, valued("--run", "K", "Number of the run.", min=0)],
     record: Annotated[
         Path | None, valued("--into", "DIR", "Folder of the recording; DIR/replays/run-K if absent.")
     ] = None,

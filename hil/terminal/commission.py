@@ -1,5 +1,6 @@
 """``hil commission`` and ``hil restore``."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,69 +21,61 @@ from hil.terminal.options import (
 from hil.terminal.output import put, say
 from hil.verdict.verdict import ExitStatus
 
-UnwatchedOption = Annotated[
-    bool,
-    flag(
-        "--unwatched",
-        "Bear a drive that cannot watch its host: slow, weak and short motions; somebody stands by.",
-    ),
-]
-TrustOption = Annotated[
-    bool,
-    flag(
-        "--trust-nameplate",
-        "Take the nameplate, unasked, where the drive contradicts it by far.",
-    ),
-]
-RehearsedSheetOption = Annotated[
-    Path | None,
-    valued(
-        "--rehearse-eds",
-        "FILE",
-        "On --bus simulated: a drive made from that data sheet; --eds is the same one if absent.",
-    ),
-]
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommissionOptions:
+    """Of ``hil commission``."""
 
-CommissionBusOption = Annotated[
-    str,
-    bus_option(
-        "hub:NAME, socketcan:can0, INTERFACE:CHANNEL, or simulated with --rehearse or --rehearse-eds."
-    ),
-]
-
-
-def commission(
-    bus: CommissionBusOption,
-    node: DriveNodeOption,
-    out: Annotated[Path, valued("--out", "DIR", "Folder for report, files and journal.")],
-    eds: Annotated[Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the drive.")] = None,
+    bus: Annotated[
+        str,
+        bus_option(
+            "hub:NAME, socketcan:can0, INTERFACE:CHANNEL, or simulated with --rehearse or --rehearse-eds."
+        ),
+    ]
+    node: DriveNodeOption
+    out: Annotated[Path, valued("--out", "DIR", "Folder for report, files and journal.")]
+    eds: Annotated[Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the drive.")] = None
     motor: Annotated[
         Path | None, valued("--motor", "NAMEPLATE.toml", "What is printed on the motor, and limits.")
-    ] = None,
-    yes: Annotated[bool, flag("--yes", "Ask nothing; every step is done.")] = False,
-    dry_run: Annotated[bool, flag("--dry-run", "Only read; say what the other steps would do.")] = False,
+    ] = None
+    yes: Annotated[bool, flag("--yes", "Ask nothing; every step is done.")] = False
+    dry_run: Annotated[bool, flag("--dry-run", "Only read; say what the other steps would do.")] = False
     store: Annotated[
-        bool,
-        flag("--store", "Keep the settings in the drive (1010h) instead of putting them back."),
-    ] = False,
+        bool, flag("--store", "Keep the settings in the drive (1010h) instead of putting them back.")
+    ] = False
     period_us: Annotated[
-        int | None, typer.Option("--period-us", min=250, max=100_000, help="Cycle; chosen if absent.")
-    ] = None,
+        int | None, valued("--period-us", None, "Cycle; chosen if absent.", min=250, max=100_000)
+    ] = None
     heartbeat_timeout_ms: Annotated[
         int,
-        typer.Option("--heartbeat-timeout-ms", min=20, max=60_000, help="Silence that host and drive bear."),
-    ] = 150,
-    unwatched: UnwatchedOption = False,
-    bitrate: BitrateOption = 1_000_000,
+        valued("--heartbeat-timeout-ms", None, "Silence that host and drive bear.", min=20, max=60_000),
+    ] = 150
+    unwatched: Annotated[
+        bool,
+        flag(
+            "--unwatched",
+            "Bear a drive that cannot watch its host: slow, weak and short motions; somebody stands by.",
+        ),
+    ] = False
+    bitrate: BitrateOption = 1_000_000
     rehearse: Annotated[
-        int | None,
-        typer.Option("--rehearse", metavar="SEED", min=0, help="On --bus simulated: the drive of that seed."),
-    ] = None,
-    rehearse_eds: RehearsedSheetOption = None,
-    trust_nameplate: TrustOption = False,
-    as_json: JsonOption = False,
-) -> None:
+        int | None, valued("--rehearse", "SEED", "On --bus simulated: the drive of that seed.", min=0)
+    ] = None
+    rehearse_eds: Annotated[
+        Path | None,
+        valued(
+            "--rehearse-eds",
+            "FILE",
+            "On --bus simulated: a drive made from that data sheet; --eds is the same one if absent.",
+        ),
+    ] = None
+    trust_nameplate: Annotated[
+        bool, flag("--trust-nameplate", "Take the nameplate, unasked, where the drive contradicts it by far.")
+    ] = False
+    as_json: JsonOption = False
+
+
+def commission(asked: CommissionOptions) -> None:
     """Commission a drive: identity, units, polarity, limits, friction, inertia, delays, controller, report.
 
     Each step says what it will do, asks, does it and checks it. All changes are put back at the end, unless
@@ -92,27 +85,30 @@ def commission(
     """
     from hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
 
-    plate = load_nameplate(motor) if motor is not None else Nameplate()
     request = CommissionRequest(
-        bus=bus,
-        node=node,
-        out=out,
-        eds=eds,
-        nameplate=plate,
-        bitrate_bit_s=bitrate,
-        period_us=period_us,
-        dry_run=dry_run,
-        store=store,
-        trust_nameplate=trust_nameplate,
-        heartbeat_timeout_ms=heartbeat_timeout_ms,
-        unwatched=unwatched,
+        bus=asked.bus,
+        node=asked.node,
+        out=asked.out,
+        eds=asked.eds,
+        nameplate=Nameplate() if asked.motor is None else load_nameplate(asked.motor),
+        bitrate_bit_s=asked.bitrate,
+        period_us=asked.period_us,
+        dry_run=asked.dry_run,
+        store=asked.store,
+        trust_nameplate=asked.trust_nameplate,
+        heartbeat_timeout_ms=asked.heartbeat_timeout_ms,
+        unwatched=asked.unwatched,
     )
     from hil.commissioning.commission import run_command
 
     result, figures = run_command(
-        request, yes=yes, rehearse=rehearse, rehearse_eds=rehearse_eds, plate_given=motor is not None
+        request,
+        yes=asked.yes,
+        rehearse=asked.rehearse,
+        rehearse_eds=asked.rehearse_eds,
+        plate_given=asked.motor is not None,
     )
-    put(figures, as_json, lambda _figures: None)
+    put(figures, asked.as_json, lambda _figures: None)
     raise typer.Exit(result)
 
 
@@ -143,8 +139,7 @@ def rehearse(
     truth: Annotated[Path | None, valued("--truth", "FILE", "Write what was drawn, to compare with.")] = None,
     faults: DriveFaultsOption = None,
     drift_ppm: Annotated[
-        float,
-        typer.Option("--drift-ppm", min=-1000, max=1000, help="How much too fast the drive's clock runs."),
+        float, valued("--drift-ppm", None, "How much too fast the drive's clock runs.", min=-1000, max=1000)
     ] = 0.0,
     bitrate: BitrateOption = 1_000_000,
 ) -> None:

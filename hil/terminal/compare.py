@@ -13,23 +13,18 @@ from hil.verdict.verdict import ExitStatus
 if TYPE_CHECKING:
     from hil.recorded.comparison import Against
 
-RunsArgument = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")]
-BaselineOption = Annotated[
-    Path | None, valued("--baseline", "RUN", "What the others are held against; the first if absent.")
-]
-TolerancesOption = Annotated[
-    Path | None, valued("--tolerances", "FILE.toml", "How much worse a run may be, by figure.")
-]
-RrdOption = Annotated[
-    Path | None, valued("--rrd", "FILE.rrd", "Write the runs beside and over each other, for Rerun.")
-]
-
 
 def compare(
-    runs: RunsArgument,
-    baseline: BaselineOption = None,
-    tolerances: TolerancesOption = None,
-    rrd: RrdOption = None,
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
+    baseline: Annotated[
+        Path | None, valued("--baseline", "RUN", "What the others are held against; the first if absent.")
+    ] = None,
+    tolerances: Annotated[
+        Path | None, valued("--tolerances", "FILE.toml", "How much worse a run may be, by figure.")
+    ] = None,
+    rrd: Annotated[
+        Path | None, valued("--rrd", "FILE.rrd", "Write the runs beside and over each other, for Rerun.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare recorded runs, cycle by cycle: figures, differences of the signals, first divergence.

@@ -24,17 +24,17 @@ motor = typer.Typer(
 
 def new(
     out: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The file to be written.")],
-    name: Annotated[str, typer.Option("--name", help="The motor's name; the file's if absent.")] = "",
+    name: Annotated[str, valued("--name", None, "The motor's name; the file's if absent.")] = "",
     delta: Annotated[
         bool, flag("--delta/--star", "How the phases are connected, if figures are of a phase.")
     ] = False,
     resistance_at_c: Annotated[
         float,
-        typer.Option("--resistance-at-c", min=-50.0, max=250.0, help="Winding temperature on the sheet."),
+        valued("--resistance-at-c", None, "Winding temperature on the sheet.", min=-50.0, max=250.0),
     ] = 20.0,
     winding_c: Annotated[
         float | None,
-        typer.Option("--winding-c", min=-50.0, max=250.0, help="To simulate at; the sheet's if absent."),
+        valued("--winding-c", None, "To simulate at; the sheet's if absent.", min=-50.0, max=250.0),
     ] = None,
     force: Annotated[bool, flag("--force", "Write over a file that is there.")] = False,
     **figures: float | None,

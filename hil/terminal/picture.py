@@ -9,31 +9,22 @@ from drivers.errors import BadInput
 from hil.terminal.options import RunArgument, flag, valued
 from hil.terminal.output import say_written
 
-OutArgument = Annotated[
-    Path, typer.Argument(metavar="OUT", help="The picture: .png; --paper: .svg, .pdf too.")
-]
-PageOption = Annotated[
-    str | None, valued("--page", "PAGE", "overview, AXIS, timing, controller, zoom, zoom/AXIS.")
-]
-AtOption = Annotated[
-    float | None, valued("--at", "S", "The cursor, s since the first cycle; the end if absent.")
-]
-SpanOption = Annotated[
-    float | None,
-    typer.Option("--span", metavar="S", min=1e-6, help="So much time about --at; all if absent."),
-]
-PaperOption = Annotated[
-    bool, flag("--paper", "Speed, error, torque and delay by matplotlib, light; no viewer.")
-]
-
 
 def picture(
     run: RunArgument,
-    out: OutArgument,
-    page: PageOption = None,
-    at: AtOption = None,
-    span: SpanOption = None,
-    paper: PaperOption = False,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The picture: .png; --paper: .svg, .pdf too.")],
+    page: Annotated[
+        str | None, valued("--page", "PAGE", "overview, AXIS, timing, controller, zoom, zoom/AXIS.")
+    ] = None,
+    at: Annotated[
+        float | None, valued("--at", "S", "The cursor, s since the first cycle; the end if absent.")
+    ] = None,
+    span: Annotated[
+        float | None, valued("--span", "S", "So much time about --at; all if absent.", min=1e-6)
+    ] = None,
+    paper: Annotated[
+        bool, flag("--paper", "Speed, error, torque and delay by matplotlib, light; no viewer.")
+    ] = False,
 ) -> None:
     """Draw a recorded run: what a user sees on opening it, without a window; or a figure for a paper.
 

@@ -11,23 +11,20 @@ from hil.terminal.output import columns, put, say_written
 if TYPE_CHECKING:
     from hil.recorded.judgement import Judged
 
-AgainstOption = Annotated[
-    Path | None,
-    valued(
-        "--against",
-        "REQUIREMENTS.toml",
-        "A table \\[verdict] as in a bench file; the run's own limits if absent.",
-    ),
-]
-ReportOption = Annotated[
-    Path | None, valued("--report", "FILE", "Write a report with pictures: one .html or .md file.")
-]
-
 
 def review(
     run: RunArgument,
-    against: AgainstOption = None,
-    report: ReportOption = None,
+    against: Annotated[
+        Path | None,
+        valued(
+            "--against",
+            "REQUIREMENTS.toml",
+            "A table \\[verdict] as in a bench file; the run's own limits if absent.",
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None, valued("--report", "FILE", "Write a report with pictures: one .html or .md file.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Judge a recorded run by its own limits or by others, from the recording alone.

@@ -28,7 +28,7 @@ def scan(
     ] = False,
     passive: Annotated[bool, flag("--passive", "Only listen; send nothing at all.")] = False,
     listen: Annotated[
-        float, typer.Option("--listen", min=0.0, max=600.0, help="How long to listen before asking, s.")
+        float, valued("--listen", None, "How long to listen before asking, s.", min=0.0, max=600.0)
     ] = 1.5,
     as_json: JsonOption = False,
 ) -> None:

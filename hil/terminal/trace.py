@@ -32,7 +32,7 @@ def trace(
         list[str] | None,
         valued("--eds", "[N=]FILE", "EDS, DCF, XDD or XDC of node N, or of every node; may be repeated."),
     ] = None,
-    node: Annotated[int | None, typer.Option("--node", min=1, max=127, help="Only this node.")] = None,
+    node: Annotated[int | None, valued("--node", None, "Only this node.", min=1, max=127)] = None,
     kind: Annotated[str | None, valued("--kind", "KIND,...", "Only these: pdo, sdo, emcy, nmt, ...")] = None,
     from_s: Annotated[float | None, valued("--from", "T", "From here on, s.")] = None,
     to_s: Annotated[float | None, valued("--to", "T", "Up to here, s.")] = None,
