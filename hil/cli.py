@@ -76,8 +76,8 @@ for group in (reproduce, analyse, design, motor, campaign):
     app.add_typer(group)
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(asked: bool) -> None:
+    if asked:
         from importlib.metadata import version
 
         typer.echo(f"servobench {version('servobench')}")

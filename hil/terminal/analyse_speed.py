@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from design.speed.monte_carlo import Chance
 
 
+LOSSES_MAX = 50
+"""In a row: more is an outage, and no pattern to design for."""
 StrategyName = Literal["arrival", "stamp", "history"]
 """When a sample is applied."""
 SpeedOption = Annotated[
@@ -51,7 +53,7 @@ class AnalysisOptions:
     ] = None
     strategy: Annotated[StrategyName | None, valued("--strategy", None, "When a sample is applied.")] = None
     loss_max: Annotated[
-        int | None, valued("--loss-max", "D", "Most samples lost in a row.", min=0, max=50)
+        int | None, valued("--loss-max", "D", "Most samples lost in a row.", min=0, max=LOSSES_MAX)
     ] = None
     tau_max_ms: Annotated[
         float | None, valued("--tau-max-ms", "T", "Largest delay from sample to actuator.", min=0.0)

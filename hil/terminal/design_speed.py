@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.analyse_speed import LoadOption, SpeedOption, StrategyName
+from hil.terminal.analyse_speed import LOSSES_MAX, LoadOption, SpeedOption, StrategyName
 from hil.terminal.current_loop_options import CurrentLoopOptions
 from hil.terminal.design_predictor import PredictorOptions, design_dynamic
 from hil.terminal.options import (
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from hil.studies.speed.synthesis import DesignResult
 
 
-_LOSSES_MAX = 50
 _WHOLE = 0.05
 """Part of a period by which an age may exceed a whole number of them and still count as one. Where commands
 act at SYNCs it is one, but for the lateness of SYNCs and the error of the clock that measured it."""
@@ -167,11 +166,11 @@ def _network(path: Path, asked: SpeedDesignOptions) -> "SampledNetwork":
         raise unknown
     strategy, losses_max = Strategy(asked.strategy), measured.losses_max + asked.extra_losses
     tau_s = measured.delay_max_s * (1.0 + 0.01 * asked.delay_margin_percent)
-    if losses_max > _LOSSES_MAX:
+    if losses_max > LOSSES_MAX:
         remedy = (
             "an outage is no pattern to design for: take it out of the file, and let a limit stop the bench"
         )
-        expected = f"at most {_LOSSES_MAX} in all"
+        expected = f"at most {LOSSES_MAX} in all"
         raise BadInput(str(path), "network.losses_in_a_row_max", losses_max, expected, remedy)
     agreed_s = 0.0 if strategy is Strategy.ARRIVAL else (losses_max + 1) * measured.period_s + tau_s
     if strategy is Strategy.STAMP:
