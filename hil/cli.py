@@ -4,7 +4,7 @@ What a command needs is imported inside it, so that ``hil --help`` answers at on
 """
 
 from hil.terminal.hidden_rooms import refuse_hidden_rooms
-from hil.terminal.options import JsonOption, SeedOption, bus_option, flag
+from hil.terminal.options import JsonOption, SeedOption, bus_option, flag, valued
 
 refuse_hidden_rooms()  # before the first import from a package that a folder of the user's could hide
 
@@ -15,11 +15,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import json
 import sys
-from collections.abc import Sequence
-from dataclasses import asdict
-from enum import StrEnum
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -28,6 +26,7 @@ from drivers.errors import BadInput
 from hil.terminal import analyse_speed, design_speed
 from hil.terminal.adapter import adapter
 from hil.terminal.campaign import campaign
+from hil.terminal.commands import add_commands, as_command
 from hil.terminal.commission import commission, rehearse, restore
 from hil.terminal.compare import compare
 from hil.terminal.design_current import current
@@ -61,89 +60,24 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     no_args_is_help=True,
 )
-app.command()(init)
-app.command()(adapter)
-app.command()(scan)
-app.command()(simulate)
-app.command()(measure)
-app.command()(eds)
-app.command()(fault)
-app.command()(stop)
-app.command()(commission)
-app.command()(restore)
-app.command()(rehearse)
-app.command()(recover)
-app.command()(trace)
-app.command()(export)
-app.command()(runs)
-app.command()(picture)
-app.command()(review)
-app.command()(compare)
-app.command()(view)
+add_commands(app, init, adapter, scan, simulate, measure, eds, fault, stop, commission, restore, rehearse)
+add_commands(app, recover, trace, export, runs, picture, review, compare, view)
 
 reproduce = typer.Typer(name="reproduce", help="The papers' own results beside ours.", no_args_is_help=True)
-reproduce.command()(azaiz2007)
-reproduce.command()(ling2012)
+add_commands(reproduce, azaiz2007, ling2012)
 
 design = typer.Typer(name="design", help="Design a controller.", no_args_is_help=True)
-design.command()(current)
-design.command()(hinf)
-design.command()(pid)
-design.command()(design_speed.speed)
+add_commands(design, current, hinf, pid, design_speed.speed)
 
 analyse = typer.Typer(name="analyse", help="Exact and certified figures of a loop.", no_args_is_help=True)
-analyse.command()(analyse_speed.speed)
+add_commands(analyse, analyse_speed.speed)
 
 for group in (reproduce, analyse, design, motor, campaign):
     app.add_typer(group)
 
 
-class TimeBase(StrEnum):
-    """Whose time the loop runs in."""
-
-    SIMULATED = "simulated"
-    REAL = "real"
-
-
-BusOption = Annotated[
-    str | None, bus_option("simulated, hub:NAME, socketcan:vcan0, or INTERFACE:CHANNEL of python-can.")
-]
-
-NoRecordOption = Annotated[bool, flag("--no-record", "Keep no files: figures and verdict alone.")]
-ReplayOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--replay-faults", metavar="FILE", help="faults.jsonl of a run; instead of the bench's own faults."
-    ),
-]
-ControllersOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--controller",
-        metavar="AXIS=FILE.py:NAME",
-        help="A controller of one's own, or a controller file (AXIS=FILE.toml), in place of the bench's; "
-        "may be repeated.",
-    ),
-]
-NetworkOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--network",
-        metavar="NETWORK.toml",
-        help="A network measured before; refused if a controller was made for a better one.",
-    ),
-]
-UncertifiedOption = Annotated[
-    bool,
-    flag(
-        "--allow-uncertified",
-        "Warn, instead of stopping, where a controller's certificate does not hold: network or drive.",
-    ),
-]
-
-
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(asked: bool) -> None:
+    if asked:
         from importlib.metadata import version
 
         typer.echo(f"servobench {version('servobench')}")
@@ -162,54 +96,72 @@ def _hil(
     """Hardware-in-the-loop bench for networked PMSM servo drives over CANopen."""
 
 
-def _bench_to_run(bench: Path, controllers: Sequence[str], replay_faults: Path | None) -> "BenchConfig":
-    """The bench file with what the command line puts in place of its parts."""
-    from drivers.bounded_file import NamedBy
-    from hil.configuration.bench_file import load_bench, load_faults, with_controllers
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOptions:
+    """Of ``hil run``."""
 
-    config = with_controllers(load_bench(bench), controllers)
-    if replay_faults is None:
-        return config
-    named_by = NamedBy("--replay-faults", "", str(replay_faults))
-    return config.model_copy(update={"faults": load_faults(replay_faults, named_by)})
+    bench: Annotated[Path, typer.Argument(metavar="BENCH.toml", help="The bench file.")]
+    bus: Annotated[
+        str | None, bus_option("simulated, hub:NAME, socketcan:vcan0, or INTERFACE:CHANNEL of python-can.")
+    ] = None
+    time: Annotated[
+        Literal["simulated", "real"] | None, valued("--time", None, "Time base; the bus decides if absent.")
+    ] = None
+    seed: SeedOption = None
+    record: Annotated[Path | None, valued("--record", "DIR", "Folder of the recording, new or empty.")] = None
+    no_record: Annotated[bool, flag("--no-record", "Keep no files: figures and verdict alone.")] = False
+    controller: Annotated[
+        list[str] | None,
+        valued(
+            "--controller",
+            "AXIS=FILE.py:NAME",
+            "A controller of one's own, or a controller file (AXIS=FILE.toml), in place of the bench's; "
+            "may be repeated.",
+        ),
+    ] = None
+    replay_faults: Annotated[
+        Path | None,
+        valued("--replay-faults", "FILE", "faults.jsonl of a run; instead of the bench's own faults."),
+    ] = None
+    live: Annotated[bool, flag("--view", "Show the run in the Rerun viewer while it goes on.")] = False
+    network: Annotated[
+        Path | None,
+        valued(
+            "--network",
+            "NETWORK.toml",
+            "A network measured before; refused if a controller was made for a better one.",
+        ),
+    ] = None
+    allow_uncertified: Annotated[
+        bool,
+        flag(
+            "--allow-uncertified",
+            "Warn, instead of stopping, where a controller's certificate does not hold: network or drive.",
+        ),
+    ] = False
+    as_json: JsonOption = False
 
 
 @app.command(cls=RunCommand)
-def run(
-    bench: Annotated[Path, typer.Argument(metavar="BENCH.toml", help="The bench file.")],
-    bus: BusOption = None,
-    time: Annotated[
-        TimeBase | None, typer.Option("--time", help="Time base; the bus decides if absent.")
-    ] = None,
-    seed: SeedOption = None,
-    record: Annotated[
-        Path | None, typer.Option("--record", metavar="DIR", help="Folder of the recording, new or empty.")
-    ] = None,
-    no_record: NoRecordOption = False,
-    controller: ControllersOption = None,
-    replay_faults: ReplayOption = None,
-    live: Annotated[bool, flag("--view", "Show the run in the Rerun viewer while it goes on.")] = False,
-    network: NetworkOption = None,
-    allow_uncertified: UncertifiedOption = False,
-    as_json: JsonOption = False,
-) -> None:
+@as_command
+def run(asked: RunOptions) -> None:
     """Run a bench: close the loop, record it, and hold the result against the bench file's limits.
 
     Exit status: 0 passed, or nothing was asked; 1 not passed; 2 bad input; 3 bus, drive or safety; 4 not
     trustworthy; 5 not recorded; 6 cut short or not measured; 130 ended by a signal. docs/verdict.md
     """
-    run_object = RunObject(as_json)
+    run_object = RunObject(asked.as_json)
     with reported_errors(run_object.failed):
-        if no_record and (record is not None or live):
+        if asked.no_record and (asked.record is not None or asked.live):
             raise BadInput("--no-record", "", True, "neither --record nor --view beside it")
-        if live and missing_display():
+        if asked.live and missing_display():
             typer.echo("hil: note: --view: no display here; the recording is kept, see hil view", err=True)
-        config = _bench_to_run(bench, controller or (), replay_faults)
+        config = _bench_to_run(asked)
 
         from hil.configuration.quantities import odd_values
         from hil.execution.network_guard import Certificates
 
-        doubts = Certificates(config.as_run(bus or config.bus.spec, seed)).doubts()
+        doubts = Certificates(config.as_run(asked.bus or config.bus.spec, asked.seed)).doubts()
         for note in (*odd_values(config), *doubts):
             typer.echo(f"hil: note: {note}", err=True)
 
@@ -220,38 +172,51 @@ def run(
         try:
             summary = run_bench(
                 config,
-                bus_spec=bus,
-                time=time.value if time else None,
-                seed=seed,
-                record=record,
-                keep=not no_record,
-                view=live,
+                bus_spec=asked.bus,
+                time=asked.time,
+                seed=asked.seed,
+                record=asked.record,
+                keep=not asked.no_record,
+                view=asked.live,
                 progress=progress,
-                network=network,
-                allow_uncertified=allow_uncertified,
+                network=asked.network,
+                allow_uncertified=asked.allow_uncertified,
                 concluded=run_object.concluded,
             )
         finally:
             progress.clear()
         run_object.print(summary)
-        if not as_json:
+        if not asked.as_json:
             from hil.terminal.report import print_run
 
-            print_run(config, summary, bus_spec=bus)
+            print_run(config, summary, bus_spec=asked.bus)
         raise typer.Exit(summary.verdict.exit_status)
 
 
-@app.command()
+def _bench_to_run(asked: RunOptions) -> "BenchConfig":
+    """The bench file with what the command line puts in place of its parts."""
+    from drivers.bounded_file import NamedBy
+    from hil.configuration.bench_file import load_bench, load_faults, with_controllers
+
+    config = with_controllers(load_bench(asked.bench), asked.controller or ())
+    if asked.replay_faults is None:
+        return config
+    named_by = NamedBy("--replay-faults", "", str(asked.replay_faults))
+    return config.model_copy(update={"faults": load_faults(asked.replay_faults, named_by)})
+
+
 def doctor(as_json: JsonOption = False) -> None:
     """Say what this machine can do, and the exact command that mends each lack."""
-    with reported_errors():
-        from hil.machine.doctor import print_checks, run_checks
+    from hil.machine.doctor import print_checks, run_checks
 
-        checks = run_checks()
-        if as_json:
-            typer.echo(json.dumps([asdict(check) for check in checks]))
-        else:
-            print_checks(checks)
+    checks = run_checks()
+    if as_json:
+        typer.echo(json.dumps([asdict(check) for check in checks]))
+    else:
+        print_checks(checks)
+
+
+add_commands(app, doctor)
 
 
 def main() -> None:

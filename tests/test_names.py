@@ -37,13 +37,14 @@ def shared_classes(sources: Mapping[str, str]) -> set[str]:
 
 
 def declared(source: str) -> Iterator[tuple[str, str]]:
-    """Name and help text of each ``typer.Option`` in a module."""
+    """Name and help text of each ``typer.Option``, ``flag`` and ``valued`` in a module."""
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "typer.Option":
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("typer.Option", "flag", "valued"):
             if not isinstance(node.args[0], ast.Constant):  # options out of a table
                 continue
-            text = next((ast.unparse(word.value) for word in node.keywords if word.arg == "help"), "")
-            yield ast.literal_eval(node.args[0]), text
+            texts = [ast.unparse(word.value) for word in node.keywords if word.arg == "help"]
+            texts += map(ast.unparse, node.args[-1:])
+            yield ast.literal_eval(node.args[0]), texts[0]
 
 
 def declared_twice(sources: Mapping[str, str], other_meaning: Iterable[str]) -> set[str]:

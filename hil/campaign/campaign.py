@@ -177,10 +177,10 @@ class Campaign:
         if exceeded.size:
             raise counter_example(self.table.slice(int(exceeded[0]), 1).to_pylist()[0], self.folder)
         if not (states == CertificateState.KEPT).any():
-            told = ", ".join(
+            by_state = ", ".join(
                 f"{count} {name or 'without a certificate'}" for name, count in counted(states).items()
             )
-            raise NothingCertified(f"no run could be held against a certificate: {told}")
+            raise NothingCertified(f"no run could be held against a certificate: {by_state}")
 
     def replay(self, number: int, record: Path | None = None) -> Finished:
         """Run ``number`` once more with everything recorded; ``record``: where, else below the campaign.

@@ -159,22 +159,16 @@ def _pairs(done: Campaign) -> list[dict[str, Any]]:
 
 
 def _pair(done: Campaign, axis: GridAxis, place: int) -> dict[str, Any]:
-    labels = done.column(axis.title).astype(str)
-    others = [each.title for each in done.plan.axes if each is not axis]
-    keys = ["replicate", *others]
-    rows = {}
-    for label in (axis.labels[0], axis.labels[place]):
-        chosen = np.flatnonzero(labels == label)
-        columns = [done.column(key)[chosen].tolist() for key in keys]
-        rows[label] = dict(zip(zip(*columns, strict=True), chosen.tolist(), strict=True))
-    first, second = rows[axis.labels[0]], rows[axis.labels[place]]
-    both = [key for key in first if key in second]
-    sides = [np.array([side[key] for key in both], int) for side in (first, second)]
+    shape, at = [len(each.labels) for each in done.plan.axes], done.plan.axes.index(axis)
+    first = np.flatnonzero(np.unravel_index(done.column("point"), shape)[at] == 0)
+    second = first + place * math.prod(shape[at + 1 :])  # as the plan numbers points
+    both = second < done.table.num_rows
+    first, second = first[both], second[both]
     passed = done.column("passed").astype(bool)
     peak = done.column(PEAK).astype(float)
     comparison = paired(
-        (passed[sides[0]], passed[sides[1]]),
-        (peak[sides[0]], peak[sides[1]]),
+        (passed[first], passed[second]),
+        (peak[first], peak[second]),
         done.plan.sweep.stop.confidence,
     )._asdict()
     change = _plain(comparison.pop("difference"), "mean")

@@ -226,8 +226,8 @@ def run_chunk(order: Order, chunk: list[Any]) -> list[Answer]:
         except BenchError as error:
             from distributed import get_worker
 
-            told = refusal(error)
-            return [told | {"error": f"worker {get_worker().address}: {told['error']}"}]
+            answer = refusal(error)
+            return [answer | {"error": f"worker {get_worker().address}: {answer['error']}"}]
 
 
 @lru_cache(maxsize=4)

@@ -50,8 +50,8 @@ class OwnFunctions:
         try:
             function = _function(name)
         except Exception as error:
-            told = f"{type(error).__name__}: {error}"
-            raise BadInput(self._source, f"own.{key}", name, EXPECTED, told) from error
+            failure = f"{type(error).__name__}: {error}"
+            raise BadInput(self._source, f"own.{key}", name, EXPECTED, failure) from error
         try:
             return call(function)
         except BenchError:

@@ -174,8 +174,9 @@ class WorkerPool:
             raise WorkerDied(f"a worker ended with status {status} before its first run")
         self._starts_lost += 1
         if self._starts_lost == DEATHS_MAX:
-            told = f"{DEATHS_MAX} workers in a row died before their first run, the last with status {status}"
-            raise WorkerDied(told)
+            raise WorkerDied(
+                f"{DEATHS_MAX} workers in a row died before their first run, the last with status {status}"
+            )
 
 
 def rows_of(plan: CampaignPlan, numbers: range, workers: int, stop: StopRequest) -> RowSource:

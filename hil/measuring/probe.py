@@ -46,8 +46,8 @@ class ProbedDrive(Drive):
 
     def begin(self) -> None:
         """Forget what was before the first cycle."""
-        for told in (self.to_user_code_ns, self.computation_ns, self.sent, self.changes):
-            told.clear()
+        for notes in (self.to_user_code_ns, self.computation_ns, self.sent, self.changes):
+            notes.clear()
         self.drive.take_demand_changes()
 
     def take_readings(self) -> list[Reading]:
@@ -56,9 +56,9 @@ class ProbedDrive(Drive):
             now = self._now()
             self.to_user_code_ns += [now - reading.received_at for reading in readings]
         if self.map is not None and self.map.ready:
-            for told in self.drive.take_demand_changes():
-                at = self.map.place(told.device_time_ns)
-                self.changes.append(TimedDemandChange(told.demand_raw, at, self.map.error_ns))
+            for change in self.drive.take_demand_changes():
+                at = self.map.place(change.device_time_ns)
+                self.changes.append(TimedDemandChange(change.demand_raw, at, self.map.error_ns))
         return readings
 
     def take_readbacks(self) -> list[Readback]:

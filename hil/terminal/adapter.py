@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import bitrate_option, bus_option, seed_option, valued
 from hil.terminal.output import say
 
@@ -31,29 +30,28 @@ def adapter(
 
     Prints the name of its serial port on stdout; use it with --bus slcan:PORT.
     """
-    with reported_errors():
-        from drivers.timebase import MonotonicClock
-        from drivers.wire.adapters import shared_bus
-        from hil.machine.realtime import realtime_process
-        from hil.machine.stopping import stop_signals
-        from virtual_bus.instruments.serial_line.device_line import LineFaults
-        from virtual_bus.instruments.slcan.server import serve_adapter
+    from drivers.timebase import MonotonicClock
+    from drivers.wire.adapters import shared_bus
+    from hil.machine.realtime import realtime_process
+    from hil.machine.stopping import stop_signals
+    from virtual_bus.instruments.serial_line.device_line import LineFaults
+    from virtual_bus.instruments.slcan.server import serve_adapter
 
-        spec = shared_bus(bus)
-        faults = LineFaults.parse(fault or [])
-        with stop_signals() as stop, realtime_process() as refused:
-            for request in refused:
-                say(f"not granted by the kernel: {request}")
-            serve_adapter(
-                spec,
-                bitrate_bit_s=bitrate,
-                link=link,
-                faults=faults,
-                seed=seed,
-                clock=MonotonicClock(),
-                stop=stop,
-                announce=_announce,
-            )
+    spec = shared_bus(bus)
+    faults = LineFaults.parse(fault or [])
+    with stop_signals() as stop, realtime_process() as refused:
+        for request in refused:
+            say(f"not granted by the kernel: {request}")
+        serve_adapter(
+            spec,
+            bitrate_bit_s=bitrate,
+            link=link,
+            faults=faults,
+            seed=seed,
+            clock=MonotonicClock(),
+            stop=stop,
+            announce=_announce,
+        )
 
 
 def _announce(port: str, text: str) -> None:

@@ -1,21 +1,12 @@
 """``hil analyse speed``: what delay, sampling and loss do to a speed loop."""
 
 import math
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from drivers.errors import BadInput
-from hil.terminal.current_loop_options import (
-    AxisOption,
-    BenchOption,
-    CommissionedOption,
-    CurrentBandwidthOption,
-    current_loop,
-)
-from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, MotorArgument, flag, motor_file, seed_option, valued
+from hil.terminal.current_loop_options import CurrentLoopOptions
+from hil.terminal.options import JsonOption, MotorArgument, flag, given, motor_file, seed_option, valued
 from hil.terminal.output import print_figures, put
 
 if TYPE_CHECKING:
@@ -26,166 +17,125 @@ if TYPE_CHECKING:
     from design.speed.monte_carlo import Chance
 
 
-class StrategyName(StrEnum):
-    """When a sample is applied."""
-
-    ARRIVAL = "arrival"
-    STAMP = "stamp"
-    HISTORY = "history"
-
-
+LOSSES_MAX = 50
+"""In a row: more is an outage, and no pattern to design for."""
+StrategyName = Literal["arrival", "stamp", "history"]
+"""When a sample is applied."""
 SpeedOption = Annotated[
-    float | None,
-    typer.Option(
-        "--speed-rpm", metavar="S", min=1e-6, help="Speed that percents are of; the rated if absent."
-    ),
+    float | None, valued("--speed-rpm", "S", "Speed that percents are of; the rated if absent.", min=1e-6)
 ]
 LoadOption = Annotated[
-    float | None,
-    typer.Option(
-        "--load-nm", metavar="T", min=1e-9, help="Load step for percents; the rated torque if absent."
-    ),
-]
-GainOption = Annotated[
-    str, valued("--gain", "K1,K2", r"Gain on \[i_q error, speed error]; K3: its integral.")
-]
-DelayMsOption = Annotated[
-    float | None,
-    typer.Option(
-        "--delay-ms", metavar="D", min=0.0, help="Constant delay; with stamp and history the agreed one."
-    ),
-]
-OrderOption = Annotated[
-    int | None,
-    typer.Option("--order", metavar="N", min=0, max=12, help="Of the certificate; 0 is Theorem 3.3."),
-]
-AsPrintedOption = Annotated[
-    bool, flag("--as-printed", "Theorems 3.1 and 3.3 in cvxpy, too, matrix by matrix as printed.")
-]
-PeriodMsOption = Annotated[
-    float | None,
-    typer.Option("--period-ms", metavar="H", min=1e-6, help="Sampling period: the sampled loop."),
-]
-StrategyOption = Annotated[StrategyName | None, typer.Option("--strategy", help="When a sample is applied.")]
-LossMaxOption = Annotated[
-    int | None,
-    typer.Option("--loss-max", metavar="D", min=0, max=50, help="Most samples lost in a row."),
-]
-TauMaxMsOption = Annotated[
-    float | None,
-    typer.Option("--tau-max-ms", metavar="T", min=0.0, help="Largest delay from sample to actuator."),
-]
-MonteCarloOption = Annotated[
-    int | None, typer.Option("--monte-carlo", metavar="N", min=1, help="Random runs of the sampled loop.")
-]
-SeedOption = Annotated[int, seed_option("Of the random runs.")]
-LossProbabilityOption = Annotated[
-    float, typer.Option("--loss-probability", min=0.0, max=1.0, help="Of each sample in the random runs.")
-]
-UncertaintyPercentOption = Annotated[
-    float,
-    typer.Option("--uncertainty-percent", min=0.0, max=99.0, help="Of R, L, J, B and K_t in the runs."),
-]
-DurationSOption = Annotated[
-    float, typer.Option("--duration-s", min=1e-3, max=3600.0, help="Length of a random run.")
+    float | None, valued("--load-nm", "T", "Load step for percents; the rated torque if absent.", min=1e-9)
 ]
 
 
-def speed(
-    motor: MotorArgument,
-    gain: GainOption,
-    delay_ms: DelayMsOption = None,
-    order: OrderOption = None,
-    as_printed: AsPrintedOption = False,
-    bench: BenchOption = None,
-    axis: AxisOption = None,
-    commissioned: CommissionedOption = None,
-    current_bandwidth_hz: CurrentBandwidthOption = None,
-    speed_rpm: SpeedOption = None,
-    load_nm: LoadOption = None,
-    period_ms: PeriodMsOption = None,
-    strategy: StrategyOption = None,
-    loss_max: LossMaxOption = None,
-    tau_max_ms: TauMaxMsOption = None,
-    monte_carlo: MonteCarloOption = None,
-    seed: SeedOption = 0,
-    loss_probability: LossProbabilityOption = 0.1,
-    uncertainty_percent: UncertaintyPercentOption = 0.0,
-    duration_s: DurationSOption = 1.0,
-    as_json: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AnalysisOptions:
+    """Of ``hil analyse speed``."""
+
+    motor: MotorArgument
+    gain: Annotated[str, valued("--gain", "K1,K2", r"Gain on \[i_q error, speed error]; K3: its integral.")]
+    delay_ms: Annotated[
+        float | None,
+        valued("--delay-ms", "D", "Constant delay; with stamp and history the agreed one.", min=0.0),
+    ] = None
+    order: Annotated[
+        int | None, valued("--order", "N", "Of the certificate; 0 is Theorem 3.3.", min=0, max=12)
+    ] = None
+    as_printed: Annotated[
+        bool, flag("--as-printed", "Theorems 3.1 and 3.3 in cvxpy, too, matrix by matrix as printed.")
+    ] = False
+    current_loop: CurrentLoopOptions
+    speed_rpm: SpeedOption = None
+    load_nm: LoadOption = None
+    period_ms: Annotated[
+        float | None, valued("--period-ms", "H", "Sampling period: the sampled loop.", min=1e-6)
+    ] = None
+    strategy: Annotated[StrategyName | None, valued("--strategy", None, "When a sample is applied.")] = None
+    loss_max: Annotated[
+        int | None, valued("--loss-max", "D", "Most samples lost in a row.", min=0, max=LOSSES_MAX)
+    ] = None
+    tau_max_ms: Annotated[
+        float | None, valued("--tau-max-ms", "T", "Largest delay from sample to actuator.", min=0.0)
+    ] = None
+    monte_carlo: Annotated[
+        int | None, valued("--monte-carlo", "N", "Random runs of the sampled loop.", min=1)
+    ] = None
+    seed: Annotated[int, seed_option("Of the random runs.")] = 0
+    loss_probability: Annotated[
+        float, valued("--loss-probability", None, "Of each sample in the random runs.", min=0.0, max=1.0)
+    ] = 0.1
+    uncertainty_percent: Annotated[
+        float, valued("--uncertainty-percent", None, "Of R, L, J, B and K_t in the runs.", min=0.0, max=99.0)
+    ] = 0.0
+    duration_s: Annotated[
+        float, valued("--duration-s", None, "Length of a random run.", min=1e-3, max=3600.0)
+    ] = 1.0
+    as_json: JsonOption = False
+
+
+def speed(asked: AnalysisOptions) -> None:
     """Stability, gain and largest delay of a speed loop: exact, certified, sampled, and by chance.
 
     Gains are from load torque to speed error, rad/s per N m; the load step is one of 1 N m.
     """
-    with reported_errors():
-        gains, parameters = _gain_of(gain), motor_file(motor).parameters
-        network = _network(period_ms, strategy, loss_max, tau_max_ms, delay_ms)
-        inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
-        delay_s = _delay_s(delay_ms, network)
+    gains, parameters = _gain_of(asked.gain), motor_file(asked.motor).parameters
+    network = _network(asked)
+    inner = asked.current_loop.known_loop()
+    delay_s = _delay_s(asked.delay_ms, network)
 
-        from design.errors import DesignError
-        from drivers.rotation import RAD_S_PER_RPM
-        from hil.studies.speed.analysis import (
-            LoopRequest,
-            chance_figures,
-            continuous_figures,
-            figures_as_printed,
-            sampled_figures,
-        )
+    from design.errors import DesignError
+    from drivers.rotation import RAD_S_PER_RPM
+    from hil.studies.speed.analysis import (
+        LoopRequest,
+        chance_figures,
+        continuous_figures,
+        figures_as_printed,
+        sampled_figures,
+    )
 
-        request = LoopRequest(
-            motor=parameters,
-            K=gains,
-            delay_s=delay_s,
-            order=order,
-            current_bandwidth_hz=inner.bandwidth_hz,
-            load_nm=load_nm or parameters.rated_torque_nm,
-            speed_rad_s=speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s,
-        )
-        chance = _chance(
-            monte_carlo, seed, loss_probability, uncertainty_percent, duration_s, request.load_nm
-        )
-        if chance is not None and network is None:
-            raise BadInput("--monte-carlo", "", monte_carlo, "a sampled loop: --period-ms and the network")
-        try:
-            figures = {"current_bandwidth_from": inner.key} | continuous_figures(request)
-            if as_printed:
-                figures["as_printed"] = figures_as_printed(request)
-            if network is not None:
-                figures |= sampled_figures(request, network)
-                if chance is not None:
-                    figures["monte_carlo"] = chance_figures(request, network, chance)
-        except DesignError as error:
-            raise BadInput(str(motor), "", str(error), "a loop that can be analysed") from error
-        put(figures, as_json, print_figures)
+    request = LoopRequest(
+        motor=parameters,
+        K=gains,
+        delay_s=delay_s,
+        order=asked.order,
+        current_bandwidth_hz=inner.bandwidth_hz,
+        load_nm=asked.load_nm or parameters.rated_torque_nm,
+        speed_rad_s=asked.speed_rpm * RAD_S_PER_RPM if asked.speed_rpm else parameters.rated_speed_rad_s,
+    )
+    chance = _chance(asked, request.load_nm)
+    if chance is not None and network is None:
+        raise BadInput("--monte-carlo", "", chance.runs, "a sampled loop: --period-ms and the network")
+    try:
+        figures = {"current_bandwidth_from": inner.key} | continuous_figures(request)
+        if asked.as_printed:
+            figures["as_printed"] = figures_as_printed(request)
+        if network is not None:
+            figures |= sampled_figures(request, network)
+            if chance is not None:
+                figures["monte_carlo"] = chance_figures(request, network, chance)
+    except DesignError as error:
+        raise BadInput(str(asked.motor), "", str(error), "a loop that can be analysed") from error
+    put(figures, asked.as_json, print_figures)
 
 
-def _network(
-    period_ms: float | None,
-    strategy: StrategyName | None,
-    loss_max: int | None,
-    tau_max_ms: float | None,
-    delay_ms: float | None,
-) -> "SampledNetwork | None":
+def _network(asked: AnalysisOptions) -> "SampledNetwork | None":
     """The network that the options describe; None if they describe none. Raises BadInput."""
-    if period_ms is None:
-        given: dict[str, Any] = {"--strategy": strategy, "--loss-max": loss_max, "--tau-max-ms": tau_max_ms}
-        for option, value in given.items():
-            if value is not None:
-                raise BadInput(option, "", str(value), "--period-ms with it, the sampling period")
+    if asked.period_ms is None:
+        for option, value in given(asked, "strategy", "loss_max", "tau_max_ms").items():
+            raise BadInput(option, "", str(value), "--period-ms with it, the sampling period")
         return None
     from design.errors import UnsuitableNetwork
     from design.sampled.held_loop import SampledNetwork, Strategy
 
-    wanted = Strategy((strategy or StrategyName.ARRIVAL).value)
-    period_s, tau_s, most = 1e-3 * period_ms, 1e-3 * (tau_max_ms or 0.0), loss_max or 0
+    strategy, losses_max = Strategy(asked.strategy or "arrival"), asked.loss_max or 0
+    period_s, tau_s = 1e-3 * asked.period_ms, 1e-3 * (asked.tau_max_ms or 0.0)
     # [Ling2012] (2.13)
-    agreed_s = 1e-3 * delay_ms if delay_ms is not None else (most + 1) * period_s + tau_s
-    if wanted is Strategy.ARRIVAL:
+    agreed_s = 1e-3 * asked.delay_ms if asked.delay_ms is not None else (losses_max + 1) * period_s + tau_s
+    if strategy is Strategy.ARRIVAL:
         agreed_s = 0.0
     try:
-        return SampledNetwork(wanted, period_s, most, tau_s, agreed_s)
+        return SampledNetwork(strategy, period_s, losses_max, tau_s, agreed_s)
     except UnsuitableNetwork as error:
         raise BadInput("--strategy", "", error.found, error.expected) from None
 
@@ -204,20 +154,18 @@ def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float:
     return network.constant_delay_s
 
 
-def _chance(
-    runs: int | None, seed: int, loss: float, uncertainty_percent: float, duration_s: float, load_nm: float
-) -> "Chance | None":
-    if runs is None:
+def _chance(asked: AnalysisOptions, load_nm: float) -> "Chance | None":
+    if asked.monte_carlo is None:
         return None
     from design.speed.monte_carlo import Chance
 
     return Chance(
-        runs=runs,
-        seed=seed,
-        duration_s=duration_s,
-        loss_probability=loss,
+        runs=asked.monte_carlo,
+        seed=asked.seed,
+        duration_s=asked.duration_s,
+        loss_probability=asked.loss_probability,
         load_nm=load_nm,
-        uncertainty=0.01 * uncertainty_percent,
+        uncertainty=0.01 * asked.uncertainty_percent,
     )
 
 

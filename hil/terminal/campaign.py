@@ -2,14 +2,13 @@
 
 import json
 import sys
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.core import TyperGroup
 
-from hil.terminal.exit_status import reported_errors
+from hil.terminal.commands import add_commands
 from hil.terminal.options import JsonOption, flag, valued
 from hil.terminal.output import columns, say, say_written
 from hil.verdict.verdict import ExitStatus
@@ -35,21 +34,13 @@ FOUND_SHOWN = 40
 """Lines; the column ``findings`` has all."""
 
 
-class HeldAgainst(StrEnum):
-    """What every run may be held against, beside its own limits."""
-
-    CERTIFICATE = "certificate"
-
-
 DirArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the campaign.")]
 
 
-@campaign.command("run")
 def run(
     sweep: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="The sweep file.")],
     workers: Annotated[
-        int | None,
-        typer.Option("--workers", metavar="N", min=1, max=1024, help="Processes; else one a core."),
+        int | None, valued("--workers", "N", "Processes; else one a core.", min=1, max=1024)
     ] = None,
     dask: Annotated[
         str | None, valued("--dask", "ADDRESS", "Scheduler of a Dask cluster, whose workers run it instead.")
@@ -59,14 +50,13 @@ def run(
         Path | None, valued("--out", "DIR", "Folder of the campaign; campaigns/NAME if absent.")
     ] = None,
     against: Annotated[
-        HeldAgainst | None,
-        typer.Option(
-            "--against", help="Every run within the premises of its certificate must keep what is certified."
+        Literal["certificate"] | None,
+        valued(
+            "--against", None, "Every run within the premises of its certificate must keep what is certified."
         ),
     ] = None,
     seconds: Annotated[
-        float | None,
-        typer.Option("--seconds", metavar="S", min=0.0, help="End after so long; --resume goes on."),
+        float | None, valued("--seconds", "S", "End after so long; --resume goes on.", min=0.0)
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -76,59 +66,55 @@ def run(
     --resume goes on. With --against certificate: 7 a counter-example ended it; 6 no run was within the
     premises. 1: a check of one's own (the table own of the sweep) says something of a run. docs/campaigns.md
     """
-    with reported_errors():
-        from hil.campaign.campaign import run_campaign
-        from hil.campaign.plan import CampaignPlan
+    from hil.campaign.campaign import run_campaign
+    from hil.campaign.plan import CampaignPlan
 
-        plan = CampaignPlan.load(sweep)
-        folder = out or Path("campaigns") / plan.sweep.campaign.name
-        line = _ProgressLine()
-        try:
-            done = run_campaign(
-                plan,
-                folder,
-                workers=workers,
-                dask=dask,
-                resume=resume,
-                against_certificate=against is not None,
-                seconds=seconds,
-                progress=line.show,
-            )
-        finally:
-            line.end()
-        _print(done, as_json)
-        if against is not None:
-            done.hold_certificate()
-        if done.found:
-            raise typer.Exit(ExitStatus.FAILED)
+    plan = CampaignPlan.load(sweep)
+    folder = out or Path("campaigns") / plan.sweep.campaign.name
+    line = _ProgressLine()
+    try:
+        done = run_campaign(
+            plan,
+            folder,
+            workers=workers,
+            dask=dask,
+            resume=resume,
+            against_certificate=against is not None,
+            seconds=seconds,
+            progress=line.show,
+        )
+    finally:
+        line.end()
+    _print(done, as_json)
+    if against is not None:
+        done.hold_certificate()
+    if done.found:
+        raise typer.Exit(ExitStatus.FAILED)
 
 
-@campaign.command("report")
 def report(folder: DirArgument, as_json: JsonOption = False) -> None:
     """Write DIR/report.html: rates with their intervals, heat maps, worst cases, what matters; and
     DIR/campaign.rrd, which hil view opens.
     """
-    with reported_errors():
-        from drivers.bounded_file import writing
-        from hil.campaign.campaign import Campaign
-        from hil.campaign.page import write_page
-        from hil.campaign.report import write_report
-        from hil.rows.run_files import CAMPAIGN_PAGE
+    from drivers.bounded_file import writing
+    from hil.campaign.campaign import Campaign
+    from hil.campaign.page import write_page
+    from hil.campaign.report import write_report
+    from hil.rows.run_files import CAMPAIGN_PAGE
 
-        done = Campaign.load(folder)
-        place = folder / "report.html"
-        with writing("DIR", folder):
-            write_report(done, place)
-            write_page(done, folder / CAMPAIGN_PAGE)
-        _print(done, as_json)
-        say_written(place)
-        say_written(folder / CAMPAIGN_PAGE)
+    done = Campaign.load(folder)
+    place = folder / "report.html"
+    with writing("DIR", folder):
+        write_report(done, place)
+        write_page(done, folder / CAMPAIGN_PAGE)
+    _print(done, as_json)
+    say_written(place)
+    say_written(folder / CAMPAIGN_PAGE)
 
 
-@campaign.command("replay")
 def replay(
     folder: DirArgument,
-    number: Annotated[int, typer.Option("--run", metavar="K", min=0, help="Number of the run.")],
+    number: Annotated[int, valued("--run", "K", "Number of the run.", min=0)],
     record: Annotated[
         Path | None, valued("--into", "DIR", "Folder of the recording; DIR/replays/run-K if absent.")
     ] = None,
@@ -138,21 +124,21 @@ def replay(
 
     Exit status: that of the run's verdict; 70 if the digest is another.
     """
-    with reported_errors():
-        from hil.campaign.campaign import Campaign
+    from hil.campaign.campaign import Campaign
 
-        done = Campaign.load(folder).replay(number, record)
-        summary = done.summary
-        if as_json:
-            typer.echo(json.dumps(summary.as_json(), allow_nan=False))
-        else:
-            typer.echo(
-                f"run {number}: {summary.verdict.outcome}; digest {summary.digest}, as in the campaign"
-            )
-            for text in done.findings or ():
-                typer.echo(f"found: {text}")
-            say_written(Path(summary.recording))
-        raise typer.Exit(summary.verdict.exit_status)
+    done = Campaign.load(folder).replay(number, record)
+    summary = done.summary
+    if as_json:
+        typer.echo(json.dumps(summary.as_json(), allow_nan=False))
+    else:
+        typer.echo(f"run {number}: {summary.verdict.outcome}; digest {summary.digest}, as in the campaign")
+        for text in done.findings or ():
+            typer.echo(f"found: {text}")
+        say_written(Path(summary.recording))
+    raise typer.Exit(summary.verdict.exit_status)
+
+
+add_commands(campaign, run, report, replay)
 
 
 class _ProgressLine:

@@ -1,11 +1,11 @@
 """``hil commission`` and ``hil restore``."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import (
     BitrateOption,
     DriveBusOption,
@@ -21,69 +21,61 @@ from hil.terminal.options import (
 from hil.terminal.output import put, say
 from hil.verdict.verdict import ExitStatus
 
-UnwatchedOption = Annotated[
-    bool,
-    flag(
-        "--unwatched",
-        "Bear a drive that cannot watch its host: slow, weak and short motions; somebody stands by.",
-    ),
-]
-TrustOption = Annotated[
-    bool,
-    flag(
-        "--trust-nameplate",
-        "Take the nameplate, unasked, where the drive contradicts it by far.",
-    ),
-]
-RehearsedSheetOption = Annotated[
-    Path | None,
-    valued(
-        "--rehearse-eds",
-        "FILE",
-        "On --bus simulated: a drive made from that data sheet; --eds is the same one if absent.",
-    ),
-]
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommissionOptions:
+    """Of ``hil commission``."""
 
-CommissionBusOption = Annotated[
-    str,
-    bus_option(
-        "hub:NAME, socketcan:can0, INTERFACE:CHANNEL, or simulated with --rehearse or --rehearse-eds."
-    ),
-]
-
-
-def commission(
-    bus: CommissionBusOption,
-    node: DriveNodeOption,
-    out: Annotated[Path, valued("--out", "DIR", "Folder for report, files and journal.")],
-    eds: Annotated[Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the drive.")] = None,
+    bus: Annotated[
+        str,
+        bus_option(
+            "hub:NAME, socketcan:can0, INTERFACE:CHANNEL, or simulated with --rehearse or --rehearse-eds."
+        ),
+    ]
+    node: DriveNodeOption
+    out: Annotated[Path, valued("--out", "DIR", "Folder for report, files and journal.")]
+    eds: Annotated[Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the drive.")] = None
     motor: Annotated[
         Path | None, valued("--motor", "NAMEPLATE.toml", "What is printed on the motor, and limits.")
-    ] = None,
-    yes: Annotated[bool, flag("--yes", "Ask nothing; every step is done.")] = False,
-    dry_run: Annotated[bool, flag("--dry-run", "Only read; say what the other steps would do.")] = False,
+    ] = None
+    yes: Annotated[bool, flag("--yes", "Ask nothing; every step is done.")] = False
+    dry_run: Annotated[bool, flag("--dry-run", "Only read; say what the other steps would do.")] = False
     store: Annotated[
-        bool,
-        flag("--store", "Keep the settings in the drive (1010h) instead of putting them back."),
-    ] = False,
+        bool, flag("--store", "Keep the settings in the drive (1010h) instead of putting them back.")
+    ] = False
     period_us: Annotated[
-        int | None, typer.Option("--period-us", min=250, max=100_000, help="Cycle; chosen if absent.")
-    ] = None,
+        int | None, valued("--period-us", None, "Cycle; chosen if absent.", min=250, max=100_000)
+    ] = None
     heartbeat_timeout_ms: Annotated[
         int,
-        typer.Option("--heartbeat-timeout-ms", min=20, max=60_000, help="Silence that host and drive bear."),
-    ] = 150,
-    unwatched: UnwatchedOption = False,
-    bitrate: BitrateOption = 1_000_000,
+        valued("--heartbeat-timeout-ms", None, "Silence that host and drive bear.", min=20, max=60_000),
+    ] = 150
+    unwatched: Annotated[
+        bool,
+        flag(
+            "--unwatched",
+            "Bear a drive that cannot watch its host: slow, weak and short motions; somebody stands by.",
+        ),
+    ] = False
+    bitrate: BitrateOption = 1_000_000
     rehearse: Annotated[
-        int | None,
-        typer.Option("--rehearse", metavar="SEED", min=0, help="On --bus simulated: the drive of that seed."),
-    ] = None,
-    rehearse_eds: RehearsedSheetOption = None,
-    trust_nameplate: TrustOption = False,
-    as_json: JsonOption = False,
-) -> None:
+        int | None, valued("--rehearse", "SEED", "On --bus simulated: the drive of that seed.", min=0)
+    ] = None
+    rehearse_eds: Annotated[
+        Path | None,
+        valued(
+            "--rehearse-eds",
+            "FILE",
+            "On --bus simulated: a drive made from that data sheet; --eds is the same one if absent.",
+        ),
+    ] = None
+    trust_nameplate: Annotated[
+        bool, flag("--trust-nameplate", "Take the nameplate, unasked, where the drive contradicts it by far.")
+    ] = False
+    as_json: JsonOption = False
+
+
+def commission(asked: CommissionOptions) -> None:
     """Commission a drive: identity, units, polarity, limits, friction, inertia, delays, controller, report.
 
     Each step says what it will do, asks, does it and checks it. All changes are put back at the end, unless
@@ -91,31 +83,33 @@ def commission(
 
     Exit status: 0 done, 1 a step failed or the end came early, 2 bad input, 3 bus or drive fault.
     """
-    with reported_errors():
-        from hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
+    from hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
 
-        plate = load_nameplate(motor) if motor is not None else Nameplate()
-        request = CommissionRequest(
-            bus=bus,
-            node=node,
-            out=out,
-            eds=eds,
-            nameplate=plate,
-            bitrate_bit_s=bitrate,
-            period_us=period_us,
-            dry_run=dry_run,
-            store=store,
-            trust_nameplate=trust_nameplate,
-            heartbeat_timeout_ms=heartbeat_timeout_ms,
-            unwatched=unwatched,
-        )
-        from hil.commissioning.commission import run_command
+    request = CommissionRequest(
+        bus=asked.bus,
+        node=asked.node,
+        out=asked.out,
+        eds=asked.eds,
+        nameplate=Nameplate() if asked.motor is None else load_nameplate(asked.motor),
+        bitrate_bit_s=asked.bitrate,
+        period_us=asked.period_us,
+        dry_run=asked.dry_run,
+        store=asked.store,
+        trust_nameplate=asked.trust_nameplate,
+        heartbeat_timeout_ms=asked.heartbeat_timeout_ms,
+        unwatched=asked.unwatched,
+    )
+    from hil.commissioning.commission import run_command
 
-        result, figures = run_command(
-            request, yes=yes, rehearse=rehearse, rehearse_eds=rehearse_eds, plate_given=motor is not None
-        )
-        put(figures, as_json, lambda _figures: None)
-        raise typer.Exit(result)
+    result, figures = run_command(
+        request,
+        yes=asked.yes,
+        rehearse=asked.rehearse,
+        rehearse_eds=asked.rehearse_eds,
+        plate_given=asked.motor is not None,
+    )
+    put(figures, asked.as_json, lambda _figures: None)
+    raise typer.Exit(result)
 
 
 def restore(
@@ -128,12 +122,11 @@ def restore(
     as_json: JsonOption = False,
 ) -> None:
     """Put back every object that a commissioning or a measurement changed, after a crash or a lost bus."""
-    with reported_errors():
-        from hil.commissioning.commission import run_restore
+    from hil.commissioning.commission import run_restore
 
-        outcome: dict[str, Any] = run_restore(bus, node, journal, bitrate)
-        put(outcome, as_json, lambda _figures: say("\n".join(outcome["text"])))
-        raise typer.Exit(ExitStatus.PASSED if outcome["complete"] else ExitStatus.FAILED)
+    outcome: dict[str, Any] = run_restore(bus, node, journal, bitrate)
+    put(outcome, as_json, lambda _figures: say("\n".join(outcome["text"])))
+    raise typer.Exit(ExitStatus.PASSED if outcome["complete"] else ExitStatus.FAILED)
 
 
 def rehearse(
@@ -146,23 +139,21 @@ def rehearse(
     truth: Annotated[Path | None, valued("--truth", "FILE", "Write what was drawn, to compare with.")] = None,
     faults: DriveFaultsOption = None,
     drift_ppm: Annotated[
-        float,
-        typer.Option("--drift-ppm", min=-1000, max=1000, help="How much too fast the drive's clock runs."),
+        float, valued("--drift-ppm", None, "How much too fast the drive's clock runs.", min=-1000, max=1000)
     ] = 0.0,
     bitrate: BitrateOption = 1_000_000,
 ) -> None:
     """A simulated drive that nobody has described, with faults in what it tells, until Ctrl-C."""
-    with reported_errors():
-        from hil.commissioning.rehearsal import rehearse as serve_unknown
+    from hil.commissioning.rehearsal import rehearse as serve_unknown
 
-        serve_unknown(
-            bus_spec=bus,
-            node=node,
-            seed=seed,
-            nameplate=nameplate,
-            truth_file=truth,
-            faults=fault_plan(faults),
-            clock_drift_ppm=drift_ppm,
-            bitrate_bit_s=bitrate,
-            announce=say,
-        )
+    serve_unknown(
+        bus_spec=bus,
+        node=node,
+        seed=seed,
+        nameplate=nameplate,
+        truth_file=truth,
+        faults=fault_plan(faults),
+        clock_drift_ppm=drift_ppm,
+        bitrate_bit_s=bitrate,
+        announce=say,
+    )

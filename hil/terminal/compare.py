@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, valued
 from hil.terminal.output import put, say_written
 from hil.verdict.verdict import ExitStatus
@@ -14,23 +13,18 @@ from hil.verdict.verdict import ExitStatus
 if TYPE_CHECKING:
     from hil.recorded.comparison import Against
 
-RunsArgument = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")]
-BaselineOption = Annotated[
-    Path | None, valued("--baseline", "RUN", "What the others are held against; the first if absent.")
-]
-TolerancesOption = Annotated[
-    Path | None, valued("--tolerances", "FILE.toml", "How much worse a run may be, by figure.")
-]
-RrdOption = Annotated[
-    Path | None, valued("--rrd", "FILE.rrd", "Write the runs beside and over each other, for Rerun.")
-]
-
 
 def compare(
-    runs: RunsArgument,
-    baseline: BaselineOption = None,
-    tolerances: TolerancesOption = None,
-    rrd: RrdOption = None,
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
+    baseline: Annotated[
+        Path | None, valued("--baseline", "RUN", "What the others are held against; the first if absent.")
+    ] = None,
+    tolerances: Annotated[
+        Path | None, valued("--tolerances", "FILE.toml", "How much worse a run may be, by figure.")
+    ] = None,
+    rrd: Annotated[
+        Path | None, valued("--rrd", "FILE.rrd", "Write the runs beside and over each other, for Rerun.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare recorded runs, cycle by cycle: figures, differences of the signals, first divergence.
@@ -38,27 +32,26 @@ def compare(
     Exit status: 0 compared, or within the tolerances; 1 a tolerance is exceeded; 2 bad input; 6 what a
     tolerance is about is not measured in both runs.
     """
-    with reported_errors():
-        folders = ([baseline] if baseline is not None else []) + runs
-        if len(folders) < 2:
-            raise BadInput("RUN", "", str(runs[0]), "a second run, or --baseline, to compare it with")
-        if rrd is not None and (rrd.suffix != ".rrd" or not rrd.parent.is_dir()):
-            raise BadInput("--rrd", "", str(rrd), "a file that ends in .rrd in a folder that is there")
-        from hil.recorded.comparison import compare_runs, comparison_json, comparison_lines, load_tolerances
-        from hil.recorded.recorded_run import open_run
+    folders = ([baseline] if baseline is not None else []) + runs
+    if len(folders) < 2:
+        raise BadInput("RUN", "", str(runs[0]), "a second run, or --baseline, to compare it with")
+    if rrd is not None and (rrd.suffix != ".rrd" or not rrd.parent.is_dir()):
+        raise BadInput("--rrd", "", str(rrd), "a file that ends in .rrd in a folder that is there")
+    from hil.recorded.comparison import compare_runs, comparison_json, comparison_lines, load_tolerances
+    from hil.recorded.recorded_run import open_run
 
-        asked = None if tolerances is None else load_tolerances(tolerances)
-        compared = compare_runs([open_run(folder) for folder in folders], asked)
-        lines = comparison_lines(compared)
-        put(comparison_json(compared), as_json, lambda _figures: typer.echo("\n".join(lines)))
-        if rrd is not None:
-            from drivers.bounded_file import writing
-            from hil.recorded.comparison_page import write_comparison
+    asked = None if tolerances is None else load_tolerances(tolerances)
+    compared = compare_runs([open_run(folder) for folder in folders], asked)
+    lines = comparison_lines(compared)
+    put(comparison_json(compared), as_json, lambda _figures: typer.echo("\n".join(lines)))
+    if rrd is not None:
+        from drivers.bounded_file import writing
+        from hil.recorded.comparison_page import write_comparison
 
-            with writing("--rrd", rrd):
-                write_comparison(compared, "```\n" + "\n".join(lines) + "\n```\n", rrd)
-            say_written(rrd)
-        raise typer.Exit(_status(compared))
+        with writing("--rrd", rrd):
+            write_comparison(compared, "```\n" + "\n".join(lines) + "\n```\n", rrd)
+        say_written(rrd)
+    raise typer.Exit(_status(compared))
 
 
 def _status(compared: "list[Against]") -> ExitStatus:

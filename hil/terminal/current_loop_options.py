@@ -1,63 +1,65 @@
 """The drive's current loop on the command line: measured, of a bench, stated, or the simulated drive's."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from drivers.errors import MISSING, BadInput
-from hil.terminal.options import valued
+from hil.terminal.options import given, valued
 
 if TYPE_CHECKING:
     from hil.configuration.config import BenchConfig
     from hil.configuration.drive_current_loop import KnownLoop
 
-BenchOption = Annotated[
-    Path | None, valued("--bench", "BENCH.toml", "The bench whose drive's current loop it is.")
-]
-AxisOption = Annotated[str | None, valued("--axis", "NAME", "Of --bench; needed if it has several.")]
-CommissionedOption = Annotated[
-    Path | None, valued("--commissioned", "DRIVE.toml", "The drive as hil commission measured it.")
-]
-CurrentBandwidthOption = Annotated[
-    float | None,
-    typer.Option(
-        "--current-bandwidth-hz",
-        metavar="F",
-        min=1e-3,
-        help="Of the drive's current loop, in place of --bench; the simulated drive's 800 if absent.",
-    ),
-]
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CurrentLoopOptions:
+    """Who says what the current loop is: at most one of bench, commissioned drive and bandwidth."""
 
-def current_loop(
-    bench: Path | None, axis: str | None, commissioned: Path | None, bandwidth_hz: float | None
-) -> "KnownLoop":
-    """The loop of first order to design for, and who says so. Raises BadInput or BadInputs.
+    bench: Annotated[
+        Path | None, valued("--bench", "BENCH.toml", "The bench whose drive's current loop it is.")
+    ] = None
+    axis: Annotated[str | None, valued("--axis", "NAME", "Of --bench; needed if it has several.")] = None
+    commissioned: Annotated[
+        Path | None, valued("--commissioned", "DRIVE.toml", "The drive as hil commission measured it.")
+    ] = None
+    current_bandwidth_hz: Annotated[
+        float | None,
+        valued(
+            "--current-bandwidth-hz",
+            "F",
+            "Of the drive's current loop, in place of --bench; the simulated drive's 800 if absent.",
+            min=1e-3,
+        ),
+    ] = None
 
-    Of the sources at most one may be given; without any it is that of the simulated drive as it is built.
-    """
-    from hil.configuration.drive_current_loop import KnownLoop
+    @property
+    def sources(self) -> dict[str, Path | float]:
+        """Those that are given, by option."""
+        return given(self, "bench", "commissioned", "current_bandwidth_hz")
 
-    given = {
-        "--bench": bench,
-        "--commissioned": commissioned,
-        "--current-bandwidth-hz": bandwidth_hz,
-    }
-    said = [option for option, value in given.items() if value is not None]
-    if len(said) > 1:
-        raise BadInput(said[1], "", str(given[said[1]]), f"either {said[0]} or {said[1]}")
-    if axis is not None and bench is None:
-        raise BadInput("--axis", "", axis, "--bench with it")
-    if bench is not None:
-        return _of_bench(bench, axis)
-    if commissioned is not None:
-        return _of_drive_file(commissioned)
-    if bandwidth_hz is not None:
-        return KnownLoop(1, bandwidth_hz, "--current-bandwidth-hz")
-    from hil.configuration.config_axis import Simulation
+    def known_loop(self) -> "KnownLoop":
+        """The loop of first order to design for, and who says so. Raises BadInput or BadInputs.
 
-    return KnownLoop(1, Simulation().current_loop_hz, "the simulated drive, as nothing else is said")
+        Without any source it is that of the simulated drive as it is built.
+        """
+        from hil.configuration.drive_current_loop import KnownLoop
+
+        sources = self.sources
+        if len(sources) > 1:
+            first, second = list(sources)[:2]
+            raise BadInput(second, "", str(sources[second]), f"either {first} or {second}")
+        if self.axis is not None and self.bench is None:
+            raise BadInput("--axis", "", self.axis, "--bench with it")
+        if self.bench is not None:
+            return _of_bench(self.bench, self.axis)
+        if self.commissioned is not None:
+            return _of_drive_file(self.commissioned)
+        if self.current_bandwidth_hz is not None:
+            return KnownLoop(1, self.current_bandwidth_hz, "--current-bandwidth-hz")
+        from hil.configuration.config_axis import Simulation
+
+        return KnownLoop(1, Simulation().current_loop_hz, "the simulated drive, as nothing else is said")
 
 
 def _of_bench(bench: Path, axis: str | None) -> "KnownLoop":

@@ -1,12 +1,11 @@
 """``hil design current``: an H-infinity current controller for one axis of a motor."""
 
-from enum import StrEnum
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import (
     ControllerOutOption,
     JsonOption,
@@ -14,136 +13,110 @@ from hil.terminal.options import (
     flag,
     gamma_option,
     motor_file,
+    valued,
 )
 from hil.terminal.output import put, say_written
 
 if TYPE_CHECKING:
-    from hil.studies.current.design import CurrentResult
     from hil.studies.current.figures import OtherAxis
 
 
-class CurrentAxis(StrEnum):
-    """Which current."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CurrentDesignOptions:
+    """Of ``hil design current``."""
 
-    Q = "q"
-    D = "d"
-
-
-class StructureName(StrEnum):
-    """What the controller may be."""
-
-    FULL = "full"
-    PI = "pi"
-    PI_POLE = "pi+pole"
-    THIRD = "third-order"
-
-
-class ReduceBy(StrEnum):
-    """How states are dropped."""
-
-    TRUNCATE = "truncate"
-    RESIDUALISE = "residualise"
-    PAPER = "paper"
-
-
-WeightsOption = Annotated[
-    Path | None, typer.Option("--weights", metavar="FILE", help="Weights; the paper's rules if absent.")
-]
-GammaFactorOption = Annotated[
-    float | None, typer.Option("--gamma-factor", min=1.0, help="The norm as a multiple of gamma_min.")
-]
-ReduceOption = Annotated[int | None, typer.Option("--reduce", metavar="N", min=1, help="States to keep.")]
-RateOption = Annotated[
-    float | None, typer.Option("--sample-rate-hz", metavar="FS", min=1.0, help="Sample the controller.")
-]
-DelayOption = Annotated[
-    int, typer.Option("--delay-samples", metavar="N", min=0, max=10, help="Computation delay, periods.")
-]
-DiscreteOption = Annotated[
-    bool,
-    flag("--discrete", "Design for the sampled plant with its delay, instead of Tustin's rule."),
-]
-MarginOption = Annotated[
-    float | None,
-    typer.Option("--modulus-margin", min=0.01, max=1.0, help="Margin for the lowest rate recommended."),
-]
-OtherOption = Annotated[
-    Path | None,
-    typer.Option("--other", metavar="FILE", help="The other axis' controller; by the rules if absent."),
-]
-SpeedOption = Annotated[
-    float | None,
-    typer.Option("--speed-rpm", min=0.0, help="Both axes are looked at up to here; rated if absent."),
-]
-DecouplingOption = Annotated[
-    float,
-    typer.Option("--decoupling-factor", min=0.0, help="The drive's inductances beside the motor's."),
-]
-AdvanceOption = Annotated[
-    float | None,
-    typer.Option("--advance-periods", help="Angle advance; delay + 0.5 periods is right."),
-]
-PictureOption = Annotated[
-    Path | None, typer.Option("--picture", metavar="FILE.png", help="Weights against |S|, |KS|, |T|.")
-]
+    motor: MotorArgument
+    axis: Annotated[Literal["q", "d"], valued("--axis", None, "The current to control.")]
+    weights: Annotated[Path | None, valued("--weights", "FILE", "Weights; the paper's rules if absent.")] = (
+        None
+    )
+    gamma: Annotated[float | None, gamma_option(1e-9)] = None
+    gamma_factor: Annotated[
+        float | None, valued("--gamma-factor", None, "The norm as a multiple of gamma_min.", min=1.0)
+    ] = None
+    structure: Annotated[Literal["full", "pi", "pi+pole", "third-order"], typer.Option("--structure")] = (
+        "full"
+    )
+    reduce: Annotated[int | None, valued("--reduce", "N", "States to keep.", min=1)] = None
+    reduce_by: Annotated[Literal["truncate", "residualise", "paper"], typer.Option("--reduce-by")] = (
+        "truncate"
+    )
+    sample_rate_hz: Annotated[
+        float | None, valued("--sample-rate-hz", "FS", "Sample the controller.", min=1.0)
+    ] = None
+    delay_samples: Annotated[
+        int, valued("--delay-samples", "N", "Computation delay, periods.", min=0, max=10)
+    ] = 1
+    discrete: Annotated[
+        bool, flag("--discrete", "Design for the sampled plant with its delay, instead of Tustin's rule.")
+    ] = False
+    modulus_margin: Annotated[
+        float | None,
+        valued("--modulus-margin", None, "Margin for the lowest rate recommended.", min=0.01, max=1.0),
+    ] = None
+    other: Annotated[
+        Path | None, valued("--other", "FILE", "The other axis' controller; by the rules if absent.")
+    ] = None
+    speed_rpm: Annotated[
+        float | None,
+        valued("--speed-rpm", None, "Both axes are looked at up to here; rated if absent.", min=0.0),
+    ] = None
+    decoupling_factor: Annotated[
+        float, valued("--decoupling-factor", None, "The drive's inductances beside the motor's.", min=0.0)
+    ] = 1.0
+    advance_periods: Annotated[
+        float | None, valued("--advance-periods", None, "Angle advance; delay + 0.5 periods is right.")
+    ] = None
+    out: ControllerOutOption = None
+    picture: Annotated[Path | None, valued("--picture", "FILE.png", "Weights against |S|, |KS|, |T|.")] = None
+    as_json: JsonOption = False
 
 
-def current(
-    motor: MotorArgument,
-    axis: Annotated[CurrentAxis, typer.Option("--axis", help="The current to control.")],
-    weights: WeightsOption = None,
-    gamma: Annotated[float | None, gamma_option(1e-9)] = None,
-    gamma_factor: GammaFactorOption = None,
-    structure: Annotated[StructureName, typer.Option("--structure")] = StructureName.FULL,
-    reduce: ReduceOption = None,
-    reduce_by: Annotated[ReduceBy, typer.Option("--reduce-by")] = ReduceBy.TRUNCATE,
-    sample_rate_hz: RateOption = None,
-    delay_samples: DelayOption = 1,
-    discrete: DiscreteOption = False,
-    modulus_margin: MarginOption = None,
-    other: OtherOption = None,
-    speed_rpm: SpeedOption = None,
-    decoupling_factor: DecouplingOption = 1.0,
-    advance_periods: AdvanceOption = None,
-    out: ControllerOutOption = None,
-    picture: PictureOption = None,
-    as_json: JsonOption = False,
-) -> None:
+def current(asked: CurrentDesignOptions) -> None:
     """Design a current controller: synthesis, reduction, sampling, margins and robustness."""
-    with reported_errors():
-        from design.hinf.reduction import Method
-        from drivers.errors import BadInput
-        from drivers.rotation import RAD_S_PER_RPM
-        from hil.configuration.weights_file import load_weights
-        from hil.studies.current.design import design_current
-        from hil.studies.current.figures import CurrentRequest
-        from hil.terminal.design_errors import refused
+    from design.hinf.reduction import Method
+    from drivers.bounded_file import write_file
+    from drivers.errors import BadInput
+    from drivers.rotation import RAD_S_PER_RPM
+    from hil.configuration.weights_file import load_weights
+    from hil.studies.current.design import controller_text, design_current
+    from hil.studies.current.figures import CurrentRequest
+    from hil.terminal.current_report import print_result
+    from hil.terminal.design_errors import refused
 
-        if gamma is not None and gamma_factor is not None:
-            raise BadInput("--gamma-factor", "", gamma_factor, "either --gamma or --gamma-factor")
-        if discrete and sample_rate_hz is None:
-            raise BadInput("--discrete", "", discrete, "--sample-rate-hz with it")
-        request = CurrentRequest(
-            motor=motor_file(motor).parameters,
-            axis=axis.value,
-            weights=load_weights(weights) if weights else None,
-            gamma=gamma,
-            gamma_factor=gamma_factor,
-            structure=structure.value,
-            order=reduce,
-            method=Method(reduce_by.value),
-            rate_hz=sample_rate_hz,
-            delay_samples=delay_samples,
-            discrete=discrete,
-            modulus_margin=modulus_margin,
-            other=_other_axis(other, axis.value),
-            speed_max_rad_s=None if speed_rpm is None else speed_rpm * RAD_S_PER_RPM,
-            decoupling_factor=decoupling_factor,
-            advance_periods=advance_periods,
-        )
-        with refused(f"axis {axis.value}"):
-            result = design_current(request)
-        _finish(result, axis.value, out, picture, as_json)
+    if asked.gamma is not None and asked.gamma_factor is not None:
+        raise BadInput("--gamma-factor", "", asked.gamma_factor, "either --gamma or --gamma-factor")
+    if asked.discrete and asked.sample_rate_hz is None:
+        raise BadInput("--discrete", "", asked.discrete, "--sample-rate-hz with it")
+    request = CurrentRequest(
+        motor=motor_file(asked.motor).parameters,
+        axis=asked.axis,
+        weights=load_weights(asked.weights) if asked.weights else None,
+        gamma=asked.gamma,
+        gamma_factor=asked.gamma_factor,
+        structure=asked.structure,
+        order=asked.reduce,
+        method=Method(asked.reduce_by),
+        rate_hz=asked.sample_rate_hz,
+        delay_samples=asked.delay_samples,
+        discrete=asked.discrete,
+        modulus_margin=asked.modulus_margin,
+        other=_other_axis(asked.other, asked.axis),
+        speed_max_rad_s=None if asked.speed_rpm is None else asked.speed_rpm * RAD_S_PER_RPM,
+        decoupling_factor=asked.decoupling_factor,
+        advance_periods=asked.advance_periods,
+    )
+    with refused(f"axis {asked.axis}"):
+        result = design_current(request)
+    put(result.figures, asked.as_json, lambda _figures: print_result(result))
+    if asked.out is not None:
+        write_file("--out", asked.out, controller_text(result, asked.axis))
+        say_written(asked.out)
+    if asked.picture is not None:
+        from hil.studies.current.pictures import draw_bounds
+
+        draw_bounds(result.chosen, asked.picture)
+        say_written(asked.picture)
 
 
 def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
@@ -158,22 +131,3 @@ def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
     return OtherAxis(
         controller.continuous(), controller.prewarp_rad_s if controller.kind == "continuous" else 0.0
     )
-
-
-def _finish(
-    result: "CurrentResult", axis: str, out: Path | None, picture: Path | None, as_json: bool
-) -> None:
-    from hil.terminal.current_report import print_result
-
-    put(result.figures, as_json, lambda _figures: print_result(result))
-    if out is not None:
-        from drivers.bounded_file import write_file
-        from hil.studies.current.design import controller_text
-
-        write_file("--out", out, controller_text(result, axis))
-        say_written(out)
-    if picture is not None:
-        from hil.studies.current.pictures import draw_bounds
-
-        draw_bounds(result.chosen, picture)
-        say_written(picture)

@@ -5,8 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, gamma_option
+from hil.terminal.options import JsonOption, gamma_option, valued
 from hil.terminal.output import put
 
 
@@ -16,34 +15,33 @@ def hinf(
     ],
     gamma: Annotated[float | None, gamma_option(1e-12)] = None,
     gamma_factor: Annotated[
-        float, typer.Option("--gamma-factor", min=1.0, help="Without --gamma: times gamma_min.")
+        float, valued("--gamma-factor", None, "Without --gamma: times gamma_min.", min=1.0)
     ] = 1.1,
     as_json: JsonOption = False,
 ) -> None:
     r"""The central controller of x' = A x + B \[w; u], \[z; y] = C x + D \[w; u] for ||z/w|| < gamma."""
-    with reported_errors():
-        from design.hinf.synthesis import gamma_min, synthesise, verified_norm
-        from hil.configuration.plant_file import load_plant
-        from hil.terminal.current_report import print_current
-        from hil.terminal.design_errors import refused
+    from design.hinf.synthesis import gamma_min, synthesise, verified_norm
+    from hil.configuration.plant_file import load_plant
+    from hil.terminal.current_report import print_current
+    from hil.terminal.design_errors import refused
 
-        loaded = load_plant(plant)
-        with refused(str(plant)):
-            least = gamma_min(loaded)
-            synthesis = synthesise(loaded, gamma if gamma is not None else gamma_factor * least)
-        K = synthesis.controller  # noqa: N806 - the paper's letter
-        figures: dict[str, Any] = {
-            "gamma_min": least,
-            "gamma": synthesis.gamma,
-            "closed_loop_norm": verified_norm(loaded, K),
-            "controller": {name: getattr(K, name).tolist() for name in "ABCD"},
-        }
+    loaded = load_plant(plant)
+    with refused(str(plant)):
+        least = gamma_min(loaded)
+        synthesis = synthesise(loaded, gamma if gamma is not None else gamma_factor * least)
+    K = synthesis.controller  # noqa: N806 - the paper's letter
+    figures: dict[str, Any] = {
+        "gamma_min": least,
+        "gamma": synthesis.gamma,
+        "closed_loop_norm": verified_norm(loaded, K),
+        "controller": {name: getattr(K, name).tolist() for name in "ABCD"},
+    }
 
-        def show(_figures: dict[str, Any]) -> None:
-            matrices = figures.pop("controller")
-            print_current(figures)
-            for name, rows in matrices.items():
-                for k, row in enumerate(rows):
-                    typer.echo(f"{name if k == 0 else '':<3} {'  '.join(f'{value:.6g}' for value in row)}")
+    def show(_figures: dict[str, Any]) -> None:
+        matrices = figures.pop("controller")
+        print_current(figures)
+        for name, rows in matrices.items():
+            for k, row in enumerate(rows):
+                typer.echo(f"{name if k == 0 else '':<3} {'  '.join(f'{value:.6g}' for value in row)}")
 
-        put(figures, as_json, show)
+    put(figures, as_json, show)

@@ -2,164 +2,101 @@
 
 import json
 import math
-from enum import StrEnum
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.analyse_speed import LoadOption, SpeedOption, StrategyName
-from hil.terminal.current_loop_options import (
-    AxisOption,
-    BenchOption,
-    CommissionedOption,
-    CurrentBandwidthOption,
-    current_loop,
+from hil.terminal.analyse_speed import LOSSES_MAX, LoadOption, SpeedOption, StrategyName
+from hil.terminal.current_loop_options import CurrentLoopOptions
+from hil.terminal.design_predictor import PredictorOptions, design_dynamic
+from hil.terminal.options import (
+    JsonOption,
+    MotorArgument,
+    controller_out_option,
+    flag,
+    given,
+    motor_file,
+    valued,
 )
-from hil.terminal.design_predictor import (
-    DeadTimeOption,
-    EncoderCountsOption,
-    LossesMaxOption,
-    PeriodMsOption,
-    PredictorOptions,
-    SpeedFilterOption,
-    TorqueNoiseOption,
-    finish_predictor,
-    refuse_given,
-)
-from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, MotorArgument, controller_out_option, flag, motor_file
 from hil.terminal.output import on_terminal, print_figures, put, say_written
 from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
+    from design.motor import PmsmParameters
     from design.sampled.held_loop import SampledNetwork
-    from hil.studies.speed.synthesis import DesignRequest
+    from hil.configuration.config_files import Section
+    from hil.studies.speed.dynamic import DynamicResult
+    from hil.studies.speed.synthesis import DesignResult
 
 
-_LOSSES_MAX = 50
 _WHOLE = 0.05
 """Part of a period by which an age may exceed a whole number of them and still count as one. Where commands
 act at SYNCs it is one, but for the lateness of SYNCs and the error of the clock that measured it."""
 _ARRIVE_EARLIER = "or, in a bench, a later loop.decide_after_us: readings are then used in their own cycle"
 
 
-class MethodName(StrEnum):
-    """How the feedback is found."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedDesignOptions:
+    """Of ``hil design speed``."""
 
-    EXACT = "exact"
-    LMI = "lmi"
-    CCL = "ccl"
-
-
-class FeedbackName(StrEnum):
-    """Which states it may use."""
-
-    FULL = "full"
-    SPEED = "speed"
-
-
-class SpeedStructure(StrEnum):
-    """What the feedback is."""
-
-    STATIC = "static"
-    PREDICTOR = "predictor"
-    HINF = "hinf"
-
-
-class TargetName(StrEnum):
-    """Which loop is made best."""
-
-    CONSTANT = "constant"
-    SAMPLED = "sampled"
-
-
-GammaOption = Annotated[
-    float | None, typer.Option("--gamma", metavar="G", min=1e-9, help="Gain to keep, rad/s per N m.")
-]
-ErrorPercentOption = Annotated[
-    float | None,
-    typer.Option(
-        "--error-percent", metavar="P", min=1e-9, help="The same: error in % of the speed under the load."
-    ),
-]
-DelayMsOption = Annotated[
-    float | None, typer.Option("--delay-ms", metavar="D", min=0.0, help="The constant delay.")
-]
-NetworkOption = Annotated[
-    Path | None,
-    typer.Option("--network", metavar="NETWORK.toml", help="A network, e.g. as hil run has measured it."),
-]
-StrategyOption = Annotated[
-    StrategyName, typer.Option("--strategy", help="When a sample is applied on that network.")
-]
-DelayMarginPercentOption = Annotated[
-    float,
-    typer.Option("--delay-margin-percent", min=0.0, max=1000.0, help="On the network's largest delay."),
-]
-ExtraLossesOption = Annotated[
-    int,
-    typer.Option("--extra-losses", min=0, max=1000, help="In a row, beyond those that were measured."),
-]
-MethodOption = Annotated[
-    MethodName,
-    typer.Option("--method", help="exact optimum, best LMI certificate, or the paper's Algorithm 4.2 (ccl)."),
-]
-FeedbackOption = Annotated[FeedbackName, typer.Option("--feedback", help="Current and speed, or speed only.")]
-IntegralOption = Annotated[bool, flag("--integral", "With integral action on the speed error.")]
-IntegralTimeMsOption = Annotated[
-    float | None,
-    typer.Option(
-        "--integral-time-ms", metavar="TI", min=1e-3, help="K2/K3; in proportion to the delay if absent."
-    ),
-]
-TargetOption = Annotated[
-    TargetName,
-    typer.Option(
-        "--target", help="Make best the loop with constant delay, or the sampled one on the network."
-    ),
-]
-StructureOption = Annotated[
-    SpeedStructure,
-    typer.Option(
-        "--structure",
-        help="A static gain, a predictor (Kalman filter, load cancelled), or H-infinity output feedback.",
-    ),
-]
-OutOption = Annotated[Path | None, controller_out_option("CONTROLLER.toml")]
+    motor: MotorArgument
+    gamma: Annotated[float | None, valued("--gamma", "G", "Gain to keep, rad/s per N m.", min=1e-9)] = None
+    error_percent: Annotated[
+        float | None,
+        valued("--error-percent", "P", "The same: error in % of the speed under the load.", min=1e-9),
+    ] = None
+    load_nm: LoadOption = None
+    speed_rpm: SpeedOption = None
+    current_loop: CurrentLoopOptions
+    delay_ms: Annotated[float | None, valued("--delay-ms", "D", "The constant delay.", min=0.0)] = None
+    network: Annotated[
+        Path | None, valued("--network", "NETWORK.toml", "A network, e.g. as hil run has measured it.")
+    ] = None
+    strategy: Annotated[
+        StrategyName, valued("--strategy", None, "When a sample is applied on that network.")
+    ] = "arrival"
+    delay_margin_percent: Annotated[
+        float,
+        valued("--delay-margin-percent", None, "On the network's largest delay.", min=0.0, max=1000.0),
+    ] = 0.0
+    extra_losses: Annotated[
+        int, valued("--extra-losses", None, "In a row, beyond those that were measured.", min=0, max=1000)
+    ] = 0
+    method: Annotated[
+        Literal["exact", "lmi", "ccl"],
+        valued("--method", None, "exact optimum, best LMI certificate, or the paper's Algorithm 4.2 (ccl)."),
+    ] = "exact"
+    feedback: Annotated[
+        Literal["full", "speed"], valued("--feedback", None, "Current and speed, or speed only.")
+    ] = "full"
+    integral: Annotated[bool, flag("--integral", "With integral action on the speed error.")] = False
+    integral_time_ms: Annotated[
+        float | None,
+        valued("--integral-time-ms", "TI", "K2/K3; in proportion to the delay if absent.", min=1e-3),
+    ] = None
+    target: Annotated[
+        Literal["constant", "sampled"],
+        valued(
+            "--target", None, "Make best the loop with constant delay, or the sampled one on the network."
+        ),
+    ] = "constant"
+    structure: Annotated[
+        Literal["static", "predictor", "hinf"],
+        valued(
+            "--structure",
+            None,
+            "A static gain, a predictor (Kalman filter, load cancelled), or H-infinity output feedback.",
+        ),
+    ] = "static"
+    predictor: PredictorOptions
+    out: Annotated[Path | None, controller_out_option("CONTROLLER.toml")] = None
+    as_json: JsonOption = False
 
 
-def speed(
-    motor: MotorArgument,
-    gamma: GammaOption = None,
-    error_percent: ErrorPercentOption = None,
-    load_nm: LoadOption = None,
-    speed_rpm: SpeedOption = None,
-    bench: BenchOption = None,
-    axis: AxisOption = None,
-    commissioned: CommissionedOption = None,
-    current_bandwidth_hz: CurrentBandwidthOption = None,
-    delay_ms: DelayMsOption = None,
-    network: NetworkOption = None,
-    strategy: StrategyOption = StrategyName.ARRIVAL,
-    delay_margin_percent: DelayMarginPercentOption = 0.0,
-    extra_losses: ExtraLossesOption = 0,
-    method: MethodOption = MethodName.EXACT,
-    feedback: FeedbackOption = FeedbackName.FULL,
-    integral: IntegralOption = False,
-    integral_time_ms: IntegralTimeMsOption = None,
-    target: TargetOption = TargetName.CONSTANT,
-    structure: StructureOption = SpeedStructure.STATIC,
-    period_ms: PeriodMsOption = None,
-    encoder_counts: EncoderCountsOption = None,
-    speed_filter_hz: SpeedFilterOption = None,
-    drive_dead_time_us: DeadTimeOption = None,
-    torque_noise_nm: TorqueNoiseOption = None,
-    losses_max: LossesMaxOption = None,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-) -> None:
+def speed(asked: SpeedDesignOptions) -> None:
     """Design a speed feedback: what is known is given, what is open is optimised.
 
     With a gain or an error: the largest delay. With a delay or a network: the least gain. With
@@ -167,89 +104,59 @@ def speed(
     and the loop that really runs over it is certified as well. A predictor and an H-infinity
     controller are designed for a delay or a network: for the least peak after the load step.
     """
-    with reported_errors():
-        asked = PredictorOptions(
-            period_ms, encoder_counts, speed_filter_hz, drive_dead_time_us, torque_noise_nm, losses_max
-        )
-        if structure is not SpeedStructure.STATIC:
-            _refuse_static(gamma, error_percent, integral_time_ms, integral)
-        else:
-            refuse_given(asked.given, "--structure predictor or hinf with it")
-            _check_known(gamma, error_percent, delay_ms, network)
-            _check_method(method, feedback, integral, integral_time_ms, target, network)
-        parameters = motor_file(motor).parameters
-        inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
-        over = _network(network, strategy, delay_margin_percent, extra_losses) if network else None
-        if structure is not SpeedStructure.STATIC:
-            finish_predictor(
-                structure.value, parameters, inner, asked, _seconds(delay_ms), over, load_nm, out, as_json
-            )
-            return
+    static = asked.structure == "static"
+    if static:
+        _check_static(asked)
+    else:
+        _refuse_static(asked)
+    motor = motor_file(asked.motor).parameters
+    inner = asked.current_loop.known_loop()
+    network = _network(asked.network, asked) if asked.network else None
+    design = _design_static if static else _design_dynamic
+    result = design(asked, motor, inner.bandwidth_hz, network)
+    put({"current_bandwidth_from": inner.key, **result.figures}, asked.as_json, print_figures)
+    if asked.out is not None:
+        from drivers.bounded_file import write_file
+        from hil.studies.speed.controller_text import controller_text
 
-        from design.delay.speed_loop import Feedback, gain_for_error
-        from drivers.rotation import RAD_S_PER_RPM
-        from hil.studies.speed.synthesis import DesignRequest, Way
+        write_file("--out", asked.out, controller_text(_controller(result)))
+        say_written(asked.out)
 
-        sampled, integral_s = target is TargetName.SAMPLED, _seconds(integral_time_ms)
-        way = Way(method.value, Feedback(feedback.value), integral, integral_s, sampled)
-        load = load_nm or parameters.rated_torque_nm
-        at_rad_s = speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s
-        if error_percent:
-            gamma = gain_for_error(error_percent, load, at_rad_s)
-        delay_s = over.constant_delay_s if over else _seconds(delay_ms)
-        request = DesignRequest(parameters, gamma, delay_s, over, way, load, at_rad_s, inner.bandwidth_hz)
-        _finish(request, inner.key, out, as_json)
+
+def _check_static(asked: SpeedDesignOptions) -> None:
+    """At most one of each pair, and at least one in all; what each method knows. Raises BadInput."""
+    for option, value in asked.predictor.given.items():
+        raise BadInput(option, "", value, "--structure predictor or hinf with it")
+    if asked.gamma is not None and asked.error_percent is not None:
+        raise BadInput("--error-percent", "", asked.error_percent, "either --gamma or --error-percent")
+    if asked.delay_ms is not None and asked.network is not None:
+        raise BadInput("--network", "", str(asked.network), "either --delay-ms or --network")
+    if not given(asked, "gamma", "error_percent", "delay_ms", "network"):
+        expected = "--gamma or --error-percent, --delay-ms or --network, or one of each"
+        raise BadInput("hil design speed", "", None, expected)
+    exact = asked.method == "exact"
+    if asked.method == "ccl" and (asked.feedback == "speed" or asked.integral):
+        expected = "full feedback without integral: Algorithm 4.2 knows no other"
+        raise BadInput("--method", "", asked.method, expected)
+    if asked.integral_time_ms is not None and not (asked.integral and exact):
+        expected = "--integral and --method exact with it"
+        raise BadInput("--integral-time-ms", "", asked.integral_time_ms, expected)
+    if asked.target == "sampled" and (asked.network is None or not exact):
+        raise BadInput("--target", "", asked.target, "--network and --method exact with it")
+
+
+def _refuse_static(asked: SpeedDesignOptions) -> None:
+    """What predictor and hinf are not designed by. Raises BadInput."""
+    static = given(asked, "gamma", "error_percent", "integral_time_ms")
+    for option, value in (static | ({"--integral": True} if asked.integral else {})).items():
+        raise BadInput(option, "", value, "nothing of it with --structure predictor or hinf")
 
 
 def _seconds(time_ms: float | None) -> float | None:
     return None if time_ms is None else 1e-3 * time_ms
 
 
-def _check_method(
-    method: MethodName,
-    feedback: FeedbackName,
-    integral: bool,
-    integral_time_ms: float | None,
-    target: TargetName,
-    network: Path | None,
-) -> None:
-    """What each method knows. Raises BadInput."""
-    if method is MethodName.CCL and (feedback is FeedbackName.SPEED or integral):
-        expected = "full feedback without integral: Algorithm 4.2 knows no other"
-        raise BadInput("--method", "", method.value, expected)
-    if integral_time_ms is not None and not (integral and method is MethodName.EXACT):
-        raise BadInput("--integral-time-ms", "", integral_time_ms, "--integral and --method exact with it")
-    if target is TargetName.SAMPLED and (network is None or method is not MethodName.EXACT):
-        raise BadInput("--target", "", target.value, "--network and --method exact with it")
-
-
-def _refuse_static(
-    gamma: float | None, error_percent: float | None, integral_time_ms: float | None, integral: bool
-) -> None:
-    """What these structures are not designed by. Raises BadInput."""
-    static = {
-        "--gamma": gamma,
-        "--error-percent": error_percent,
-        "--integral-time-ms": integral_time_ms,
-        "--integral": integral or None,
-    }
-    refuse_given(static, "nothing of it with --structure predictor or hinf")
-
-
-def _check_known(
-    gamma: float | None, error_percent: float | None, delay_ms: float | None, network: Path | None
-) -> None:
-    """At most one of each pair, and at least one in all. Raises BadInput."""
-    if gamma is not None and error_percent is not None:
-        raise BadInput("--error-percent", "", error_percent, "either --gamma or --error-percent")
-    if delay_ms is not None and network is not None:
-        raise BadInput("--network", "", str(network), "either --delay-ms or --network")
-    if all(value is None for value in (gamma, error_percent, delay_ms, network)):
-        expected = "--gamma or --error-percent, --delay-ms or --network, or one of each"
-        raise BadInput("hil design speed", "", None, expected)
-
-
-def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: int) -> "SampledNetwork":
+def _network(path: Path, asked: SpeedDesignOptions) -> "SampledNetwork":
     from design.errors import UnsuitableNetwork
     from design.sampled.held_loop import SampledNetwork, Strategy
     from hil.configuration.network_file import commands_unknown, load_network
@@ -257,48 +164,72 @@ def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: i
     measured = load_network(path)
     if (unknown := commands_unknown(measured, str(path))) is not None:
         raise unknown
-    wanted = Strategy(strategy.value)
-    tau_s, most = measured.delay_max_s * (1.0 + 0.01 * margin_percent), measured.losses_max + extra
-    if most > _LOSSES_MAX:
+    strategy, losses_max = Strategy(asked.strategy), measured.losses_max + asked.extra_losses
+    tau_s = measured.delay_max_s * (1.0 + 0.01 * asked.delay_margin_percent)
+    if losses_max > LOSSES_MAX:
         remedy = (
             "an outage is no pattern to design for: take it out of the file, and let a limit stop the bench"
         )
-        raise BadInput(
-            str(path), "network.losses_in_a_row_max", most, f"at most {_LOSSES_MAX} in all", remedy
-        )
-    agreed_s = 0.0 if wanted is Strategy.ARRIVAL else (most + 1) * measured.period_s + tau_s
-    if wanted is Strategy.STAMP:
+        expected = f"at most {LOSSES_MAX} in all"
+        raise BadInput(str(path), "network.losses_in_a_row_max", losses_max, expected, remedy)
+    agreed_s = 0.0 if strategy is Strategy.ARRIVAL else (losses_max + 1) * measured.period_s + tau_s
+    if strategy is Strategy.STAMP:
         # A bench with this strategy acts at SYNCs only.
         agreed_s = math.ceil(agreed_s / measured.period_s - _WHOLE) * measured.period_s
     try:
-        return SampledNetwork(wanted, measured.period_s, most, tau_s, agreed_s)
+        return SampledNetwork(strategy, measured.period_s, losses_max, tau_s, agreed_s)
     except UnsuitableNetwork as error:
         raise BadInput("--strategy", "", error.found, error.expected, _ARRIVE_EARLIER) from None
 
 
-def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_json: bool) -> None:
-    from design.errors import DesignError
-    from hil.studies.speed.synthesis import Unreachable, design_speed, with_bandwidths
+def _design_dynamic(
+    asked: SpeedDesignOptions, motor: "PmsmParameters", bandwidth_hz: float, network: "SampledNetwork | None"
+) -> "DynamicResult":
+    return design_dynamic(
+        asked.structure, asked.predictor, motor, bandwidth_hz, asked.delay_ms, network, asked.load_nm
+    )
 
+
+def _design_static(
+    asked: SpeedDesignOptions, motor: "PmsmParameters", bandwidth_hz: float, network: "SampledNetwork | None"
+) -> "DesignResult":
+    from design.delay.speed_loop import Feedback, gain_for_error
+    from design.errors import DesignError
+    from drivers.rotation import RAD_S_PER_RPM
+    from hil.studies.speed.synthesis import DesignRequest, Unreachable, Way, design_speed, with_bandwidths
+
+    way = Way(
+        asked.method,
+        Feedback(asked.feedback),
+        asked.integral,
+        _seconds(asked.integral_time_ms),
+        for_sampled=asked.target == "sampled",
+    )
+    load_nm = asked.load_nm or motor.rated_torque_nm
+    at_rad_s = asked.speed_rpm * RAD_S_PER_RPM if asked.speed_rpm else motor.rated_speed_rad_s
+    gamma = gain_for_error(asked.error_percent, load_nm, at_rad_s) if asked.error_percent else asked.gamma
+    delay_s = network.constant_delay_s if network else _seconds(asked.delay_ms)
+    request = DesignRequest(motor, gamma, delay_s, network, way, load_nm, at_rad_s, bandwidth_hz)
     try:
         result = design_speed(request, on_terminal)
-        if out is not None:
-            result = with_bandwidths(result)
+        return result if asked.out is None else with_bandwidths(result)
     except Unreachable as error:
-        if as_json:
+        if asked.as_json:
             typer.echo(json.dumps(error.figures, allow_nan=False))
         typer.echo(f"hil: {error}", err=True)
         raise typer.Exit(ExitStatus.BAD_INPUT) from None
     except DesignError as error:
         raise BadInput("hil design speed", "", str(error), "a design that exists") from error
-    figures = {"current_bandwidth_from": bandwidth_from, **result.figures}
-    put(figures, as_json, print_figures)
-    if out is not None:
-        from drivers.bounded_file import write_file
-        from hil.studies.speed.controller_text import controller_of, controller_text
 
-        if result.sampled is not None and not result.sampled.certified:
-            expected = "a loop that is certified; another --strategy or a shorter period may be"
-            raise BadInput("--out", "", result.sampled.without_certificate, expected)
-        write_file("--out", out, controller_text(controller_of(result)))
-        say_written(out)
+
+def _controller(result: "DesignResult | DynamicResult") -> "Section":
+    """Its table. Raises BadInput for a loop over a network that is not certified."""
+    from hil.studies.speed.controller_text import controller_of
+    from hil.studies.speed.synthesis import DesignResult
+
+    if not isinstance(result, DesignResult):
+        return result.controller()
+    if result.sampled is not None and not result.sampled.certified:
+        expected = "a loop that is certified; another --strategy or a shorter period may be"
+        raise BadInput("--out", "", result.sampled.without_certificate, expected)
+    return controller_of(result)

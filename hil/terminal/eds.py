@@ -1,13 +1,11 @@
 """``hil eds``: a data sheet read, mended, and held against what a bench needs."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, bitrate_option, flag
+from hil.terminal.options import JsonOption, bitrate_option, flag, valued
 from hil.terminal.output import put
 from hil.verdict.verdict import ExitStatus
 
@@ -15,28 +13,18 @@ ANY_NODE = 1
 """What $NODEID stands for where neither the user nor the file says it."""
 
 
-class ModeName(StrEnum):
-    """Modes of operation that a plan is made for."""
-
-    CST = "cst"
-    CSV = "csv"
-    CSP = "csp"
-    PT = "pt"
-    PV = "pv"
-    PP = "pp"
-
-
 def eds(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="EDS, DCF, XDD or XDC of a device.")],
     node: Annotated[
         int | None,
-        typer.Option("--node", min=1, max=127, help="Node id for $NODEID; a DCF's own, or 1, if absent."),
+        valued("--node", None, "Node id for $NODEID; a DCF's own, or 1, if absent.", min=1, max=127),
     ] = None,
     plan: Annotated[bool, flag("--plan", "Show the PDO plan and what it costs on the bus.")] = False,
     mode: Annotated[
-        ModeName | None, typer.Option("--mode", help="Mode to plan for; the best that it has if absent.")
+        Literal["cst", "csv", "csp", "pt", "pv", "pp"] | None,
+        valued("--mode", None, "Mode to plan for; the best that it has if absent."),
     ] = None,
-    period_us: Annotated[int, typer.Option("--period-us", min=100, help="Period of the loop, us.")] = 1000,
+    period_us: Annotated[int, valued("--period-us", None, "Period of the loop, us.", min=100)] = 1000,
     bitrate: Annotated[int, bitrate_option("Bit rate, bit/s.")] = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:
@@ -44,20 +32,19 @@ def eds(
 
     Exit status: 0 it can serve a bench, 1 it cannot (the output says why), 2 the file cannot be read.
     """
-    with reported_errors():
-        from drivers.sheets.dictionary import load_dictionary
-        from drivers.sheets.fitness import assess
-        from hil.terminal.eds_report import print_sheet
-        from hil.terminal.eds_sheet import plan_for, sheet
+    from drivers.sheets.dictionary import load_dictionary
+    from drivers.sheets.fitness import assess
+    from hil.terminal.eds_report import print_sheet
+    from hil.terminal.eds_sheet import plan_for, sheet
 
-        loaded = load_dictionary(file, node)
-        if loaded.dictionary.node_id is None:
-            loaded = load_dictionary(file, ANY_NODE)
-        node_id = loaded.dictionary.node_id or ANY_NODE
-        fitness = assess(loaded, node_id)
-        planned = None
-        if plan or mode:
-            planned = plan_for(loaded, fitness, node_id, mode.value if mode else None, period_us, bitrate)
-        figures = sheet(file, loaded, fitness, planned)
-        put(figures, as_json, lambda _figures: print_sheet(file, loaded, fitness, planned))
-        raise typer.Exit(ExitStatus.PASSED if fitness.serves else ExitStatus.FAILED)
+    loaded = load_dictionary(file, node)
+    if loaded.dictionary.node_id is None:
+        loaded = load_dictionary(file, ANY_NODE)
+    node_id = loaded.dictionary.node_id or ANY_NODE
+    fitness = assess(loaded, node_id)
+    planned = None
+    if plan or mode:
+        planned = plan_for(loaded, fitness, node_id, mode, period_us, bitrate)
+    figures = sheet(file, loaded, fitness, planned)
+    put(figures, as_json, lambda _figures: print_sheet(file, loaded, fitness, planned))
+    raise typer.Exit(ExitStatus.PASSED if fitness.serves else ExitStatus.FAILED)

@@ -1,6 +1,6 @@
 """A data sheet on the terminal."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -186,14 +186,15 @@ def _print_lacks(console: Console, fitness: Fitness) -> None:
     _say(console, Text("Recommended objects that it does not have", style="bold"), table)
 
 
-def _print_repairs(console: Console, repairs: Iterable[Repair]) -> None:
-    made = tuple(repairs)
-    if not made:
+def _print_repairs(console: Console, repairs: Sequence[Repair]) -> None:
+    if not repairs:
         _say(console, Text("The file needed no repair."))
         return
-    title = Text(f"{len(made)} {'repair' if len(made) == 1 else 'repairs'} to read the file", style="bold")
+    title = Text(
+        f"{len(repairs)} {'repair' if len(repairs) == 1 else 'repairs'} to read the file", style="bold"
+    )
     table = columns()
-    for repair in made:
+    for repair in repairs:
         line = f"line {repair.line}" if repair.line else ""
         table.add_row(line, Text(f"[{repair.section}]"), Text(f"{repair.fault}: {repair.action}"))
     _say(console, title, table)

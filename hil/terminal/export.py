@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from hil.reviewing.export_format import ExportFormat
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, valued
 from hil.terminal.output import put
 
@@ -21,8 +20,7 @@ def export(
 
     Exit status: 0 written; 2 no recording, one that has no end yet, or a file that cannot be written.
     """
-    with reported_errors():
-        from hil.reviewing.export import export_run
+    from hil.reviewing.export import export_run
 
-        done = export_run(run, to, out)
-        put(done._asdict(), as_json, lambda figures: typer.echo(f"{figures['file']}: {figures['rows']} rows"))
+    done = export_run(run, to, out)
+    put(done._asdict(), as_json, lambda figures: typer.echo(f"{figures['file']}: {figures['rows']} rows"))

@@ -4,7 +4,6 @@ from typing import Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import BitrateOption, DriveBusOption, DriveNodeOption, JsonOption, flag
 from hil.terminal.output import put
 from hil.verdict.verdict import ExitStatus
@@ -21,11 +20,10 @@ def fault(
 
     Exit status: 0 no fault, 1 in fault, 2 bad input, 3 no answer, or the fault stays in spite of --reset.
     """
-    with reported_errors():
-        from hil.execution.world import drive_network
-        from hil.inspecting.drive_fault import look_at_fault
+    from hil.execution.world import drive_network
+    from hil.inspecting.drive_fault import look_at_fault
 
-        with drive_network(bus, bitrate) as network:
-            diagnosis = look_at_fault(network, node, reset)
-        put(diagnosis.as_json(), as_json, lambda _figures: typer.echo("\n".join(diagnosis.lines())))
-        raise typer.Exit(ExitStatus.FAILED if diagnosis.in_fault else ExitStatus.PASSED)
+    with drive_network(bus, bitrate) as network:
+        diagnosis = look_at_fault(network, node, reset)
+    put(diagnosis.as_json(), as_json, lambda _figures: typer.echo("\n".join(diagnosis.lines())))
+    raise typer.Exit(ExitStatus.FAILED if diagnosis.in_fault else ExitStatus.PASSED)

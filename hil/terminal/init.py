@@ -9,7 +9,6 @@ import typer
 from drivers.bounded_file import writing
 from drivers.errors import BadInput
 from hil.machine.examples import examples_folder
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import flag
 from hil.terminal.output import say_written
 
@@ -27,24 +26,21 @@ def init(
 
     A file that is there already is never written over.
     """
-    with reported_errors():
-        source = examples_folder() if examples else examples_folder() / FIRST
-        target = folder / "examples" if examples else folder
-        files = sorted(
-            path.relative_to(source) for path in source.rglob("*")
-            if path.is_file() and not {"__pycache__", "runs"} & set(path.parts)
-        )  # fmt: skip
+    source = examples_folder() if examples else examples_folder() / FIRST
+    target = folder / "examples" if examples else folder
+    files = sorted(
+        path.relative_to(source) for path in source.rglob("*")
+        if path.is_file() and not {"__pycache__", "runs"} & set(path.parts)
+    )  # fmt: skip
+    for name in files:
+        if (target / name).exists():
+            raise BadInput("DIR", "", str(target / name), "a folder without this file")
+    with writing("DIR", target):
         for name in files:
-            if (target / name).exists():
-                raise BadInput("DIR", "", str(target / name), "a folder without this file")
-        with writing("DIR", target):
-            for name in files:
-                (target / name).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(source / name, target / name)
-        say_written(target)
-        if not examples:
-            typer.echo(f"Next, in {target.resolve()}:" if folder != Path() else "Next:")
-            typer.echo(
-                "  hil run bench.toml    the closed loop in simulated time, recorded, with its verdict"
-            )
-            typer.echo("  pytest                the controller under lost readings and a silent drive")
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source / name, target / name)
+    say_written(target)
+    if not examples:
+        typer.echo(f"Next, in {target.resolve()}:" if folder != Path() else "Next:")
+        typer.echo("  hil run bench.toml    the closed loop in simulated time, recorded, with its verdict")
+        typer.echo("  pytest                the controller under lost readings and a silent drive")

@@ -1,14 +1,13 @@
 """``hil measure``: what a network does to a cycle, stage by stage."""
 
 import sys
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import (
     EVERY_STREAM,
     BitrateOption,
@@ -18,6 +17,7 @@ from hil.terminal.options import (
     fault_plan,
     faults_option,
     flag,
+    given,
     motor_file,
     valued,
 )
@@ -32,48 +32,40 @@ PICTURES = (".png", ".svg", ".pdf")
 CYCLES_MAX = 1_000_000
 """Each takes half a kilobyte of memory a drive, which is taken before the first."""
 
-BusOption = Annotated[str, bus_option("simulated, hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")]
-NodeOption = Annotated[list[str], valued("--node", "N...", "Node ids: 1, or 1,2, or 1-3; may be repeated.")]
-MoreNodes = Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)]
-CyclesOption = Annotated[int, typer.Option("--cycles", min=100, max=CYCLES_MAX, help="How many SYNCs.")]
-PeriodOption = Annotated[int, typer.Option("--period-us", min=250, max=100_000, help="Between two SYNCs.")]
-EnableOption = Annotated[
-    bool,
-    flag("--enable", "Enable the drives and have them follow small torques: the shafts move."),
-]
-TorqueOption = Annotated[
-    float | None, valued("--torque-max-nm", "X", "Largest torque; 3 % of the rated one if absent.")
-]
-SpeedOption = Annotated[
-    float, typer.Option("--speed-max-rpm", min=1.0, help="An enabled drive that turns faster is stopped.")
-]
-OutOption = Annotated[Path | None, valued("--out", "NETWORK.toml", "Write the network, for hil design.")]
-FaultsOutOption = Annotated[
-    Path | None, valued("--faults-out", "FAULTS.toml", "Write it as a fault plan, to replay it.")
-]
-PictureOption = Annotated[Path | None, valued("--picture", "FILE", "Draw the histograms: .png, .svg, .pdf.")]
-FaultsOption = Annotated[Path | None, faults_option("host")]
-SeedOption = Annotated[int, EVERY_STREAM]
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasureOptions:
+    """Of ``hil measure``."""
+
+    bus: Annotated[str, bus_option("simulated, hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")]
+    node: Annotated[list[str], valued("--node", "N...", "Node ids: 1, or 1,2, or 1-3; may be repeated.")]
+    more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None
+    cycles: Annotated[int, valued("--cycles", None, "How many SYNCs.", min=100, max=CYCLES_MAX)] = 10_000
+    period_us: Annotated[int, valued("--period-us", None, "Between two SYNCs.", min=250, max=100_000)] = 1000
+    enable: Annotated[
+        bool, flag("--enable", "Enable the drives and have them follow small torques: the shafts move.")
+    ] = False
+    torque_max_nm: Annotated[
+        float | None, valued("--torque-max-nm", "X", "Largest torque; 3 % of the rated one if absent.")
+    ] = None
+    speed_max_rpm: Annotated[
+        float, valued("--speed-max-rpm", None, "An enabled drive that turns faster is stopped.", min=1.0)
+    ] = 100.0
+    out: Annotated[Path | None, valued("--out", "NETWORK.toml", "Write the network, for hil design.")] = None
+    faults_out: Annotated[
+        Path | None, valued("--faults-out", "FAULTS.toml", "Write it as a fault plan, to replay it.")
+    ] = None
+    picture: Annotated[Path | None, valued("--picture", "FILE", "Draw the histograms: .png, .svg, .pdf.")] = (
+        None
+    )
+    motor: DriveMotorOption = None
+    faults: Annotated[Path | None, faults_option("host")] = None
+    bitrate: BitrateOption = 1_000_000
+    seed: Annotated[int, EVERY_STREAM] = 0
+    as_json: JsonOption = False
 
 
-def measure(
-    bus: BusOption,
-    node: NodeOption,
-    more_nodes: MoreNodes = None,
-    cycles: CyclesOption = 10_000,
-    period_us: PeriodOption = 1000,
-    enable: EnableOption = False,
-    torque_max_nm: TorqueOption = None,
-    speed_max_rpm: SpeedOption = 100.0,
-    out: OutOption = None,
-    faults_out: FaultsOutOption = None,
-    picture: PictureOption = None,
-    motor: DriveMotorOption = None,
-    faults: FaultsOption = None,
-    bitrate: BitrateOption = 1_000_000,
-    seed: SeedOption = 0,
-    as_json: JsonOption = False,
-) -> None:
+def measure(asked: MeasureOptions) -> None:
     """Measure a network: delay of each stage of a cycle, losses both ways, the drives' clocks.
 
     The drives stay disabled unless --enable. What is changed in them is put back; after a crash
@@ -81,32 +73,31 @@ def measure(
 
     Exit status: 0 measured, 1 not to be trusted, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
     """
-    with reported_errors():
-        from drivers.rotation import RAD_S_PER_RPM
-        from hil.measuring.subject import MeasureRequest
-        from hil.terminal.measure_report import print_measured
-        from hil.terminal.node_list import drive_ids
+    from drivers.rotation import RAD_S_PER_RPM
+    from hil.measuring.subject import MeasureRequest
+    from hil.terminal.measure_report import print_measured
+    from hil.terminal.node_list import drive_ids
 
-        _require_places({"--out": out, "--faults-out": faults_out, "--picture": picture})
-        request = MeasureRequest(
-            bus=bus,
-            nodes=tuple(drive_ids([*node, *(more_nodes or [])])),
-            cycles=cycles,
-            period_us=period_us,
-            bitrate_bit_s=bitrate,
-            enable=enable,
-            torque_max_nm=torque_max_nm,
-            speed_max_rad_s=speed_max_rpm * RAD_S_PER_RPM,
-            motor=motor_file(motor, "--motor").parameters if motor else None,
-            faults=fault_plan(faults),
-            seed=seed,
-        )
-        measured = _measured(request)
-        put(measured.as_json(), as_json, lambda _figures: print_measured(measured))
-        if measured.interrupted:
-            raise typer.Exit(ExitStatus.INTERRUPTED)
-        _write_files(measured, out, faults_out, picture)
-        raise typer.Exit(ExitStatus.FAILED if measured.distrust else ExitStatus.PASSED)
+    _require_places(asked)
+    request = MeasureRequest(
+        bus=asked.bus,
+        nodes=tuple(drive_ids([*asked.node, *(asked.more_nodes or [])])),
+        cycles=asked.cycles,
+        period_us=asked.period_us,
+        bitrate_bit_s=asked.bitrate,
+        enable=asked.enable,
+        torque_max_nm=asked.torque_max_nm,
+        speed_max_rad_s=asked.speed_max_rpm * RAD_S_PER_RPM,
+        motor=motor_file(asked.motor, "--motor").parameters if asked.motor else None,
+        faults=fault_plan(asked.faults),
+        seed=asked.seed,
+    )
+    measured = _measured(request)
+    put(measured.as_json(), asked.as_json, lambda _figures: print_measured(measured))
+    if measured.interrupted:
+        raise typer.Exit(ExitStatus.INTERRUPTED)
+    _write_files(measured, asked)
+    raise typer.Exit(ExitStatus.FAILED if measured.distrust else ExitStatus.PASSED)
 
 
 def _measured(request: "MeasureRequest") -> "Measured":
@@ -120,34 +111,30 @@ def _measured(request: "MeasureRequest") -> "Measured":
         progress.clear()
 
 
-def _require_places(files: Mapping[str, Path | None]) -> None:
+def _require_places(asked: MeasureOptions) -> None:
     """Raises BadInput for an option whose file could not be written, before anything is measured."""
-    for option, path in files.items():
-        if path is None:
-            continue
+    for option, path in given(asked, "out", "faults_out", "picture").items():
         if path.is_dir() or not path.parent.is_dir():
             raise BadInput(option, "", str(path), "a file in a folder that is there")
         if option == "--picture" and path.suffix not in PICTURES:
             raise BadInput(option, "", str(path), f"a file that ends in {', '.join(PICTURES)}")
 
 
-def _write_files(
-    measured: "Measured", out: Path | None, faults_out: Path | None, picture: Path | None
-) -> None:
+def _write_files(measured: "Measured", asked: MeasureOptions) -> None:
     """Write what is asked for. Raises BadInput for a file that cannot be written."""
     from drivers.bounded_file import write_file, writing
     from hil.configuration.network_file import network_text
     from hil.measuring.figures import fault_plan_text
     from hil.measuring.picture import draw_stages
 
-    if out is not None and measured.network is not None:
+    if asked.out is not None and measured.network is not None:
         head = f"# Measured on {measured.request.bus} by hil measure.\n\n"
-        write_file("--out", out, head + network_text(measured.network))
-        say(f"written: {out}")
-    if faults_out is not None:
-        write_file("--faults-out", faults_out, fault_plan_text(measured))
-        say(f"written: {faults_out}")
-    if picture is not None:
-        with writing("--picture", picture):
-            draw_stages(picture, measured)
-        say(f"written: {picture}")
+        write_file("--out", asked.out, head + network_text(measured.network))
+        say(f"written: {asked.out}")
+    if asked.faults_out is not None:
+        write_file("--faults-out", asked.faults_out, fault_plan_text(measured))
+        say(f"written: {asked.faults_out}")
+    if asked.picture is not None:
+        with writing("--picture", asked.picture):
+            draw_stages(asked.picture, measured)
+        say(f"written: {asked.picture}")

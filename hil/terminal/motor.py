@@ -10,7 +10,7 @@ import typer
 
 from drivers.errors import BadInput
 from hil.studies.motor.figures import FIGURES, GROUPS, SheetFigure, missing, option, ways
-from hil.terminal.exit_status import reported_errors
+from hil.terminal.commands import add_commands
 from hil.terminal.options import JsonOption, MotorArgument, flag, motor_file, valued
 from hil.terminal.output import columns, put, say_written
 
@@ -24,17 +24,17 @@ motor = typer.Typer(
 
 def new(
     out: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The file to be written.")],
-    name: Annotated[str, typer.Option("--name", help="The motor's name; the file's if absent.")] = "",
+    name: Annotated[str, valued("--name", None, "The motor's name; the file's if absent.")] = "",
     delta: Annotated[
         bool, flag("--delta/--star", "How the phases are connected, if figures are of a phase.")
     ] = False,
     resistance_at_c: Annotated[
         float,
-        typer.Option("--resistance-at-c", min=-50.0, max=250.0, help="Winding temperature on the sheet."),
+        valued("--resistance-at-c", None, "Winding temperature on the sheet.", min=-50.0, max=250.0),
     ] = 20.0,
     winding_c: Annotated[
         float | None,
-        typer.Option("--winding-c", min=-50.0, max=250.0, help="To simulate at; the sheet's if absent."),
+        valued("--winding-c", None, "To simulate at; the sheet's if absent.", min=-50.0, max=250.0),
     ] = None,
     force: Annotated[bool, flag("--force", "Write over a file that is there.")] = False,
     **figures: float | None,
@@ -44,20 +44,19 @@ def new(
     Figures that cannot be true at once are refused, and the convention is named in which they agree. On a
     terminal what is missing is asked for.
     """
-    with reported_errors():
-        from drivers.bounded_file import write_file
-        from hil.studies.motor.sheet import SOURCE, Sheet, motor_text
-        from hil.terminal.design_errors import refused
+    from drivers.bounded_file import write_file
+    from hil.studies.motor.sheet import SOURCE, Sheet, motor_text
+    from hil.terminal.design_errors import refused
 
-        if out.exists() and not force:
-            raise BadInput("MOTOR.toml", "", str(out), "a file that is not there yet", "or --force")
-        values = {key: value for key, value in figures.items() if value is not None}
-        if at_terminal():
-            _ask(values)
-        with refused(SOURCE):
-            text = motor_text(Sheet(name or out.stem, values, delta, resistance_at_c, winding_c))
-        write_file("MOTOR.toml", out, text)
-        say_written(out)
+    if out.exists() and not force:
+        raise BadInput("MOTOR.toml", "", str(out), "a file that is not there yet", "or --force")
+    values = {key: value for key, value in figures.items() if value is not None}
+    if at_terminal():
+        _ask(values)
+    with refused(SOURCE):
+        text = motor_text(Sheet(name or out.stem, values, delta, resistance_at_c, winding_c))
+    write_file("MOTOR.toml", out, text)
+    say_written(out)
 
 
 def at_terminal() -> bool:
@@ -101,9 +100,7 @@ def _with_figures() -> None:
         added.append(
             inspect.Parameter(figure.key, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
         )
-    new.__signature__ = signature.replace(parameters=[*fixed, *added])  # type: ignore[attr-defined]
-    new.__annotations__ |= {item.name: item.annotation for item in added}
-    del new.__annotations__["figures"]
+    vars(new)["__signature__"] = signature.replace(parameters=[*fixed, *added])
 
 
 def show(
@@ -114,14 +111,13 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Figures that follow from a motor file, in a data sheet's terms; torque over speed as a picture."""
-    with reported_errors():
-        from design.motor_figures import motor_figures
+    from design.motor_figures import motor_figures
 
-        parameters = motor_file(path).parameters
-        put({"name": parameters.name, **motor_figures(parameters)}, as_json, _print)
-        if picture is not None:
-            _draw(parameters, picture)
-            say_written(picture)
+    parameters = motor_file(path).parameters
+    put({"name": parameters.name, **motor_figures(parameters)}, as_json, _print)
+    if picture is not None:
+        _draw(parameters, picture)
+        say_written(picture)
 
 
 def _print(figures: dict[str, Any]) -> None:
@@ -154,5 +150,4 @@ def _draw(parameters: "PmsmParameters", path: Path) -> None:
 
 
 _with_figures()
-motor.command()(new)
-motor.command()(show)
+add_commands(motor, new, show)

@@ -15,9 +15,17 @@ def flag(name: str, text: str) -> Any:
     return typer.Option(name, metavar="", help=text)
 
 
-def valued(name: str, metavar: str, text: str) -> Any:
-    """A value under ``name``; its help shows it as ``metavar`` and says ``text``."""
-    return typer.Option(name, metavar=metavar, help=text)
+def valued(
+    name: str, metavar: str | None, text: str, *, min: float | None = None, max: float | None = None
+) -> Any:
+    """A value under ``name``, from ``min`` to ``max``; its help shows it as ``metavar`` and says ``text``."""
+    return typer.Option(name, metavar=metavar, help=text, min=min, max=max)
+
+
+def given(options: object, *names: str) -> dict[str, Any]:
+    """By option the values of these fields of a class of options, without those that are None."""
+    values = {f"--{name.replace('_', '-')}": getattr(options, name) for name in names}
+    return {option: value for option, value in values.items() if value is not None}
 
 
 def bus_option(text: str) -> Any:
@@ -62,16 +70,14 @@ JsonOption = Annotated[bool, json_option("Print one JSON object on stdout, all e
 JsonLinesOption = Annotated[bool, json_option("Print one JSON object a line on stdout, all else on stderr.")]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")]
 DriveBusOption = Annotated[str, bus_option("hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")]
-DriveNodeOption = Annotated[
-    int, typer.Option("--node", metavar="N", min=1, max=127, help="The drive's node id.")
-]
+DriveNodeOption = Annotated[int, valued("--node", "N", "The drive's node id.", min=1, max=127)]
 BitrateOption = Annotated[int, bitrate_option("Bit rate of the bus, bit/s.")]
 SeedOption = Annotated[int | None, EVERY_STREAM]
 DriveFaultsOption = Annotated[Path | None, faults_option("drive")]
 ControllerOutOption = Annotated[Path | None, controller_out_option("FILE")]
 MotorArgument = Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The motor file.")]
 DriveMotorOption = Annotated[
-    Path | None, typer.Option("--motor", metavar="MOTOR.toml", help="Motor file; [Ling2012]'s if absent.")
+    Path | None, valued("--motor", "MOTOR.toml", "Motor file; [Ling2012]'s if absent.")
 ]
 
 

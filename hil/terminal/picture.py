@@ -6,61 +6,50 @@ from typing import Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import RunArgument, flag, valued
 from hil.terminal.output import say_written
-
-OutArgument = Annotated[
-    Path, typer.Argument(metavar="OUT", help="The picture: .png; --paper: .svg, .pdf too.")
-]
-PageOption = Annotated[
-    str | None, valued("--page", "PAGE", "overview, AXIS, timing, controller, zoom, zoom/AXIS.")
-]
-AtOption = Annotated[
-    float | None, valued("--at", "S", "The cursor, s since the first cycle; the end if absent.")
-]
-SpanOption = Annotated[
-    float | None,
-    typer.Option("--span", metavar="S", min=1e-6, help="So much time about --at; all if absent."),
-]
-PaperOption = Annotated[
-    bool, flag("--paper", "Speed, error, torque and delay by matplotlib, light; no viewer.")
-]
 
 
 def picture(
     run: RunArgument,
-    out: OutArgument,
-    page: PageOption = None,
-    at: AtOption = None,
-    span: SpanOption = None,
-    paper: PaperOption = False,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The picture: .png; --paper: .svg, .pdf too.")],
+    page: Annotated[
+        str | None, valued("--page", "PAGE", "overview, AXIS, timing, controller, zoom, zoom/AXIS.")
+    ] = None,
+    at: Annotated[
+        float | None, valued("--at", "S", "The cursor, s since the first cycle; the end if absent.")
+    ] = None,
+    span: Annotated[
+        float | None, valued("--span", "S", "So much time about --at; all if absent.", min=1e-6)
+    ] = None,
+    paper: Annotated[
+        bool, flag("--paper", "Speed, error, torque and delay by matplotlib, light; no viewer.")
+    ] = False,
 ) -> None:
     """Draw a recorded run: what a user sees on opening it, without a window; or a figure for a paper.
 
     Exit status: 0 drawn, 2 bad input, 3 the viewer cannot run here.
     """
-    with reported_errors():
-        if span is not None and at is None:
-            raise BadInput("--span", "", f"{span:g}", "--at beside it: about which instant")
-        if out.is_dir() or not out.parent.is_dir():
-            raise BadInput("OUT", "", str(out), "a file in a folder that is there")
-        window = (None, None) if at is None or span is None else (at - span / 2, at + span / 2)
-        if paper:
-            if page is not None:
-                raise BadInput("--page", "", page, "no --paper beside it")
-            from drivers.bounded_file import writing
-            from hil.recorded.paper import paper_figure, save_figure
-            from hil.recorded.recorded_run import open_run, signals_of
+    if span is not None and at is None:
+        raise BadInput("--span", "", f"{span:g}", "--at beside it: about which instant")
+    if out.is_dir() or not out.parent.is_dir():
+        raise BadInput("OUT", "", str(out), "a file in a folder that is there")
+    window = (None, None) if at is None or span is None else (at - span / 2, at + span / 2)
+    if paper:
+        if page is not None:
+            raise BadInput("--page", "", page, "no --paper beside it")
+        from drivers.bounded_file import writing
+        from hil.recorded.paper import paper_figure, save_figure
+        from hil.recorded.recorded_run import open_run, signals_of
 
-            figure = paper_figure(signals_of(open_run(run)), *window)
-            with writing("OUT", out):
-                save_figure(figure, out)
-        else:
-            if out.suffix != ".png":
-                raise BadInput("OUT", "", str(out), "a file that ends in .png, or --paper")
-            from drivers.bounded_file import write_file
-            from hil.recorded.viewer import draw_page
+        figure = paper_figure(signals_of(open_run(run)), *window)
+        with writing("OUT", out):
+            save_figure(figure, out)
+    else:
+        if out.suffix != ".png":
+            raise BadInput("OUT", "", str(out), "a file that ends in .png, or --paper")
+        from drivers.bounded_file import write_file
+        from hil.recorded.viewer import draw_page
 
-            write_file("OUT", out, draw_page(run, page, at, window))
-        say_written(out)
+        write_file("OUT", out, draw_page(run, page, at, window))
+    say_written(out)

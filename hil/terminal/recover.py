@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption
 from hil.terminal.output import put
 
@@ -18,12 +17,11 @@ def recover(
 
     A whole recording is never touched. Exit status: 0 recovered, 2 nothing to recover, 5 the disk is full.
     """
-    with reported_errors():
-        from hil.configuration.bench_file import load_bench
-        from hil.execution.recovered_run import recover_run, refuse_whole
-        from hil.terminal.report import print_run
+    from hil.configuration.bench_file import load_bench
+    from hil.execution.recovered_run import recover_run, refuse_whole
+    from hil.terminal.report import print_run
 
-        refuse_whole(run)
-        config = load_bench(run / "bench.toml")
-        summary = recover_run(config, run)
-        put(summary.as_json(), as_json, lambda _figures: print_run(config, summary))
+    refuse_whole(run)
+    config = load_bench(run / "bench.toml")
+    summary = recover_run(config, run)
+    put(summary.as_json(), as_json, lambda _figures: print_run(config, summary))

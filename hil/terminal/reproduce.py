@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, motor_file, valued
 from hil.terminal.output import print_figures, put, say_written
 
@@ -21,16 +20,15 @@ def azaiz2007(
     as_json: JsonOption = False,
 ) -> None:
     """[Azaiz2007] in full: both current controllers, their margins, and the drive of Fig. 4."""
-    with reported_errors():
-        from design.papers.azaiz2007 import reproduce
+    from design.papers.azaiz2007 import reproduce
 
-        results, designs, runs = reproduce()
-        if figures is not None:
-            from hil.studies.current.pictures import draw_paper
+    results, designs, runs = reproduce()
+    if figures is not None:
+        from hil.studies.current.pictures import draw_paper
 
-            for path in draw_paper(designs, runs, figures):
-                say_written(path)
-        put(results, as_json, _print_azaiz2007)
+        for path in draw_paper(designs, runs, figures):
+            say_written(path)
+    put(results, as_json, _print_azaiz2007)
 
 
 def _print_azaiz2007(figures: dict[str, Any]) -> None:
@@ -94,21 +92,20 @@ def ling2012(
     as_json: JsonOption = False,
 ) -> None:
     """[Ling2012] in full: Table 2 by every method, the printed controller, and Cases 1 to 3 on the bench."""
-    with reported_errors():
-        if motor is not None:
-            _for_motor(motor, figures, as_json)
-            return
-        from drivers.timebase import utc_stamp
-        from hil.studies.papers.reproduction import reproduce
+    if motor is not None:
+        _for_motor(motor, figures, as_json)
+        return
+    from drivers.timebase import utc_stamp
+    from hil.studies.papers.reproduction import reproduce
 
-        runs = (figures or Path("runs")) / f"ling2012-{utc_stamp()}"
-        results, recorded = reproduce(runs, lambda text: typer.echo(text, err=True))
-        if figures is not None:
-            from hil.studies.papers.pictures import draw_ling2012
+    runs = (figures or Path("runs")) / f"ling2012-{utc_stamp()}"
+    results, recorded = reproduce(runs, lambda text: typer.echo(text, err=True))
+    if figures is not None:
+        from hil.studies.papers.pictures import draw_ling2012
 
-            for path in draw_ling2012(results, recorded, figures):
-                say_written(path)
-        put(results, as_json, _print_ling2012)
+        for path in draw_ling2012(results, recorded, figures):
+            say_written(path)
+    put(results, as_json, _print_ling2012)
 
 
 def _for_motor(motor: Path, figures: Path | None, as_json: bool) -> None:

@@ -5,30 +5,26 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, RunArgument, valued
 from hil.terminal.output import columns, put, say_written
 
 if TYPE_CHECKING:
     from hil.recorded.judgement import Judged
 
-AgainstOption = Annotated[
-    Path | None,
-    valued(
-        "--against",
-        "REQUIREMENTS.toml",
-        "A table \\[verdict] as in a bench file; the run's own limits if absent.",
-    ),
-]
-ReportOption = Annotated[
-    Path | None, valued("--report", "FILE", "Write a report with pictures: one .html or .md file.")
-]
-
 
 def review(
     run: RunArgument,
-    against: AgainstOption = None,
-    report: ReportOption = None,
+    against: Annotated[
+        Path | None,
+        valued(
+            "--against",
+            "REQUIREMENTS.toml",
+            "A table \\[verdict] as in a bench file; the run's own limits if absent.",
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None, valued("--report", "FILE", "Write a report with pictures: one .html or .md file.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Judge a recorded run by its own limits or by others, from the recording alone.
@@ -36,18 +32,17 @@ def review(
     What a controller is certified for counts too: a run with --allow-uncertified that left it has not passed
     here. Exit status: as docs/verdict.md has it; 2 for what is no whole recording.
     """
-    with reported_errors():
-        from hil.recorded.judgement import judge_run
-        from hil.recorded.recorded_run import open_run
+    from hil.recorded.judgement import judge_run
+    from hil.recorded.recorded_run import open_run
 
-        judged = judge_run(open_run(run), against)
-        put(judged.summary.as_json(), as_json, lambda _figures: _print(judged))
-        if report is not None:
-            from hil.recorded.report import write_report
+    judged = judge_run(open_run(run), against)
+    put(judged.summary.as_json(), as_json, lambda _figures: _print(judged))
+    if report is not None:
+        from hil.recorded.report import write_report
 
-            write_report(judged, report)
-            say_written(report)
-        raise typer.Exit(judged.summary.verdict.exit_status)
+        write_report(judged, report)
+        say_written(report)
+    raise typer.Exit(judged.summary.verdict.exit_status)
 
 
 def _print(judged: "Judged") -> None:

@@ -17,8 +17,8 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 class RunObject:
     """Of one call of the command."""
 
-    def __init__(self, wanted: bool) -> None:
-        self._wanted = wanted
+    def __init__(self, as_json: bool) -> None:
+        self._as_json = as_json
         self._summary: Summary | None = None
 
     def concluded(self, summary: Summary) -> None:
@@ -41,7 +41,7 @@ class RunObject:
 
     def print(self, summary: Summary) -> None:
         """Print it, if it was asked for."""
-        if self._wanted:
+        if self._as_json:
             typer.echo(json.dumps(summary.as_json(), allow_nan=False))
 
 
@@ -55,9 +55,9 @@ class RunCommand(TyperCommand):
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         """As click does."""
-        wanted = "--json" in args
+        as_json = "--json" in args
         try:
             return super().make_context(info_name, args, parent, **extra)
         except _USAGE_ERROR as error:
-            RunObject(wanted).failed(ExitStatus.BAD_INPUT, str(error))
+            RunObject(as_json).failed(ExitStatus.BAD_INPUT, str(error))
             raise

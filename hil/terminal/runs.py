@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.printable import printable
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, valued
 from hil.terminal.output import put, say, write_line
 
@@ -38,13 +37,12 @@ def runs(
 
     Exit status: 0, also if there is none; 2 for a DIR that is no folder.
     """
-    with reported_errors():
-        from hil.reviewing.run_index import RunFilter, list_runs
+    from hil.reviewing.run_index import RunFilter, list_runs
 
-        local = None if since is None else since.astimezone()
-        chosen = RunFilter(bench, drive, controller, verdict, commit, local)
-        listed = list_runs(folder, chosen)
-        put({"runs": [run.as_json() for run in listed]}, as_json, lambda _figures: _print(listed, folder))
+    local = None if since is None else since.astimezone()
+    chosen = RunFilter(bench, drive, controller, verdict, commit, local)
+    listed = list_runs(folder, chosen)
+    put({"runs": [run.as_json() for run in listed]}, as_json, lambda _figures: _print(listed, folder))
 
 
 def _print(listed: "list[ListedRun]", folder: Path) -> None:

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, bitrate_option, bus_option, flag, valued
 from hil.terminal.output import columns, put, say
 
@@ -29,37 +28,36 @@ def scan(
     ] = False,
     passive: Annotated[bool, flag("--passive", "Only listen; send nothing at all.")] = False,
     listen: Annotated[
-        float, typer.Option("--listen", min=0.0, max=600.0, help="How long to listen before asking, s.")
+        float, valued("--listen", None, "How long to listen before asking, s.", min=0.0, max=600.0)
     ] = 1.5,
     as_json: JsonOption = False,
 ) -> None:
     """The adapters of this machine; with --bus also who is on it. A running network is not disturbed."""
-    with reported_errors():
-        from drivers.canopen.nmt_states import UNCONFIGURED
-        from drivers.errors import BadInput
-        from drivers.timebase import duration_s
-        from drivers.wire.adapters import parse_bus_spec
-        from hil.inspecting.scanning import ScanPlan, find_adapters, scan_bus
-        from hil.terminal.node_list import node_ids
+    from drivers.canopen.nmt_states import UNCONFIGURED
+    from drivers.errors import BadInput
+    from drivers.timebase import duration_s
+    from drivers.wire.adapters import parse_bus_spec
+    from hil.inspecting.scanning import ScanPlan, find_adapters, scan_bus
+    from hil.terminal.node_list import node_ids
 
-        plan = None
-        if bus is not None:
-            nodes = node_ids(assign, "--assign") if assign else []
-            if UNCONFIGURED in nodes:
-                raise BadInput("--assign", "", UNCONFIGURED, "a node-ID 1..127")
-            spec = parse_bus_spec(bus)
-            plan = ScanPlan(spec, bitrate, duration_s(listen), passive, tuple(nodes), store)
-        elif assign or passive or bitrate is not None:
-            raise BadInput("--bus", "", None, "the bus to look at")
-        if plan is None:
-            adapters = find_adapters()
-            figures = {"adapters": adapters.as_json(), "bus": None}
-            put(figures, as_json, lambda _figures: _print_adapters(adapters))
-        elif as_json:
-            report = scan_bus(plan, say)
-            typer.echo(json.dumps({"adapters": find_adapters().as_json(), "bus": report.as_json()}))
-        else:
-            _print_bus(scan_bus(plan, say))
+    plan = None
+    if bus is not None:
+        nodes = node_ids(assign, "--assign") if assign else []
+        if UNCONFIGURED in nodes:
+            raise BadInput("--assign", "", UNCONFIGURED, "a node-ID 1..127")
+        spec = parse_bus_spec(bus)
+        plan = ScanPlan(spec, bitrate, duration_s(listen), passive, tuple(nodes), store)
+    elif assign or passive or bitrate is not None:
+        raise BadInput("--bus", "", None, "the bus to look at")
+    if plan is None:
+        adapters = find_adapters()
+        figures = {"adapters": adapters.as_json(), "bus": None}
+        put(figures, as_json, lambda _figures: _print_adapters(adapters))
+    elif as_json:
+        report = scan_bus(plan, say)
+        typer.echo(json.dumps({"adapters": find_adapters().as_json(), "bus": report.as_json()}))
+    else:
+        _print_bus(scan_bus(plan, say))
 
 
 def _print_adapters(adapters: "Adapters") -> None:

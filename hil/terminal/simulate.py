@@ -1,11 +1,11 @@
 """``hil simulate``: simulated drives as a process of their own."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import (
     BitrateOption,
     DriveFaultsOption,
@@ -19,120 +19,114 @@ from hil.terminal.options import (
 )
 from hil.terminal.output import say
 
-BusOption = Annotated[str, bus_option("A real-time bus: hub:NAME, socketcan:vcan0, ...")]
-NodeOption = Annotated[
-    list[str] | None,
-    valued(
-        "--node",
-        "N...",
-        "Node ids: 1, or 1,2, or 1-3, or unconfigured, "
-        "or unconfigured:3 (LSS gives them one); may be repeated. "
-        "If absent: the one of the DCF.",
-    ),
-]
-SerialOption = Annotated[
-    list[str] | None,
-    valued(
-        "--serial",
-        "N...",
-        "Serial numbers (1018h:04), one for each node, or that of the first, from which the others "
-        "count up. If absent: the node id, and 255, 256 ... of those without.",
-    ),
-]
-EdsOption = Annotated[Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the device to rehearse.")]
-StoreOption = Annotated[
-    Path | None, valued("--store", "FILE", "Where 1010h and LSS store; made when first stored to.")
-]
-ExportOption = Annotated[
-    Path | None, valued("--export-eds", "FILE", "Write the EDS of the simulated drive there.")
-]
-BackgroundOption = Annotated[
-    Path | None, valued("--background", "FILE", "Other nodes' traffic: a file of tables 'background'.")
-]
-LoadMachineOption = Annotated[
-    Path | None,
-    valued(
-        "--load-machine",
-        "PATH",
-        "A Magtrol dynamometer on the first drive's shaft; PATH: link to make to its serial port.",
-    ),
-]
-LoadMachineFaultOption = Annotated[
-    list[str] | None,
-    valued(
-        "--load-machine-fault",
-        "NAME=VALUE",
-        "A fault of its serial line, e.g. garble=0.01, terminator=0.1, baud=9600; repeatable.",
-    ),
-]
-LoadOption = Annotated[
-    list[str] | None,
-    valued(
-        "--load",
-        "NODE=FILE",
-        "CSV or Parquet with time_s and torque_nm that a bench can have its shaft bear; repeatable.",
-    ),
-]
-CurrentControlOption = Annotated[
-    list[Path] | None,
-    valued("--current-control", "FILE", "Current controller of the q or d axis, repeatable."),
-]
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulateOptions:
+    """Of ``hil simulate``."""
+
+    bus: Annotated[str, bus_option("A real-time bus: hub:NAME, socketcan:vcan0, ...")]
+    node: Annotated[
+        list[str] | None,
+        valued(
+            "--node",
+            "N...",
+            "Node ids: 1, or 1,2, or 1-3, or unconfigured, "
+            "or unconfigured:3 (LSS gives them one); may be repeated. "
+            "If absent: the one of the DCF.",
+        ),
+    ] = None
+    more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None
+    serial: Annotated[
+        list[str] | None,
+        valued(
+            "--serial",
+            "N...",
+            "Serial numbers (1018h:04), one for each node, or that of the first, from which the others "
+            "count up. If absent: the node id, and 255, 256 ... of those without.",
+        ),
+    ] = None
+    motor: DriveMotorOption = None
+    faults: DriveFaultsOption = None
+    eds: Annotated[
+        Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the device to rehearse.")
+    ] = None
+    store: Annotated[
+        Path | None, valued("--store", "FILE", "Where 1010h and LSS store; made when first stored to.")
+    ] = None
+    export_eds: Annotated[
+        Path | None, valued("--export-eds", "FILE", "Write the EDS of the simulated drive there.")
+    ] = None
+    background: Annotated[
+        Path | None, valued("--background", "FILE", "Other nodes' traffic: a file of tables 'background'.")
+    ] = None
+    load: Annotated[
+        list[str] | None,
+        valued(
+            "--load",
+            "NODE=FILE",
+            "CSV or Parquet with time_s and torque_nm that a bench can have its shaft bear; repeatable.",
+        ),
+    ] = None
+    load_machine: Annotated[
+        Path | None,
+        valued(
+            "--load-machine",
+            "PATH",
+            "A Magtrol dynamometer on the first drive's shaft; PATH: link to make to its serial port.",
+        ),
+    ] = None
+    load_machine_fault: Annotated[
+        list[str] | None,
+        valued(
+            "--load-machine-fault",
+            "NAME=VALUE",
+            "A fault of its serial line, e.g. garble=0.01, terminator=0.1, baud=9600; repeatable.",
+        ),
+    ] = None
+    current_control: Annotated[
+        list[Path] | None,
+        valued("--current-control", "FILE", "Current controller of the q or d axis, repeatable."),
+    ] = None
+    bitrate: BitrateOption = 1_000_000
+    force: Annotated[bool, flag("--force", "Join although a node with such an id is on the bus.")] = False
+    seed: SeedOption = None
 
 
-def simulate(
-    bus: BusOption,
-    node: NodeOption = None,
-    more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None,
-    serial: SerialOption = None,
-    motor: DriveMotorOption = None,
-    faults: DriveFaultsOption = None,
-    eds: EdsOption = None,
-    store: StoreOption = None,
-    export_eds: ExportOption = None,
-    background: BackgroundOption = None,
-    load: LoadOption = None,
-    load_machine: LoadMachineOption = None,
-    load_machine_fault: LoadMachineFaultOption = None,
-    current_control: CurrentControlOption = None,
-    bitrate: BitrateOption = 1_000_000,
-    force: Annotated[bool, flag("--force", "Join although a node with such an id is on the bus.")] = False,
-    seed: SeedOption = None,
-) -> None:
+def simulate(asked: SimulateOptions) -> None:
     """Simulated drives as a process of their own on a real-time bus, until Ctrl-C."""
-    with reported_errors():
-        from drivers.bounded_file import NamedBy
-        from hil.configuration.background import load_background
-        from hil.configuration.motor_file import LING2012
-        from hil.execution.device_files import DeviceFiles
-        from hil.load.simulated_load import load_tables
-        from hil.terminal.node_list import node_ids, serial_numbers
+    from drivers.bounded_file import NamedBy
+    from hil.configuration.background import load_background
+    from hil.configuration.motor_file import LING2012
+    from hil.execution.device_files import DeviceFiles
+    from hil.load.simulated_load import load_tables
+    from hil.terminal.node_list import node_ids, serial_numbers
 
-        files = DeviceFiles(eds, store, export_eds)
-        typed = [*(node or []), *(more_nodes or [])]
-        if not typed and (commissioned := files.commissioned_node()) is not None:
-            typed = [str(commissioned)]
-        nodes = node_ids(typed)
-        parameters = (motor_file(motor, "--motor") if motor else LING2012).parameters
-        named_by = NamedBy("--background", "", str(background))
-        others = load_background(background, named_by) if background else ()
+    files = DeviceFiles(asked.eds, asked.store, asked.export_eds)
+    typed = [*(asked.node or []), *(asked.more_nodes or [])]
+    if not typed and (commissioned := files.commissioned_node()) is not None:
+        typed = [str(commissioned)]
+    nodes = node_ids(typed)
+    parameters = (motor_file(asked.motor, "--motor") if asked.motor else LING2012).parameters
+    named_by = NamedBy("--background", "", str(asked.background))
+    others = load_background(asked.background, named_by) if asked.background else ()
 
-        from hil.execution.simulated_drives import simulate as simulate_drives
-        from hil.load.simulated_load import SimulatedLoadMachine
+    from hil.execution.simulated_drives import simulate as simulate_drives
+    from hil.load.simulated_load import SimulatedLoadMachine
 
-        instrument = SimulatedLoadMachine.wanted(load_machine, load_machine_fault or [], parameters)
-        simulate_drives(
-            bus_spec=bus,
-            nodes=nodes,
-            serials=serial_numbers(serial or [], len(nodes)),
-            motor=parameters,
-            faults=fault_plan(faults),
-            bitrate_bit_s=bitrate,
-            seed=seed or 0,
-            announce=say,
-            files=files,
-            background=others,
-            current_control=current_control or (),
-            loads=load_tables(load or [], nodes),
-            load_machine=instrument,
-            force=force,
-        )
+    instrument = SimulatedLoadMachine.wanted(asked.load_machine, asked.load_machine_fault or [], parameters)
+    simulate_drives(
+        bus_spec=asked.bus,
+        nodes=nodes,
+        serials=serial_numbers(asked.serial or [], len(nodes)),
+        motor=parameters,
+        faults=fault_plan(asked.faults),
+        bitrate_bit_s=asked.bitrate,
+        seed=asked.seed or 0,
+        announce=say,
+        files=files,
+        background=others,
+        current_control=asked.current_control or (),
+        loads=load_tables(asked.load or [], nodes),
+        load_machine=instrument,
+        force=asked.force,
+    )

@@ -4,7 +4,6 @@ from typing import Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import BitrateOption, DriveBusOption, JsonOption, valued
 from hil.terminal.output import put
 from hil.verdict.verdict import ExitStatus
@@ -22,16 +21,15 @@ def stop(
 
     Exit status: 0 all at rest and disabled, 2 bad input, 3 a drive is not, or does not answer.
     """
-    with reported_errors():
-        from hil.execution.world import drive_network
-        from hil.inspecting.stopping import stop_drives
-        from hil.terminal.node_list import drive_ids
+    from hil.execution.world import drive_network
+    from hil.inspecting.stopping import stop_drives
+    from hil.terminal.node_list import drive_ids
 
-        nodes = drive_ids(node) if node else []
-        with drive_network(bus, bitrate) as network:
-            stopped = stop_drives(network, nodes)
-        at_rest = all(each.at_rest for each in stopped)
-        lines = [f"node {each.node}: {each.text} (after {each.took_ms:.0f} ms)" for each in stopped]
-        figures = {"at_rest": at_rest, "nodes": [each._asdict() for each in stopped]}
-        put(figures, as_json, lambda _figures: typer.echo("\n".join(lines)))
-        raise typer.Exit(ExitStatus.PASSED if at_rest else ExitStatus.PEER_FAULT)
+    nodes = drive_ids(node) if node else []
+    with drive_network(bus, bitrate) as network:
+        stopped = stop_drives(network, nodes)
+    at_rest = all(each.at_rest for each in stopped)
+    lines = [f"node {each.node}: {each.text} (after {each.took_ms:.0f} ms)" for each in stopped]
+    figures = {"at_rest": at_rest, "nodes": [each._asdict() for each in stopped]}
+    put(figures, as_json, lambda _figures: typer.echo("\n".join(lines)))
+    raise typer.Exit(ExitStatus.PASSED if at_rest else ExitStatus.PEER_FAULT)

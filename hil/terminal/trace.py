@@ -13,7 +13,6 @@ import typer
 
 from drivers.errors import BadInput
 from drivers.printable import printable
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonLinesOption, bitrate_option, bus_option, flag, valued
 from hil.terminal.output import say, write_line
 
@@ -33,7 +32,7 @@ def trace(
         list[str] | None,
         valued("--eds", "[N=]FILE", "EDS, DCF, XDD or XDC of node N, or of every node; may be repeated."),
     ] = None,
-    node: Annotated[int | None, typer.Option("--node", min=1, max=127, help="Only this node.")] = None,
+    node: Annotated[int | None, valued("--node", None, "Only this node.", min=1, max=127)] = None,
     kind: Annotated[str | None, valued("--kind", "KIND,...", "Only these: pdo, sdo, emcy, nmt, ...")] = None,
     from_s: Annotated[float | None, valued("--from", "T", "From here on, s.")] = None,
     to_s: Annotated[float | None, valued("--to", "T", "Up to here, s.")] = None,
@@ -51,19 +50,18 @@ def trace(
 
     Times are s since the first cycle of a recording, or since the first frame of a log.
     """
-    with reported_errors():
-        from hil.reviewing.trace.trace_entry import TraceSelection
+    from hil.reviewing.trace.trace_entry import TraceSelection
 
-        selection = TraceSelection(node, _kinds(kind), from_s, to_s)
-        sheets = [_sheet(text) for text in eds or ()]
-        if live:
-            if source is not None or bus is None:
-                raise BadInput("--live", "", str(source or ""), "--bus SPEC, and no RUN or LOG beside it")
-            _follow(bus, bitrate, sheets, selection, as_json)
-        elif source is None or bus is not None:
-            raise BadInput("hil trace", "", str(bus or ""), "a RUN or LOG, or --live --bus SPEC")
-        else:
-            _read(source, differences, sheets, selection, as_json)
+    selection = TraceSelection(node, _kinds(kind), from_s, to_s)
+    sheets = [_sheet(text) for text in eds or ()]
+    if live:
+        if source is not None or bus is None:
+            raise BadInput("--live", "", str(source or ""), "--bus SPEC, and no RUN or LOG beside it")
+        _follow(bus, bitrate, sheets, selection, as_json)
+    elif source is None or bus is not None:
+        raise BadInput("hil trace", "", str(bus or ""), "a RUN or LOG, or --live --bus SPEC")
+    else:
+        _read(source, differences, sheets, selection, as_json)
 
 
 def _read(

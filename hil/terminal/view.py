@@ -2,7 +2,6 @@
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import RunArgument
 from hil.terminal.output import say
 
@@ -13,19 +12,18 @@ def view(run: RunArgument) -> None:
 
     Exit status: 0 opened, or told; 2 bad input.
     """
-    with reported_errors():
-        from hil.recorded.viewer import page_file
-        from hil.recording.log_files import start_viewer
+    from hil.recorded.viewer import page_file
+    from hil.recording.log_files import start_viewer
 
-        recording = page_file(run)
-        if missing_display():
-            from hil.terminal.report import viewer_command
+    recording = page_file(run)
+    if missing_display():
+        from hil.terminal.report import viewer_command
 
-            say(f"hil: no display here; on a machine with one: {viewer_command()} {recording}")
-            say(f"hil: as a picture: hil picture {run} page.png")
-            typer.echo(str(recording.resolve()))
-            return
-        start_viewer(str(recording.resolve()))
+        say(f"hil: no display here; on a machine with one: {viewer_command()} {recording}")
+        say(f"hil: as a picture: hil picture {run} page.png")
+        typer.echo(str(recording.resolve()))
+        return
+    start_viewer(str(recording.resolve()))
 
 
 def missing_display() -> bool:

@@ -113,13 +113,11 @@ def sampled_design(
 ) -> tuple[StateSpace, dict[str, Any]]:
     """The sampled controller and its figures. Raises BadInput for a rate that is too low."""
     assert request.rate_hz is not None
-    made: StateSpace | None = None
-    discrete: dict[str, Any] = {}
     try:
         beside = OtherAxis(tustin(other.controller, request.rate_hz, other.crossover_rad_s), 0.0)
-        if request.discrete:
-            made, discrete = _discrete(request, gamma, design)
-        controller = _tustin(request, design) if made is None else made
+        controller, discrete = (
+            _discrete(request, gamma, design) if request.discrete else (_tustin(request, design), {})
+        )
     except ValueError as error:
         raise BadInput("--sample-rate-hz", "", request.rate_hz, str(error)) from None
     sampled = sampled_figures(design.plant, controller, request.delay_samples)
@@ -152,10 +150,8 @@ def _discrete(request: CurrentRequest, gamma: float, design: AxisDesign) -> tupl
     """The controller for the sampled plant, and its figures beside those of the sampled continuous one."""
     assert request.rate_hz is not None
     plant, weights, delay = design.plant, design.weights, request.delay_samples
-    wanted = request.gamma if request.gamma is not None else (0.0 if request.gamma_factor else gamma)
-    synthesis = discrete_design(
-        plant, weights, wanted, request.gamma_factor or FACTOR, request.rate_hz, delay
-    )
+    kept = request.gamma if request.gamma is not None else (0.0 if request.gamma_factor else gamma)
+    synthesis = discrete_design(plant, weights, kept, request.gamma_factor or FACTOR, request.rate_hz, delay)
     if request.gamma is not None and synthesis.gamma > request.gamma:
         raise BadInput(
             "--gamma",
@@ -204,9 +200,9 @@ def _lowest_rate(
     request: CurrentRequest, design: AxisDesign, other: OtherAxis, speed_rad_s: float
 ) -> dict[str, float | None]:
     """The inner rates that hold the margin of this axis, and both axes stable at speed, by Tustin's rule."""
-    wanted = request.modulus_margin or MARGIN_KEPT * design.margins.modulus_margin
+    margin = request.modulus_margin or MARGIN_KEPT * design.margins.modulus_margin
     crossover, delay = design.margins.phase_margin_rad_s, request.delay_samples
-    for_margin = lowest_rate_hz(design.plant, design.controller, crossover, wanted, delay)
+    for_margin = lowest_rate_hz(design.plant, design.controller, crossover, margin, delay)
     crossovers = (crossover, other.crossover_rad_s)
     coupled = lowest_coupled_rate_hz(
         request.motor,
@@ -216,7 +212,7 @@ def _lowest_rate(
         delay,
     )
     return {
-        "modulus_margin": wanted,
+        "modulus_margin": margin,
         "margin_rate_hz": for_margin,
         "coupled_rate_hz": coupled,
         "rate_hz": None if coupled is None else max(for_margin, coupled),

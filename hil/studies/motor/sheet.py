@@ -128,8 +128,8 @@ def _errors(values: Mapping[str, float]) -> list[BadInput]:
     for group in GROUPS:
         given = [figure for figure in ways(group) if figure.key in values]
         if len(given) > 1 and group not in SEVERAL and not _same_poles(group, values):
-            told = " and ".join(f"{option(figure.key)} {values[figure.key]:g}" for figure in given)
-            errors.append(BadInput(SOURCE, GROUPS[group].question.lower(), told, "one of them"))
+            figures = " and ".join(f"{option(figure.key)} {values[figure.key]:g}" for figure in given)
+            errors.append(BadInput(SOURCE, GROUPS[group].question.lower(), figures, "one of them"))
     if not errors and not float(_pole_number(values)).is_integer():
         errors.append(
             BadInput(SOURCE, "--poles", values.get("poles"), "an even number; pairs are half of it")

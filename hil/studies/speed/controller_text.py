@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from design.delay.lmi import SOLVED, SOLVER
+from design.delay.lmi import SOLVER
 from design.motor import PmsmParameters
 from design.sampled.analysis import SampledAnalysis
 from design.sampled.bandwidth_range import BandwidthRange
@@ -60,18 +60,10 @@ def controller_of(result: DesignResult) -> StateFeedbackController:
 
 def _constant(result: DesignResult) -> dict[str, object]:
     """What is certified of the loop with the constant delay."""
-    certified = result.certified
-    if certified is None:
+    if result.certified is None:
         return {"solver": SOLVER, "status": "see sequences"}
     covered = result.bandwidths if result.sampled is None else None
-    return {
-        "gamma": certified.gain,
-        "gamma_all_bandwidths": None if covered is None else covered.gain,
-        "order": certified.order,
-        "solver": SOLVER,
-        "status": SOLVED,
-        "min_margin": certified.min_margin,
-    }
+    return result.certificate() | {"gamma_all_bandwidths": None if covered is None else covered.gain}
 
 
 def controller_text(controller: Section) -> str:

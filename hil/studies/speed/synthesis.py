@@ -107,7 +107,7 @@ class DesignResult:
             "feedback": request.way.feedback.value,
             "integral": request.way.integral,
             "target": "sampled" if request.way.for_sampled else "constant",
-            "certificate": self._certificate(),
+            "certificate": self.certificate(),
             "gamma_exact": finite(self.gamma_exact),
             "error_percent": request.percent(design.gain),
             "load_nm": request.load_nm,
@@ -122,7 +122,8 @@ class DesignResult:
         figures["robustness"] = _robustness(self)
         return figures
 
-    def _certificate(self) -> dict[str, Any]:
+    def certificate(self) -> dict[str, Any]:
+        """Of the loop with the constant delay, for JSON and file."""
         if self.certified is None:
             assert self.sampled is not None
             return {"solver": SOLVER, "status": "see sampled"}

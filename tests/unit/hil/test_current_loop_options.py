@@ -5,9 +5,19 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import BadInput
-from hil.terminal.current_loop_options import current_loop
+from hil.configuration.drive_current_loop import KnownLoop
+from hil.terminal.current_loop_options import CurrentLoopOptions
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
+def current_loop(
+    bench: Path | None, axis: str | None, commissioned: Path | None, bandwidth_hz: float | None
+) -> KnownLoop:
+    options = CurrentLoopOptions(
+        bench=bench, axis=axis, commissioned=commissioned, current_bandwidth_hz=bandwidth_hz
+    )
+    return options.known_loop()
 
 
 def test_without_anything_said_it_is_the_simulated_drives() -> None:

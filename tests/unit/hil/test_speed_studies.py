@@ -222,6 +222,15 @@ def test_what_cannot_be_designed_is_bad_input(arguments: tuple[str, ...], said: 
     assert "Traceback" not in err
 
 
+def test_a_delay_beside_a_network_is_told_in_ms(tmp_path: Path) -> None:
+    network = tmp_path / "n.toml"
+    network.write_text("[network]\nperiod_us = 1000\nlosses_in_a_row_max = 1\ndelay_max_us = 2000\n")
+    asked = ("--structure", "predictor", "--network", str(network), "--delay-ms", "64")
+    status, _, err = run("design", "speed", MOTOR, *asked)
+    assert status == 2
+    assert "--delay-ms: found 64.0, expected either --network or --delay-ms" in err
+
+
 def test_a_loop_that_is_not_certified_gets_no_file(tmp_path: Path) -> None:
     network, out = tmp_path / "n.toml", tmp_path / "k.toml"
     network.write_text("[network]\nperiod_us = 10000\nlosses_in_a_row_max = 5\ndelay_max_us = 4000\n")

@@ -1,4 +1,4 @@
-"""What commands print, line by line: curves as text, figures by name, advice, how far a campaign is."""
+"""What commands print, line by line: figures by name, advice, how far a campaign is."""
 
 import sys
 from pathlib import Path
@@ -11,40 +11,11 @@ from drivers.bounded_file import writing
 from drivers.errors import BadInput, BenchError
 from hil.campaign.campaign import CampaignProgress
 from hil.terminal.campaign import _duration, _ProgressLine
-from hil.terminal.current_report import advice, plot, print_current, root_text
+from hil.terminal.current_report import advice, print_current, root_text
 from hil.terminal.exit_status import error_text
 from hil.terminal.output import columns, figure_text, on_terminal, print_figures, titled
 
 Capture = pytest.CaptureFixture[str]
-
-
-def test_curves_lie_on_logarithmic_frequencies_and_the_later_one_is_on_top() -> None:
-    """Three decades on 64 columns, 40 dB on 11 rows: a decade is 21 columns, a row 4 dB."""
-    omega = [1.0, 10.0, 100.0, 1000.0]
-    shown = plot(
-        "gain", omega, {"S": [0.0, -20.0, -41.9, -50.0], "T": [9.0, -21.9, 1.9, -38.1]}, (-40.0, 0.0)
-    )
-    empty = [f"{-4 * row:8d} |" for row in range(11)]
-    empty[0] = f"{'0':>8} |S{' ' * 41}T"
-    empty[5] = f"{'-20':>8} |{' ' * 21}T"
-    empty[10] = f"{'-40':>8} |{' ' * 42}S{' ' * 20}T"
-    assert shown.split("\n") == [
-        "gain, dB", *empty, f"{'':8} +{'-' * 64}", f"{'':10}1e+00{'1e+03 rad/s':>59}"
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("value", "row"), [(41.9, 0), (38.1, 0), (37.9, 1), (21.9, 5), (1.9, 10), (-1.9, 10)]
-)
-def test_a_value_is_in_the_nearest_row(value: float, row: int) -> None:
-    lines = plot("g", [2.0, 200.0], {"x": [value, 100.0]}, (0.0, 40.0)).split("\n")[1:12]
-    assert [line[10:] for line in lines] == ["x" if place == row else "" for place in range(11)]
-
-
-@pytest.mark.parametrize("value", [42.1, -2.1])
-def test_what_is_beyond_the_range_is_not_drawn(value: float) -> None:
-    lines = plot("g", [2.0, 200.0], {"x": [value, value]}, (0.0, 40.0)).split("\n")[1:12]
-    assert {line[9:] for line in lines} == {"|"}
 
 
 def test_figures_are_printed_by_name_tables_inside_one_another(capsys: Capture) -> None:
