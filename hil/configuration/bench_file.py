@@ -58,8 +58,8 @@ def bench_from(raw: Mapping[str, Any], source: str, folder: Path) -> BenchConfig
     try:
         config = BenchConfig.model_validate(tables)
     except ValidationError as error:
-        found = translate(error, source, tables, BenchConfig)
-        raise_all(errors + [item for item in found if not expansion.failed_at(item.key)])
+        faults = translate(error, source, tables, BenchConfig)
+        raise_all(errors + [item for item in faults if not expansion.failed_at(item.key)])
     if errors:
         raise_all(errors)
     if errors := cross_faults(config, source):

@@ -200,8 +200,8 @@ class _Run:
     def write_fault_report(self, folder: Path, error: str) -> None:
         """Beside the recording, which is closed: what was seen before the end."""
         makes = {drive.node_id: drive.control.make for drive in self._drives}
-        told = sorted({e for drive in self._drives for e in drive.network.emergencies}, key=lambda e: e.at)
-        write_fault_report(folder, error, told, makes, self.world.clock.now())
+        sent = sorted({e for drive in self._drives for e in drive.network.emergencies}, key=lambda e: e.at)
+        write_fault_report(folder, error, sent, makes, self.world.clock.now())
 
     def _run_and_release(self) -> None:
         try:
@@ -262,7 +262,13 @@ class _Run:
         self._enter("running")
         wall = MonotonicClock()
         began = wall.now()
-        ended = self._cycles(loop, timing)
+        period_s = timing.period / NS_PER_S
+        ended = loop.run(
+            duration_s(self.config.bench.duration_s),
+            self.stop,
+            self._start,
+            lambda done: self._note_progress(done * period_s),
+        )
         took = Duration(wall.now() - began)
         self._note_ended(ended, took)
         if not ended.interrupted:
@@ -295,15 +301,6 @@ class _Run:
                 self._say(f"{drive.name}: {note}", "INFO" if note.endswith(DONE) else "WARN")
             self._note_state(drive)
             self.stop.check()
-
-    def _cycles(self, loop: Loop, timing: LoopTiming) -> LoopOutcome:
-        period_s = timing.period / NS_PER_S
-        return loop.run(
-            duration_s(self.config.bench.duration_s),
-            self.stop,
-            self._start,
-            lambda done: self._note_progress(done * period_s),
-        )
 
     def _note_progress(self, time_s: float) -> None:
         self._watch.attend(time_s)

@@ -27,7 +27,9 @@ from virtual_bus.drive.data_sheet import ENCODER_COUNTS_MIN, lay_over, tell_moto
 from virtual_bus.drive.servo_parameters import DriveParameters
 
 REPAIRS_SHOWN = 5
+"""The others are counted."""
 _SERIAL_NUMBER = 4
+"""Sub-index of 1018h."""
 
 
 class DeviceFiles(NamedTuple):

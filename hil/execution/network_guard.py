@@ -326,9 +326,9 @@ def _unknown(
 ) -> Iterator[str]:
     """Premises of which nobody knows whether bench and drive keep them, in words."""
     if isinstance(certificate, LossCertificate):
-        made = certified_loop(made_for)
-        if made is not None and own is not None and not made.is_that_of_the_design(own.bandwidth_hz):
-            yield f"bandwidth: gain certified for a current loop of {made.bandwidth_hz:g} Hz alone"
+        loop = certified_loop(made_for)
+        if loop is not None and own is not None and not loop.is_that_of_the_design(own.bandwidth_hz):
+            yield f"bandwidth: gain certified for a current loop of {loop.bandwidth_hz:g} Hz alone"
         if isinstance(drive.controller, HinfSection) and drive.compensator.kind != "arrival":
             yield f"compensator: certified for arrival, the bench's is {drive.compensator.kind}"
     elif certificate is not None and certificate.sequences is None:

@@ -238,8 +238,8 @@ def find_load_machine(
     from hil.load.simulated_load import load_table
 
     if number != load_table(over_time.signal).number:
-        told = "another file" if number else "none"
-        expected = f"a drive that was started with this file; node {node_id} has {told}"
+        held = "another file" if number else "none"
+        expected = f"a drive that was started with this file; node {node_id} has {held}"
         remedy = f"hil simulate --load {node_id}={over_time.path}"
         raise BadInput(source, f"load.{axis}[0].path", over_time.path, expected, remedy)
     return ShaftLoad(network, node_id, over_time)
@@ -270,8 +270,8 @@ class LoadMachines:
         """
         if drive.name == self._config.load_machine_axis:
             return self._connect(drive.name, say)
-        wanted = self._config.load.get(drive.name, ())
-        machine = find_load_machine(drive.network, drive.node_id, self._config.source, drive.name, wanted)
+        entries = self._config.load.get(drive.name, ())
+        machine = find_load_machine(drive.network, drive.node_id, self._config.source, drive.name, entries)
         if machine is not None:
             machine.take_off()
             self._objects.append(machine)
@@ -308,11 +308,11 @@ class LoadMachines:
     def _connect(self, axis: str, say: Say) -> InstrumentLoadMachine:
         config, clock = self._config, self._network.clock
         assert config.load_machine is not None, "an axis has a load machine, so there is one"
-        wanted = config.load_machine
-        line = instrument_line(wanted, config.source, clock, self._servos.get(axis), config.bench.seed)
-        dynamometer = Dynamometer(line, clock, wanted.dialect, wanted.settings)
+        instrument = config.load_machine
+        line = instrument_line(instrument, config.source, clock, self._servos.get(axis), config.bench.seed)
+        dynamometer = Dynamometer(line, clock, instrument.dialect, instrument.settings)
         over_time = any(isinstance(entry, SignalFile) for entry in config.load.get(axis, ()))
-        every = wanted.settings.reading_every if over_time else None
+        every = instrument.settings.reading_every if over_time else None
         self._instrument = InstrumentLoadMachine(dynamometer, axis, self._network, self._record, every)
         say(f"{axis}: load machine on {line.name} is {self._instrument.connect()}", "INFO")
         return self._instrument

@@ -87,7 +87,8 @@ def _soft_limits() -> dict[int, int]:
     return {kind: resource.getrlimit(kind)[0] for kind in kinds}
 
 
-CAP_NET_ADMIN = 12
+CAP_NET_ADMIN, CAP_IPC_LOCK, CAP_SYS_NICE = 12, 14, 23
+"""<linux/capability.h>"""
 
 NOT_HARDWARE = frozenset(
     {"hub", "simulated", "virtual", "udp_multicast", "socketcand", "socketcan", "serial", "slcan"}
@@ -212,9 +213,6 @@ def _module_exists(machine: Machine, module: str) -> bool:
     listed = machine.text(*folder, "modules.dep") + machine.text(*folder, "modules.builtin")
     return f"/{module}.ko" in listed
 
-
-CAP_IPC_LOCK = 14
-CAP_SYS_NICE = 23
 
 RTPRIO_MIN = 50
 """hil/machine/realtime.py asks for this priority of SCHED_FIFO."""
