@@ -180,30 +180,25 @@ def _dropouts_max(period_s: float) -> int:
     return max(10, round(BLIND_MAX_S / period_s))
 
 
+@dataclass(frozen=True, slots=True)
 class Exerciser:
     """Runs controllers on the drive, one exercise after the other."""
 
-    def __init__(
-        self,
-        network: CanopenNetwork,
-        port: DrivePort,
-        timing: LoopTiming,
-        limits: MotionLimits,
-        should_stop: Callable[[], bool],
-        check_stop: Callable[[], None],
-        energy: EnergyMeter,
-        guard: BusGuard,
-    ) -> None:
-        """``should_stop``: asked each cycle. ``check_stop`` then raises what tells the caller to stop it."""
-        self.port = port
-        self.limits = limits
-        self.timing = timing
-        self.period_s = timing.period / NS_PER_S
-        self._network = network
-        self._should_stop = should_stop
-        self._check_stop = check_stop
-        self._energy = energy
-        self._guard = guard
+    network: CanopenNetwork
+    port: DrivePort
+    timing: LoopTiming
+    limits: MotionLimits
+    should_stop: Callable[[], bool]
+    """Asked each cycle."""
+    check_stop: Callable[[], None]
+    """Raises then what tells the caller to stop the drive."""
+    energy: EnergyMeter
+    guard: BusGuard
+
+    @property
+    def period_s(self) -> float:
+        """Of the loop, s."""
+        return self.timing.period / NS_PER_S
 
     def run(
         self,
@@ -245,22 +240,22 @@ class Exerciser:
         done: Callable[[], bool] = lambda: False,
     ) -> Recording:
         records: list[CycleRecord] = []
-        syncs = sync_log(self._network, self.timing.sync_latency, self.timing.period)
+        syncs = sync_log(self.network, self.timing.sync_latency, self.timing.period)
         axis = self._axis(controller, safety, reference, syncs, records)
-        pump, clock = self._network.frame_pump, self._network.clock
+        pump, clock = self.network.frame_pump, self.network.clock
         pace = OwnSync(pump, clock, self.timing.period, [syncs])
-        loop = Loop(pump, clock, [axis], pace, self.timing, self._guard.attend)
+        loop = Loop(pump, clock, [axis], pace, self.timing, self.guard.attend)
         # A reading that is still on its way from before would be taken for the answer to the first SYNC.
-        self._network.pump(Instant(self._network.clock.now() + self.timing.settle))
+        self.network.pump(Instant(clock.now() + self.timing.settle))
         self.port.take_readings()
         self.port.begin()
-        self._guard.arm({None: syncs}, own_sync=True)
+        self.guard.arm({None: syncs}, own_sync=True)
         loop.calibrate()
         loop.run(
-            duration_s(duration), lambda: self._should_stop() or done(), lambda _at: None, lambda _done: None
+            duration_s(duration), lambda: self.should_stop() or done(), lambda _at: None, lambda _done: None
         )
-        self._guard.calm()  # the SYNCs of other steps are not counted
-        self._check_stop()
+        self.guard.calm()  # the SYNCs of other steps are not counted
+        self.check_stop()
         return recording_of(records)
 
     def _axis(
@@ -275,7 +270,7 @@ class Exerciser:
         parts = AxisParts(
             name=port.drive.name,
             drive=port,
-            controller=Watched(controller, limits, port, self._energy),
+            controller=Watched(controller, limits, port, self.energy),
             compensator=Arrival(),
             guard=SafetyGuard(safety, self.period_s),
             reference=ReferenceProfile(reference),

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
+from drivers.canopen.data_types import DataType
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.cia402.objects402 import Object
@@ -38,7 +39,6 @@ _RECORDS: Final = (
 )
 _PROFILE: Final = (*(int(entry) for entry in Object), 0x60FE, 0x6403, 0x6404)
 _WRITE_ONLY: Final = "wo"
-_DOMAIN: Final = 0x0F
 
 
 def dump(
@@ -60,7 +60,7 @@ def dump(
 
 def _readable(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
     for variable in variables(dictionary):
-        if variable.access_type != _WRITE_ONLY and variable.data_type != _DOMAIN:
+        if variable.access_type != _WRITE_ONLY and variable.data_type != DataType.DOMAIN:
             yield variable
 
 

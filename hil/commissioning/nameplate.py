@@ -143,10 +143,10 @@ def read_motor(session: Session, outcome: StepOutcome) -> None:
     """What the drive was told of its motor."""
     identity = session.found.identity
     assert identity is not None, "the step 'identity' comes first"
-    told = read_told_motor(session.objects, identity.vendor, identity.product, identity.device_name)
-    session.found.motor = told
-    outcome.lines += told.not_told
-    if told.figures:
+    motor = read_told_motor(session.objects, identity.vendor, identity.product, identity.device_name)
+    session.found.motor = motor
+    outcome.lines += motor.not_told
+    if motor.figures:
         outcome.figures["told_by_drive"] = {
             name: {
                 "value": figure.value,
@@ -155,7 +155,7 @@ def read_motor(session: Session, outcome: StepOutcome) -> None:
                 "convention": figure.convention,
                 "by": figure.family,
             }
-            for name, figure in told.figures.items()
+            for name, figure in motor.figures.items()
         }
 
 
@@ -163,7 +163,7 @@ def settle_winding(session: Session, outcome: StepOutcome) -> None:
     """Take the drive's word or the nameplate's for each quantity. Raises StepFailed if they contradict each
     other by far, and nobody says which is right."""
     session.found.stated.clear()  # of an attempt that failed
-    plate, told = session.request.nameplate, session.found.motor
+    plate, motor = session.request.nameplate, session.found.motor
     rating, winding = plate.rating, plate.motor
     constant = rating.torque_nm / rating.current_a if rating.torque_nm and rating.current_a else None
     for name, printed in (
@@ -173,7 +173,7 @@ def settle_winding(session: Session, outcome: StepOutcome) -> None:
         (_CONSTANT, constant),
     ):
         _settle(session, outcome, name, printed)
-    current, poles = told.figures.get("rated_current_a"), told.figures.get("pole_pairs")
+    current, poles = motor.figures.get("rated_current_a"), motor.figures.get("pole_pairs")
     if current is not None:
         title, unit = _named(current)
         outcome.say(f"{title} {current.value:.4g} {unit}, {current}")

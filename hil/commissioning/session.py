@@ -263,8 +263,8 @@ class Session:
     def choose_period(self, mode: Mode) -> tuple[Duration, float]:
         """The shortest period that the bus bears, ns, and its load in percent."""
         plan = mode_plan(self.request.node, PlanWish(mode, coherent=True))
-        wanted = self.request.period_us
-        for period_us in (wanted,) if wanted is not None else PERIODS_US:
+        asked_us = self.request.period_us
+        for period_us in (asked_us,) if asked_us is not None else PERIODS_US:
             period = Duration(period_us * NS_PER_US)
             load = budget_of([plan], period, self.request.bitrate_bit_s).load_percent
             if load <= BUS_LOAD_MAX_PERCENT:

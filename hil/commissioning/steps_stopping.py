@@ -166,10 +166,10 @@ class StopProof(Step):
             at_limit_s = session.limits.speed_rad_s / measured.deceleration_rad_s2
             computed_s = _computed_s(session, measured.speed_rad_s)
             borne_s = _lag_s(session) + _SLOWER * (math.inf if computed_s is None else computed_s)
-            told = "not computed" if computed_s is None else f"{1e3 * computed_s:.0f} ms were computed"
+            computed = "not computed" if computed_s is None else f"{1e3 * computed_s:.0f} ms were computed"
             outcome.say(
-                f"from {measured.speed_rad_s:.3g} rad/s to rest in {1e3 * measured.time_s:.0f} ms, {told}; "
-                f"so {at_limit_s:.2f} s from the limit of speed"
+                f"from {measured.speed_rad_s:.3g} rad/s to rest in {1e3 * measured.time_s:.0f} ms, "
+                f"{computed}; so {at_limit_s:.2f} s from the limit of speed"
             )
             outcome.figures = {
                 "speed_rad_s": measured.speed_rad_s,

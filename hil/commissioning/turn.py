@@ -42,6 +42,8 @@ _HISTORY: Final = 12
 """Readings by which the motion is led on: over so many one count of the encoder is little of the speed."""
 _JUMP_TURNS: Final = 0.01
 """Less is motion led on wrongly: the steepest start, 8 turns/s in 0.25 s, makes 2e-4 at 1 ms a cycle."""
+_WORD: Final = 1 << 32
+"""6064h is an INTEGER32, and wraps."""
 _START: Final = 1 << 4
 """Of the controlword: homing starts as it rises."""
 
@@ -198,4 +200,5 @@ def hand_turn(session: Session) -> tuple[float | None, str]:
     after = objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
     if reply.lower().startswith("s") or after == before:
         return None, "the shaft was not turned by hand"
-    return float(abs(after - before)), "by hand"
+    apart = (after - before) % _WORD
+    return float(min(apart, _WORD - apart)), "by hand"

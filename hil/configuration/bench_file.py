@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import ValidationError
 
@@ -58,8 +58,8 @@ def bench_from(raw: Mapping[str, Any], source: str, folder: Path) -> BenchConfig
     try:
         config = BenchConfig.model_validate(tables)
     except ValidationError as error:
-        found = translate(error, source, tables, BenchConfig)
-        raise_all(errors + [item for item in found if not expansion.failed_at(item.key)])
+        faults = translate(error, source, tables, BenchConfig)
+        raise_all(errors + [item for item in faults if not expansion.failed_at(item.key)])
     if errors:
         raise_all(errors)
     if errors := cross_faults(config, source):
@@ -140,6 +140,18 @@ def strategy_of(
     return {"kind": "stamp", "delay_us": made_for.agreed_delay_us}
 
 
+_Reader = Callable[[Path, NamedBy], Any]
+_FILES_OF_DRIVE: Final[Mapping[str, _Reader]] = {
+    "motor": load_motor,
+    "controller": load_controller,
+    "commissioned": load_drive_file,
+}
+_FILES_OF_CURRENT_CONTROL: Final[Mapping[str, _Reader]] = {
+    "controller": partial(load_current_controller, axis="q"),
+    "controller_d": partial(load_current_controller, axis="d"),
+}
+
+
 class _Expansion:
     """Puts what the paths of a bench file name into its tables, and collects what fails."""
 
@@ -189,17 +201,7 @@ class _Expansion:
     def _drive(self, name: str, drive: Any) -> Any:
         if not isinstance(drive, Mapping):
             return drive
-        tables = dict(drive)
-        readers: dict[str, Callable[[Path, NamedBy], Any]] = {
-            "motor": load_motor,
-            "controller": load_controller,
-            "commissioned": load_drive_file,
-        }
-        for part, read in readers.items():
-            value = tables.get(part)
-            if isinstance(value, str):
-                named_by = NamedBy(self._source, f"drive.{name}.{part}", value)
-                tables[part] = self._attempt(named_by.key, partial(read, self._folder / value, named_by))
+        tables = self._files_in(f"drive.{name}", drive, _FILES_OF_DRIVE)
         for part in ("controller", "compensator"):
             if isinstance(tables.get(part), Mapping):
                 tables[part] = own_code_at(tables[part], self._folder)
@@ -214,17 +216,18 @@ class _Expansion:
                 tables["compensator"] = made_for
         control = tables.get("current_control")
         if isinstance(control, Mapping):
-            tables["current_control"] = self._current_control(name, control)
+            key = f"drive.{name}.current_control"
+            tables["current_control"] = self._files_in(key, control, _FILES_OF_CURRENT_CONTROL)
         return tables
 
-    def _current_control(self, name: str, control: Mapping[str, Any]) -> dict[str, Any]:
-        tables = dict(control)
-        for part, axis in (("controller", "q"), ("controller_d", "d")):
+    def _files_in(self, key: str, table: Mapping[str, Any], readers: Mapping[str, _Reader]) -> dict[str, Any]:
+        """``table`` with what its keys name by a path in place of it."""
+        tables = dict(table)
+        for part, read in readers.items():
             value = tables.get(part)
             if isinstance(value, str):
-                named_by = NamedBy(self._source, f"drive.{name}.current_control.{part}", value)
-                load = partial(load_current_controller, self._folder / value, named_by, axis)
-                tables[part] = self._attempt(named_by.key, load)
+                named_by = NamedBy(self._source, f"{key}.{part}", value)
+                tables[part] = self._attempt(named_by.key, partial(read, self._folder / value, named_by))
         return tables
 
     def _faults(self, tables: Any) -> Faults:

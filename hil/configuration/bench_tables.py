@@ -69,7 +69,7 @@ class Bench:
             if path[0] == "faults" and depth == 1 and part != "plan":
                 self._open_plan(place)
             if isinstance(place, list):
-                if not part.isdigit() or int(part) >= len(place):
+                if not part.isdecimal() or int(part) >= len(place):
                     expected = f"a number below {len(place)}, that of an entry of {'.'.join(path[:depth])}"
                     raise BadInput(self.source, key, part, expected)
                 entry: int | str = int(part)

@@ -87,20 +87,20 @@ class Limits(Section):
     @property
     def set_speed_rpm(self) -> float:
         """``set_speed_max_rpm``, or what stands for it."""
-        wanted = self.set_speed_max_rpm
-        return SET_SPEED_SHARE * self.speed_max_rpm if wanted is None else wanted
+        limit = self.set_speed_max_rpm
+        return SET_SPEED_SHARE * self.speed_max_rpm if limit is None else limit
 
     @property
     def set_acceleration_max_rad_s2(self) -> float | None:
         """``set_acceleration_max_rpm_s`` in rad/s^2."""
-        wanted = self.set_acceleration_max_rpm_s
-        return None if wanted is None else wanted * RAD_S_PER_RPM
+        limit = self.set_acceleration_max_rpm_s
+        return None if limit is None else limit * RAD_S_PER_RPM
 
     @property
     def quick_stop_deceleration_rad_s2(self) -> float | None:
         """``quick_stop_deceleration_rpm_s`` in rad/s^2."""
-        wanted = self.quick_stop_deceleration_rpm_s
-        return None if wanted is None else wanted * RAD_S_PER_RPM
+        deceleration = self.quick_stop_deceleration_rpm_s
+        return None if deceleration is None else deceleration * RAD_S_PER_RPM
 
 
 DriveMode = Literal["cst", "csv", "csp"]

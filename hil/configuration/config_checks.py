@@ -14,7 +14,7 @@ from drivers.errors import MISSING, BadInput
 from drivers.key_advice import nearest
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from drivers.wire.adapters import parse_bus_spec
-from hil.configuration.config import BenchConfig
+from hil.configuration.config import BenchConfig, Bus, BusSegment, Host
 from hil.configuration.config_axis import DriveConfig
 from hil.configuration.controller_kinds import StampCompensator
 from hil.configuration.mode_checks import Fault, mode_faults, reference_faults
@@ -76,23 +76,20 @@ def _segments(config: BenchConfig) -> Iterator[Fault]:
 
 
 def _times(config: BenchConfig) -> Iterator[Fault]:
-    loop, host = config.loop, config.host
+    loop = config.loop
     horizon_us = loop.horizon_periods * loop.period_us
     if loop.decide_after_us >= loop.period_us:
         yield "loop.decide_after_us", loop.decide_after_us, f"less than loop.period_us = {loop.period_us}", ""
     if loop.deadline_us > horizon_us:
         expected = f"at most horizon_periods * period_us = {horizon_us}"
         yield "loop.deadline_us", loop.deadline_us, expected, "a reading is given up before it could be late"
-    if host.heartbeat_timeout_ms <= host.heartbeat_ms:
-        expected = f"more than host.heartbeat_ms = {host.heartbeat_ms}"
-        remedy = f"{3 * host.heartbeat_ms} rides over two lost heartbeats"
-        yield "host.heartbeat_timeout_ms", host.heartbeat_timeout_ms, expected, remedy
-    for axis in config.axes:
-        drive = config.drive[axis]
-        if drive.heartbeat_timeout_ms <= drive.heartbeat_ms:
-            expected = f"more than drive.{axis}.heartbeat_ms = {drive.heartbeat_ms}"
-            remedy = f"{3 * drive.heartbeat_ms} rides over two lost heartbeats"
-            yield f"drive.{axis}.heartbeat_timeout_ms", drive.heartbeat_timeout_ms, expected, remedy
+    nodes: dict[str, Host | DriveConfig] = {"host": config.host}
+    nodes |= {f"drive.{axis}": config.drive[axis] for axis in config.axes}
+    for key, node in nodes.items():
+        if node.heartbeat_timeout_ms <= node.heartbeat_ms:
+            expected = f"more than {key}.heartbeat_ms = {node.heartbeat_ms}"
+            remedy = f"{3 * node.heartbeat_ms} rides over two lost heartbeats"
+            yield f"{key}.heartbeat_timeout_ms", node.heartbeat_timeout_ms, expected, remedy
     if config.bench.duration_s * 1e6 < loop.period_us:
         yield "bench.duration_s", config.bench.duration_s, "at least one loop.period_us", ""
 
@@ -121,12 +118,16 @@ def _postponed(config: BenchConfig) -> Iterator[Fault]:
 
 def _bus(config: BenchConfig) -> Iterator[Fault]:
     """The frames of a cycle must fit into it whatever their data are; other traffic comes on top."""
-    buses: list[tuple[str | None, str, int]] = [(None, "bus.bitrate_bit_s", config.bus.bitrate_bit_s)]
-    for index, each in enumerate(config.bus.segment):
-        buses.append((each.name, f"bus.segment[{index}].bitrate_bit_s", each.bitrate_bit_s))
-    for segment, key, bitrate_bit_s in buses:
-        axes = [axis for axis in config.axes if config.drive[axis].segment == segment]
-        yield from _cycle_fits(config, axes, key, bitrate_bit_s)
+    for key, name, segment in _every_segment(config):
+        axes = [axis for axis in config.axes if config.drive[axis].segment == name]
+        yield from _cycle_fits(config, axes, f"{key}.bitrate_bit_s", segment.bitrate_bit_s)
+
+
+def _every_segment(config: BenchConfig) -> Iterator[tuple[str, str | None, Bus | BusSegment]]:
+    """Key, name and tables of each; the first one is the bus itself, and has no name."""
+    yield "bus", None, config.bus
+    for index, segment in enumerate(config.bus.segment):
+        yield f"bus.segment[{index}]", segment.name, segment
 
 
 def _cycle_fits(config: BenchConfig, axes: Sequence[str], key: str, bitrate_bit_s: int) -> Iterator[Fault]:
@@ -183,21 +184,19 @@ def _time_of_frames_us(plans: Sequence[PdoPlan], period_us: int, bitrate_bit_s: 
 def _background(config: BenchConfig) -> Iterator[Fault]:
     """Other nodes' frames must not be taken for those of the bench and its drives."""
     nodes = {config.host.node, *(drive.node for drive in config.drive.values())}
-    traffic = [("bus.background", config.bus.background)]
-    for place, segment in enumerate(config.bus.segment):
-        traffic.append((f"bus.segment[{place}].background", segment.background))
-    for key, entries in traffic:
-        for index, entry in enumerate(entries):
+    for key, _, segment in _every_segment(config):
+        for index, entry in enumerate(segment.background):
+            place = f"{key}.background[{index}]"
             if entry.can_id == SYNC and not entry.extended and config.loop.sync == "foreign":
                 if entry.bytes_max or entry.remote:
-                    yield f"{key}[{index}].bytes_max", entry.bytes_max, "0: a SYNC without counter", ""
+                    yield f"{place}.bytes_max", entry.bytes_max, "0: a SYNC without counter", ""
                 continue
             of_node = entry.can_id > EMERGENCY and entry.can_id & NODE_BITS in nodes
             if (of_node or entry.can_id in BROADCASTS) and not entry.extended:
                 expected = (
                     "an identifier that CiA 301 gives neither to the whole network nor to a node of the bench"
                 )
-                yield f"{key}[{index}].can_id", f"0x{entry.can_id:X}", expected, ""
+                yield f"{place}.can_id", f"0x{entry.can_id:X}", expected, ""
 
 
 def _limits(config: BenchConfig) -> Iterator[Fault]:
@@ -229,7 +228,7 @@ def _profiles(config: BenchConfig) -> Iterator[Fault]:
         for axis, entries in profile.items():
             key = f"{table}.{axis}"
             if axis not in config.drive:
-                yield key, axis, f"one of the axes: {', '.join(config.axes)}", _did_you_mean(axis, config)
+                yield _no_axis(key, axis, config)
                 continue
             yield from _order(key, [entry.at_s for entry in entries], config.bench.duration_s)
     for axis in config.axes:
@@ -244,8 +243,7 @@ def _load_machine(config: BenchConfig) -> Iterator[Fault]:
     if machine.axis is None and len(config.axes) > 1:
         yield f"{key}.axis", MISSING, f"one of the axes: {', '.join(config.axes)}", ""
     elif machine.axis is not None and machine.axis not in config.drive:
-        expected = f"one of the axes: {', '.join(config.axes)}"
-        yield f"{key}.axis", machine.axis, expected, _did_you_mean(machine.axis, config)
+        yield _no_axis(f"{key}.axis", machine.axis, config)
     if machine.kind == "magtrol_dsp6001" and machine.channel != 1:
         yield f"{key}.channel", machine.channel, "1, the only channel of a DSP6001", ""
     for index, entry in enumerate(config.load.get(config.load_machine_axis or "", ())):
@@ -280,9 +278,9 @@ def _load_files(axis: str, entries: Sequence[Load], config: BenchConfig) -> Iter
             yield "loop.sync", config.loop.sync, expected, ""
 
 
-def _did_you_mean(axis: str, config: BenchConfig) -> str:
-    near = nearest(axis, config.axes)
-    return f"did you mean {near}?" if near else ""
+def _no_axis(key: str, name: str, config: BenchConfig) -> Fault:
+    near = nearest(name, config.axes)
+    return key, name, f"one of the axes: {', '.join(config.axes)}", f"did you mean {near}?" if near else ""
 
 
 def _order(key: str, times_s: list[float], duration_s: float) -> Iterator[Fault]:

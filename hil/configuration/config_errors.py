@@ -102,8 +102,8 @@ def _translate_one(
         return unknown_key(source, key, shown(detail["input"]), known)
     if kind in {"union_tag_not_found", "union_tag_invalid"}:
         kinds = [repr(name) for item in models_at(path, raw, model) for name in _kinds(item)]
-        found = detail["input"].get("kind", MISSING) if isinstance(detail["input"], Mapping) else MISSING
-        return BadInput(source, f"{key}.kind", shown(found), f"one of {_listed(kinds)}")
+        given = detail["input"].get("kind", MISSING) if isinstance(detail["input"], Mapping) else MISSING
+        return BadInput(source, f"{key}.kind", shown(given), f"one of {_listed(kinds)}")
     expected = _described(path, raw, model) if kind in _DESCRIBED else None
     return BadInput(source, key, shown(detail["input"]), expected or _expected(detail))
 

@@ -21,6 +21,7 @@ _PHASE_LOST_DEG: Final = 5.0
 _CASCADE: Final = 5.0
 """Inner bandwidth over outer crossover, at least: the inner loop then costs 11 degrees there."""
 _LOWEST_RAD_S, _HIGHEST_RAD_S, _BISECTIONS = 1e-3, 1e6, 60
+"""Nine decades halved so often are narrower than the last bit of a double."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +90,8 @@ def loop_fault(made_for: MadeFor, loop: KnownLoop, made_for_key: str) -> tuple[s
     by = f"for which {made_for_key}.current_loop certifies the controller"
     if made_for.current_loop is None:
         by = f"R/L of the winding, as {made_for_key} names no current_loop"
-    found = f"{loop.bandwidth_hz:.5g} Hz" + ("" if loop.order == 1 else f", of order {loop.order}")
-    return loop.key, found, f"a loop of first order of {range_text(certified)}, {by}"
+    own = f"{loop.bandwidth_hz:.5g} Hz" + ("" if loop.order == 1 else f", of order {loop.order}")
+    return loop.key, own, f"a loop of first order of {range_text(certified)}, {by}"
 
 
 def range_text(certified: CurrentLoop) -> str:

@@ -161,13 +161,11 @@ def load_network(path: Path) -> Network:
             f"hil run {path} --record DIR makes one",
         )
     network = validated(NetworkFile, tables, str(path)).network
-    if network.histogram and len(network.histogram.edges_us) != len(network.histogram.counts) + 1:
-        raise BadInput(
-            str(path),
-            "network.histogram.edges_us",
-            f"{len(network.histogram.edges_us)} edges",
-            f"one more than the {len(network.histogram.counts)} counts",
-        )
+    histograms = {"histogram": network.histogram, "command_histogram": network.command_histogram}
+    for name, each in histograms.items():
+        if each is not None and len(each.edges_us) != len(each.counts) + 1:
+            expected = f"one more than the {len(each.counts)} counts"
+            raise BadInput(str(path), f"network.{name}.edges_us", f"{len(each.edges_us)} edges", expected)
     return network
 
 

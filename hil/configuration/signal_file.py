@@ -59,15 +59,15 @@ def load_signal(path: Path) -> Signal:
 def _load(path: Path, _modified_ns: int, _size: int) -> Signal:
     """A file that is changed is read again."""
     table = _read(path)
-    told = [name for name in COLUMNS if name in table.column_names]
-    if TIME not in table.column_names or len(told) != 1:
+    names = [name for name in COLUMNS if name in table.column_names]
+    if TIME not in table.column_names or len(names) != 1:
         expected = f"{TIME} and one of {', '.join(COLUMNS)}"
         raise BadInput(str(path), "columns", ", ".join(table.column_names), expected)
     if not 1 <= table.num_rows <= ROWS_MAX:
         raise BadInput(str(path), "rows", table.num_rows, f"1 to {ROWS_MAX}")
     times = _numbers(table, TIME, path)
-    quantity, unit = COLUMNS[told[0]]
-    levels = _numbers(table, told[0], path) * unit
+    quantity, unit = COLUMNS[names[0]]
+    levels = _numbers(table, names[0], path) * unit
     falls = np.flatnonzero(np.diff(times) <= 0.0)
     if falls.size:
         place = int(falls[0]) + 1

@@ -99,10 +99,10 @@ class WeightsFile(Section):
 def load_weights(path: Path) -> Weights:
     """The weights in the file at ``path``. Raises BadInput or BadInputs."""
     file = load_file(WeightsFile, path, "weights file", NamedBy("--weights", "", str(path)))
-    made = []
+    weights = []
     for name in ("error", "control", "output"):
         try:
-            made.append(getattr(file, name).weight())
+            weights.append(getattr(file, name).weight())
         except ValueError as error:
             raise WeightRefused(str(path), name, str(error)) from None
-    return Weights(*made)
+    return Weights(*weights)

@@ -250,10 +250,10 @@ class _GuardedController(Controller):
 
     def telemetry(self) -> Sequence[float]:
         with self._guard.watching():
-            told = [float(value) for value in self._inner.telemetry()]
-        if len(told) != len(self._inner.channels()):
-            self._guard.refuse("telemetry", told, f"a value for each of {self._inner.channels()}")
-        return told
+            values = [float(value) for value in self._inner.telemetry()]
+        if len(values) != len(self._inner.channels()):
+            self._guard.refuse("telemetry", values, f"a value for each of {self._inner.channels()}")
+        return values
 
 
 class _GuardedCompensator(Compensator):

@@ -1,7 +1,7 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -145,43 +145,36 @@ def _check_axes(config: BenchConfig, controllers: Mapping[str, Controller]) -> N
             raise BadInput(config.source, "controllers", name, expected)
 
 
+@dataclass
 class _Run:
     """One run in its world, from connecting to the drives to closing the recording."""
 
-    def __init__(
-        self,
-        config: BenchConfig,
-        world: World,
-        recorder: RunRecorder,
-        conclusion: Conclusion,
-        stop: StopRequest,
-        progress: Progress,
-        code: Mapping[str, AxisCode],
-        certificates: Certificates,
-        servos: "Sequence[SimulatedServo]",
-        sheets: Mapping[str, LoadedDictionary],
-    ) -> None:
-        self._config = config
-        self._world = world
-        self._recorder = recorder
-        self._watch = RecordingWatch(recorder, config.recording.on_failure == "continue", progress, self._say)
-        self._stop = stop
-        self._progress = progress
-        self._code = code
-        self._certificates = certificates
-        self._sheets = sheets
+    config: BenchConfig
+    world: World
+    recorder: RunRecorder
+    conclusion: Conclusion
+    stop: StopRequest
+    progress: Progress
+    code: Mapping[str, AxisCode]
+    certificates: Certificates
+    servos: "Sequence[SimulatedServo]"
+    sheets: Mapping[str, LoadedDictionary]
+    _axes: list[Axis] = field(default_factory=list, init=False)
+    _enabled_from: Instant | None = field(default=None, init=False)
+    _zero: Instant | None = field(default=None, init=False)
+    _syncs: dict[str, SyncLog] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        config, world, recorder = self.config, self.world, self.recorder
+        goes_on = config.recording.on_failure == "continue"
+        self._watch = RecordingWatch(recorder, goes_on, self.progress, self._say)
         self._network = CanopenNetwork(world.link, world.clock, config.host.node)
         self._networks, self._master = masters(self._network, world)
-        self._axes: list[Axis] = []
-        self._conclusion = conclusion
-        self._enabled_from: Instant | None = None
-        self._zero: Instant | None = None
-        self._syncs: dict[str, SyncLog] = {}
         self._drives = [
             ServoDrive(self._networks[config.drive[name].segment], config.drive[name].node, name)
             for name in config.axes
         ]
-        self._load = LoadMachines(config, self._network, recorder, servos)
+        self._load = LoadMachines(config, self._network, recorder, self.servos)
         self._guard = BusGuard(self._networks, self._drives, config.guard, recorder.event, world.error_frames)
         if config.recording.frames:
             record_frames(world, recorder.tap)
@@ -193,22 +186,22 @@ class _Run:
         """
         for request in refused:
             self._say(f"not granted by the kernel: {request}", "WARN")
-        with self._conclusion.explaining(lambda: self._close(concluded)):
+        with self.conclusion.explaining(lambda: self._close(concluded)):
             self._run_and_release()
-            self._conclusion.came_to_its_end()
+            self.conclusion.came_to_its_end()
         return self._close(concluded)
 
     def _close(self, concluded: Callable[[Summary], None]) -> Summary:
-        self._world.faults.finish()
-        summary = self._recorder.close(self._conclusion.outcome)
+        self.world.faults.finish()
+        summary = self.recorder.close(self.conclusion.outcome)
         concluded(summary)
         return summary
 
     def write_fault_report(self, folder: Path, error: str) -> None:
         """Beside the recording, which is closed: what was seen before the end."""
         makes = {drive.node_id: drive.control.make for drive in self._drives}
-        told = sorted({e for drive in self._drives for e in drive.network.emergencies}, key=lambda e: e.at)
-        write_fault_report(folder, error, told, makes, self._world.clock.now())
+        sent = sorted({e for drive in self._drives for e in drive.network.emergencies}, key=lambda e: e.at)
+        write_fault_report(folder, error, sent, makes, self.world.clock.now())
 
     def _run_and_release(self) -> None:
         try:
@@ -222,12 +215,12 @@ class _Run:
     def _tell_end(self, error: BenchError) -> None:
         """What ended the run and in what states the drives are, each as of when it showed."""
         seen_at = error.seen_at if isinstance(error, PeerFault) else None
-        self._recorder.event(seen_at or self._world.clock.now(), "CRITICAL", str(error))
+        self.recorder.event(seen_at or self.world.clock.now(), "CRITICAL", str(error))
         for drive in self._drives:
             self._note_state(drive, drive.control.fault_seen_at if drive.state in FAULTY else None)
 
     def _run(self) -> None:
-        config, world = self._config, self._world
+        config, world = self.config, self.world
         timing = assembly.loop_timing(config)
         self._prepare(timing)
         syncs, pace = listen_for_syncs(config, world, self._networks, self._master, timing.period)
@@ -238,11 +231,11 @@ class _Run:
                 config,
                 number,
                 drive,
-                self._code[drive.name],
+                self.code[drive.name],
                 self._load.find(drive, self._say),
                 timing,
                 syncs[config.drive[drive.name].segment],
-                self._certificates.watched(drive.name, self._recorder.record, warn, self._stop),
+                self.certificates.watched(drive.name, self.recorder.record, warn, self.stop),
                 self._teller(drive),
             )
             for number, drive in enumerate(self._drives)
@@ -256,89 +249,86 @@ class _Run:
     def _calibrate_and_run(self, loop: Loop, timing: LoopTiming) -> None:
         self._enter("calibrating")
         loop.calibrate()
-        self._stop.check()
+        self.stop.check()
         self._enter("enabling")
         self._watch.confirm(self._network)
-        self._enabled_from = self._world.clock.now()
+        self._enabled_from = self.world.clock.now()
         for drive in self._drives:
             drive.enable(self._network.deadline_after(duration_s(ENABLE_TIMEOUT_S)))
             self._note_state(drive)
             self._tell_guard(drive)
-        self._stop.check()
+        self.stop.check()
         self._load.begin_with_next_sync()
         self._enter("running")
         wall = MonotonicClock()
         began = wall.now()
-        ended = self._cycles(loop, timing)
+        period_s = timing.period / NS_PER_S
+        ended = loop.run(
+            duration_s(self.config.bench.duration_s),
+            self.stop,
+            self._start,
+            lambda done: self._note_progress(done * period_s),
+        )
         took = Duration(wall.now() - began)
         self._note_ended(ended, took)
         if not ended.interrupted:
-            self._conclusion.look_at(self._drives)
+            self.conclusion.look_at(self._drives)
 
     def _prepare(self, timing: LoopTiming) -> None:
-        host = self._config.host
-        for note in (*self._certificates.notes, *self._certificates.doubts(), *odd_values(self._config)):
+        host = self.config.host
+        for note in (*self.certificates.notes, *self.certificates.doubts(), *odd_values(self.config)):
             self._say(note, "WARN")
-        for axis, code in self._code.items():
+        for axis, code in self.code.items():
             for key, kept in code.own.items():
                 self._say(f"{axis}: {key} {kept.name}, BLAKE2b {kept.digest}")
         self._enter("connecting")
         for drive in self._drives:
-            identity = connect(drive, host.connect_timeout_s, self._stop)
+            identity = connect(drive, host.connect_timeout_s, self.stop)
             self._say(f"{drive.name}: node {drive.node_id} is {identity}")
-            self._recorder.identity(self._world.clock.now(), drive.name, str(identity))
-            if (sheet := self._sheets.get(drive.name)) is not None:
+            self.recorder.identity(self.world.clock.now(), drive.name, str(identity))
+            if (sheet := self.sheets.get(drive.name)) is not None:
                 for note in identity_notes(identity, sheet):
                     self._say(f"{drive.name}: {note}", "WARN")
-            self._stop.check()
+            self.stop.check()
         self._enter("configuring")
         for drive in self._drives:
-            sheet = self._sheets.get(drive.name)
-            settings = drive_settings(self._config, drive.name, timing, sheet)
-            commissioned = self._config.drive[drive.name].commissioned
+            sheet = self.sheets.get(drive.name)
+            settings = drive_settings(self.config, drive.name, timing, sheet)
+            commissioned = self.config.drive[drive.name].commissioned
             if commissioned is not None:
                 write_commissioned(drive, commissioned)
             for note in drive.configure(settings):
                 self._say(f"{drive.name}: {note}", "INFO" if note.endswith(DONE) else "WARN")
             self._note_state(drive)
-            self._stop.check()
-
-    def _cycles(self, loop: Loop, timing: LoopTiming) -> LoopOutcome:
-        period_s = timing.period / NS_PER_S
-        return loop.run(
-            duration_s(self._config.bench.duration_s),
-            self._stop,
-            self._start,
-            lambda done: self._note_progress(done * period_s),
-        )
+            self.stop.check()
 
     def _note_progress(self, time_s: float) -> None:
         self._watch.attend(time_s)
-        self._world.faults.finish()
+        self.world.faults.finish()
 
     def _start(self, at: Instant) -> None:
         """The run's time zero: the fault plan and the recording count from here."""
         self._zero = at
-        self._recorder.begin(at)
+        self.recorder.begin(at)
         self._load.begin(at)
-        self._world.faults.start(at)
+        self.world.faults.start(at)
 
     def _note_ended(self, ended: LoopOutcome, took: Duration) -> None:
         if ended.cycles_missed:
-            own = self._config.loop.sync == "own"
+            own = self.config.loop.sync == "own"
             why = "the host was too late for it" if own else "it was not heard, or not in time"
             self._say(f"{ended.cycles_missed} cycles went without SYNC: {why}", "WARN")
-        if reason := f"ended by {self._stop.asked_by}" if ended.interrupted else "":
+        if reason := f"ended by {self.stop.asked_by}" if ended.interrupted else "":
             self._say(reason, "WARN")
-        for doubt in (doubts := distrust(self._axes, self._config.loop.period)):
+        for doubt in (doubts := distrust(self._axes, self.config.loop.period)):
             self._say(f"not trustworthy: {doubt}", "ERROR")
-        self._conclusion.ended(
+        self.conclusion.ended(
             ended,
             reason,
-            self._config.loop,
-            bus_load_percent=self._world.load_percent(ended.started_at, ended.ended_at),
+            self.config.loop,
+            bus_load_percent=self.world.load_percent(ended.started_at, ended.ended_at),
             realtime_factor=(ended.ended_at - ended.started_at) / max(took, 1),
-            network_notes=self._certificates.notes,
+            network_notes=self.certificates.notes,
             load_machine=self._load.figures(),
             timing=timing_report(self._axes, self._syncs, self._guard.counts),
             distrust=doubts,
@@ -357,38 +347,38 @@ class _Run:
         """Every way out of a run leads through here."""
         self._enter("stopping")
         self._guard.calm()
-        if errors := self._world.error_frames():
+        if errors := self.world.error_frames():
             self._say(f"{errors} error frames on the bus", "WARN")
-        if trouble := self._world.trouble():
+        if trouble := self.world.trouble():
             self._say(trouble, "WARN")
-        self._world.faults.stop()
+        self.world.faults.stop()
         stop_all(self._drives)
         self._load.take_off(self._say)  # a disabled drive holds no shaft against a load
         for drive in self._drives:
             release = drive.release()
             self._note_state(drive)
-            self._conclusion.released(drive, release)
+            self.conclusion.released(drive, release)
             if release.unwatched:
                 self._say(f"{drive.name}: {release.unwatched}", "ERROR")
             if not release.at_rest:
                 self._say(f"{drive.name}: not confirmed at rest: {release.evidence}", "ERROR")
             elif release.rested_at is not None:
-                self._recorder.event(release.rested_at, "INFO", f"{drive.name}: at rest")
+                self.recorder.event(release.rested_at, "INFO", f"{drive.name}: at rest")
         if self._enabled_from is not None:
             for drive in self._drives:
-                self._conclusion.told(drive, self._enabled_from, self._zero)
-        self._guard.end(self._world.clock.now())
-        self._progress("stopped", self._config.bench.duration_s)
+                self.conclusion.told(drive, self._enabled_from, self._zero)
+        self._guard.end(self.world.clock.now())
+        self.progress("stopped", self.config.bench.duration_s)
 
     def _enter(self, phase: str) -> None:
-        self._progress(phase, 0.0)
-        self._recorder.state(self._world.clock.now(), "phase", phase)
+        self.progress(phase, 0.0)
+        self.recorder.state(self.world.clock.now(), "phase", phase)
 
     def _note_state(self, drive: ServoDrive, seen_at: Instant | None = None) -> None:
         """``seen_at``: when the state showed; None: with the statusword that tells it."""
-        at = seen_at or drive.control.status_told_at or self._world.clock.now()
+        at = seen_at or drive.control.status_told_at or self.world.clock.now()
         label = "unknown" if drive.state is None else drive.state.value
-        self._recorder.state(at, f"{drive.name} drive", label)
+        self.recorder.state(at, f"{drive.name} drive", label)
 
     def _say(self, text: str, level: str = "INFO") -> None:
-        self._recorder.event(self._world.clock.now(), level, text)
+        self.recorder.event(self.world.clock.now(), level, text)

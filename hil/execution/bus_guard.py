@@ -40,6 +40,7 @@ _BOOT_UP: Final = b"\x00"
 _SDO_WRITE: Final = 1
 """Client command specifier of initiate download, CiA 301 7.2.4.3.3."""
 _MESSAGE_BYTES: Final = 8
+"""Of every SDO request, CiA 301 7.2.4.3."""
 
 
 class ForeignTraffic(PeerFault):
@@ -256,8 +257,8 @@ class BusGuard:
         def listen(emergency: Emergency) -> None:
             drive = drives.get(emergency.node_id)
             who = f"node {emergency.node_id}" if drive is None else drive.name
-            told = emergency.told() if drive is None else emergency.told(*drive.control.make)
-            self._count(f"{who}: EMCY {emergency.code:04X}h", emergency.at, f"{who}: {told}", 1)
+            text = emergency.told() if drive is None else emergency.told(*drive.control.make)
+            self._count(f"{who}: EMCY {emergency.code:04X}h", emergency.at, f"{who}: {text}", 1)
 
         return listen
 

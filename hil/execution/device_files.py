@@ -2,11 +2,8 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
-
-from canopen import ObjectDictionary as VendorDictionary
 
 from design.motor import PmsmParameters
 from drivers.bounded_file import write_file
@@ -26,8 +23,12 @@ from virtual_bus.device.vendor_dictionary import BASE_NODE_ID
 from virtual_bus.drive.data_sheet import ENCODER_COUNTS_MIN, lay_over, tell_motor
 from virtual_bus.drive.servo_parameters import DriveParameters
 
+Maker = Callable[[ObjectDictionary], None]
+"""Makes a simulated device's dictionary that of a data sheet, or its own."""
 REPAIRS_SHOWN = 5
+"""The others are counted."""
 _SERIAL_NUMBER = 4
+"""Sub-index of 1018h."""
 
 
 class DeviceFiles(NamedTuple):
@@ -73,7 +74,7 @@ class DeviceFiles(NamedTuple):
         nodes: Sequence[int] = (),
         bitrate_bit_s: int | None = None,
         motor: PmsmParameters | None = None,
-    ) -> Callable[[ObjectDictionary], None] | None:
+    ) -> Maker | None:
         """What lays the data sheet over a device's dictionary; ``announce`` hears what had to be mended, and
         where a DCF was made for others than ``nodes`` and ``bitrate_bit_s``. ``motor``: the one that objects
         of the sheet's maker tell of.
@@ -90,21 +91,33 @@ class DeviceFiles(NamedTuple):
             announce(f"{self.eds}: {repair}")
         if len(loaded.repairs) > REPAIRS_SHOWN:
             announce(f"{self.eds}: and {len(loaded.repairs) - REPAIRS_SHOWN} more repairs of that kind")
-        number = commissioning.serial_number
-        return partial(_lay_over, vendor=loaded.dictionary, serial_number=number, motor=motor)
+
+        def lay(dictionary: ObjectDictionary) -> None:
+            lay_over(dictionary, loaded.dictionary)
+            if motor is not None:
+                tell_motor(dictionary, motor)
+            _number(dictionary, commissioning.serial_number)  # LSS_SerialNumber, CiA 306-1
+
+        return lay
 
     @staticmethod
-    def makers(
-        vendor: Callable[[ObjectDictionary], None] | None, serials: Sequence[int | None]
-    ) -> list[Callable[[ObjectDictionary], None] | None]:
+    def makers(vendor: Maker | None, serials: Sequence[int | None]) -> list[Maker | None]:
         """What makes each device's dictionary its own: ``vendor`` of all, and a serial number, if not None.
 
         A device raises BadInput as it is made, if its data sheet has no serial number.
         """
-        return [
-            vendor if serial is None else partial(_number_one, vendor=vendor, serial_number=serial)
-            for serial in serials
-        ]
+
+        def numbered(serial_number: int) -> Maker:
+            def make(dictionary: ObjectDictionary) -> None:
+                if vendor is not None:
+                    vendor(dictionary)
+                if not _number(dictionary, serial_number):
+                    expected = "a data sheet that has the serial number, 1018h:04"
+                    raise BadInput("--serial", "", serial_number, expected)
+
+            return make
+
+        return [vendor if serial is None else numbered(serial) for serial in serials]
 
     def write_data_sheet(self, dictionary: ObjectDictionary, announce: Callable[[str], None]) -> None:
         """The EDS of the device that has ``dictionary``, if it is asked for. Raises BadInput."""
@@ -130,31 +143,12 @@ class DeviceFiles(NamedTuple):
         return store
 
 
-def _lay_over(
-    dictionary: ObjectDictionary,
-    vendor: VendorDictionary,
-    serial_number: int | None,
-    motor: PmsmParameters | None,
-) -> None:
-    """The data sheet, the motor, and LSS_SerialNumber of a DCF as 1018h:4 (CiA 306-1, DeviceComissioning)."""
-    lay_over(dictionary, vendor)
-    if motor is not None:
-        tell_motor(dictionary, motor)
+def _number(dictionary: ObjectDictionary, serial_number: int | None) -> bool:
+    """Put it into 1018h:4, which goes before the sheet's own; whether it has a place there."""
     variable = dictionary.get(Cia301.IDENTITY, _SERIAL_NUMBER)
-    if serial_number is not None and variable is not None:
+    if variable is not None and serial_number is not None:
         variable.default = variable.value = serial_number
-
-
-def _number_one(
-    dictionary: ObjectDictionary, vendor: Callable[[ObjectDictionary], None] | None, serial_number: int
-) -> None:
-    """The data sheet, and a serial number that goes before its own."""
-    if vendor is not None:
-        vendor(dictionary)
-    variable = dictionary.get(Cia301.IDENTITY, _SERIAL_NUMBER)
-    if variable is None:
-        raise BadInput("--serial", "", serial_number, "a data sheet that has the serial number, 1018h:04")
-    variable.default = variable.value = serial_number
+    return variable is not None
 
 
 def _differences(made_for: Commissioning, nodes: Sequence[int], bitrate_bit_s: int | None) -> Iterator[str]:

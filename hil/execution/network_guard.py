@@ -6,7 +6,7 @@ the cycle records as they are made.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -113,56 +113,48 @@ def _network_faults(network: Network, made_for: MadeFor, period: Duration) -> li
     return faults
 
 
+@dataclass(slots=True)
 class NetworkGuard:
     """Passes one axis's records on and judges each; what is worse stops the run, or is told once."""
 
-    def __init__(
-        self,
-        axis: str,
-        limits: Allowed,
-        period: Duration,
-        record: Record,
-        refuse: bool,
-        tell: Callable[[str], None],
-        stopping: Callable[[], bool],
-    ) -> None:
-        """``stopping``: whether the run is being cut short, which loses readings by itself."""
-        self._axis = axis
-        self._limits = limits
-        self._period = period
-        self._record = record
-        self._refuse = refuse
-        self._tell = tell
-        self._stopping = stopping
-        self._missing = 0
-        self._told_loss = self._told_delay = False
+    axis: str
+    limits: Allowed
+    period: Duration
+    record: Record
+    refuse: bool
+    tell: Callable[[str], None]
+    stopping: Callable[[], bool]
+    """Whether the run is being cut short, which loses readings by itself."""
+    _missing: int = field(default=0, init=False)
+    _told_loss: bool = field(default=False, init=False)
+    _told_delay: bool = field(default=False, init=False)
 
     def __call__(self, record: CycleRecord) -> None:
         """Record it. Raises LimitExceeded if the network is worse than the controller was made for."""
-        self._record(record)
+        self.record(record)
         observation = record.observation
         if not isinstance(observation, Sample):
             self._missing += 1
-            if self._missing > self._limits.losses_max and not self._told_loss:
+            if self._missing > self.limits.losses_max and not self._told_loss:
                 self._told_loss = True
                 self._object(
-                    f"{self._missing} readings missing in a row, made for at most {self._limits.losses_max}"
+                    f"{self._missing} readings missing in a row, made for at most {self.limits.losses_max}"
                 )
             return
         delay = self._action_delay(record, observation)
-        age = (self._missing + 1) * self._period + delay
+        age = (self._missing + 1) * self.period + delay
         self._missing = 0
         if self._told_delay:
             return
-        if delay > self._limits.delay_max:
+        if delay > self.limits.delay_max:
             self._told_delay = True
-            limit_us = self._limits.delay_max / NS_PER_US
+            limit_us = self.limits.delay_max / NS_PER_US
             self._object(
                 f"{delay / NS_PER_US:.1f} us from sample to actuation, made for at most {limit_us:.0f} us"
             )
-        elif age > self._limits.age_max and not self._told_loss:
+        elif age > self.limits.age_max and not self._told_loss:
             self._told_delay = True
-            limit_us = self._limits.age_max / NS_PER_US
+            limit_us = self.limits.age_max / NS_PER_US
             self._object(
                 f"a sample that acts for {age / NS_PER_US:.1f} us, made for at most {limit_us:.0f} us"
             )
@@ -178,16 +170,16 @@ class NetworkGuard:
         delay = acts_at - sample.sampled_at
         late = sample.reading.received_at - sending.handed_at
         if late > 0:
-            delay += -(-late // self._period) * self._period
+            delay += -(-late // self.period) * self.period
         return delay
 
     def _object(self, found: str) -> None:
-        text = f"{self._axis}: the network is worse than its controller's: {found}"
-        if self._stopping():
+        text = f"{self.axis}: the network is worse than its controller's: {found}"
+        if self.stopping():
             return
-        if self._refuse:
+        if self.refuse:
             raise LimitExceeded(text, remedy=REMEDY)
-        self._tell(text)
+        self.tell(text)
 
 
 _ON_THE_DRIVE: Final = (DriveFault.kind, SafeTorqueOff.kind)
@@ -334,9 +326,9 @@ def _unknown(
 ) -> Iterator[str]:
     """Premises of which nobody knows whether bench and drive keep them, in words."""
     if isinstance(certificate, LossCertificate):
-        made = certified_loop(made_for)
-        if made is not None and own is not None and not made.is_that_of_the_design(own.bandwidth_hz):
-            yield f"bandwidth: gain certified for a current loop of {made.bandwidth_hz:g} Hz alone"
+        loop = certified_loop(made_for)
+        if loop is not None and own is not None and not loop.is_that_of_the_design(own.bandwidth_hz):
+            yield f"bandwidth: gain certified for a current loop of {loop.bandwidth_hz:g} Hz alone"
         if isinstance(drive.controller, HinfSection) and drive.compensator.kind != "arrival":
             yield f"compensator: certified for arrival, the bench's is {drive.compensator.kind}"
     elif certificate is not None and certificate.sequences is None:

@@ -167,8 +167,8 @@ def _notes(config: BenchConfig) -> dict[str, str]:
         "compensator": {axis: drive.compensator.kind for axis, drive in drives.items()},
         "current loops": {axis: _current_loops(drive) for axis, drive in drives.items()},
     }
-    told = {key: _by_axis(by_axis) for key, by_axis in notes.items() if any(by_axis.values())}
-    return {"bus": config.bus.spec, **told}
+    shown = {key: _by_axis(by_axis) for key, by_axis in notes.items() if any(by_axis.values())}
+    return {"bus": config.bus.spec, **shown}
 
 
 def _current_loops(drive: DriveConfig) -> str:

@@ -208,12 +208,12 @@ def refuse_taken(
     Nobody is asked on a hub on which nobody else is. Raises BadInput that names who has such an id; with
     ``force`` that is said only.
     """
-    wanted = [node for node in nodes if 1 <= node <= NODE_ID_MAX]
-    if not wanted or _alone(link.bus):
+    ids = [node for node in nodes if 1 <= node <= NODE_ID_MAX]
+    if not ids or _alone(link.bus):
         return
-    heard = _heard(link, clock, wanted)
+    heard = _heard(link, clock, ids)
     network = CanopenNetwork(link, clock)
-    taken = [who for node in wanted if (who := _who_is(network, node, heard.get(node, ""))) is not None]
+    taken = [who for node in ids if (who := _who_is(network, node, heard.get(node, ""))) is not None]
     if not taken:
         return
     there = "; ".join(taken)

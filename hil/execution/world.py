@@ -232,21 +232,21 @@ class _Inboxes:
 
 def _simulated_world(plan: WorldPlan, devices: Sequence[CanopenDevice]) -> World:
     timeline = PacedTimeline(MonotonicClock()) if plan.paced else Timeline()
-    made = [_SimulatedSegment(plan, own, devices, timeline) for own in (None, *plan.segments)]
-    inboxes = _Inboxes(made)
-    parts = [(each.injection, each.faulty) for each in made if each.injection is not None]
+    segments = [_SimulatedSegment(plan, own, devices, timeline) for own in (None, *plan.segments)]
+    inboxes = _Inboxes(segments)
+    parts = [(each.injection, each.faulty) for each in segments if each.injection is not None]
     return World(
-        made[0].link,
+        segments[0].link,
         SimulatedClock(timeline),
         plan.paced,
         WorldFaults(parts),
-        lambda since, until: max(each.segment.load_percent(since, until) for each in made),
+        lambda since, until: max(each.segment.load_percent(since, until) for each in segments),
         None,
-        lambda: sum(each.segment.errors for each in made),
-        made[0].tap_errors,
+        lambda: sum(each.segment.errors for each in segments),
+        segments[0].tap_errors,
         tuple(
             FurtherSegment(own.name, each.link, each.tap_errors)
-            for own, each in zip(plan.segments, made[1:], strict=True)
+            for own, each in zip(plan.segments, segments[1:], strict=True)
         ),
         lambda until: timeline.run_until_filled(until, inboxes),
     )

@@ -88,7 +88,7 @@ class BusReport:
 
 def find_adapters() -> Adapters:
     """Look at this machine; no adapter is opened and nothing is sent."""
-    from hil.machine.doctor_bus import detected_adapters
+    from hil.machine.doctor import detected_adapters
 
     hubs = tuple(name for name in known_hubs() if HubPlace(name).serving)
     return Adapters(tuple(can_links()), tuple(serial_adapters()), tuple(detected_adapters()), hubs)

@@ -37,7 +37,9 @@ _SDO_TIMEOUT_S: Final = 0.05
 _ASK_WAIT: Final = duration_s(_SDO_TIMEOUT_S)
 """After the last node was asked; an answer is waited for as long as any other."""
 _WORD: Final = 1 << 32
+"""6064h is an INTEGER32."""
 _UPLOAD: Final = 0x40
+"""Initiate upload, CiA 301 7.2.4.3.4."""
 _DOWNLOAD_TWO_BYTES: Final = 0x2B
 """Expedited, with its size told: CiA 301 7.2.4.3.3."""
 _UPLOADED: Final = 2
@@ -173,8 +175,8 @@ def stop_drives(network: CanopenNetwork, nodes: Sequence[int]) -> list[NodeStopp
     """
     network.sdo_timeout_s = _SDO_TIMEOUT_S
     began = network.clock.now()
-    told = _stop_at_once(network, nodes)
-    stops = [_Stop(network, node, began, told.get(node)) for node in nodes or sorted(told)]
+    states = _stop_at_once(network, nodes)
+    stops = [_Stop(network, node, began, states.get(node)) for node in nodes or sorted(states)]
     if not stops:
         raise NoAnswer(
             f"no drive on {network.link.name} answers",

@@ -5,7 +5,8 @@ cycle.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.cia402.servo import ServoDrive
@@ -41,22 +42,23 @@ Say = Callable[[str, str], None]
 NM_PER_COUNT = 1e-3
 
 
+@dataclass(slots=True)
 class _Plateau:
     """What was measured while one torque was asked for."""
 
-    def __init__(self, at: Instant, asked_nm: float) -> None:
-        self.at, self.asked_nm = at, asked_nm
-        self.reached_at: Instant | None = None
-        self.readings: list[tuple[Instant, float]] = []
+    at: Instant
+    asked_nm: float
+    reached_at: Instant | None = None
+    readings: list[float] = field(default_factory=list)
 
     def add(self, reading: LoadReading) -> None:
-        self.readings.append((reading.at, reading.torque_nm))
+        self.readings.append(reading.torque_nm)
         if self.reached_at is None and abs(reading.torque_nm - self.asked_nm) <= TOLERANCE * self.asked_nm:
             self.reached_at = reading.at
 
     def as_json(self, zero: Instant) -> dict[str, Any]:
         """Measured: the mean over the second half, when it has settled."""
-        settled = [torque_nm for _, torque_nm in self.readings[len(self.readings) // 2 :]]
+        settled = self.readings[len(self.readings) // 2 :]
         reached_at = self.reached_at
         return {
             "at_s": (self.at - zero) / NS_PER_S,
@@ -67,81 +69,68 @@ class _Plateau:
         }
 
 
-class Wait(NamedTuple):
-    """How a load machine lets time pass while it has to wait."""
-
-    until: Callable[[Instant], None]
-    clock: Clock
-
-
+@dataclass(slots=True)
 class InstrumentLoadMachine:
     """A serial load machine on the shaft of one axis."""
 
-    def __init__(
-        self,
-        dynamometer: Dynamometer,
-        axis: str,
-        wait: Wait,
-        record: Callable[[str, LoadReading], None],
-        every: Duration | None = None,
-    ) -> None:
-        """``record`` takes the axis and each reading. ``every``: how often it is told the torque of a load
-        over time; None: of each step, and what came of it."""
-        self.axis = axis
-        self._dynamometer = dynamometer
-        self._wait = wait
-        self._record = record
-        self._every = every
-        self._due_nm: float | None = None
-        """Of a load over time, not told yet."""
-        self._due_at = Instant(0)
-        self._begun_at: Instant | None = None
-        self._plateaus: list[_Plateau] = []
-        self._kept = 0
+    dynamometer: Dynamometer
+    axis: str
+    network: CanopenNetwork
+    """Lets time pass while it has to wait: heartbeats go on, and in simulated time the instrument acts."""
+    record: Callable[[str, LoadReading], None]
+    """Takes the axis and each reading."""
+    every: Duration | None = None
+    """How often it is told the torque of a load over time; None: of each step, and what came of it."""
+    _due_nm: float | None = field(default=None, init=False)
+    """Of a load over time, not told yet."""
+    _due_at: Instant = field(default=Instant(0), init=False)
+    _begun_at: Instant | None = field(default=None, init=False)
+    _plateaus: list[_Plateau] = field(default_factory=list, init=False)
+    _kept: int = field(default=0, init=False)
 
     def connect(self) -> str:
         """Open the brake and learn who is there. Raises PeerFault."""
-        return self._dynamometer.connect(self._wait.until)
+        return self.dynamometer.connect(self.network.pump)
 
     def begin(self, at: Instant) -> None:
         """The run's time zero; readings before it are not kept."""
         self._begun_at = at
-        self._dynamometer.take_readings()
-        self._dynamometer.tally = LineCounts()
+        self.dynamometer.take_readings()
+        self.dynamometer.tally = LineCounts()
 
     def set_torque(self, torque_nm: float) -> None:
         """Ask for a load torque, N m. Does not wait."""
-        if self._every is not None:
+        if self.every is not None:
             self._due_nm = torque_nm
             return
-        self._dynamometer.set_torque(torque_nm)
-        self._plateaus.append(_Plateau(self._wait.clock.now(), torque_nm))
+        self.dynamometer.set_torque(torque_nm)
+        self._plateaus.append(_Plateau(self.network.clock.now(), torque_nm))
 
     def attend(self, now: Instant) -> None:
         """Once in each cycle: speak with the instrument, and keep what it measured. Raises PeerFault."""
-        if self._every is not None and self._due_nm is not None and now >= self._due_at:
-            self._dynamometer.set_torque(self._due_nm)
-            self._due_nm, self._due_at = None, Instant(now + self._every)
-        self._dynamometer.pump(now)
+        if self.every is not None and self._due_nm is not None and now >= self._due_at:
+            self.dynamometer.set_torque(self._due_nm)
+            self._due_nm, self._due_at = None, Instant(now + self.every)
+        self.dynamometer.pump(now)
         self._keep()
 
     def take_off(self) -> None:
         """Open the brake and see that it did. Raises PeerFault."""
         self._due_nm = None
-        self._dynamometer.take_off(self._wait.until)
+        self.dynamometer.take_off(self.network.pump)
         self._keep()
 
     def close(self) -> None:
         """Give the port back."""
-        self._dynamometer.close()
+        self.dynamometer.close()
 
     def figures(self) -> dict[str, Any]:
         """For the summary."""
-        tally = self._dynamometer.tally
+        tally = self.dynamometer.tally
         zero = self._begun_at or Instant(0)
         return {
             "axis": self.axis,
-            "identity": self._dynamometer.identity,
+            "identity": self.dynamometer.identity,
             "readings": self._kept,
             "late": tally.late,
             "spoilt": tally.spoilt,
@@ -150,11 +139,11 @@ class InstrumentLoadMachine:
         }
 
     def _keep(self) -> None:
-        for reading in self._dynamometer.take_readings():
+        for reading in self.dynamometer.take_readings():
             if self._begun_at is None or reading.at < self._begun_at:
                 continue
             self._kept += 1
-            self._record(self.axis, reading)
+            self.record(self.axis, reading)
             if self._plateaus:
                 self._plateaus[-1].add(reading)
 
@@ -248,8 +237,8 @@ def find_load_machine(
     from hil.load.simulated_load import load_table
 
     if number != load_table(over_time.signal).number:
-        told = "another file" if number else "none"
-        expected = f"a drive that was started with this file; node {node_id} has {told}"
+        held = "another file" if number else "none"
+        expected = f"a drive that was started with this file; node {node_id} has {held}"
         remedy = f"hil simulate --load {node_id}={over_time.path}"
         raise BadInput(source, f"load.{axis}[0].path", over_time.path, expected, remedy)
     return ShaftLoad(network, node_id, over_time)
@@ -280,8 +269,8 @@ class LoadMachines:
         """
         if drive.name == self._config.load_machine_axis:
             return self._connect(drive.name, say)
-        wanted = self._config.load.get(drive.name, ())
-        machine = find_load_machine(drive.network, drive.node_id, self._config.source, drive.name, wanted)
+        entries = self._config.load.get(drive.name, ())
+        machine = find_load_machine(drive.network, drive.node_id, self._config.source, drive.name, entries)
         if machine is not None:
             machine.take_off()
             self._objects.append(machine)
@@ -318,14 +307,12 @@ class LoadMachines:
     def _connect(self, axis: str, say: Say) -> InstrumentLoadMachine:
         config, clock = self._config, self._network.clock
         assert config.load_machine is not None, "an axis has a load machine, so there is one"
-        wanted = config.load_machine
-        line = instrument_line(wanted, config.source, clock, self._servos.get(axis), config.bench.seed)
-        dynamometer = Dynamometer(line, clock, wanted.dialect, wanted.settings)
-        # pumping keeps the heartbeats going, and in simulated time lets the instrument act
-        wait = Wait(self._network.pump, clock)
+        instrument = config.load_machine
+        line = instrument_line(instrument, config.source, clock, self._servos.get(axis), config.bench.seed)
+        dynamometer = Dynamometer(line, clock, instrument.dialect, instrument.settings)
         over_time = any(isinstance(entry, SignalFile) for entry in config.load.get(axis, ()))
-        every = wanted.settings.reading_every if over_time else None
-        self._instrument = InstrumentLoadMachine(dynamometer, axis, wait, self._record, every)
+        every = instrument.settings.reading_every if over_time else None
+        self._instrument = InstrumentLoadMachine(dynamometer, axis, self._network, self._record, every)
         say(f"{axis}: load machine on {line.name} is {self._instrument.connect()}", "INFO")
         return self._instrument
 

@@ -17,6 +17,7 @@ _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 """<asm-generic/mman.h>. On fault: what was once touched stays, and nothing else is brought in. Without that
 the loop's process has 530 MB instead of 230: libraries of which a part is used, and OpenBLAS's work space."""
 _PR_SET_TIMERSLACK = 29
+"""<linux/prctl.h>"""
 
 
 @contextmanager

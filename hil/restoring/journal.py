@@ -26,6 +26,7 @@ from drivers.wire.link import BusLink
 from hil.machine.on_disk import sync_folder, write_synced
 
 VERSION = 1
+"""Of its lines; another one is refused."""
 COMMANDS: Final = frozenset({Object.CONTROLWORD, Cia301.STORE_PARAMETERS, Cia301.RESTORE_DEFAULTS})
 """What is written to these is an order, not a setting: there is nothing to put back."""
 SET_POINTS: Final = (

@@ -28,7 +28,6 @@ def view(run: RunArgument) -> None:
 
 def missing_display() -> bool:
     """No window can be opened here."""
-    from hil.machine.capability import Machine
-    from hil.machine.doctor_machine import display
+    from hil.machine.doctor import Machine, display
 
     return bool(display(Machine()).remedy)

@@ -14,7 +14,7 @@ from drivers.errors import BadInput, BusDown, DriveInFault, NoAnswer
 from hil.cli import app
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
-from hil.machine.capability import Capability, CapabilityStatus
+from hil.machine.doctor import Capability
 from hil.machine.stopping import Interrupted
 from hil.recording.logger_process import RecordingFailed
 from hil.terminal.node_list import node_ids, serial_numbers
@@ -300,12 +300,12 @@ def checks(monkeypatch: pytest.MonkeyPatch) -> None:
     found = [
         Capability(
             "vcan0",
-            CapabilityStatus.LACK,
+            "lack",
             "no such link",
             "--bus socketcan:vcan0",
             "ip link add dev vcan0 type vcan",
         ),
-        Capability("disk space", CapabilityStatus.OK, "50 GB free", "recordings"),
+        Capability("disk space", "ok", "50 GB free", "recordings"),
     ]
     monkeypatch.setattr("hil.machine.doctor.run_checks", lambda: found)
 

@@ -1,5 +1,6 @@
 """Which of several homings show one turn of the motor, and not none or several."""
 
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
@@ -63,3 +64,28 @@ def test_no_pulse_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_four_homings_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     assert turn_by(monkeypatch, *[(1.0, 9.0)] * 5) == (None, 4)
+
+
+def turned_by_hand(before: int, after: int, reply: str = "") -> tuple[float | None, str]:
+    """What a turn by hand is worth between two positions 6064h."""
+    positions = iter((before, after))
+    session = SimpleNamespace(
+        dialog=SimpleNamespace(line=lambda _question, _idle: reply),
+        objects=SimpleNamespace(read=lambda *_object: next(positions)),
+        idle=lambda: None,
+    )
+    return turn.hand_turn(cast(Session, session))
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [(100, 4196), (4196, 100), (0x7FFF_FF00, -0x7FFF_F100), (-0x7FFF_F100, 0x7FFF_FF00)],
+    ids=["up", "down", "up over the end of the counter", "down over it"],
+)
+def test_a_turn_by_hand_is_the_way_between_two_positions(before: int, after: int) -> None:
+    assert turned_by_hand(before, after) == (4096.0, "by hand")
+
+
+@pytest.mark.parametrize(("after", "reply"), [(100, ""), (4196, "s")])
+def test_a_shaft_that_was_not_turned_by_hand_shows_nothing(after: int, reply: str) -> None:
+    assert turned_by_hand(100, after, reply) == (None, "the shaft was not turned by hand")

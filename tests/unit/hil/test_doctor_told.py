@@ -13,8 +13,8 @@ from typing import Any, Final
 import pytest
 
 from drivers import compiled
-from hil.machine import doctor_bus, doctor_machine
-from hil.machine.capability import Look, Machine
+from hil.machine import doctor
+from hil.machine.doctor import Look, Machine
 from hil.machine.realtime import quiet_garbage_collector, realtime_process, timing_conditions
 from tests.unit.hil.test_doctor import DOWN, RELEASE, UP, machine, put, put_interface, put_privilege
 
@@ -40,7 +40,7 @@ def with_limit(machine: Machine, kind: int, limit: int) -> Machine:
     ],
 )
 def test_real_time_priority(machine: Machine, limit: int, look: Look) -> None:
-    assert doctor_machine.realtime_scheduling(with_limit(machine, resource.RLIMIT_RTPRIO, limit)) == look
+    assert doctor.realtime_scheduling(with_limit(machine, resource.RLIMIT_RTPRIO, limit)) == look
 
 
 @pytest.mark.parametrize(
@@ -58,16 +58,16 @@ def test_real_time_priority(machine: Machine, limit: int, look: Look) -> None:
     ],
 )
 def test_locked_memory(machine: Machine, limit: int, look: Look) -> None:
-    assert doctor_machine.locked_memory(with_limit(machine, resource.RLIMIT_MEMLOCK, limit)) == look
+    assert doctor.locked_memory(with_limit(machine, resource.RLIMIT_MEMLOCK, limit)) == look
 
 
 def test_privileges_stand_for_limits(machine: Machine) -> None:
     put_privilege(machine, 14)
-    assert doctor_machine.locked_memory(machine) == Look("CAP_IPC_LOCK")
+    assert doctor.locked_memory(machine) == Look("CAP_IPC_LOCK")
     put_privilege(machine, 23)
-    assert doctor_machine.realtime_scheduling(machine) == Look("CAP_SYS_NICE")
+    assert doctor.realtime_scheduling(machine) == Look("CAP_SYS_NICE")
     put_privilege(machine, 12)
-    assert doctor_bus.net_admin(machine) == Look("granted")
+    assert doctor.net_admin(machine) == Look("granted")
 
 
 def test_a_status_without_capabilities_grants_none(machine: Machine) -> None:
@@ -80,7 +80,7 @@ def test_a_status_without_capabilities_grants_none(machine: Machine) -> None:
     ("count", "remedy"), [(1, "take a longer loop.period_us, or --bus simulated"), (2, ""), (64, "")]
 )
 def test_processors(machine: Machine, count: int, remedy: str) -> None:
-    assert doctor_machine.processors(replace(machine, cpu_count=count)) == Look(f"{count} usable", remedy)
+    assert doctor.processors(replace(machine, cpu_count=count)) == Look(f"{count} usable", remedy)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_processors(machine: Machine, count: int, remedy: str) -> None:
 def test_frequency(machine: Machine, governor: str | None, look: Look) -> None:
     if governor is not None:
         put(machine, "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor", governor)
-    assert doctor_machine.frequency_governor(machine) == look
+    assert doctor.frequency_governor(machine) == look
 
 
 @pytest.mark.parametrize(
@@ -107,16 +107,16 @@ def test_frequency(machine: Machine, governor: str | None, look: Look) -> None:
     ],
 )
 def test_display(machine: Machine, environment: dict[str, str], look: Look) -> None:
-    assert doctor_machine.display(replace(machine, environment=environment)) == look
+    assert doctor.display(replace(machine, environment=environment)) == look
 
 
 def test_vulkan(machine: Machine) -> None:
     lack = Look("none installed", "sudo apt-get install mesa-vulkan-drivers")
-    assert doctor_machine.headless_vulkan(machine) == lack
+    assert doctor.headless_vulkan(machine) == lack
     put(machine, "etc/vulkan/icd.d/nvidia_icd.json")
     put(machine, "usr/share/vulkan/icd.d/lvp_icd.x86_64.json")
     put(machine, "usr/share/vulkan/icd.d/readme.txt")
-    assert doctor_machine.headless_vulkan(machine) == Look("lvp, nvidia")
+    assert doctor.headless_vulkan(machine) == Look("lvp, nvidia")
 
 
 def test_the_viewer_beside_the_bench_comes_before_that_of_the_path(
@@ -125,11 +125,11 @@ def test_the_viewer_beside_the_bench_comes_before_that_of_the_path(
     monkeypatch.setattr("sysconfig.get_path", lambda _kind: str(tmp_path))
     elsewhere: list[str | None] = [None]
     monkeypatch.setattr("shutil.which", lambda _name: elsewhere[0])
-    assert doctor_machine.viewer(machine) == Look("not found", "pip install rerun-sdk")
+    assert doctor.viewer(machine) == Look("not found", "pip install rerun-sdk")
     elsewhere[0] = "/usr/bin/rerun"
-    assert doctor_machine.viewer(machine) == Look("/usr/bin/rerun")
+    assert doctor.viewer(machine) == Look("/usr/bin/rerun")
     (tmp_path / "rerun").touch()
-    assert doctor_machine.viewer(machine) == Look(str(tmp_path / "rerun"))
+    assert doctor.viewer(machine) == Look(str(tmp_path / "rerun"))
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_the_viewer_beside_the_bench_comes_before_that_of_the_path(
 )
 def test_disk(machine: Machine, free: int, look: Look, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda _folder: SimpleNamespace(free=free))
-    assert doctor_machine.disk_space(machine) == look
+    assert doctor.disk_space(machine) == look
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_compiled_modules(
     build = SimpleNamespace(compiled=groups, held_back=held_back, why=why)
     monkeypatch.setattr(compiled, "use_fresh", lambda: build)
     monkeypatch.setattr(compiled, "remedy", lambda: "make it")
-    assert doctor_machine.compiled_modules(machine) == look
+    assert doctor.compiled_modules(machine) == look
 
 
 # ---- the bus ------------------------------------------------------------------------------------------
@@ -173,13 +173,13 @@ def test_compiled_modules(
 
 def test_socketcan(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     there = [False]
-    monkeypatch.setattr(doctor_bus, "kernel_has_can", lambda: there[0])
+    monkeypatch.setattr(doctor, "kernel_has_can", lambda: there[0])
     lack = Look(f"kernel {RELEASE} has none", f"{HUB}, or .ci/uml/run -- COMMAND")
-    assert doctor_bus.socketcan(machine) == lack
+    assert doctor.socketcan(machine) == lack
     put(machine, f"lib/modules/{RELEASE}/modules.builtin", "kernel/net/can/can-raw.ko\n")
-    assert doctor_bus.socketcan(machine) == Look("built as a module, not loaded", "sudo modprobe can-raw")
+    assert doctor.socketcan(machine) == Look("built as a module, not loaded", "sudo modprobe can-raw")
     there[0] = True
-    assert doctor_bus.socketcan(machine) == Look(f"kernel {RELEASE}")
+    assert doctor.socketcan(machine) == Look(f"kernel {RELEASE}")
 
 
 def test_a_socket_that_cannot_be_opened_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,43 +193,43 @@ def test_a_socket_that_cannot_be_opened_is_none(monkeypatch: pytest.MonkeyPatch)
         return SimpleNamespace(close=lambda: opened.append(()))
 
     monkeypatch.setattr("socket.socket", refuse)
-    assert not doctor_bus.kernel_has_can()
+    assert not doctor.kernel_has_can()
     monkeypatch.setattr("socket.socket", allow)
-    assert doctor_bus.kernel_has_can()
+    assert doctor.kernel_has_can()
     assert len(opened) == 2
     assert opened[1] == (), "and closed"
 
 
 def test_virtual_interfaces(machine: Machine) -> None:
     modules = f"lib/modules/{RELEASE}/modules.dep"
-    assert doctor_bus.vcan_module(machine) == Look("this kernel has none", HUB)
-    assert doctor_bus.vcan_interface(machine) == Look("this kernel cannot make it", HUB)
+    assert doctor.vcan_module(machine) == Look("this kernel has none", HUB)
+    assert doctor.vcan_interface(machine) == Look("this kernel cannot make it", HUB)
     put(machine, modules, "kernel/drivers/net/can/vcan.ko: \n")
     make = "sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 up"
-    assert doctor_bus.vcan_module(machine) == Look("there, not loaded", "sudo modprobe vcan")
-    assert doctor_bus.vcan_interface(machine) == Look("not there", make)
+    assert doctor.vcan_module(machine) == Look("there, not loaded", "sudo modprobe vcan")
+    assert doctor.vcan_interface(machine) == Look("not there", make)
     machine.path(modules).unlink()
     put(machine, "sys/module/vcan/refcnt")
-    assert doctor_bus.vcan_module(machine) == Look("loaded")
-    assert doctor_bus.vcan_interface(machine) == Look("not there", make)
+    assert doctor.vcan_module(machine) == Look("loaded")
+    assert doctor.vcan_interface(machine) == Look("not there", make)
     put_interface(machine, "vcan0", DOWN)
-    assert doctor_bus.vcan_interface(machine) == Look("down", "sudo ip link set vcan0 up")
+    assert doctor.vcan_interface(machine) == Look("down", "sudo ip link set vcan0 up")
     put_interface(machine, "vcan0", UP)
-    assert doctor_bus.vcan_interface(machine) == Look("up")
+    assert doctor.vcan_interface(machine) == Look("up")
 
 
 def test_real_interfaces(machine: Machine) -> None:
     put_interface(machine, "vxcan1", DOWN)
     put_interface(machine, "vcan0", DOWN)
     lack = Look("none", "plug in an adapter that the kernel drives (lsusb, dmesg)")
-    assert doctor_bus.real_interfaces(machine) == lack
+    assert doctor.real_interfaces(machine) == lack
     put_interface(machine, "can0", UP)
     put_interface(machine, "can1", UP)
-    assert doctor_bus.can_interfaces(machine) == {"vxcan1": False, "vcan0": False, "can0": True, "can1": True}
-    assert doctor_bus.real_interfaces(machine) == Look("can0, can1 up")
+    assert doctor.can_interfaces(machine) == {"vxcan1": False, "vcan0": False, "can0": True, "can1": True}
+    assert doctor.real_interfaces(machine) == Look("can0, can1 up")
     put_interface(machine, "can1", DOWN)
     put_interface(machine, "can2", DOWN)
-    detail, remedy = doctor_bus.real_interfaces(machine)
+    detail, remedy = doctor.real_interfaces(machine)
     assert detail == "can1, can2 down"
     assert remedy.startswith("sudo ip link set can1 up type can bitrate")
 
@@ -244,9 +244,9 @@ def test_adapters_are_named_as_they_are_opened(machine: Machine, monkeypatch: py
 
     monkeypatch.setattr("can.detect_available_configs", detect)
     lack = Look("none found", "plug in the adapter and install its vendor's library, then hil doctor again")
-    assert doctor_bus.adapters(machine) == lack
+    assert doctor.adapters(machine) == lack
     found += [{"interface": "pcan", "channel": "PCAN_USBBUS1"}, {"interface": "kvaser", "channel": 0}]
-    assert doctor_bus.adapters(machine) == Look("pcan:PCAN_USBBUS1, kvaser:0")
+    assert doctor.adapters(machine) == Look("pcan:PCAN_USBBUS1, kvaser:0")
     (interfaces, timeout), _ = asked
     assert timeout == 2.0
     assert interfaces == sorted(interfaces)
@@ -259,22 +259,22 @@ def test_serial_ports(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None
     closed: set[str] = set()
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports)
     monkeypatch.setattr("os.access", lambda port, mode: mode == os.R_OK | os.W_OK and port not in closed)
-    assert doctor_bus.serial_ports(machine) == Look("no USB serial adapter", "plug in the adapter")
+    assert doctor.serial_ports(machine) == Look("no USB serial adapter", "plug in the adapter")
     ports += [SimpleNamespace(device=f"/dev/ttyUSB{number}", vid=7) for number in (1, 0)]
-    assert doctor_bus.serial_ports(machine) == Look("/dev/ttyUSB0, /dev/ttyUSB1")
+    assert doctor.serial_ports(machine) == Look("/dev/ttyUSB0, /dev/ttyUSB1")
     closed.add("/dev/ttyUSB1")
-    assert doctor_bus.serial_ports(machine) == Look(
+    assert doctor.serial_ports(machine) == Look(
         "no permission for /dev/ttyUSB1", 'sudo usermod -aG dialout "$USER", then log in again'
     )
 
 
 def test_user_mode_linux(machine: Machine) -> None:
     lack = Look("not installed", "sudo apt-get install user-mode-linux kmod iproute2 gcc libc6-dev")
-    assert doctor_bus.user_mode_linux(machine) == lack
+    assert doctor.user_mode_linux(machine) == lack
     kernel = put(machine, "opt/linux.uml")
     kernel.chmod(0o755)
     searching = replace(machine, environment={"PATH": f"/bin{os.pathsep}/opt"})
-    assert doctor_bus.user_mode_linux(searching) == Look(str(kernel))
+    assert doctor.user_mode_linux(searching) == Look(str(kernel))
 
 
 # ---- real time ----------------------------------------------------------------------------------------

@@ -2,15 +2,18 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from drivers.canopen.network import CanopenNetwork
 from drivers.errors import BenchError
 from drivers.instruments.dynamometer import LineCounts, LoadReading
-from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.bench_file import load_bench
-from hil.load.load_machines import InstrumentLoadMachine, Wait
+from hil.load.load_machines import InstrumentLoadMachine
 from hil.recording.verdict_text import verdict_markdown
 from hil.rows.side_rows import EVENT_DTYPE, LoadEvent, event_row, events_of
 from tests.scenario.processes import EXAMPLES
@@ -118,11 +121,10 @@ def test_the_verdict_page_shows_what_was_asked_and_measured() -> None:
 def test_figures_tell_what_was_asked_reached_and_measured() -> None:
     dynamometer, clock = FakeDynamometer(), StillClock()
     kept: list[tuple[str, float]] = []
-    as_clock: Clock = clock
     machine = InstrumentLoadMachine(
         dynamometer,  # type: ignore[arg-type]
         "axis1",
-        Wait(clock.sleep_until, as_clock),
+        cast(CanopenNetwork, SimpleNamespace(pump=clock.sleep_until, clock=clock)),
         lambda axis, reading: kept.append((axis, reading.torque_nm)),
     )
 

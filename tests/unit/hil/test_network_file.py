@@ -75,6 +75,11 @@ def test_losses_on_both_ways_add_up(tmp_path: Path) -> None:
             "[network.histogram]\nedges_us = [0, 1]\ncounts = [1, 2]\n",
             "network.histogram.edges_us",
         ),
+        (
+            "[network]\nperiod_us = 1\nlosses_in_a_row_max = 1\ndelay_max_us = 4\n"
+            "[network.command_histogram]\nedges_us = [0, 1, 2]\ncounts = [1]\n",
+            "network.command_histogram.edges_us",
+        ),
     ],
 )
 def test_a_bad_file_names_its_key(tmp_path: Path, text: str, key: str) -> None:

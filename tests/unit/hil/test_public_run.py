@@ -109,6 +109,7 @@ def test_keys_lead_into_the_files_that_a_bench_names() -> None:
     [
         ("loop.periodus", "loop.periodus"),
         ("faults.loss.7.probability", "a number below 1, that of an entry of faults.loss"),
+        ("faults.loss.².probability", "a number below 1, that of an entry of faults.loss"),
         ("bench.name.part", "bench.name is no table"),
         ("drive.axis1.motor.mechanics.inertia", "drive.axis1.motor.mechanics.inertia"),
     ],

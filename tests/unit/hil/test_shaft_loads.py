@@ -16,7 +16,6 @@ from hil.load.load_machines import (
     InstrumentLoadMachine,
     ObjectLoadMachine,
     ShaftLoad,
-    Wait,
     find_load_machine,
     instrument_line,
 )
@@ -68,7 +67,7 @@ class Bench:
         self.machine = InstrumentLoadMachine(
             cast(Dynamometer, self.instrument),
             "axis1",
-            Wait(self.waited.append, clock),
+            cast(CanopenNetwork, SimpleNamespace(pump=self.waited.append, clock=clock)),
             lambda axis, reading: self.kept.append((axis, reading)),
             every,
         )
