@@ -229,3 +229,16 @@ def test_what_is_learned_is_the_last_sync_answered() -> None:
     sample = rig.answered(3)
     assert sample is not None
     assert not sample.certain, "2 is open as before"
+
+
+def test_where_the_oldest_sync_never_came_to_the_bus_its_hand_over_bounds_the_error() -> None:
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.HARDWARE)
+    order = OrderAttribution(log, PERIOD, TRANSIT, print)
+    log.handed(1, Instant(PERIOD))
+    log.heard(2, Instant(2 * PERIOD))
+    assert placed(order.place(reading_at(Instant(2 * PERIOD + DELAY)))) == (
+        2,
+        2 * PERIOD,
+        ECHO + PERIOD + DELAY,
+        False,
+    )
