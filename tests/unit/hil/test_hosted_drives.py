@@ -1,8 +1,9 @@
-"""What simulated drives are given by a bench and by ``hil simulate``, which hosts them until it is stopped."""
+"""What simulated drives are given by a bench and by ``hil simulate``, which hosts them until a stop."""
 
 import signal
 from collections.abc import Sequence
 from contextlib import nullcontext
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any, Final
@@ -13,8 +14,9 @@ import pytest
 
 from drivers.canopen.nmt_states import UNCONFIGURED
 from drivers.errors import BadInput
-from drivers.timebase import Instant
+from drivers.timebase import Clock, Instant
 from drivers.wire.adapters import parse_bus_spec
+from drivers.wire.link import BusLink
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
@@ -208,6 +210,25 @@ def test_drives_are_hosted_until_a_stop_signal() -> None:
     assert hosted.said == ["not granted by the kernel: locked memory", "here they are"]
     assert other.started == 1
     assert frames == [(0x704, b"\0"), (0x705, b"\0"), (0x7FF, b"other")], "boot-ups, and the other's frame"
+
+
+@pytest.mark.parametrize("forced", [None, False, True])
+def test_before_all_it_is_asked_who_has_the_ids(monkeypatch: pytest.MonkeyPatch, forced: bool | None) -> None:
+    asked: list[tuple[str, Sequence[int], bool]] = []
+
+    def refuse(link: BusLink, _clock: Clock, ids: Sequence[int], say: object, force: bool) -> None:
+        asked.append((link.name, ids, force))
+        assert say == hosted.say
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(hosting, "refuse_taken", refuse)
+    spec = parse_bus_spec(f"virtual:hosted-{next(_channels)}")
+    hosted = Hosted("unsaid")
+    host = host_drives if forced is None else partial(host_drives, force=forced)
+    with pytest.raises(ZeroDivisionError):
+        host(WorldPlan(spec, 1_000_000), [], [4, 5], "unsaid", hosted.say)
+    assert asked == [(str(spec), [4, 5], bool(forced))]
+    assert hosted.said == []
 
 
 def test_simulate_says_who_is_on_which_bus_and_writes_the_data_sheet(tmp_path: Path) -> None:
