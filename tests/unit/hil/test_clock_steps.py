@@ -3,10 +3,10 @@
 import pytest
 
 from hil.loop.samples import Sample
-from hil.loop.stamp_attribution import AGREEING
+from hil.loop.stamp_attribution import AGREEING, MATCH_NS
 from hil.loop.syncs import REMEMBERED
-from tests.unit.hil.loop_fakes import PERIOD
-from tests.unit.hil.test_stamp_attribution import DELAY, FIRST, Rig
+from tests.unit.hil.loop_fakes import PERIOD, TRANSIT
+from tests.unit.hil.test_stamp_attribution import DELAY, FIRST, OFFSET, Rig
 
 STEPS = [200_000, -200_000, 3 * PERIOD, 37_000]
 DOUBTFUL = REMEMBERED * PERIOD
@@ -142,3 +142,49 @@ def test_without_a_free_sync_a_reading_answers_none() -> None:
     assert rig.place(FIRST - 1, 100_000, DELAY + 1) is None, "the last SYNC has its reading"
     assert (rig.stamped.health.unmatched, rig.stamped.health.placed) == (1, 0)
     assert rig.stamped.question.open
+
+
+@pytest.mark.parametrize(("sooner", "answered"), [(0, True), (1, False)])
+def test_a_stamp_from_after_its_frame_s_start_is_no_matter_of_the_network(
+    sooner: int, answered: bool
+) -> None:
+    """No network brings a reading before it was taken: the next usual reading does not answer that."""
+    rig = Stepping()
+    rig.sync(FIRST)
+    at = rig.stamped.clock.place(FIRST * PERIOD + 100_000 + OFFSET)
+    delay = at - FIRST * PERIOD + TRANSIT - MATCH_NS - sooner
+    assert rig.place(FIRST, 100_000, delay) is not None
+    rig.cycle(FIRST + 1)
+    assert rig.state() == (not answered, None, False)
+
+
+# ---- delays that spread over more than half a period ------------------------------------------------------
+
+
+def spread() -> Stepping:
+    """Delays from 0.25 to 0.85 periods, after five cycles."""
+    rig = Stepping()
+    for number in range(FIRST, FIRST + 5):
+        rig.cycle(number, delay=DELAY + (number % 2) * PERIOD * 3 // 10)
+    rig.stamped._case.delays.add(DELAY + PERIOD * 6 // 10)
+    assert rig.stamped.spread
+    return rig
+
+
+def test_where_delays_spread_the_last_placements_are_in_doubt_as_well() -> None:
+    rig = spread()
+    rig.cycle(FIRST + 5, 100_000)
+    assert rig.state() == (True, FIRST, False)
+    assert rig.amended() == [(number, False, DOUBTFUL) for number in range(FIRST, FIRST + 6)]
+
+
+def test_they_are_as_they_were_when_the_clock_is() -> None:
+    rig = spread()
+    before = [(sample.sequence, True, sample.sampled_at_error_ns) for sample in rig.samples]
+    rig.cycle(FIRST + 5, 100_000)
+    rig.cycle(FIRST + 6)
+    assert rig.state() == (False, None, False)
+    assert rig.amended()[:5] == before
+    for number in range(FIRST, FIRST + 5):
+        assert rig.place(number) is None
+    assert rig.stamped.health.duplicates == 5, "each has its SYNC again"
