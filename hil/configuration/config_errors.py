@@ -64,10 +64,19 @@ def translate(
     error: ValidationError, source: str, raw: Mapping[str, Any], model: type[BaseModel]
 ) -> list[BadInput]:
     """The faults of ``raw``, read from ``source``, as found by ``model``."""
-    details = [item for item in error.errors(include_url=False) if item["type"] != DEFAULT_NOT_MADE]
+    details = [
+        item
+        for item in error.errors(include_url=False)
+        if item["type"] != DEFAULT_NOT_MADE and not _lacks_valid_items(item)
+    ]
     errors = [_translate_one(detail, source, raw, model) for detail in details]
     meant = {key for item in errors if (key := _meant_key(item))}
     return [item for item in errors if not (item.value is MISSING and item.key in meant)]
+
+
+def _lacks_valid_items(detail: ErrorDetails) -> bool:
+    """Whether a list is called too short that is long enough: those of its items that are wrong are told."""
+    return detail["type"] == "too_short" and len(detail["input"]) >= detail["ctx"]["min_length"]
 
 
 def _meant_key(item: BadInput) -> str | None:

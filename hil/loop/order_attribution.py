@@ -83,7 +83,7 @@ class OrderAttribution:
         if not self._sure:
             if not self._beyond:
                 self._unsure.append(mark.sequence)
-            error_ns = self._error_ns + received_at - self._oldest_at(mark)
+            error_ns = self._error_ns + received_at - self._oldest_at()
         else:
             error_ns = self._error_ns
             health.error_ns_max = error_ns
@@ -91,9 +91,10 @@ class OrderAttribution:
                 health.below_transit += 1
         return Sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
 
-    def _oldest_at(self, mark: SyncMark) -> Instant:
-        first = self._syncs.marks[0].on_bus_at
-        return first if first is not None else mark.handed_at
+    def _oldest_at(self) -> Instant:
+        """No SYNC that is remembered ended before."""
+        first = self._syncs.marks[0]
+        return first.handed_at if first.on_bus_at is None else first.on_bus_at
 
     def _conclude(self, age: int) -> None:
         """The SYNC that went out late was answered after ``age``; usual is what the readings before had."""

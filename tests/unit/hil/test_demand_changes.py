@@ -1,0 +1,166 @@
+"""Between which instants a command began to act, where a drive tells changes or what it follows at SYNCs."""
+
+import pytest
+
+from drivers.timebase import Duration, Instant
+from drivers.wire.frame_port import EchoBasis
+from hil.loop.command_meter import FOLLOWED_MAX, CommandMeter
+from hil.loop.samples import CommandFate, Sending
+from tests.unit.hil.test_command_meter import AT_REST, HANDED, HORIZON, ON_BUS, command, meter_on, sync_at
+
+ERROR = Duration(3_000)
+ACTING, LOST, UNKNOWN = CommandFate.ACTING, CommandFate.LOST, CommandFate.NOT_IDENTIFIABLE
+
+
+def meter_with(*raws: int) -> CommandMeter:
+    """The commands 0, 1, ... with these values have been on the bus."""
+    meter, _ = meter_on(EchoBasis.BUS)
+    for number, raw in enumerate(raws):
+        meter.sent(command(number, raw))
+    return meter
+
+
+def on_bus_at(number: int) -> Instant:
+    return Instant(sync_at(number) + ON_BUS)
+
+
+def told(outcome: Sending | None) -> tuple[CommandFate, int | None, int | None] | None:
+    return None if outcome is None else (outcome.fate, outcome.acts_after, outcome.acts_by)
+
+
+# ---- a change with its stamp ----------------------------------------------------------------------------
+
+
+def test_a_change_tells_within_which_error_its_command_began_to_act() -> None:
+    meter = meter_with(5)
+    at = Instant(on_bus_at(0) + 20_000)
+    meter.changed(5, at, ERROR)
+    outcome = meter.outcome(0, 1)
+    assert outcome == Sending(
+        5, Instant(HANDED), on_bus_at(0), ACTING, Instant(at - ERROR), Instant(at + ERROR)
+    )
+    assert meter.outcome(0, 1) is None, "it is forgotten"
+    assert meter.unexplained == 0
+
+
+@pytest.mark.parametrize(("early", "acts"), [(ERROR, True), (ERROR + 1, False)])
+def test_a_change_is_of_a_command_that_may_have_been_there(early: int, acts: bool) -> None:
+    meter = meter_with(5)
+    meter.changed(5, Instant(on_bus_at(0) - early), ERROR)
+    assert told(meter.outcome(0, HORIZON)) == (
+        (ACTING, on_bus_at(0) - early - ERROR, on_bus_at(0) - early + ERROR)
+        if acts
+        else (UNKNOWN, None, None)
+    )
+
+
+def test_a_change_to_what_two_commands_ask_for_tells_of_neither() -> None:
+    meter = meter_with(5, 5)
+    meter.changed(5, Instant(on_bus_at(1) + 1), ERROR)
+    assert [told(meter.outcome(number, HORIZON + 1)) for number in (0, 1)] == [(UNKNOWN, None, None)] * 2
+
+
+def test_a_change_to_what_no_command_asks_for_tells_of_none() -> None:
+    meter = meter_with(5)
+    meter.changed(6, Instant(on_bus_at(0) + 1), ERROR)
+    assert told(meter.outcome(0, HORIZON - 1)) is None
+    assert told(meter.outcome(0, HORIZON)) == (UNKNOWN, None, None)
+
+
+def test_a_change_that_is_told_twice_moves_no_instant() -> None:
+    meter = meter_with(5)
+    first = Instant(on_bus_at(0) + 10_000)
+    meter.changed(5, first, ERROR)
+    meter.changed(5, Instant(first + 500_000), ERROR)
+    assert told(meter.outcome(0, 1)) == (ACTING, first - ERROR, first + ERROR)
+
+
+def test_commands_that_a_change_passes_over_were_not_seen_to_be_lost() -> None:
+    """A drive that tells changes may have followed one for less than it takes to tell."""
+    meter = meter_with(5, 6, 7)
+    meter.changed(5, Instant(on_bus_at(0) + 10), ERROR)
+    at = Instant(on_bus_at(2) + 10)
+    meter.changed(7, at, ERROR)
+    assert [told(meter.outcome(number, 3)) for number in (0, 1, 2)] == [
+        (ACTING, on_bus_at(0) + 10 - ERROR, on_bus_at(0) + 10 + ERROR),
+        (UNKNOWN, None, None),
+        (ACTING, at - ERROR, at + ERROR),
+    ]
+
+
+def test_what_was_not_followed_at_a_sync_and_is_passed_over_by_a_change_was_lost() -> None:
+    meter = meter_with(5)
+    meter.changed(5, Instant(on_bus_at(0) + 10), ERROR)
+    meter.sent(command(1, 6))
+    meter.told(5, sync_at(2))
+    meter.sent(command(2, 7))
+    at = Instant(on_bus_at(2) + 10)
+    meter.changed(7, at, ERROR)
+    assert [told(meter.outcome(number, 3)) for number in (0, 1, 2)] == [
+        (ACTING, on_bus_at(0) + 10 - ERROR, on_bus_at(0) + 10 + ERROR),
+        (LOST, sync_at(2), None),
+        (ACTING, at - ERROR, at + ERROR),
+    ]
+
+
+# ---- at SYNCs -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settles", "seen_off"), [(0, True), (ON_BUS, True), (660_000, True), (660_001, False)]
+)
+def test_a_command_need_not_show_before_it_is_settled(settles: int, seen_off: bool) -> None:
+    """Command 1 came 660 us before SYNC 2, at which the drive followed another."""
+    _, syncs = meter_on(EchoBasis.BUS)
+    meter = CommandMeter(HORIZON, syncs, Duration(settles))
+    meter.sent(command(0, 5))
+    meter.told(AT_REST, sync_at(0))
+    meter.told(5, sync_at(1))
+    meter.sent(command(1, 6))
+    meter.told(5, sync_at(2))
+    meter.sent(command(2, 7))
+    meter.told(7, sync_at(3))
+    assert [told(meter.outcome(number, 3)) for number in (0, 1, 2)] == [
+        (ACTING, on_bus_at(0), sync_at(1)),
+        (LOST, sync_at(2), None) if seen_off else (UNKNOWN, None, None),
+        (ACTING, on_bus_at(2), sync_at(3)),
+    ]
+
+
+def test_of_two_equal_commands_the_newer_is_in_force_and_neither_is_known_to_act() -> None:
+    meter = meter_with(5)
+    meter.told(AT_REST, sync_at(0))
+    meter.sent(command(1, 5))
+    meter.told(5, sync_at(2))
+    meter.sent(command(2, 6))
+    meter.told(6, sync_at(3))
+    assert [told(meter.outcome(number, 3)) for number in (0, 1, 2)] == [
+        (UNKNOWN, None, None),
+        (UNKNOWN, None, None),
+        (ACTING, on_bus_at(2), sync_at(3)),
+    ]
+
+
+def test_what_the_drive_goes_on_to_follow_is_explained() -> None:
+    meter = meter_with(5)
+    for number, raw in enumerate((AT_REST, 5, 5, 4, 5), start=0):
+        meter.told(raw, sync_at(number))
+    assert meter.unexplained == 1, "the 4; before the first command there was none on its way"
+
+
+@pytest.mark.parametrize(("beyond", "known"), [(0, True), (1, False)])
+def test_so_many_commands_are_followed_at_a_time(beyond: int, known: bool) -> None:
+    meter = meter_with(*range(FOLLOWED_MAX + beyond))
+    assert (meter.outcome(0, FOLLOWED_MAX) is not None) is known
+
+
+def test_outcomes_are_asked_for_in_order_and_of_commands_that_were_sent() -> None:
+    meter = meter_with(5, 6)
+    assert meter.outcome(7, 30) is None, "it was not sent"
+    assert meter.outcome(1, 30) is None, "that passes over those before"
+
+
+@pytest.mark.parametrize(("age", "settled"), [(1, False), (2, True)])
+def test_of_a_drive_that_tells_nothing_an_echo_is_waited_for(age: int, settled: bool) -> None:
+    meter = meter_with(5)
+    assert told(meter.outcome(0, age)) == ((CommandFate.NOT_MEASURED, None, None) if settled else None)

@@ -1,0 +1,200 @@
+"""Readings with a stamp, one by one: on which SYNC each is placed, how well, and when it puts a question."""
+
+import pytest
+
+from drivers.exchange import Reading
+from drivers.timebase import Instant
+from drivers.wire.frame_port import EchoBasis
+from hil.loop.clock_question import DELAYS_WATCHED
+from hil.loop.samples import Sample
+from hil.loop.stamp_attribution import MATCH_NS, STAMPS_MAX, StampAttribution
+from hil.loop.syncs import ECHO_ERROR, REMEMBERED, SURPLUS, SyncLog
+from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
+
+DELAY = 250_000
+OFFSET = 987_654_000
+"""Of the drive's clock."""
+TAUGHT = 16
+"""SYNCs before the first that is placed."""
+FIRST = TAUGHT + 1
+
+
+class Rig:
+    """SYNC n ends at n periods; the first have taught the clock."""
+
+    def __init__(self, echoes: EchoBasis = EchoBasis.BUS, taught: int = TAUGHT) -> None:
+        self.told: list[str] = []
+        self.log = SyncLog(SYNC_LATENCY, PERIOD, echoes)
+        self.stamped = StampAttribution(self.log, PERIOD, TRANSIT, self.told.append)
+        for number in range(1, taught + 1):
+            self.sync(number)
+            self.stamped.learn(self.reading(number), self.log.marks[-1])
+
+    def sync(self, number: int, sequence: int | None = None) -> None:
+        self.log.heard(number if sequence is None else sequence, Instant(number * PERIOD))
+
+    @staticmethod
+    def reading(number: int, late: int = 0, delay: int = DELAY) -> Reading:
+        """Of SYNC ``number``, which was so late to the drive; received after ``delay`` from that SYNC on."""
+        at = number * PERIOD
+        return reading_at(Instant(at + delay), at + late + OFFSET)
+
+    def place(self, number: int, late: int = 0, delay: int = DELAY) -> Sample | None:
+        return self.stamped.place(self.reading(number, late, delay))
+
+    @property
+    def match_ns(self) -> int:
+        """How far a stamp may lie off its SYNC now."""
+        return MATCH_NS + ECHO_ERROR[self.log.echoes] + self.stamped.clock.error_ns
+
+
+def counts(rig: Rig) -> tuple[int, int, int, int, int]:
+    health = rig.stamped.health
+    return health.placed, health.unmatched, health.duplicates, health.below_transit, health.before_sync
+
+
+@pytest.mark.parametrize("echoes", [EchoBasis.BUS, EchoBasis.HARDWARE, EchoBasis.RECEIPT])
+def test_a_stamp_on_a_sync_is_that_sync_s(echoes: EchoBasis) -> None:
+    rig = Rig(echoes)
+    rig.sync(FIRST)
+    match_ns = rig.match_ns
+    sample = rig.place(FIRST)
+    assert sample == Sample(FIRST, rig.reading(FIRST), Instant(FIRST * PERIOD), 2 * match_ns, True)
+    assert counts(rig) == (1, 0, 0, 0, 0)
+    assert rig.stamped.health.error_ns_max == 2 * match_ns
+    assert (rig.stamped.question.open, rig.told) == (False, [])
+
+
+@pytest.mark.parametrize(("off", "certain"), [(0, True), (1, False)])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_stamp_lies_on_a_sync_within_what_both_may_err(sign: int, off: int, certain: bool) -> None:
+    rig = Rig()
+    rig.sync(FIRST)
+    # the line has a fraction of a nanosecond; what it places says where a stamp lies
+    late = sign * (rig.match_ns + off)
+    late -= rig.stamped.clock.place(FIRST * PERIOD + late + OFFSET) - (FIRST * PERIOD + late)
+    sample = rig.place(FIRST, late)
+    assert sample is not None
+    assert (sample.sequence, sample.sampled_at, sample.certain) == (FIRST, FIRST * PERIOD, certain)
+    assert rig.stamped.question.open is not certain
+    assert rig.stamped.health.error_ns_max == (sample.sampled_at_error_ns if certain else 0)
+    if not certain:
+        assert sample.sampled_at_error_ns == REMEMBERED * PERIOD, "any SYNC that is remembered"
+
+
+def test_a_stamp_that_comes_again_is_the_same_reading() -> None:
+    rig = Rig()
+    rig.sync(FIRST)
+    assert rig.place(FIRST) is not None
+    assert rig.place(FIRST, delay=3 * PERIOD) is None
+    assert counts(rig) == (1, 0, 1, 0, 0)
+    assert not rig.stamped.question.open
+
+
+def test_what_cannot_be_placed_is_counted() -> None:
+    fresh = Rig(taught=0)
+    fresh.sync(1)
+    assert fresh.place(1) is None, "nothing is known of the clock"
+    rig = Rig()
+    assert rig.stamped.place(reading_at(Instant(FIRST * PERIOD))) is None, "it has no stamp"
+    empty = Rig()
+    empty.log.marks.clear()
+    assert empty.place(FIRST) is None, "no SYNC is remembered"
+    assert [counts(each) for each in (fresh, rig, empty)] == [(0, 1, 0, 0, 0)] * 3
+
+
+def test_a_reading_of_a_sync_of_no_cycle_is_known_and_not_used() -> None:
+    rig = Rig()
+    rig.sync(FIRST, SURPLUS)
+    assert rig.place(FIRST) is None
+    assert rig.place(FIRST) is None
+    assert counts(rig) == (0, 1, 1, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("delay", "below", "before"),
+    [("transit", 0, 0), ("sooner", 1, 0), ("at the sync", 1, 0), ("before it", 1, 1)],
+)
+def test_a_reading_sooner_than_its_frame_takes_is_an_alarm(delay: str, below: int, before: int) -> None:
+    rig = Rig()
+    rig.sync(FIRST)
+    least = TRANSIT - 2 * rig.match_ns
+    sooner = {"transit": least, "sooner": least - 1, "at the sync": 0, "before it": -1}[delay]
+    assert rig.place(FIRST, delay=sooner) is not None
+    assert counts(rig) == (1, 0, 0, below, before)
+
+
+@pytest.mark.parametrize(
+    ("change", "usual"),
+    [(PERIOD // 2, True), (PERIOD // 2 + 1, False), (-PERIOD // 2, True), (-PERIOD // 2 - 1, False)],
+)
+def test_a_delay_that_changes_by_more_than_half_a_period_puts_a_question(change: int, usual: bool) -> None:
+    rig = Rig()
+    rig.sync(FIRST)
+    sample = rig.place(FIRST, delay=DELAY + change)
+    assert rig.stamped.question.open is not usual
+    assert (sample is not None and sample.certain) is usual
+    if not usual:
+        rig.sync(FIRST + 1)
+        assert rig.place(FIRST + 1) is not None
+        assert rig.stamped.question.open is (change < 0), "the next answers it, but for what cannot be"
+
+
+# ---- SYNCs that are late to the drive --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("usual_change", "late", "certain"),
+    [
+        (50_000.0, 200_000, True),
+        (50_000.0, 200_001, False),
+        (90_000.0, PERIOD // 4, True),
+        (90_000.0, PERIOD // 4 + 1, False),
+    ],
+)
+def test_a_sync_is_late_by_four_times_the_usual_change_or_a_quarter_of_a_period_at_most(
+    usual_change: float, late: int, certain: bool
+) -> None:
+    rig = Rig()
+    rig.sync(FIRST)
+    rig.stamped._late_ns = usual_change
+    late -= rig.stamped.clock.place(FIRST * PERIOD + late + OFFSET) - (FIRST * PERIOD + late)
+    at = rig.stamped.clock.place(FIRST * PERIOD + late + OFFSET)
+    lateness, match_ns = at - FIRST * PERIOD, rig.match_ns
+    sample = rig.place(FIRST, late)
+    assert sample is not None
+    assert sample.certain is certain
+    if certain:
+        assert (sample.sampled_at, sample.sampled_at_error_ns) == (at, lateness + match_ns)
+        assert rig.stamped._late_ns == pytest.approx(0.97 * usual_change + 0.03 * lateness)
+        rig.sync(FIRST + 1)
+        again = rig.place(FIRST + 1)
+        assert again is not None
+        assert again.sampled_at == (FIRST + 1) * PERIOD
+        changes = 0.97 * (0.97 * usual_change + 0.03 * lateness) + 0.03 * lateness
+        assert rig.stamped._late_ns == pytest.approx(changes), "back again is a change as well"
+
+
+@pytest.mark.parametrize("late_ones", [DELAYS_WATCHED - 1, DELAYS_WATCHED])
+def test_syncs_that_are_always_late_are_not_late_the_clock_is_behind(late_ones: int) -> None:
+    """The smallest lateness of so many is the offset that it lacks."""
+    rig = Rig()
+    before = rig.stamped.clock.offset_ns
+    for number in range(FIRST, FIRST + late_ones):
+        rig.stamped._late_ns = 60_000.0
+        rig.sync(number)
+        assert rig.place(number, 40_000 if number == FIRST + 7 else 50_000 + number % 3) is not None
+    moved = before - rig.stamped.clock.offset_ns
+    assert moved == (pytest.approx(40_000, abs=100) if late_ones == DELAYS_WATCHED else 0)
+
+
+@pytest.mark.parametrize(("beyond", "kept"), [(0, STAMPS_MAX), (1, REMEMBERED)])
+def test_stamps_of_syncs_that_are_forgotten_are_dropped(beyond: int, kept: int) -> None:
+    rig = Rig()
+    last = STAMPS_MAX + beyond
+    for number in range(FIRST, last + 1):
+        rig.sync(number)
+        rig.place(number)
+    stamps = rig.stamped._case.stamps
+    assert sorted(stamps) == list(range(last - kept + 1, last + 1))
+    assert stamps[last] == last * PERIOD + OFFSET
