@@ -9,7 +9,7 @@ import pytest
 import rerun.blueprint as rrb
 
 from drivers.timebase import NS_PER_S
-from hil.recording.blueprint import GUTTER, Whole, layout
+from hil.recording.blueprint import Whole, layout
 from hil.recording.page_series import AXIS_COLORS
 from hil.rows.recording_plan import AxisPlan, ObservedDrive, ObservedSignal, RecordingPlan, ReviewPlan
 from tests.unit.hil.recording_tools import plan_for
@@ -175,7 +175,8 @@ def test_a_position_has_its_marks_at_the_delay_alone() -> None:
         "/right/position_error/error",
         "/limits/right/position_error/**",
     ]
-    speed = paths(pages(solo, WHOLE)["Speed"])
+    assert [window_s(view) for view in parts(pages(solo, WHOLE)["Speed"])] == [(1.0, 3.0)] * 2
+    speed = paths(pages(solo, replace(WHOLE, few_marks=frozenset({"right"})))["Speed"])
     assert speed["Speed [r/min]"] == [
         *("/right/speed/reference", "/right/speed/estimate", "/right/speed/measured"),
         "/limits/right/speed/**",
@@ -312,7 +313,7 @@ def test_a_position_s_plots_are_as_high_as_its_ranges_need() -> None:
 def test_a_whole_run_is_shown_from_its_begin_to_its_end_and_lanes_with_a_gutter() -> None:
     page = pages(SOLO, WHOLE)["Overview"]
     lanes, *plots = [window_s(view) for view in parts(page)]
-    assert lanes == pytest.approx((1.0 - 2.0 * GUTTER, 3.0))
+    assert lanes == pytest.approx((1.0 - 2.0 * 31 / 988, 3.0)), "so wide are the labels of a plot, px"
     assert plots == [(1.0, 3.0)] * 4
     assert [window_s(view) for view in parts(pages(SOLO, WHOLE)["Zoom"])] == [None] * 5
     links = [view.properties["TimeAxis"].link.as_arrow_array().to_pylist() for view in parts(page)]
