@@ -115,6 +115,8 @@ def test_positions_controllers_and_observed_objects_have_pages_of_their_own() ->
         "motor temperature [deg C]": ["/left/observed/2030h_1"],
         "voltage": ["/left/observed/2030h_1"],
     }
+    own = [*parts(found["Controller"]), *parts(found["Observed"])]
+    assert [window_s(view) for view in own] == [(1.0, 3.0)] * 4
     assert names(found["Speed"]["third"]) == ["Speed [r/min]", "Speed error [r/min]"]
     assert names(found["right"])[1:] == [
         *("Position [rad]", "Position error [rad]", "Torque [N m]", "Delay of the readings [us]")
@@ -186,6 +188,7 @@ def test_a_position_has_its_marks_at_the_delay_alone() -> None:
 def test_timing_shows_delay_commands_and_clock() -> None:
     page = pages(SOLO, WHOLE)["Timing"]
     assert page.row_shares == [1, 1, 1]
+    assert [window_s(view) for view in parts(page)] == [(1.0, 3.0)] * 3
     assert paths(page) == {
         "Delay of the readings [us]": [
             *("/axis1/delay/delay", "/limits/axis1/delay/**", "/axis1/delay/uncertain"),
