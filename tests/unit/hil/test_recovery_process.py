@@ -22,10 +22,12 @@ from hil.recording.run_folder import read_summary
 from hil.recording.tail import TAIL_FILE
 from hil.recording.telemetry import Telemetry
 from hil.recording.whole_records import Rings, whole_records
-from hil.rows.recording_plan import RecordingPlan
+from hil.rows.recording_plan import ObservedDrive, RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
 from hil.rows.records_file import RecordsWriter, is_whole
 from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, BeginEvent, TextEvent, frame_row
+from tests.rrd_columns import columns
+from tests.unit.hil import test_drawn_rows as drawn
 from tests.unit.hil.logger_fakes import EVENTS, LOSS, ROWS, put_faults, rings
 from tests.unit.hil.logger_fakes import Rings as Written
 from tests.unit.hil.recording_tools import whole_outcome
@@ -94,6 +96,20 @@ def test_the_program_finishes_the_recording_and_prints_its_summary(
     assert (summary.cycles, summary.recording_faults) == (20, ("its logger died",))
     assert read(tmp_path).tobytes() == rows[:20].tobytes()
     assert policies == [(0, os.SCHED_OTHER, 0)], "it does not compete with a real-time loop"
+
+
+@pytest.mark.parametrize(("wanted", "frames"), [(True, True), (False, True), (True, False)])
+def test_what_a_drive_told_beside_is_drawn_anew_from_the_frames(
+    plan: RecordingPlan, tmp_path: Path, rows: Rows, wanted: bool, frames: bool
+) -> None:
+    """Of frames.log, in run time; without a log there are none."""
+    begun(plan, rows, COUNT)
+    told = drawn.frames(*drawn.MAPPING, drawn.pdo(-250, 48_000, BEGIN + 5_000))
+    observed = {"axis1": ObservedDrive(3, 0, (drawn.TEMPERATURE,))} if wanted else {}
+    recover(replace(plan, observed=observed, frames=frames), whole_outcome(COUNT), [], left(frames=told))
+    times, celsius = columns(tmp_path / "run.rrd", "/axis1/observed/2030h_1", "Scalars:scalars")
+    expected = ([5_000], [[pytest.approx(-25.0)]]) if wanted and frames else ([], [])
+    assert (times.tolist(), celsius) == expected
 
 
 # ---- a full disk ----------------------------------------------------------------------------------------
