@@ -10,6 +10,7 @@ import pytest
 
 from drivers.errors import PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S
+from hil.configuration.motor_file import LING2012
 from hil.testing import hosted
 from hil.testing.hosted import DriveHost, DriveProcess, DriveWish
 from virtual_bus.timeline import SimulatedClock, Timeline
@@ -183,3 +184,7 @@ def test_all_of_a_host_are_ended_and_each_complaint_told_once(
     host.end()
     assert host.missing([1, 2, 3, 4]) == [4], "they have been on the bus"
     assert machine.command[-1] == "1000000"
+
+
+def test_a_drive_of_which_nothing_is_wished_is_the_paper_s_at_1_mbit() -> None:
+    assert DriveWish() == DriveWish(1, LING2012, None, None, None, seed=0, bitrate_bit_s=1_000_000)
