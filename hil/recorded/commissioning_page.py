@@ -7,6 +7,7 @@ page, too, in the units that the drive tells.
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, Final, NamedTuple
@@ -39,6 +40,7 @@ from hil.rows.run_files import (
     EVENTS_FILE,
     FRAMES_FILE,
 )
+from hil.verdict.plain_values import from_plain
 
 _APPLICATION: Final = "servobench commissioning"
 _ZERO: Final = re.compile(r"0 ns is \((\d+)\.(\d{6})\)")
@@ -67,6 +69,38 @@ _SIGNALS: Final = {
     Object.TARGET_TORQUE: _Signal("torque", "set-point 6071h", GREY, 1.0),
     Object.TORQUE_ACTUAL_VALUE: _Signal("torque", "actual 6077h", GREEN, 1.0),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class _Quantity:
+    name: str
+    value: float
+    uncertainty: float | None
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """What figures.json says of a step, as far as the page tells it."""
+
+    name: str
+    title: str
+    verdict: str
+    quantities: tuple[_Quantity, ...]
+    faults: tuple[str, ...]
+    reason: str
+    headline: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Figures:
+    """The same of a commissioning."""
+
+    steps: tuple[_Step, ...]
+    header: Mapping[str, Any] = field(default_factory=dict)
+    error: str | None = None
+
+
 _RESULT_COLUMNS: Final = 52
 """A cell shows one line alone: so much a table at the right of a screen of 1920 shows beside the titles."""
 _PLOTS: Final = {"speed": "Speed [r/min]", "position": "Position [turns]", "torque": "Torque [N m]"}
@@ -108,16 +142,17 @@ def _write(folder: Path, page: Path) -> None:
         part.replace(page)
 
 
-def _figures(folder: Path) -> Mapping[str, Any]:
+def _figures(folder: Path) -> _Figures:
     """Of figures.json; a commissioning that was killed has none."""
     path, what = folder / COMMISSIONING_FIGURES, "what hil commission wrote"
     try:
-        figures = parse_json(read_text(path, "commissioning"), str(path), what)
+        plain = parse_json(read_text(path, "commissioning"), str(path), what)
     except NoSuchFile:
-        return {"steps": []}
-    if not isinstance(figures, dict):
-        raise BadInput(str(path), "", figures, what)
-    return figures
+        return _Figures(())
+    try:
+        return from_plain(_Figures, plain)
+    except ValueError as error:
+        raise BadInput(str(path), "", str(error), what) from None
 
 
 def _known(folder: Path) -> KnownNodes:
@@ -177,17 +212,17 @@ class _Bus:
                 held[index].append((at_ns, value.si * _SIGNALS[index].scale))
 
 
-def _send_steps(stream: rr.RecordingStream, events: list[dict[str, Any]], figures: Mapping[str, Any]) -> None:
-    steps = {step["name"]: step for step in figures["steps"]}
-    begun = [event for event in events if event.get("track") == "step"]
-    titles = [str(steps.get(event["state"], {}).get("title", event["state"])) for event in begun]
-    verdicts = {step["title"]: step["verdict"] for step in steps.values()}
+def _send_steps(stream: rr.RecordingStream, events: list[dict[str, Any]], figures: _Figures) -> None:
+    named = {step.name: step.title for step in figures.steps}
+    begun = [event for event in events if event.get("track") == "step" and "state" in event]
+    titles = [named.get(str(event["state"]), str(event["state"])) for event in begun]
+    verdicts = {step.title: step.verdict for step in figures.steps}
     labels = list(dict.fromkeys(titles))
     colors = [_STEP_COLORS.get(verdicts.get(label, ""), _BLUE) for label in labels]
     times = [event["at_ns"] for event in begun]
     _send_lane(stream, _STEP, times, titles, dict(zip(labels, colors, strict=True)))
-    told = [event for event in events if "text" in event]
-    _send_texts(stream, [(each["at_ns"], each["level"], each["text"]) for each in told])
+    told = [event for event in events if "text" in event and "level" in event]
+    _send_texts(stream, [(each["at_ns"], str(each["level"]), str(each["text"])) for each in told])
 
 
 def _send_bus(stream: rr.RecordingStream, bus: _Bus) -> None:
@@ -219,34 +254,33 @@ def _path(index: Object) -> str:
     return f"/{_SIGNALS[index].plot}/{index:04X}h"
 
 
-def _markdown(folder: Path, figures: Mapping[str, Any]) -> str:
+def _markdown(folder: Path, figures: _Figures) -> str:
     """What came of each step, as report.md has it, in short."""
-    header = figures.get("header", {})
     parts = [f"# Commissioning · {folder.name}"]
-    origin = [str(header[key]) for key in ("date", "tool", "adapter") if header.get(key)]
+    origin = [str(told) for key in ("date", "tool", "adapter") if (told := figures.header.get(key))]
     parts += [", ".join(origin)] if origin else []
-    if not figures["steps"]:
+    if not figures.steps:
         parts.append("It did not come to its end: nothing but frames and events is there.")
-    if figures.get("error"):
-        parts.append(f"**{figures['error']}**")
+    if figures.error:
+        parts.append(f"**{figures.error}**")
     rows = [
-        f"| {each['title']} | {each['verdict']} | {line} |" if place == 0 else f"| | | {line} |"
-        for each in figures["steps"]
+        f"| {each.title} | {each.verdict} | {line} |" if place == 0 else f"| | | {line} |"
+        for each in figures.steps
         for place, line in enumerate(_result(each))
     ]
     parts.append("\n".join(["| step | | |", "|:--|:--|:--|", *rows]))
     return "\n\n".join(parts) + "\n"
 
 
-def _result(step: Mapping[str, Any]) -> list[str]:
+def _result(step: _Step) -> list[str]:
     """In lines, as a cell shows one alone."""
     told = []
-    for each in step["quantities"]:
-        half = f" +- {each['uncertainty']:.2g}" if each["uncertainty"] is not None else ""
-        told.append(f"{each['name']} {each['value']:.5g}{half} {each['unit']}".strip())
-    faults = [f"**{line}**" for fault in step["faults"] for line in _cells(fault)]
+    for each in step.quantities:
+        half = f" +- {each.uncertainty:.2g}" if each.uncertainty is not None else ""
+        told.append(f"{each.name} {each.value:.5g}{half} {each.unit}".strip())
+    faults = [f"**{line}**" for fault in step.faults for line in _cells(fault)]
     if not told and not faults:
-        told = [step["reason"] or step["headline"] or ""]
+        told = [step.reason or step.headline]
     return [*faults, *_cells("; ".join(told))] or [""]
 
 

@@ -19,6 +19,7 @@ from hil.recorded.comparison import compare_runs
 from hil.recorded.comparison_page import write_comparison
 from hil.recording.page_series import AXIS_COLORS, GREY, torque_scale
 from hil.rows.records import Rows
+from hil.verdict.plain_values import from_plain
 from hil.verdict.verdict import VerdictLimits
 from tests.page_text import page_text
 from tests.unit.hil.made_runs import MadeRun, made_run
@@ -106,6 +107,11 @@ STEP: dict[str, Any] = {
 }
 
 
+def figures_of(*steps: dict[str, Any], **more: Any) -> commissioned._Figures:
+    """As the page reads them out of figures.json."""
+    return from_plain(commissioned._Figures, {"steps": steps, **more})
+
+
 @pytest.mark.parametrize(
     ("changes", "lines"),
     [
@@ -126,23 +132,21 @@ STEP: dict[str, Any] = {
     ],
 )
 def test_a_step_came_to_figures_faults_or_words(changes: dict[str, Any], lines: list[str]) -> None:
-    assert commissioned._result(STEP | changes) == lines
+    (step,) = figures_of(STEP | changes).steps
+    assert commissioned._result(step) == lines
 
 
 def test_a_commissioning_is_told_step_by_step() -> None:
     failed = STEP | {"title": "Turn", "verdict": "failed", "faults": ["it did not"]}
     long = STEP | {"headline": "word " * 20}
-    figures = {
-        "steps": [long, failed],
-        "header": {"date": "today", "tool": "", "adapter": "can0"},
-        "error": "Turn failed",
-    }
+    header = {"date": "today", "tool": "", "adapter": "can0"}
+    figures = figures_of(long, failed, header=header, error="Turn failed")
     words = " ".join(["word"] * 10)
     assert commissioned._markdown(Path("a/drive7"), figures) == (
         "# Commissioning · drive7\n\ntoday, can0\n\n**Turn failed**\n\n| step | | |\n|:--|:--|:--|\n"
         f"| Units | done | {words} |\n| | | {words} |\n| Turn | failed | **it did not** |\n"
     )
-    killed = commissioned._markdown(Path("drive7"), {"steps": []})
+    killed = commissioned._markdown(Path("drive7"), commissioned._Figures(()))
     assert killed.split("\n\n")[1] == "It did not come to its end: nothing but frames and events is there."
 
 
@@ -207,12 +211,34 @@ def test_a_page_is_made_anew_when_its_sources_are_newer(tmp_path: Path) -> None:
     assert "Units" in page_text(page)
 
 
-def test_figures_that_are_none_are_refused(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, ["no table"])
+@pytest.mark.parametrize(
+    ("figures", "lacking"),
+    [
+        (["no table"], "Input should be"),
+        ({}, "steps"),
+        ({"steps": 1}, "steps"),
+        ({"steps": [{**STEP, "quantities": [{"name": "inertia"}]}]}, "steps.0.quantities.0.value"),
+        ({"steps": [{"name": "units"}]}, "steps.0.title"),
+        ({"steps": [], "error": {}}, "error"),
+    ],
+)
+def test_figures_that_are_none_are_refused(tmp_path: Path, figures: Any, lacking: str) -> None:
+    folder = folder_of(tmp_path, figures)
     with pytest.raises(BadInput) as caught:
         commissioning_page(folder)
-    told = f"{folder / 'figures.json'}: found ['no table'], expected what hil commission wrote"
-    assert str(caught.value) == told
+    error = caught.value
+    assert (error.source, error.expected) == (str(folder / "figures.json"), "what hil commission wrote")
+    assert lacking in str(error.value)
+    assert not (folder / "recording" / "run.rrd").exists()
+
+
+def test_an_event_that_lacks_something_is_passed_over(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path)
+    with (folder / "recording" / "events.jsonl").open("a") as events:
+        events.write('\n{"at_ns": 1, "track": "step"}\n{"at_ns": 2, "text": "no level"}\n')
+    text = page_text(commissioning_page(folder))
+    assert "0.000 s  0 ns is (4.900000) in frames.log" in text
+    assert "no level" not in text
 
 
 def test_a_place_that_takes_no_page_is_bad_input(tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ def test_without_a_reading_there_is_no_network(tmp_path: Path) -> None:
 
 
 def blocks(*entries: Sequence[int]) -> NDArray[np.void]:
-    """Rows of the ring of faults, with these entries: code, at_ns, link, can_id, n."""
+    """Rows of the ring of faults, with these entries: code, at_ns, link, can_id, n, and its own numbers."""
     log, rows = FaultLog(), np.zeros(1, BLOCK_DTYPE)
 
     def sink(length: int, block: bytes) -> None:
@@ -145,8 +145,8 @@ def blocks(*entries: Sequence[int]) -> NDArray[np.void]:
         rows["block"] = np.frombuffer(block.ljust(BLOCK_BYTES, b"\0"), np.uint8)
 
     log.send_to(sink)
-    for code, at_ns, link, can_id, n in entries:
-        log.note(code, at_ns, link, can_id, n)
+    for entry in entries:
+        log.note(*entry)
     log.flush()
     return rows
 

@@ -5,7 +5,7 @@ import os
 import resource
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -14,11 +14,11 @@ from drivers.record import replaced
 from drivers.timebase import Instant
 from hil.recording.logger import Logger
 from hil.recording.logger_process import LineReader
-from hil.recording.ring import RingWriter
-from hil.rows.records import ROW, row_of
-from hil.rows.side_rows import EVENT, FRAME, TextEvent, event_row, frame_row
+from hil.rows.records import row_of
+from hil.rows.side_rows import TextEvent, frame_row
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import VerdictKind
+from tests.unit.hil.logger_fakes import Rings, made_rings
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 from virtual_bus.faults.fault_log import BLOCK
@@ -30,33 +30,19 @@ OUTCOME = json.dumps(asdict(whole_outcome(CYCLES))).encode() + b"\n"
 FAULT_BLOCKS = 1 << 4
 
 
-@dataclass
-class Rings:
-    rows: RingWriter
-    frames: RingWriter
-    events: RingWriter
-    faults: RingWriter
-
-    @property
-    def all(self) -> tuple[RingWriter, ...]:
-        return self.rows, self.frames, self.events, self.faults
-
-    def fill(self, doubled: int = 0) -> None:
-        """``doubled``: number of a cycle whose row stands in the place of the next one's too."""
-        for record in synthetic_records(CYCLES):
-            again = doubled and record.sequence == doubled + 1
-            self.rows.push(row_of(replaced(record, sequence=doubled) if again else record))
-            self.frames.push(frame_row(record.due_at, 0x80, 1, b""))
-        self.events.push(event_row(TextEvent(Instant(0), "WARN", "load")))
+def fill(rings: Rings, doubled: int = 0) -> None:
+    """``doubled``: number of a cycle whose row stands in the place of the next one's too."""
+    for record in synthetic_records(CYCLES):
+        again = doubled and record.sequence == doubled + 1
+        rings.rows.push(row_of(replaced(record, sequence=doubled) if again else record))
+        rings.frames.push(frame_row(record.due_at, 0x80, 1, b""))
+    rings.tell(TextEvent(Instant(0), "WARN", "load"))
 
 
 @pytest.fixture
 def rings() -> Iterator[Rings]:
-    sizes = ((ROW, 1 << 9), (FRAME, 1 << 9), (EVENT, 1 << 4), (BLOCK, FAULT_BLOCKS))
-    found = Rings(*(RingWriter(row, capacity) for row, capacity in sizes))
-    yield found
-    for ring in found.all:
-        ring.close()
+    with made_rings(1 << 9, 1 << 9, 1 << 4, FAULT_BLOCKS) as found:
+        yield found
 
 
 def run_logger(
@@ -67,13 +53,12 @@ def run_logger(
     doubled: int = 0,
 ) -> Summary:
     """The logger over filled rings, with ``said`` on its input, once it has started ``within`` something."""
-    rings.fill(doubled)
+    fill(rings, doubled)
     read_end, write_end = os.pipe()
     os.write(write_end, said)
     os.close(write_end)
-    descriptors = [ring.descriptor for ring in rings.all]
     try:
-        logger = Logger(plan_for(folder), *descriptors)
+        logger = Logger(plan_for(folder), *rings.descriptors)
         with within or nullcontext():
             return logger.run(LineReader(read_end))
     finally:

@@ -9,14 +9,22 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, Instant
 from hil.rows.records import COLUMNS, NAMES, NOTHING, Rows
 from hil.rows.records_file import (
     PHASE_COLUMN,
     RecordsWriter,
+    column_of,
     finish_records,
+    is_whole,
     read_metadata,
     read_records,
+    read_table,
+    records_schema,
+    records_table,
+    refuse_later_format,
+    rows_of_table,
 )
 from hil.rows.run_files import FORMAT
 from hil.rows.run_zero import RunZero
@@ -148,6 +156,80 @@ def test_a_whole_one_is_left_as_it_is(tmp_path: Path, rows: Rows) -> None:
     before = path.read_bytes(), path.stat().st_ino
     assert finish_records(path) == 300
     assert (path.read_bytes(), path.stat().st_ino) == before
+
+
+@pytest.mark.parametrize("kept", [0, 100, 300])
+def test_one_that_another_writer_began_is_finished_all_the_same(
+    tmp_path: Path, rows: Rows, kept: int
+) -> None:
+    """Its batches are not the bytes that this one would write: they are written anew."""
+    path, plain = tmp_path / "records.arrow", tmp_path / "plain.arrow"
+    write(path, rows)
+    table = read_table(path)
+    with pa.OSFile(str(plain), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
+        for batch in table.slice(0, kept).to_batches():
+            writer.write_batch(batch)
+        end = file.tell()
+    plain.write_bytes(plain.read_bytes()[:end])
+    assert not is_whole(plain)
+    assert finish_records(plain) == kept
+    assert is_whole(plain)
+    assert rows_of_table(pa.ipc.open_file(plain).read_all()).tobytes() == (
+        rows_of_table(table)[:kept].tobytes()
+    )
+
+
+def test_a_table_is_the_same_from_memory_and_from_a_file(tmp_path: Path, rows: Rows) -> None:
+    path = tmp_path / "records.arrow"
+    write(path, rows)
+    table = read_table(path)
+    assert table.equals(records_table(rows, {"bench": "synthetic"}, ZERO), check_metadata=True)
+    moved = rows_of_table(table)
+    assert moved["due_at"].tolist() == (rows["due_at"] - ZERO).tolist()
+    assert moved["velocity_rad_s"].tobytes() == rows["velocity_rad_s"].tobytes()
+    assert table.column("phase").to_pylist() == ["run"] * 300
+    path.write_bytes(b"ARROW1")
+    assert read_table(path).equals(records_table(rows[:0], {}, ZERO), check_metadata=True)
+    assert rows_of_table(read_table(path)).size == 0
+
+
+def test_a_field_tells_all_of_its_column() -> None:
+    schema = records_schema({"bench": "x"})
+    told = [column_of(schema.field(column.name)) for column in COLUMNS]
+    assert [(each.name, each.unit, each.meaning, each.codes) for each in told] == [
+        (each.name, each.unit, each.meaning, each.codes) for each in COLUMNS
+    ]
+    many = tuple(f"code {number}" for number in range(12))
+    field = pa.field("x", pa.int64(), metadata={"codes": json.dumps(dict(enumerate(many)))})
+    assert column_of(field).codes == many, "10 comes behind 9"
+    bare = column_of(pa.field("x", pa.float64()))
+    assert (bare.name, bare.kind, bare.unit, bare.meaning, bare.codes) == ("x", "double", "", "", ())
+
+
+@pytest.mark.parametrize(
+    ("told", "refused"), [(None, False), ("1", False), ("2", False), ("3", True), ("", True), ("2.0", True)]
+)
+def test_a_later_format_is_refused_by_those_who_read_earlier_ones(told: str | None, refused: bool) -> None:
+    metadata = {} if told is None else {"format": told}
+    if not refused:
+        refuse_later_format(metadata, Path("run"))
+        return
+    with pytest.raises(BadInput) as caught:
+        refuse_later_format(metadata, Path("run"))
+    assert str(caught.value) == (
+        f"run: format: found {told!r}, expected a recording of format 2 or earlier; "
+        "read it with the servobench that wrote it, or later"
+    )
+
+
+def test_a_writer_that_is_dropped_leaves_what_is_written_without_an_end(tmp_path: Path, rows: Rows) -> None:
+    path = tmp_path / "records.arrow"
+    writer = RecordsWriter(path)
+    writer.begin({}, ZERO)
+    writer.write(rows[:100])
+    writer.drop()
+    assert not is_whole(path)
+    assert b"".join(batch.tobytes() for batch in read_records(path, ZERO)) == rows[:100].tobytes()
 
 
 def test_the_time_zero_is_the_first_cycle_once_it_is_told() -> None:

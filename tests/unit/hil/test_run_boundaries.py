@@ -85,6 +85,14 @@ def test_a_stretch_is_judged_if_it_is_as_long_as_the_time_to_settle() -> None:
     )
 
 
+def test_a_stretch_of_just_the_time_to_settle_is_judged() -> None:
+    """Of 1/512 s each, whose times are whole in binary; the stretches reach to 199 of them."""
+    its = rows()
+    its["due_at"] = np.arange(CYCLES) * (10**9 // 512)
+    assert run_of(its).assert_settles(within_s=199 / 512) == [20 / 512] * 2
+    told(lambda: run_of(its).assert_settles(within_s=np.nextafter(199 / 512, 1.0)))
+
+
 @pytest.mark.parametrize(("after_s", "found"), [(0.1, 1), (0.1015, 1), (0.0985, 1), (0.3, 1)])
 def test_a_change_is_found_within_one_and_a_half_cycles(after_s: float, found: int) -> None:
     assert len(run_of(rows()).assert_settles(within_s=0.1, after_s=after_s)) == found

@@ -23,7 +23,15 @@ from hil.verdict.summary import (
     summary_without_run,
 )
 from hil.verdict.summary_text import timing_lines
-from hil.verdict.verdict import Check, LimitResult, RunOutcome, RunVerdict, VerdictKind, VerdictLimits
+from hil.verdict.verdict import (
+    Check,
+    Finding,
+    LimitResult,
+    RunOutcome,
+    RunVerdict,
+    VerdictKind,
+    VerdictLimits,
+)
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 
 FIGURES = Figures(
@@ -115,7 +123,27 @@ def test_what_ended_before_its_run_has_the_same_keys_and_measured_nothing() -> N
     assert set(summary.as_json()) == set(summary_with().as_json())
     assert from_plain(Summary, json.loads(json.dumps(summary.as_json()))) == summary
     assert (summary.verdict.exit_status, summary.verdict.reason) == (2, "no such file")
-    assert summary.bus_load_percent is None
+    nothing = Percentiles(None, None, None)
+    assert (summary.delay_us, summary.lateness_us, summary.compute_us) == (nothing, nothing, nothing)
+    assert summary.speed_error == SpeedError(None, None, None, None)
+    assert (summary.cycles, summary.dropouts.total, summary.losses_in_a_row) == (0, 0, 0)
+    assert summary.dropouts == DropoutCounts(0, 0, 0, 0)
+    assert (summary.bus_load_percent, summary.realtime_factor, summary.seed) == (None, None, None)
+    assert (summary.recording, summary.digest, summary.drives) == ("", "", ())
+
+
+def test_what_is_found_after_the_end_is_in_the_verdict_and_nothing_else_changes() -> None:
+    summary, finding = summary_with(), Finding(VerdictKind.NOT_TRUSTWORTHY, "two stamps")
+    assert summary.also(finding) == replace(summary, verdict=summary.verdict.also(finding))
+    assert summary.also(finding).verdict.findings[0] == finding
+
+
+def test_losses_in_a_row_are_those_that_were_counted() -> None:
+    us = FIGURES.delay_us
+    bare = Figures(0, 0, 0, FIGURES.dropouts, us, FIGURES.speed_error, us, us, "")
+    assert (bare.losses_in_a_row, bare.dropouts_percent, bare.missed_percent) == (0, None, None)
+    (check,) = summarise(bare, whole_outcome(0), VerdictLimits(losses_in_a_row_max=0.0), "", 1).verdict.limits
+    assert check.value is None, "without a row none was counted"
 
 
 @pytest.mark.parametrize("faults", [(), ("run.rrd is incomplete",)])

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from rerun.chunk import RrdReader
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from hil.recording.telemetry import Telemetry, _end_event
 from hil.reviewing.review import Review
-from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.rows.recording_plan import AxisPlan, ObservedDrive, RecordingPlan, ReviewPlan
 from hil.rows.records import FATE_MISSED, NOTHING, Rows
 from hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.verdict.summary import summarise
@@ -21,6 +22,7 @@ from hil.verdict.verdict import Check, LimitResult
 from tests.rrd_columns import columns, numbers, view_ranges
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows
+from tests.unit.hil.test_drawn_rows import MAPPING, TEMPERATURE, VOLTAGE, frames, pdo
 from tests.unit.hil.test_summary import summary_with
 
 RPM: Final = 30.0 / np.pi
@@ -212,6 +214,60 @@ def test_a_deadline_out_of_view_is_no_bar(plan: RecordingPlan) -> None:
     assert "/delay_histogram/axis1/deadline" not in names(path)
     rows["delay_ns"] = NOTHING
     assert "/delay_histogram/axis1/delay" not in names(write(plan, [rows]))
+
+
+@pytest.mark.parametrize("taken", ["with the rows", "after them"])
+def test_what_a_drive_tells_beside_is_drawn_with_the_next_rows_or_at_the_end(
+    plan: RecordingPlan, tmp_path: Path, taken: str
+) -> None:
+    observing = replace(plan, observed={"axis1": ObservedDrive(3, 0, (TEMPERATURE, VOLTAGE))})
+    review = Review(plan.review)
+    path = tmp_path / "run.rrd"
+    telemetry = Telemetry(observing, "a-recording", rr.FileSink(path))
+    if taken == "after them":
+        telemetry.take_rows(plain_rows(4))
+    telemetry.observed.take(frames(*MAPPING, pdo(-250, 48_000, 5), pdo(251, 50_000, 2 * MS)))
+    if taken == "with the rows":
+        telemetry.take_rows(plain_rows(4))
+    telemetry.finish(summary_with(), review)
+    times, celsius = numbers(path, "/axis1/observed/2030h_1")
+    assert (times.tolist(), celsius.tolist()) == ([5, 2 * MS], pytest.approx([-25.0, 25.1]))
+    assert numbers(path, "/axis1/observed/6079h_0")[1].tolist() == pytest.approx([48.0, 50.0])
+    assert columns(path, "/axis1/observed/6079h_0", "SeriesLines:names")[1] == [["DC link"]]
+
+
+@pytest.mark.parametrize(("dropped", "marked"), [(30, True), (31, False)])
+def test_thirty_dropouts_are_marked_on_the_line(plan: RecordingPlan, dropped: int, marked: bool) -> None:
+    """On the page that opens first; from near all of them are."""
+    path = write(plan, [plain_rows(100, fate=[1] * dropped + [0] * (100 - dropped))])
+    shown_marks = [
+        text
+        for store in RrdReader(path).blueprints()
+        for chunk in RrdReader(path).stream(store=store)
+        for batch in [chunk.to_record_batch()]
+        if "ViewContents:query" in batch.schema.names
+        for texts in batch.column("ViewContents:query").to_pylist()
+        for text in texts
+        if text == "+ /axis1/speed/dropped"
+    ]
+    live, zoomed = 1, 1
+    assert len(shown_marks) == live + zoomed + marked
+
+
+def test_a_file_that_cannot_be_written_is_an_os_error(plan: RecordingPlan, tmp_path: Path) -> None:
+    telemetry = Telemetry(plan, "a-recording", rr.FileSink(tmp_path / "run.rrd"))
+    asked: list[float] = []
+
+    def fail(*, timeout_sec: float) -> None:
+        asked.append(timeout_sec)
+        raise RuntimeError("no room")
+
+    whole = telemetry._stream
+    telemetry._stream = SimpleNamespace(flush=fail)  # type: ignore[assignment]
+    with pytest.raises(OSError, match=r"^the telemetry cannot be written: no room$"):
+        telemetry.flush()
+    assert asked == [10.0]
+    whole.disconnect()
 
 
 def test_rows_of_no_cycle_change_nothing(plan: RecordingPlan) -> None:

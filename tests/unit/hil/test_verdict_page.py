@@ -122,3 +122,64 @@ def test_each_limit_has_a_row_with_its_worst_place(check: Check, row: str) -> No
     assert f"| limit | value | at most | | worst |\n|:--|--:|--:|:--|:--|\n{row}\n\n" in page
     bare = verdict_markdown(PLAN, replace(summary_with(), verdict=replace(verdict, limits=())))
     assert "| limit |" not in bare
+
+
+CERTIFICATE: Final = {
+    "delay_us": {"certified": 1000.0, "seen": 912.345},
+    "losses_in_a_row": {"certified": None, "seen": 2},
+    "gain_rad_s_nm": {"certified": 8.0, "seen": 6.0, "seen_at_most": 7.5},
+    "current_bandwidth_hz": {"certified": None, "drive": 1000.0},
+}
+
+
+def test_certificates_are_told_beside_what_was_seen() -> None:
+    page = verdict_markdown(PLAN, replace(summary_with(), certificates={"axis1": CERTIFICATE}))
+    table = (
+        "| certificate | certified | seen |\n|:--|--:|--:|\n"
+        "| delay [us] | 1000 | 912.3 |\n"
+        "| losses in a row | not known | 2 |\n"
+        "| gain [rad/s per N m] | 8 | 6 to 7.5 |\n\n"
+        "| figure | value |\n"
+    )
+    assert table in page
+    assert "| certificate |" not in verdict_markdown(PLAN, summary_with())
+
+
+@pytest.mark.parametrize(
+    ("certified", "told"),
+    [((100.0, 2000.0), "100 to 2000"), ((500.0, 500.0), "500")],
+)
+def test_of_several_axes_each_certificate_has_its_name(certified: tuple[float, float], told: str) -> None:
+    loop = {"certified": certified, "drive": None}
+    both = {"left": CERTIFICATE, "right": {**CERTIFICATE, "current_bandwidth_hz": loop}}
+    rows = [
+        line
+        for line in verdict_markdown(PLAN, replace(summary_with(), certificates=both)).splitlines()
+        if line.startswith(("| left", "| right"))
+    ]
+    seen = [" delay [us] | 1000 | 912.3 |", " losses in a row | not known | 2 |"]
+    seen.append(" gain [rad/s per N m] | 8 | 6 to 7.5 |")
+    assert rows == [
+        *[f"| left:{row}" for row in seen],
+        *[f"| right:{row}" for row in seen],
+        f"| right: current loop [Hz] | {told} | not known (drive) |",
+    ]
+
+
+def test_a_load_machine_s_steps_are_told_asked_and_measured() -> None:
+    steps = [{"asked_nm": 0.5, "measured_nm": 0.49876}, {"asked_nm": -1.0, "measured_nm": None}]
+    machine = {"identity": "ACME 1", "readings": 12, "steps": steps}
+    rows = [row for row in rows_of_page(load_machine=machine) if row not in rows_of_page()]
+    assert rows == [
+        "| load asked, measured | 0.5 N m, 0.499 N m |",
+        "| load asked, measured | -1 N m, none |",
+        "| load machine | ACME 1: 12 readings |",
+    ]
+
+
+def test_times_and_shares_that_nobody_measured_are_told_so() -> None:
+    nothing = Percentiles(None, None, None)
+    rows = rows_of_page(delay_us=nothing, bus_load_percent=None, realtime_factor=38.25)
+    assert "| delay p50 / p99 / max | none / none / none us |" in rows
+    assert "| bus load | not measured |" in rows
+    assert "| times real time | 38.2 |" in rows

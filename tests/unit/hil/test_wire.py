@@ -1,15 +1,22 @@
 """Frames on the wire, patterns of them, and what a test may claim."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from drivers.cia402.pdo_planner import all_modes_plan, mode_plan
+from drivers.cia402.pdo_planner import all_modes_plan, mode_plan, plan_pdos
 from drivers.cia402.pdo_plans import PlanWish
+from drivers.cia402.profile import Mode
+from drivers.sheets.capability import capability_of
+from drivers.sheets.dictionary import load_dictionary
 from drivers.timebase import NS_PER_MS, Instant
+from hil.configuration.config_checks import standard_plan
 from hil.rows.frame_names import frame_name
 from hil.rows.records_file import RecordsWriter
-from hil.testing.wire import Wire, intended_frames, read_wire
+from hil.testing.wire import Controlword, SeenFrame, Wire, intended_frames, pdo_plans, read_wire
+from tests.unit.drivers.eds_maker import four_pdos, sheet_text
+from tests.unit.hil.made_runs import BENCH
 
 PLAN = mode_plan(1, PlanWish())
 INTENDED = intended_frames(127, 1, PLAN)
@@ -126,6 +133,86 @@ def test_a_window_of_time() -> None:
     assert [frame.text for frame in seen.frames] == ["181#00"]
 
 
+@pytest.mark.parametrize(("count", "more"), [(1, ""), (5, ""), (6, "\n  and 1 more"), (9, "\n  and 4 more")])
+def test_five_frames_are_listed_and_the_others_counted(count: int, more: str) -> None:
+    seen = wire(*["701#05"] * count)
+    seen.zero, seen.recording = Instant(NS_PER_MS), Path("run")
+    listed = "".join(
+        f"\n  {1e-3 * place:.6f} s received 701#05 (heartbeat of node 1)" for place in range(min(count, 5))
+    )
+    claims: list[Callable[[], None]] = [
+        lambda: seen.assert_none("7..#*"),
+        lambda: seen.assert_seen("7..#*", times=0),
+    ]
+    for claim in claims:
+        with pytest.raises(AssertionError) as caught:
+            claim()
+        _, found = str(caught.value).split(":", 1)
+        assert found == f"{listed}{more}\nrecording: run"
+    with pytest.raises(AssertionError) as caught:
+        seen.assert_seen("081#*", times=1)
+    assert str(caught.value) == "0 frames 081#*, 1 expected\nrecording: run"
+
+
+def test_frames_are_the_host_s_or_the_others_where_that_is_asked() -> None:
+    seen = wire("701#05", "000#0101", "701#05")
+    seen.frames.append(SeenFrame(Instant(9), True, 0x701, b"\x05"))
+    assert [len(seen.find("7..#*", sent=sent)) for sent in (None, True, False)] == [3, 1, 2]
+    seen.assert_seen("701#05", times=1, sent=True)
+    seen.assert_sequence("000#*", "701#05", sent=True)
+    with pytest.raises(AssertionError) as caught:
+        seen.assert_sequence("701#05", "000#*", sent=True)
+    assert str(caught.value) == (
+        "no frame 000#* after 701#05; there are, too early:\n  0.002000 s sent 000#0101 (NMT command)"
+    )
+    with pytest.raises(AssertionError, match=r"^no frame 080#$"):
+        seen.assert_sequence("080#")
+    seen.clear()
+    assert seen.frames == []
+    seen.assert_sequence()
+
+
+def test_a_window_begins_with_its_first_instant_and_keeps_where_it_was() -> None:
+    seen = wire("080#", "081#", "082#", "083#")
+    seen.zero, seen.recording = Instant(NS_PER_MS), Path("run")
+    part = seen.between(0.001, 0.003)
+    assert [frame.can_id for frame in part.frames] == [0x081, 0x082]
+    assert (part.zero, part.recording) == (seen.zero, seen.recording)
+
+
+def test_a_controlword_counts_where_the_host_wrote_it_whole() -> None:
+    words = wire(
+        "201#0F000000",
+        "201#0F000000",
+        "581#2B40600006000000",  # an answer
+        "601#2B40600106000000",  # another sub-index
+        "601#4040600006000000",  # an upload
+        "601#2340600007000000",  # four bytes are written, of which two are its own
+        "601#",
+    )
+    received = SeenFrame(Instant(0), False, 0x201, bytes.fromhex("1F000000"))
+    words.frames.insert(0, received)
+    found = words.controlwords(1, PLAN)
+    assert found == [Controlword(Instant(NS_PER_MS), 0x0F), Controlword(Instant(6 * NS_PER_MS), 0x07)]
+
+
+@pytest.mark.parametrize("actuation", ["on_sync", "immediate"])
+@pytest.mark.parametrize("every", [1, 7])
+def test_the_plan_of_an_axis_is_that_of_its_sheet(tmp_path: Path, actuation: str, every: int) -> None:
+    path = tmp_path / "drive.eds"
+    path.write_text(sheet_text(four_pdos()))
+    drive = BENCH.drive["axis1"].model_copy(update={"eds": str(path), "mode": "csv"})
+    loop = BENCH.loop.model_copy(update={"position_every_cycles": every, "actuation": actuation})
+    bench = BENCH.model_copy(update={"drive": {"axis1": drive}, "loop": loop})
+    wish = PlanWish(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, actuation == "on_sync", every, coherent=every == 1)
+    expected = plan_pdos(capability_of(load_dictionary(path, drive.node)), drive.node, wish).plan
+    assert pdo_plans(bench) == {"axis1": expected}
+
+
+def test_an_axis_without_a_sheet_has_the_standard_plan() -> None:
+    assert pdo_plans(BENCH) == {"axis1": standard_plan(BENCH, "axis1")}
+
+
 def test_a_recorded_wire_is_read_back_in_run_time(tmp_path: Path) -> None:
     (tmp_path / "frames.log").write_text(
         "(0000000005.000100) simulated 601#4041600000000000\n"
@@ -142,9 +229,11 @@ def test_a_recorded_wire_is_read_back_in_run_time(tmp_path: Path) -> None:
         (200_000, False, "18ABCDEF#0102"),
         (300_000, False, "701#R"),
     ]
+    assert (found.zero, found.recording) == (0, tmp_path)
     (tmp_path / "frames.log").write_text("nonsense\n")
-    with pytest.raises(ValueError, match="no line of a candump log"):
+    with pytest.raises(ValueError, match="no line of a candump log") as caught:
         read_wire(tmp_path)
+    assert str(caught.value).startswith(f"{tmp_path / 'frames.log'}: ")
 
 
 @pytest.mark.parametrize(
