@@ -176,14 +176,14 @@ def test_a_position_that_is_set_back_late_is_awaited() -> None:
 
     homed = Homing(script).search()
     assert homed is not None
-    assert (homed.jump, homed.overshoot) == (pytest.approx(JUMP), pytest.approx(0.0))
+    assert tuple(homed) == pytest.approx((JUMP, 0.0))
 
 
 def test_for_20_ms_the_statusword_is_of_the_homing_before() -> None:
     drive = Homing(lambda cycle: (SPEED * 1e-3 * cycle, HOMED))
     homed = drive.search()
     assert homed is not None
-    assert (homed.jump, homed.overshoot) == (0.0, pytest.approx(SPEED * 1e-3 * 36))
+    assert tuple(homed) == pytest.approx((0.0, SPEED * 1e-3 * 36))
     assert drive.syncs == 20 + 37
 
 
