@@ -86,7 +86,7 @@ def test_speed_over_time_and_friction_over_speed(drawn: Drawn) -> None:
     time: Any = 1e-3 * np.arange(101)
     up = recording(time, 25.0 * time**2, np.full(101, 0.17))
     back = recording(time, -3.0 * time - 5.0 * time**2, np.full(101, -0.05))
-    draw_mechanics(OUT, [up, back], shaft_of(2e-3, 4e-3, 0.05, 0.02))
+    draw_mechanics(OUT, [up, back], shaft_of(2e-3, 4e-3, 0.05, -0.02))
     above, below = axes_of(drawn, 7.0, 2)
     assert named(above) == ("time, s (one exercise after the other)", "speed, r/min")
     assert named(below) == ("speed, r/min", "torque less inertia, N m")
@@ -105,7 +105,7 @@ def test_speed_over_time_and_friction_over_speed(drawn: Drawn) -> None:
     assert forward.get_alpha() == backward.get_alpha() == 0.5
     top = 50.0 * (time[-1] - 4e-3)
     speeds = np.linspace(-top, top, 401)
-    friction = 4e-3 * speeds + 0.05 * np.sign(speeds) + 0.02
+    friction = 4e-3 * speeds + 0.05 * np.sign(speeds) - 0.02
     assert np.allclose(fit.get_xdata(), speeds * RPM)
     assert np.allclose(np.delete(fit.get_ydata(), 200), np.delete(friction, 200))
     peak = 3.0 * (4e-3 * top + 0.05 + 0.02)
