@@ -1,4 +1,4 @@
-"""``hil commission`` and ``hil restore`` around the sequence: what is asked for, what is said, how it ends."""
+"""``hil commission`` and ``hil restore`` around the sequence: what is refused, what is said, how it ends."""
 
 import io
 from collections.abc import Iterator
