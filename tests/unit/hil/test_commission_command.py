@@ -1,6 +1,7 @@
 """``hil commission`` and ``hil restore`` around the sequence: what is refused, what is said, how it ends."""
 
 import io
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ from drivers.errors import BadInput, PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.commissioning import commission as module
 from hil.commissioning.commission import _rest, _store, check_mark, run_command, run_restore
-from hil.commissioning.dialog import Dialog, EmergencyStop, Terminal
+from hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
 from hil.commissioning.outcome import StepOutcome, StepRecord, StepVerdict
 from hil.commissioning.report import Commissioned, as_json
 from hil.commissioning.request import CommissionRequest, Nameplate
@@ -34,7 +35,7 @@ class Command:
         self.result = result or Commissioned()
         self.asked: list[tuple[Any, ...]] = []
         monkeypatch.setattr(module, "commission", self._commission)
-        monkeypatch.setattr(module.sys, "stdin", io.StringIO())
+        monkeypatch.setattr(sys, "stdin", io.StringIO())
 
     def _commission(self, *asked: Any) -> Commissioned:
         self.asked.append(asked)
@@ -89,7 +90,7 @@ def test_without_a_terminal_nobody_can_be_asked(monkeypatch: pytest.MonkeyPatch)
     command.run(yes=True)
     assert [type(dialog) for _, _, dialog, *_ in command.asked] == [Dialog, Dialog]
     at_a_terminal = Command(monkeypatch)
-    monkeypatch.setattr(module.sys, "stdin", SimpleNamespace(isatty=lambda: True, fileno=lambda: -1))
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True, fileno=lambda: -1))
     monkeypatch.setattr(module, "EmergencyStop", lambda _signals, _source: EmergencyStop())
     at_a_terminal.run(yes=False)
     assert type(at_a_terminal.asked[0][2]) is Terminal
@@ -264,7 +265,7 @@ class Restored:
             yield network
 
         def restore(over: object, contents: Any, tell: Any) -> Restoration:
-            assert (over, contents.head.node, tell) == (network, 7, module.say)
+            assert (over, contents.head.node, tell) == (network, 7, say)
             self.done.append("restored")
             return result
 
