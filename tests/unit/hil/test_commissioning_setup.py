@@ -113,9 +113,8 @@ def test_what_is_no_matter_of_the_mode_ends_it_at_once() -> None:
     assert session.found.modes == (CST, PT)
 
 
-CURRENT, SLOPE, HALT, WINDOW = (
-    (Object.MAX_CURRENT, 0), (Object.TORQUE_SLOPE, 0), (Object.HALT_OPTION, 0), (Object.FOLLOWING_ERROR_WINDOW, 0)
-)  # fmt: skip
+CURRENT, SLOPE = (Object.MAX_CURRENT, 0), (Object.TORQUE_SLOPE, 0)
+HALT, WINDOW = (Object.HALT_OPTION, 0), (Object.FOLLOWING_ERROR_WINDOW, 0)
 
 
 def limited(mode: Mode = CST, held_current: int = 2000, **limits: float) -> Objects:
