@@ -180,7 +180,7 @@ class Resting(Shaft):
         assert duration == 0.3
         place = np.array(self.positions)
         torque = np.full(len(place), self.torque)
-        return Recording(np.arange(len(place)), place, place, torque, place, len(place), 0, ())
+        return Recording(place, place, place, torque, place, len(place), 0, ())
 
 
 def resting(*turns: float, torque: float = 0.25) -> StepOutcome:

@@ -33,7 +33,7 @@ class Watched:
     state: Callable[[float], State | None] = lambda _ms: State.OPERATION_ENABLED
     """As it is asked for."""
     emergency_ms: float = math.inf
-    now: Instant = field(default_factory=lambda: Instant(0))
+    now: Instant = field(default_factory=lambda: Instant(7 * NS_PER_MS))
     silent_at: Instant | None = None
     notes: list[str] = field(default_factory=list)
     asked_ms: list[float] = field(default_factory=list)
@@ -45,7 +45,9 @@ class Watched:
     @property
     def emergencies_seen(self) -> int:
         if self.ms >= self.emergency_ms and not self.emergencies:
-            self.emergencies.append(SimpleNamespace(at=Instant(round(self.emergency_ms * NS_PER_MS))))
+            assert self.silent_at is not None
+            at = Instant(self.silent_at + round(self.emergency_ms * NS_PER_MS))
+            self.emergencies.append(SimpleNamespace(at=at))
         return len(self.emergencies)
 
     @property
