@@ -12,6 +12,7 @@ from hil.commissioning.findings import BY_NAMEPLATE, Findings, Stated
 from hil.commissioning.outcome import StatedFigure, StepOutcome, StepRecord, StepVerdict
 from hil.commissioning.report import Commissioned, header_of, write_report
 from hil.commissioning.request import CommissionRequest
+from hil.restoring.journal import ObjectKey
 from hil.restoring.restore import Restoration
 
 DONE = StepRecord(
@@ -90,7 +91,10 @@ def test_each_step_has_its_part_in_markdown(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("result", "left"),
     [
-        ({"stored": True}, "The settings were stored in the drive (1010h); the journal still holds what was there before."),
+        (
+            {"stored": True},
+            "The settings were stored in the drive (1010h); the journal still holds what was there before.",
+        ),
         (
             {"not_stored": "refused"},
             "The settings were NOT stored in the drive: refused. It keeps them until it is switched off; the "
@@ -98,10 +102,11 @@ def test_each_step_has_its_part_in_markdown(tmp_path: Path) -> None:
         ),
         (
             {"restoration": Restoration(3, 2)},
-            "All 3 objects that were changed hold again, byte for byte, what they held before; each was read back.",
+            "All 3 objects that were changed hold again, byte for byte, what they held before; each was read "
+            "back.",
         ),
     ],
-)  # fmt: skip
+)
 def test_how_the_drive_was_left_is_told(tmp_path: Path, result: dict[str, Any], left: str) -> None:
     text, _ = written(tmp_path, **result)
     assert text.split("## How the drive was left\n\n")[1] == f"{left}\n"
@@ -152,3 +157,28 @@ def test_whose_word_stands_for_what_nothing_measures(measured: float | None) -> 
         "pole pairs": "4, by the nameplate",
         **(constant if measured is None else {}),
     }
+
+
+@pytest.mark.parametrize(
+    ("result", "left"),
+    [
+        ({}, "All were put back at the end."),
+        ({"stored": True}, "They are stored in the drive."),
+        ({"restoration": Restoration(3, 2, ["a < b", "c"])}, "Not put back: a &lt; b; c."),
+    ],
+)
+def test_what_was_written_is_told_in_the_order_of_the_objects(
+    tmp_path: Path, result: dict[str, Any], left: str
+) -> None:
+    limit, heartbeat = ObjectKey(0x6072, 0), ObjectKey(0x1017, 0)
+    findings = Findings(settings={limit: b"\1\2", heartbeat: b"\x32\0"}, originals={limit: b"\xe8\3"})
+    _, page = written(tmp_path, findings=findings, **result)
+    undo = f"hil restore --bus hub:x --node 5 {tmp_path / 'journal.jsonl'}"
+    assert page[page.index("<h2>Written") :] == (
+        "<h2>Written to the drive</h2><table><tr><th>object</th><th>before, hex</th><th>set, hex</th></tr>"
+        f"<tr><td>{heartbeat}</td><td></td><td>3200</td></tr>"
+        f"<tr><td>{limit}</td><td>e803</td><td>0102</td></tr></table>"
+        f"<p>{left} To undo: <code>{undo}</code></p></body></html>\n"
+    )
+    _, nothing = written(tmp_path)
+    assert nothing.endswith("<h2>Written to the drive</h2><p>Nothing.</p></body></html>\n")
