@@ -345,3 +345,11 @@ def test_a_drive_without_a_watch_is_given_a_fifth_of_the_speed_half_the_torque_a
     assert less == replace(LIMITS, speed_rad_s=speed, torque_nm=torque, travel_rad=3.0 * math.tau)
     near = cautious(replace(LIMITS, travel_rad=1.0))
     assert near == replace(less, travel_rad=1.0)
+
+
+def test_what_the_guard_sees_is_recorded_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch)
+    events: list[tuple[str, str, int]] = []
+    cast(Any, bench.session).log.event = lambda *event: events.append(event)
+    bench.session._tell(Instant(7), "WARN", "a second master")
+    assert (events, bench.notes) == ([("WARN", "a second master", 7)], ["    a second master"])

@@ -171,12 +171,12 @@ def test_what_was_written_is_told_in_the_order_of_the_objects(
     tmp_path: Path, result: dict[str, Any], left: str
 ) -> None:
     limit, heartbeat = ObjectKey(0x6072, 0), ObjectKey(0x1017, 0)
-    findings = Findings(settings={limit: b"\1\2", heartbeat: b"\x32\0"}, originals={limit: b"\xe8\3"})
+    findings = Findings(settings={limit: b"\1\2", heartbeat: b"\x64\0"}, originals={limit: b"\xe8\3"})
     _, page = written(tmp_path, findings=findings, **result)
     undo = f"hil restore --bus hub:x --node 5 {tmp_path / 'journal.jsonl'}"
     assert page[page.index("<h2>Written") :] == (
         "<h2>Written to the drive</h2><table><tr><th>object</th><th>before, hex</th><th>set, hex</th></tr>"
-        f"<tr><td>{heartbeat}</td><td></td><td>3200</td></tr>"
+        f"<tr><td>{heartbeat}</td><td></td><td>6400</td></tr>"
         f"<tr><td>{limit}</td><td>e803</td><td>0102</td></tr></table>"
         f"<p>{left} To undo: <code>{undo}</code></p></body></html>\n"
     )
