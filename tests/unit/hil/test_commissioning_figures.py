@@ -89,6 +89,38 @@ def test_a_lost_reading_takes_half_of_each_neighbour() -> None:
     assert len(position) == len(torque)
 
 
+def swinging(direction: float, period_s: float) -> tuple[Array, Array, Array]:
+    """A torque that makes the speed swing by itself, sampled at instants that jitter by a tenth."""
+    random = np.random.Generator(np.random.PCG64(7))
+    time: Array = period_s * (np.arange(2000) + 0.1 * random.uniform(-1.0, 1.0, 2000))
+    omega = 4.0 * math.pi
+    speed = direction * (20.0 + 12.0 * np.sin(omega * time))
+    position = direction * (20.0 * time - 12.0 / omega * np.cos(omega * time))
+    acceleration = direction * 12.0 * omega * np.cos(omega * time)
+    return time, position, J * acceleration + B * speed + direction * T_C + T_0
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_torque_that_changes_by_itself_is_joined_by_straight_lines(direction: float) -> None:
+    records = [swinging(direction, PERIOD_S)]
+    found = identify_mechanics(records, 0.1, with_offset=False)
+    assert found.inertia_kg_m2 == pytest.approx(J, rel=1e-4)
+    assert found.viscous_friction_nm_s == pytest.approx(B, rel=1e-3)
+    assert found.coulomb_friction_nm == pytest.approx(T_C + direction * T_0, rel=1e-3)
+    assert found.offset_nm == 0.0
+    held = identify_mechanics(records, 0.1, with_offset=False, held_s=0.0)
+    assert abs(held.viscous_friction_nm_s - B) > 0.01 * B, "or straight lines would make no difference"
+
+
+@pytest.mark.parametrize(("missing", "windows"), [(0, 7), (3, 7), (4, 3)])
+def test_a_window_bears_four_periods_without_a_sample(missing: int, windows: int) -> None:
+    """Of five, those are left out that have both ends of the gap, behind 0.119 s: four of seven."""
+    time: Array = PERIOD_S * np.delete(np.arange(251), range(120, 120 + missing))
+    record = time, 30.0 * time + 2.0 * time**2, np.full(len(time), 0.1)
+    with pytest.raises(NotIdentifiable, match=f"^{windows} usable windows of 0.1 s$"):
+        identify_mechanics([record], 0.1)
+
+
 def ripple(seed: int) -> list[tuple[Array, Array, Array]]:
     """Both ways, with a torque on the shaft that 6077h does not show and that lasts for half a window."""
     random = np.random.Generator(np.random.PCG64(seed))

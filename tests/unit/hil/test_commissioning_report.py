@@ -1,0 +1,184 @@
+"""The report of a commissioning, step by step, as Markdown and as one HTML file."""
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.cia402.told_motor import ToldFigure
+from drivers.errors import NoAnswer
+from hil.commissioning.findings import BY_NAMEPLATE, Findings, Stated
+from hil.commissioning.outcome import StatedFigure, StepOutcome, StepRecord, StepVerdict
+from hil.commissioning.report import Commissioned, header_of, write_report
+from hil.commissioning.request import CommissionRequest
+from hil.restoring.journal import ObjectKey
+from hil.restoring.restore import Restoration
+
+DONE = StepRecord(
+    "one",
+    "Step | one",
+    "listen to it",
+    StepVerdict.DONE,
+    "it is silent",
+    outcome=StepOutcome(
+        lines=["it said a", "- and b < c"],
+        faults=["a unit is wrong"],
+        pictures=["one.png"],
+        quantities=[StatedFigure("inertia", 1.23456e-3, "kg m^2", 2e-5), StatedFigure("lag", 7.0, "us")],
+        headline="it spoke",
+    ),
+)
+FAILED = StepRecord("two", "Two", "", StepVerdict.FAILED, reason="it went wrong")
+LEFT = StepRecord("three", "Three", "", StepVerdict.LEFT_OUT, reason="it has none")
+
+
+def written(folder: Path, **result: Any) -> tuple[str, str]:
+    """report.md and report.html."""
+    (folder / "one.png").write_bytes(b"picture")
+    request = CommissionRequest("hub:x", 5, folder)
+    write_report(request, Commissioned(begun_at="then", **result))
+    return (folder / "report.md").read_text(), (folder / "report.html").read_text()
+
+
+def test_each_step_has_its_part_in_markdown(tmp_path: Path) -> None:
+    text, _ = written(tmp_path, records=[DONE, FAILED, LEFT], error=NoAnswer("it is gone"))
+    head, _, rest = text.partition("| step | result | |\n")
+    assert head.startswith("# Commissioning of node 5 on hub:x\n\n**Ended early:** it is gone\n\n| | |\n")
+    assert rest == "\n".join(
+        [
+            "|---|---|---|",
+            "| Step \\| one | done | it spoke |",
+            "| Two | failed | it went wrong |",
+            "| Three | left out | it has none |",
+            "",
+            "## Faults in the drive's settings",
+            "",
+            "- a unit is wrong",
+            "",
+            "## Left out",
+            "",
+            "- Three: left out, it has none",
+            "",
+            "## How the drive was left",
+            "",
+            "Nothing was changed.",
+            "",
+            "## 1. Step | one",
+            "",
+            "*Listen to it.*",
+            "",
+            "It fails if it is silent.",
+            "",
+            "- it said a",
+            "- and b < c",
+            "- **found**: a unit is wrong",
+            "",
+            "![Step | one](one.png)",
+            "",
+            "## 2. Two",
+            "",
+            "**failed**: it went wrong",
+            "",
+            "## 3. Three",
+            "",
+            "**left out**: it has none",
+            "",
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("result", "left"),
+    [
+        (
+            {"stored": True},
+            "The settings were stored in the drive (1010h); the journal still holds what was there before.",
+        ),
+        (
+            {"not_stored": "refused"},
+            "The settings were NOT stored in the drive: refused. It keeps them until it is switched off; the "
+            "journal still holds what was there before.",
+        ),
+        (
+            {"restoration": Restoration(3, 2)},
+            "All 3 objects that were changed hold again, byte for byte, what they held before; each was read "
+            "back.",
+        ),
+    ],
+)
+def test_how_the_drive_was_left_is_told(tmp_path: Path, result: dict[str, Any], left: str) -> None:
+    text, _ = written(tmp_path, **result)
+    assert text.split("## How the drive was left\n\n")[1] == f"{left}\n"
+
+
+def test_what_is_still_different_is_told_with_the_command_against_it(tmp_path: Path) -> None:
+    text, _ = written(tmp_path, restoration=Restoration(3, 2, ["6072h", "6080h"]))
+    command = f"hil restore --bus hub:x --node 5 {tmp_path / 'journal.jsonl'}"
+    assert text.split("## How the drive was left\n\n")[1] == (
+        f"Not all is as it was: 6072h; 6080h. `{command}` tries again.\n"
+    )
+
+
+def test_each_step_has_its_part_in_one_html_file(tmp_path: Path) -> None:
+    _, page = written(tmp_path, records=[DONE, FAILED])
+    picture = base64.b64encode(b"picture").decode()
+    steps = page[page.index("<h2>1.") :]
+    assert steps == (
+        "<h2>1. Step | one</h2><p><em>listen to it</em></p><p>It fails if it is silent.</p>"
+        "<table><tr><th>quantity</th><th>value</th><th>uncertainty, k = 2</th><th>unit</th></tr>"
+        "<tr><td>inertia</td><td>0.001235</td><td>2e-05</td><td>kg m^2</td></tr>"
+        "<tr><td>lag</td><td>7</td><td></td><td>us</td></tr></table>"
+        "<ul><li>it said a</li><li>and b &lt; c</li></ul>"
+        f"<p><img alt='Step | one' src='data:image/png;base64,{picture}'></p>"
+        "<h2>2. Two</h2><p class='failed'>failed: it went wrong</p></body></html>\n"
+    )
+
+
+def told_by(value: float, quantity: str) -> Stated:
+    figure = ToldFigure(quantity, value, 7, "2000h:01", "x.toml", "")
+    return Stated(value, str(figure), told=True)
+
+
+@pytest.mark.parametrize("measured", [None, 0.5])
+def test_whose_word_stands_for_what_nothing_measures(measured: float | None) -> None:
+    """A torque constant only where none was measured."""
+    findings = Findings(torque_constant_nm_a=measured)
+    request = CommissionRequest("hub:x", 5, Path("out"))
+    key = "not measurable over CiA 402"
+    findings.stated = {"resistance_ohm": Stated(0.51234, BY_NAMEPLATE), "pole_pairs": Stated(4, BY_NAMEPLATE)}
+    told = header_of(request, Commissioned(findings=findings))[key]
+    assert told == "resistance, inductance, pole pairs: by the nameplate, or as said at the motor"
+    findings.stated["torque_constant_nm_a"] = told_by(0.4, "torque_constant_nm_a")
+    told = header_of(request, Commissioned(findings=findings))[key]
+    constant = {"torque constant": "0.4 N m/A rms, told by the drive: object 2000h:01 = 7 (x.toml)"}
+    assert told == {
+        "resistance": "0.5123 ohm, by the nameplate",
+        "pole pairs": "4, by the nameplate",
+        **(constant if measured is None else {}),
+    }
+
+
+@pytest.mark.parametrize(
+    ("result", "left"),
+    [
+        ({}, "All were put back at the end."),
+        ({"stored": True}, "They are stored in the drive."),
+        ({"restoration": Restoration(3, 2, ["a < b", "c"])}, "Not put back: a &lt; b; c."),
+    ],
+)
+def test_what_was_written_is_told_in_the_order_of_the_objects(
+    tmp_path: Path, result: dict[str, Any], left: str
+) -> None:
+    limit, heartbeat = ObjectKey(0x6072, 0), ObjectKey(0x1017, 0)
+    findings = Findings(settings={limit: b"\1\2", heartbeat: b"\x64\0"}, originals={limit: b"\xe8\3"})
+    _, page = written(tmp_path, findings=findings, **result)
+    undo = f"hil restore --bus hub:x --node 5 {tmp_path / 'journal.jsonl'}"
+    assert page[page.index("<h2>Written") :] == (
+        "<h2>Written to the drive</h2><table><tr><th>object</th><th>before, hex</th><th>set, hex</th></tr>"
+        f"<tr><td>{heartbeat}</td><td></td><td>6400</td></tr>"
+        f"<tr><td>{limit}</td><td>e803</td><td>0102</td></tr></table>"
+        f"<p>{left} To undo: <code>{undo}</code></p></body></html>\n"
+    )
+    _, nothing = written(tmp_path)
+    assert nothing.endswith("<h2>Written to the drive</h2><p>Nothing.</p></body></html>\n")
