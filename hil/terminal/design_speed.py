@@ -42,7 +42,6 @@ _LOSSES_MAX = 50
 _WHOLE = 0.05
 """Part of a period by which an age may exceed a whole number of them and still count as one. Where commands
 act at SYNCs it is one, but for the lateness of SYNCs and the error of the clock that measured it."""
-_ARRIVE_EARLIER = "or, in a bench, a later loop.decide_after_us: readings are then used in their own cycle"
 
 
 class MethodName(StrEnum):
@@ -250,7 +249,6 @@ def _check_known(
 
 
 def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: int) -> "SampledNetwork":
-    from design.errors import UnsuitableNetwork
     from design.sampled.held_loop import SampledNetwork, Strategy
     from hil.configuration.network_file import commands_unknown, load_network
 
@@ -270,10 +268,7 @@ def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: i
     if wanted is Strategy.STAMP:
         # A bench with this strategy acts at SYNCs only.
         agreed_s = math.ceil(agreed_s / measured.period_s - _WHOLE) * measured.period_s
-    try:
-        return SampledNetwork(wanted, measured.period_s, most, tau_s, agreed_s)
-    except UnsuitableNetwork as error:
-        raise BadInput("--strategy", "", error.found, error.expected, _ARRIVE_EARLIER) from None
+    return SampledNetwork(wanted, measured.period_s, most, tau_s, agreed_s)
 
 
 def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_json: bool) -> None:
