@@ -239,6 +239,18 @@ def test_a_mapping_that_is_told_holds_from_then_on() -> None:
     ]
 
 
+def test_a_pdo_that_lacks_one_bit_of_its_mapping_is_told() -> None:
+    """33 bits: four octets are one too few, five are enough."""
+    told = [
+        "601#40001A0000000000", "581#4F001A0002000000", "601#40001A0100000000", "581#43001A0110004160",
+        "601#40001A0200000000", "581#43001A0211000020",
+    ]  # fmt: skip
+    short, whole = traced(*told, "181#37120000", "181#3712000000")[-2:]
+    state = "TPDO1 6041h:00 Statusword = 1237h (operation enabled)"
+    assert (short.text, len(short.values)) == (f"{state} (it has 32 bits, 33 are mapped)", 1)
+    assert (whole.text, len(whole.values)) == (f"{state}, 2000h:00 = 0", 2)
+
+
 # ---- data sheets --------------------------------------------------------------------------------------
 
 
