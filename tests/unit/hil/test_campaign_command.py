@@ -202,6 +202,15 @@ def test_progress_is_a_line_for_each_percent(made: Made) -> None:
     ]
 
 
+@pytest.mark.parametrize("done", [0, 1, 2, 100])
+def test_the_first_that_is_heard_of_a_campaign_is_told(made: Made, done: int) -> None:
+    made.steps = [CampaignProgress(done, 100, 0, 1.0, 5.0)]
+    assert hil("sweep.toml").stderr.splitlines() == [
+        f"{done}/100 runs  0 passed  1.0/s  5 s left at most",
+        "1.0 runs a second",
+    ]
+
+
 def test_a_report_is_a_file_and_a_page_in_the_folder(made: Made) -> None:
     told = hil("report", "there")
     files = [Path("there/report.html"), Path("there/campaign.rrd")]

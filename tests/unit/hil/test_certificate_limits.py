@@ -8,7 +8,7 @@ import pytest
 from drivers.timebase import NS_PER_MS
 from hil.reviewing.certificate_meter import CertificateMeter
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan
-from hil.rows.records import Rows
+from hil.rows.records import NOTHING, Rows
 from tests.unit.hil.row_tools import plain_rows
 from tests.unit.hil.test_certificate_meter import AXIS, CERTIFIED, REFERENCE_RAD_S, SETTLING, exact, meter_of
 
@@ -148,6 +148,17 @@ def test_a_command_is_at_a_limit_but_for_rounding(torque_nm: float, limited: int
     before = step(12.0)
     before["command_torque_nm"][STRETCH - 5] = torque_nm
     assert meter_of(before).figures()["commands_at_a_limit"] == 0
+
+
+def test_every_command_counts_of_which_the_drive_tells_a_limit() -> None:
+    """Bit 11 of the statusword, CiA 402-2; a reading without one tells nothing."""
+    rows = step(12.0)
+    rows["statusword"][STRETCH - 2 : STRETCH + 3] |= 1 << 11
+    assert meter_of(rows).figures()["commands_at_a_limit"] == 3
+    rows["statusword"][STRETCH] = NOTHING
+    assert meter_of(rows).figures()["commands_at_a_limit"] == 2
+    rows["command_torque_nm"][STRETCH + 1] = 5.0
+    assert meter_of(rows).figures()["commands_at_a_limit"] == 3, "by both"
 
 
 def test_a_step_of_the_command_is_from_the_one_before_whatever_the_stretch() -> None:
