@@ -10,9 +10,10 @@ import pyarrow as pa
 import pytest
 from scipy.stats import binomtest
 
+from hil.campaign import figures
 from hil.campaign.campaign import Campaign, CounterExample, NothingCertified
 from hil.campaign.figures import failure_line
-from hil.campaign.statistics import anytime
+from hil.campaign.statistics import ConfidenceInterval, anytime
 
 KEPT, EXCEEDED, LEFT = "kept", "exceeded", "premises left"
 
@@ -135,6 +136,30 @@ def test_what_a_check_found_is_told_by_run_with_the_commands() -> None:
     ]
     campaign([True] * 2, findings=[[], []]).assert_nothing_found()
     assert campaign([True]).found == {}
+
+
+@pytest.mark.parametrize(
+    ("rate", "plain_runs"),
+    [
+        # deviation: a tenth over the 95th percentile of a normal, 1.6449; 0.2 x 0.8 / 0.060796^2
+        (ConfidenceInterval(0.2, 0.1, 0.3), 43),
+        (ConfidenceInterval(0.2, 0.19, 0.21), 4329),
+        (ConfidenceInterval(0.2, 0.2, 0.2), None),
+        (ConfidenceInterval(0.0, 0.0, 0.1), None),
+    ],
+)
+def test_as_many_plain_runs_would_know_the_failure_probability_as_well(
+    rate: ConfidenceInterval, plain_runs: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = campaign([True] * 4, weights=[1.0] * 4)
+    monkeypatch.setattr(Campaign, "failure_rate", lambda _done: rate)
+    assert figures._failure(done) == {
+        "rate": rate.estimate,
+        "low": rate.low,
+        "high": rate.high,
+        "counting": 4,
+        "plain_runs": plain_runs,
+    }
 
 
 def test_a_failure_probability_in_words() -> None:

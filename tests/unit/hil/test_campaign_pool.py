@@ -206,6 +206,22 @@ def test_three_in_a_row_that_are_killed_at_their_start_are_no_accident(workers: 
     assert len(started) == 3
 
 
+def test_a_worker_that_is_ready_ends_a_row_of_lost_starts() -> None:
+    made = WorkerPool(plan(), 1, StopRequest())
+    worker: Any = SimpleNamespace(ready=False)
+    for _ in range(2):
+        for _ in range(2):
+            made._count_start(-9)
+        made._take(worker, {"ready": True}, Chunks(plan(), range(1)))
+    assert worker.ready
+    made._count_start(-9)
+    made._count_start(-9)
+    with pytest.raises(
+        WorkerDied, match="3 workers in a row died before their first run, the last with status -9"
+    ):
+        made._count_start(-9)
+
+
 def test_who_asks_for_the_end_gets_it(workers: Any) -> None:
     workers()
     stop = StopRequest()

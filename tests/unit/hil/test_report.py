@@ -124,6 +124,16 @@ def test_a_run_of_which_nothing_was_asked_does_not_say_passed() -> None:
     assert "PASSED" not in text
 
 
+def test_a_load_machine_is_told_by_its_steps_and_readings() -> None:
+    steps = [{"asked_nm": 0.6, "measured_nm": 0.59876}, {"asked_nm": 123.0, "measured_nm": None}]
+    machine = {"steps": steps, "readings": 400, "late": 3, "spoilt": 2}
+    words = " ".join(printed(replace(summary(), load_machine=machine)).replace("│", "").split())
+    assert words.partition("Load machine ")[2].partition(" Bus load")[0] == (
+        "0.6 N m asked, 0.599 measured; 123 N m asked, - measured; 400 readings, 3 late, 2 spoilt"
+    )
+    assert "Load machine" not in printed(summary())
+
+
 def test_recording_is_named_with_the_command_that_opens_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -114,7 +114,7 @@ def test_pictures_and_runs_of_ling_are_in_the_folder_of_the_figures(
     assert result.stderr == f"case 1 on the bench\n{pictured}"
 
 
-OTHER = {
+OTHER: dict[str, Any] = {
     "motor": "other",
     "load_nm": 1.25678,
     "speed_rpm": 3000.456,
@@ -226,3 +226,32 @@ def test_the_figures_of_azaiz_stand_beside_the_published_and_the_printed_ones(tm
     titles = [line for line in lines if line.startswith(("K_", "The drive"))]
     assert titles == ["K_q", "K_d", "The drive of Fig. 4 (published peak torque: 14.3 N m)"]
     assert lines[-2:] == ["* one thing", "* another"]
+
+
+# ---- places -------------------------------------------------------------------------------------------
+
+
+def test_pictures_of_a_motor_that_have_no_place_are_refused(tmp_path: Path) -> None:
+    """Below a file there is no folder; and a picture's own name may be taken by one."""
+    taken = tmp_path / "taken"
+    taken.touch()
+    (tmp_path / "ling2012-table2.png").mkdir()
+    figures = OTHER | {"rows": [row for row in OTHER["rows"] if "impossible" not in row]}
+    with patch.object(reproduction, "for_motor", lambda _motor: figures):
+        told = {
+            place: CliRunner().invoke(
+                app, ["reproduce", "ling2012", "--motor", str(MOTOR), "--figures", str(place)]
+            )
+            for place in (taken, taken / "below", tmp_path)
+        }
+    assert {place: (result.exit_code, result.stdout) for place, result in told.items()} == dict.fromkeys(
+        told, (2, "")
+    )
+    refused = "hil: error: --figures: found '{}', expected a folder ({})\n"
+    assert told[taken].stderr == refused.format(taken, "File exists")
+    assert told[taken / "below"].stderr == refused.format(taken / "below", "Not a directory")
+    picture = tmp_path / "ling2012-table2.png"
+    assert told[tmp_path].stderr == (
+        f"hil: error: --figures: found '{picture}', expected a .png, .svg or .pdf file that can be written "
+        f"([Errno 21] Is a directory: '{picture}')\n"
+    )

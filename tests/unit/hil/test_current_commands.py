@@ -1,0 +1,276 @@
+"""``hil design current`` and ``hil design hinf``: what their options ask for, and what comes of a design."""
+
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from design.errors import DesignError
+from design.hinf import synthesis
+from design.hinf.reduction import Method
+from design.statespace import state_space
+from drivers.bounded_file import NamedBy
+from drivers.rotation import RAD_S_PER_RPM
+from hil.cli import app
+from hil.configuration.current_controller_file import load_current_controller
+from hil.configuration.motor_file import load_motor
+from hil.configuration.weights_file import load_weights
+from hil.studies.current import design as studies
+from hil.studies.current import pictures
+from hil.studies.current.figures import CurrentRequest
+from hil.terminal import current_report
+from tests.told import ROOT
+from tests.unit.hil.made_analyses import MARGINS
+
+EXAMPLES = ROOT / "examples"
+MOTOR = EXAMPLES / "motors" / "azaiz2007.toml"
+K_D, K_Q = (EXAMPLES / "controllers" / f"azaiz2007-k{axis}.toml" for axis in "dq")
+FIGURES: dict[str, Any] = {
+    "axis": "q",
+    "closed_loop_norm": 0.9,
+    "gamma": 1.0,
+    "structure": "full",
+    "robust": {"coupled": {"speed_rad_s": 300.0, "certified": True}},
+}
+
+
+def hil(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, ["design", *map(str, arguments)])
+
+
+def refusal(result: Result) -> str:
+    assert (result.exit_code, result.stdout) == (2, "")
+    return result.stderr.removeprefix("hil: error: ").rstrip("\n")
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The requests; a design that is made up answers them."""
+    requests: list[Any] = []
+    result = SimpleNamespace(figures=FIGURES, chosen="the chosen")
+
+    def design(request: CurrentRequest) -> Any:
+        requests.append(request)
+        return result
+
+    def draw(chosen: str, path: Path) -> None:
+        path.write_text(f"picture of {chosen}\n")
+
+    monkeypatch.setattr(studies, "design_current", design)
+    monkeypatch.setattr(studies, "controller_text", lambda done, axis: f"{axis} of {done.chosen}\n")
+    monkeypatch.setattr(pictures, "draw_bounds", draw)
+    monkeypatch.setattr(current_report, "bounds_picture", lambda chosen: f"bounds of {chosen}")
+    return requests
+
+
+def test_a_controller_is_asked_for_by_the_rules_where_nothing_else_is_said(asked: list[Any]) -> None:
+    assert hil("current", MOTOR, "--axis", "q").exit_code == 0
+    motor = load_motor(MOTOR).parameters
+    plain: dict[str, Any] = dict.fromkeys(
+        ("weights", "gamma", "gamma_factor", "order", "rate_hz", "modulus_margin", "other", "speed_max_rad_s")
+    )
+    assert asked == [
+        CurrentRequest(
+            motor=motor, axis="q", structure="full", method=Method.TRUNCATE, delay_samples=1, discrete=False,
+            decoupling_factor=1.0, advance_periods=None, **plain,
+        )
+    ]  # fmt: skip
+
+
+def test_the_options_of_a_controller_are_its_request(asked: list[Any]) -> None:
+    weights = EXAMPLES / "weights" / "azaiz2007-q.toml"
+    hil(
+        "current", MOTOR, "--axis", "d", "--weights", weights, "--gamma-factor", "1.25", "--structure",
+        "pi+pole", "--reduce", "2", "--reduce-by", "paper", "--sample-rate-hz", "16000", "--delay-samples",
+        "2", "--discrete", "--modulus-margin", "0.5", "--other", K_Q, "--speed-rpm", "600",
+        "--decoupling-factor", "0.75", "--advance-periods", "1.5",
+    )  # fmt: skip
+    (request,) = asked
+    other = request.other
+    assert request == CurrentRequest(
+        motor=load_motor(MOTOR).parameters, axis="d", weights=load_weights(weights), gamma=None,
+        gamma_factor=1.25, structure="pi+pole", order=2, method=Method.PAPER, rate_hz=16_000.0,
+        delay_samples=2, discrete=True, modulus_margin=0.5, other=other, decoupling_factor=0.75,
+        speed_max_rad_s=600.0 * RAD_S_PER_RPM, advance_periods=1.5,
+    )  # fmt: skip
+    loaded = load_current_controller(K_Q, NamedBy("K_q", "", ""), "q")
+    assert np.array_equal(other.controller.A, loaded.continuous().A)
+    assert other.crossover_rad_s == (loaded.prewarp_rad_s if loaded.kind == "continuous" else 0.0)
+    hil("current", MOTOR, "--axis", "q", "--gamma", "1.5", "--other", K_D)
+    assert asked[1].gamma == 1.5
+    assert np.array_equal(
+        asked[1].other.controller.A, load_current_controller(K_D, NamedBy("K_d", "", ""), "d").continuous().A
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (
+            ("--gamma", "1", "--gamma-factor", "2"),
+            "--gamma-factor: found 2.0, expected either --gamma or --gamma-factor",
+        ),
+        (("--discrete",), "--discrete: found True, expected --sample-rate-hz with it"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(
+    asked: list[Any], options: tuple[str, ...], said: str
+) -> None:
+    assert refusal(hil("current", MOTOR, "--axis", "q", *options)) == said
+    assert asked == []
+
+
+def test_the_other_axis_controller_is_of_the_other_axis(asked: list[Any]) -> None:
+    for axis, own, other in (("q", K_Q, "d"), ("d", K_D, "q")):
+        told = refusal(hil("current", MOTOR, "--axis", axis, "--other", own))
+        assert told == f"--other: found 'a controller for the {axis} axis', expected one for the {other} axis"
+    assert asked == []
+
+
+def test_a_design_that_cannot_be_had_is_told_with_its_axis(
+    asked: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(_request: Any) -> Any:
+        raise DesignError("no norm is small enough")
+
+    monkeypatch.setattr(studies, "design_current", fails)
+    assert refusal(hil("current", MOTOR, "--axis", "d")) == "axis d: no norm is small enough"
+    assert asked == []
+
+
+def test_a_design_is_printed_written_and_drawn(asked: list[Any], tmp_path: Path) -> None:
+    out, picture = tmp_path / "k.toml", tmp_path / "k.png"
+    told = hil("current", MOTOR, "--axis", "d", "--out", out, "--picture", picture)
+    assert told.stdout.splitlines() == [
+        f"{'axis':<28} q",
+        f"{'closed_loop_norm':<28} 0.9",
+        f"{'gamma':<28} 1",
+        f"{'structure':<28} full",
+        "robust",
+        "  coupled",
+        f"    {'speed_rad_s':<28} 300",
+        f"    {'certified':<28} True",
+        "",
+        "bounds of the chosen",
+        "Both axes stay stable at 300 rad/s over +-50 % of r, L_d and L_q.",
+    ]
+    assert told.stderr == f"written {out}\nwritten {picture}\n"
+    assert (out.read_text(), picture.read_text()) == ("d of the chosen\n", "picture of the chosen\n")
+    plain = hil("current", MOTOR, "--axis", "d", "--json")
+    assert (json.loads(plain.stdout), plain.stderr, len(asked)) == (FIGURES, "", 2)
+
+
+# ---- the picture of the bounds ------------------------------------------------------------------------
+
+
+def drawn(monkeypatch: pytest.MonkeyPatch, gain: float, weights: dict[str, float]) -> dict[str, Any]:
+    """By title, of the plant 1/(s + 1) under a constant gain and constant weights."""
+    kept: dict[str, Any] = {}
+
+    def plot(title: str, omega: list[float], curves: dict[str, list[float]], range_db: Any) -> str:
+        kept[title] = omega, curves, range_db
+        return title
+
+    monkeypatch.setattr(current_report, "plot", plot)
+    by_function = {name: SimpleNamespace(gain=lambda _w, at=at: at) for name, at in weights.items()}
+    design: Any = SimpleNamespace(
+        margins=MARGINS,
+        plant=state_space([[-1.0]], [[1.0]], [[1.0]], [[0.0]]),
+        controller=state_space([[-1.0]], [[0.0]], [[0.0]], [[gain]]),
+        weights=SimpleNamespace(by_function=by_function),
+    )
+    assert current_report.bounds_picture(design) == "\n".join(kept)
+    return kept
+
+
+def test_each_function_is_drawn_under_its_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """S = (s + 1)/(s + 10), KS = 9 S, T = 9/(s + 10); bounds of 6, -80 and -120 dB."""
+    kept = drawn(monkeypatch, 9.0, {"S": 0.5, "KS": 1e4, "T": 1e6})
+    assert list(kept) == [f"|{name}| and its bound (.)" for name in ("S", "KS", "T")]
+    s = 1j * MARGINS.phase_margin_rad_s * np.logspace(-4.0, 3.5, 220)
+    expected = {
+        "S": (np.abs((s + 1) / (s + 10)), 20.0 * math.log10(2.0), (-50.0, 10.0)),
+        "KS": (9.0 * np.abs((s + 1) / (s + 10)), -80.0, (-80.0, 20.0)),
+        "T": (9.0 / np.abs(s + 10), -120.0, (-100.0, 0.0)),
+    }
+    for name, (gain, bound_db, range_db) in expected.items():
+        omega, curves, shown_db = kept[f"|{name}| and its bound (.)"]
+        assert omega == pytest.approx(s.imag)
+        assert list(curves) == [".", name[0]]
+        assert curves["."] == pytest.approx([bound_db] * 220)
+        assert curves[name[0]] == pytest.approx(20.0 * np.log10(gain))
+        assert shown_db == range_db
+
+
+def test_what_is_zero_is_drawn_far_below(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = drawn(monkeypatch, 0.0, {"S": 1.0, "KS": 1.0, "T": 0.5})
+    assert kept["|T| and its bound (.)"][1]["T"] == pytest.approx([-240.0] * 220)
+    assert kept["|T| and its bound (.)"][2] == (-50.0, 10.0)
+    assert kept["|S| and its bound (.)"][2] == (-60.0, 0.0)
+
+
+# ---- hinf ---------------------------------------------------------------------------------------------
+
+PLANT = "A = [[-1.0]]\nB = [[1.0, 1.0]]\nC = [[1.0], [1.0]]\nD = [[0.0, 0.0], [0.0, 0.0]]\n"
+CONTROLLER = state_space([[-1.5, 2.0], [0.0, -3.25]], [[1.0], [0.0]], [[0.125, 1e-7]], [[0.0]])
+
+
+@pytest.fixture
+def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Of a least norm of 2, whose synthesis gives the norm that was asked for."""
+
+    def synthesise(_plant: Any, gamma: float) -> Any:
+        return SimpleNamespace(controller=CONTROLLER, gamma=gamma)
+
+    monkeypatch.setattr(synthesis, "gamma_min", lambda _plant: 2.0)
+    monkeypatch.setattr(synthesis, "synthesise", synthesise)
+    monkeypatch.setattr(synthesis, "verified_norm", lambda _plant, found: found.D[0, 0] + 1.75)
+    path = tmp_path / "plant.toml"
+    path.write_text(f"{PLANT}controls = 1\nmeasurements = 1\n")
+    return path
+
+
+def test_the_central_controller_is_printed_row_by_row(plant: Path) -> None:
+    assert hil("hinf", plant, "--gamma-factor", "1.5").stdout.splitlines() == [
+        f"{'gamma_min':<28} 2",
+        f"{'gamma':<28} 3",
+        f"{'closed_loop_norm':<28} 1.75",
+        "A   -1.5  2",
+        "    0  -3.25",
+        "B   1",
+        "    0",
+        "C   0.125  1e-07",
+        "D   0",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "gamma"), [((), 2.2), (("--gamma", "2.5"), 2.5), (("--gamma-factor", "1"), 2.0)]
+)
+def test_a_norm_is_stated_or_in_proportion_to_the_least(
+    plant: Path, options: tuple[str, ...], gamma: float
+) -> None:
+    assert json.loads(hil("hinf", plant, *options, "--json").stdout) == {
+        "gamma_min": 2.0,
+        "gamma": pytest.approx(gamma),
+        "closed_loop_norm": 1.75,
+        "controller": {
+            "A": [[-1.5, 2.0], [0.0, -3.25]],
+            "B": [[1.0], [0.0]],
+            "C": [[0.125, 1e-7]],
+            "D": [[0.0]],
+        },
+    }
+
+
+def test_a_synthesis_that_fails_is_told_with_its_file(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_plant: Any) -> float:
+        raise DesignError("not stabilisable")
+
+    monkeypatch.setattr(synthesis, "gamma_min", fails)
+    assert refusal(hil("hinf", plant)) == f"{plant}: not stabilisable"
