@@ -1,7 +1,6 @@
 """``hil design current`` and ``hil design hinf``: what their options ask for, and what comes of a design."""
 
 import json
-import math
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -25,7 +24,6 @@ from hil.studies.current import pictures
 from hil.studies.current.figures import CurrentRequest
 from hil.terminal import current_report
 from tests.told import ROOT
-from tests.unit.hil.made_analyses import MARGINS
 
 EXAMPLES = ROOT / "examples"
 MOTOR = EXAMPLES / "motors" / "azaiz2007.toml"
@@ -163,55 +161,6 @@ def test_a_design_is_printed_written_and_drawn(asked: list[Any], tmp_path: Path)
     assert (out.read_text(), picture.read_text()) == ("d of the chosen\n", "picture of the chosen\n")
     plain = hil("current", MOTOR, "--axis", "d", "--json")
     assert (json.loads(plain.stdout), plain.stderr, len(asked)) == (FIGURES, "", 2)
-
-
-# ---- the picture of the bounds ------------------------------------------------------------------------
-
-
-def drawn(monkeypatch: pytest.MonkeyPatch, gain: float, weights: dict[str, float]) -> dict[str, Any]:
-    """By title, of the plant 1/(s + 1) under a constant gain and constant weights."""
-    kept: dict[str, Any] = {}
-
-    def plot(title: str, omega: list[float], curves: dict[str, list[float]], range_db: Any) -> str:
-        kept[title] = omega, curves, range_db
-        return title
-
-    monkeypatch.setattr(current_report, "plot", plot)
-    by_function = {name: SimpleNamespace(gain=lambda _w, at=at: at) for name, at in weights.items()}
-    design: Any = SimpleNamespace(
-        margins=MARGINS,
-        plant=state_space([[-1.0]], [[1.0]], [[1.0]], [[0.0]]),
-        controller=state_space([[-1.0]], [[0.0]], [[0.0]], [[gain]]),
-        weights=SimpleNamespace(by_function=by_function),
-    )
-    assert current_report.bounds_picture(design) == "\n".join(kept)
-    return kept
-
-
-def test_each_function_is_drawn_under_its_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    """S = (s + 1)/(s + 10), KS = 9 S, T = 9/(s + 10); bounds of 6, -80 and -120 dB."""
-    kept = drawn(monkeypatch, 9.0, {"S": 0.5, "KS": 1e4, "T": 1e6})
-    assert list(kept) == [f"|{name}| and its bound (.)" for name in ("S", "KS", "T")]
-    s = 1j * MARGINS.phase_margin_rad_s * np.logspace(-4.0, 3.5, 220)
-    expected = {
-        "S": (np.abs((s + 1) / (s + 10)), 20.0 * math.log10(2.0), (-50.0, 10.0)),
-        "KS": (9.0 * np.abs((s + 1) / (s + 10)), -80.0, (-80.0, 20.0)),
-        "T": (9.0 / np.abs(s + 10), -120.0, (-100.0, 0.0)),
-    }
-    for name, (gain, bound_db, range_db) in expected.items():
-        omega, curves, shown_db = kept[f"|{name}| and its bound (.)"]
-        assert omega == pytest.approx(s.imag)
-        assert list(curves) == [".", name[0]]
-        assert curves["."] == pytest.approx([bound_db] * 220)
-        assert curves[name[0]] == pytest.approx(20.0 * np.log10(gain))
-        assert shown_db == range_db
-
-
-def test_what_is_zero_is_drawn_far_below(monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = drawn(monkeypatch, 0.0, {"S": 1.0, "KS": 1.0, "T": 0.5})
-    assert kept["|T| and its bound (.)"][1]["T"] == pytest.approx([-240.0] * 220)
-    assert kept["|T| and its bound (.)"][2] == (-50.0, 10.0)
-    assert kept["|S| and its bound (.)"][2] == (-60.0, 0.0)
 
 
 # ---- hinf ---------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from drivers.wire.adapters import parse_bus_spec
-from drivers.wire.frame_port import ERROR_FLAG
+from drivers.wire.identifiers import ERROR_FLAG
 from hil.configuration.config import BusSegment
 from hil.execution.world import World, WorldPlan, open_world
 from tests.motors import LING

@@ -93,19 +93,19 @@ def test_the_window_ends_with_the_block_that_is_judged() -> None:
 def test_the_largest_block_is_the_first_of_its_size() -> None:
     blocks = [np.zeros(BLOCK), *(0.04 * RATED_NM * NYQUIST[:BLOCK],) * 2, 0.02 * NYQUIST[:BLOCK]]
     meter = meter_of(rows_with(np.concatenate([np.zeros(STEADY), *blocks])))
-    assert (meter.rms_nm, meter.worst_at) == (near(0.04 * RATED_NM), at_block(2))
+    assert (meter.worst.value, meter.worst.at) == (near(0.04 * RATED_NM), at_block(2))
 
 
 @pytest.mark.parametrize(("count", "rms"), [(BLOCK - 1, None), (BLOCK, 1.0)])
 def test_a_block_counts_when_it_is_whole(count: int, rms: float | None) -> None:
     meter = meter_of(rows_with(np.concatenate([np.zeros(STEADY), NYQUIST[:count]])))
-    assert (meter.rms_nm, meter.worst_at) == (rms, None if rms is None else at_block(1))
+    assert (meter.worst.value, meter.worst.at) == (rms, None if rms is None else at_block(1))
 
 
 def test_without_a_rated_torque_nothing_is_told() -> None:
     meter = TorqueSwingMeter(AxisPlan("axis1", 1.0), SETTLING)
     meter.add(rows_with(100.0 * np.resize(NYQUIST, 1_000)))
-    assert (meter.rms_nm, meter.take_swings()) == (100.0, [])
+    assert (meter.worst.value, meter.take_swings()) == (100.0, [])
 
 
 def test_no_rows_and_rows_without_a_command_are_nothing() -> None:
@@ -114,7 +114,7 @@ def test_no_rows_and_rows_without_a_command_are_nothing() -> None:
     rows = rows_with(np.resize(NYQUIST, 1_000))
     rows["command_expires_at"] = np.iinfo(np.int64).min
     meter.add(rows)
-    assert (meter.rms_nm, meter.worst_at, meter.take_swings()) == (None, None, [])
+    assert (meter.worst.value, meter.worst.at, meter.take_swings()) == (None, None, [])
 
 
 def test_after_a_change_a_swing_is_told_again() -> None:
