@@ -22,7 +22,6 @@ from hil.configuration.weights_file import load_weights
 from hil.studies.current import design as studies
 from hil.studies.current import pictures
 from hil.studies.current.figures import CurrentRequest
-from hil.terminal import current_report
 from tests.told import ROOT
 
 EXAMPLES = ROOT / "examples"
@@ -62,7 +61,6 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     monkeypatch.setattr(studies, "design_current", design)
     monkeypatch.setattr(studies, "controller_text", lambda done, axis: f"{axis} of {done.chosen}\n")
     monkeypatch.setattr(pictures, "draw_bounds", draw)
-    monkeypatch.setattr(current_report, "bounds_picture", lambda chosen: f"bounds of {chosen}")
     return requests
 
 
@@ -154,7 +152,6 @@ def test_a_design_is_printed_written_and_drawn(asked: list[Any], tmp_path: Path)
         f"    {'speed_rad_s':<28} 300",
         f"    {'certified':<28} True",
         "",
-        "bounds of the chosen",
         "Both axes stay stable at 300 rad/s over +-50 % of r, L_d and L_q.",
     ]
     assert told.stderr == f"written {out}\nwritten {picture}\n"

@@ -42,6 +42,7 @@ class Designs(Studies):
 @pytest.fixture
 def designs(monkeypatch: pytest.MonkeyPatch) -> Designs:
     made = Designs()
+    monkeypatch.setattr(synthesis, "DesignResult", SimpleNamespace)
     monkeypatch.setattr(synthesis, "design_speed", made.design)
     monkeypatch.setattr(synthesis, "with_bandwidths", made.widen)
     monkeypatch.setattr(controller_text, "controller_of", lambda result: f"K of {result.name}")
@@ -207,7 +208,7 @@ def test_options_that_contradict_each_other_are_refused(designs: Designs, option
          "--network: network.losses_in_a_row_max: found 6, expected at most 5 in all; give --delay-ms, "
          "--period-ms and --losses-max: a run in which more are lost tells so"),
         (("", ""), ("--structure", "hinf", "--delay-ms", "5"),
-         "--delay-ms: found 0.005, expected either --network or --delay-ms"),
+         "--delay-ms: found 5.0, expected either --network or --delay-ms"),
         (("", ""), ("--structure", "hinf", "--period-ms", "5"),
          "--period-ms: found 5.0, expected either --network or --period-ms"),
         (("", ""), ("--structure", "hinf", "--losses-max", "0"),

@@ -186,22 +186,31 @@ def test_how_far_a_run_has_come_is_never_taken_back(
 
 
 @pytest.mark.parametrize(
-    ("ring", "capacity", "row", "what"),
+    ("ring", "capacity", "row", "one", "more"),
     [
-        ("rows", ROWS, bytes(ROW.size), "cycle record"),
-        ("frames", FRAMES, bytes(FRAME.size), "frame"),
-        ("events", EVENTS, event_row(BeginEvent(Instant(0))), "event"),
-        ("faults", FAULTS, bytes(BLOCK.size), "block of injected faults"),
+        ("rows", ROWS, bytes(ROW.size), "cycle record", "cycle records"),
+        ("frames", FRAMES, bytes(FRAME.size), "frame", "frames"),
+        ("events", EVENTS, event_row(BeginEvent(Instant(0))), "event", "events"),
+        ("faults", FAULTS, bytes(BLOCK.size), "block of injected faults", "blocks of injected faults"),
     ],
+    ids=["rows", "frames", "events", "faults"],
 )
 @pytest.mark.parametrize("lost", [0, 1, 2])
 def test_what_found_a_ring_full_is_counted(
-    rings: Rings, kept: Kept, clock: Clock, ring: str, capacity: int, row: bytes, what: str, lost: int
+    rings: Rings,
+    kept: Kept,
+    clock: Clock,
+    ring: str,
+    capacity: int,
+    row: bytes,
+    one: str,
+    more: str,
+    lost: int,
 ) -> None:
     for _ in range(capacity + lost):
         getattr(rings, ring).push(row)
     summary, told = log(rings, Input(clock, [OUTCOME]))
-    text = f"{lost} {what}{'s' if lost > 1 else ''} lost, the logger was too slow"
+    text = f"{lost} {more if lost > 1 else one} lost, the logger was too slow"
     assert summary.recording_faults == ((text,) if lost else ())
     assert told == ([f"failed {text}"] if lost else [])
     assert kept.summary == summary

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from enum import EnumType
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import typer
 
@@ -30,7 +30,7 @@ def parameter(item: Any) -> str:
     kind: Any = item.type_descriptor.annotation
     how = [f"{', '.join([*item.opts, *item.secondary_opts])} {item.metavar or ''}".rstrip() + ":"]
     members: Any = kind if isinstance(kind, EnumType) else ()
-    choices = [str(each.value) for each in members]
+    choices = get_args(kind) if get_origin(kind) is Literal else [str(each.value) for each in members]
     how.append("|".join(choices) or getattr(kind, "__name__", str(kind)))
     how += [f"{word} {end!r}" for word, end in (("from", item.min), ("to", item.max)) if end is not None]
     marks = {
