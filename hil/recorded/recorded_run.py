@@ -75,7 +75,7 @@ def open_run(folder: Path) -> RecordedRun:
             raise BadInput("RUN", "", str(folder), f"the folder of a run, with its {name}")
     metadata = read_metadata(folder / RECORDS_FILE)
     written_in = metadata.get("format", "none")
-    if not written_in.isdigit() or not 1 <= int(written_in) <= int(FORMAT):
+    if not written_in.isdecimal() or not 1 <= int(written_in) <= int(FORMAT):
         raise BadInput("RUN", "format", written_in, f"a recording of format 1 to {FORMAT}")
     try:
         summary = read_summary(folder)

@@ -168,7 +168,7 @@ def _is_recorded(folder: Path) -> bool:
 
 def _at(folder: Path, metadata: Mapping[str, str]) -> datetime:
     epoch = metadata.get(FIRST_CYCLE_EPOCH, "")
-    if metadata.get("time") == "real" and epoch.isdigit():
+    if metadata.get("time") == "real" and epoch.isdecimal():
         return datetime.fromtimestamp(int(epoch) / NS_PER_S, UTC)
     return datetime.fromtimestamp((folder / BENCH_FILE).stat().st_mtime, UTC)
 

@@ -35,7 +35,7 @@ PHASE_COLUMN: Final = Column("phase", "string", "", "in which phase of the bench
 def refuse_later_format(metadata: Mapping[str, str], source: Path) -> None:
     """Raises BadInput for a recording whose format counts higher than FORMAT; earlier ones are read."""
     told = metadata.get("format", FORMAT)
-    if not told.isdigit() or int(told) > int(FORMAT):
+    if not told.isdecimal() or int(told) > int(FORMAT):
         expected = f"a recording of format {FORMAT} or earlier"
         raise BadInput(
             str(source), "format", told, expected, "read it with the servobench that wrote it, or later"

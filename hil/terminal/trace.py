@@ -137,7 +137,7 @@ def _sheet(text: str) -> "SheetFile":
     from hil.reviewing.trace.known_nodes import SheetFile
 
     number, equals, path = text.partition("=")
-    if not equals or not number.isdigit():
+    if not equals or not number.isdecimal():
         return SheetFile(Path(text))
     if not 1 <= int(number) <= NODE_ID_MAX:
         raise BadInput("--eds", "", text, "a node-ID 1..127 before the =")

@@ -180,7 +180,7 @@ def _listed_index(text: str, defined: set[int]) -> int | None:
     spelled = integer(text)
     if spelled is None:
         return None
-    if text.strip().isdigit() and spelled.value not in defined and int(text, 16) in defined:
+    if text.strip().isdecimal() and spelled.value not in defined and int(text, 16) in defined:
         return int(text, 16)
     return spelled.value
 

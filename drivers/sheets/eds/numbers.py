@@ -154,7 +154,7 @@ def _as_python(text: str) -> tuple[str, str] | None:
             return None
         at = token.end()
         begins_operand = token[3] in (None, "(")
-        if pieces and begins_operand and (pieces[-1] in ("N", ")") or pieces[-1].isdigit()):
+        if pieces and begins_operand and (pieces[-1] in ("N", ")") or pieces[-1].isdecimal()):
             pieces.append("+")
             oddity = oddity if token[3] else "a sign is missing"
         if number is not None:
@@ -166,7 +166,7 @@ def _as_python(text: str) -> tuple[str, str] | None:
 
 def _with_function_code(text: str, number: Spelled) -> Spelled:
     """Digits alone are hexadecimal if only so they are the base of a COB-ID."""
-    if text.isdigit() and number.value % _FUNCTION_CODE and int(text, 16) % _FUNCTION_CODE == 0:
+    if text.isdecimal() and number.value % _FUNCTION_CODE and int(text, 16) % _FUNCTION_CODE == 0:
         return Spelled(int(text, 16), "hexadecimal without 0x")
     return number
 

@@ -218,7 +218,7 @@ class _Reader:
         if written not in self._guesses and len(self._guesses) < _GUESSES_MAX:
             bare = re.sub(r"[\s_-]", "", written).lower()
             alike = difflib.get_close_matches(bare, _OBJECT_OPTIONS, n=1, cutoff=_LIKENESS)
-            own = not alike or (bare[:-1] == alike[0] and bare[-1].isdigit())
+            own = not alike or (bare[:-1] == alike[0] and bare[-1].isdecimal())
             self._guesses[written] = None if own else _OBJECT_OPTIONS[alike[0]]
         return self._guesses.get(written)
 

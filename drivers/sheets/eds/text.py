@@ -137,7 +137,7 @@ def _rating(text: str, place: int, codec: str) -> float:
     if sign in _OPENING + _CLOSING:
         return _quote_rating(sign, before, after)
     if sign in _DASHES:
-        return 0.95 if before == after == " " or (before.isdigit() and after.isdigit()) else 0.2
+        return 0.95 if before == after == " " or (before.isdecimal() and after.isdecimal()) else 0.2
     if sign in _MARKS_OF_TRADE or sign in "\xa0…":
         return 0.7
     return -1.0 if unicodedata.category(sign) in ("Cc", "Cn", "Co", "So") else -0.2

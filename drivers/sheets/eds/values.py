@@ -133,7 +133,7 @@ def _integer(option: Option, place: Place) -> Value:
 def _spelled(text: str, place: Place) -> Spelled | None:
     """A number; digits that make sense only as hexadecimal are taken for that."""
     spelled = integer(text)
-    if spelled is None or not text.strip().isdigit():
+    if spelled is None or not text.strip().isdecimal():
         return spelled
     digits = text.strip()
     wide = int(digits, 16)

@@ -286,6 +286,6 @@ def _kbit_s(text: str) -> str:
     number, _, unit = text.strip().partition(" ")
     return (
         f"{number}000"
-        if unit.lower().startswith("m") and number.isdigit() and len(number) < 3
+        if unit.lower().startswith("m") and number.isdecimal() and len(number) < 3
         else number[:9]
     )

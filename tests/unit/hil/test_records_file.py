@@ -207,7 +207,8 @@ def test_a_field_tells_all_of_its_column() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "refused"), [(None, False), ("1", False), ("2", False), ("3", True), ("", True), ("2.0", True)]
+    ("told", "refused"),
+    [(None, False), ("1", False), ("2", False), ("3", True), ("", True), ("2.0", True), ("²", True)],
 )
 def test_a_later_format_is_refused_by_those_who_read_earlier_ones(told: str | None, refused: bool) -> None:
     metadata = {} if told is None else {"format": told}

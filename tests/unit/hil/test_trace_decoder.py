@@ -231,6 +231,7 @@ def test_the_command_selects_by_node_kind_and_time(log: Path) -> None:
         (["--bus", "hub:a"], "a RUN or LOG, or --live"),
         (["--eds", "200=a.eds"], "a node-ID 1..127 before the ="),
         (["--eds", "none.eds"], "none.eds"),
+        (["--eds", "²=a.eds"], "²=a.eds"),
     ],
 )
 def test_the_command_refuses_what_it_cannot_do(log: Path, arguments: list[str], said: str) -> None:
