@@ -19,16 +19,14 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
 
+from design.confidence import clopper_pearson
 from design.delay.delay_loop import Array
 from design.delay.speed_loop import current_rate_rad_s, speed_model
 from design.errors import UnsuitableNetwork
 from design.motor import PmsmParameters
 from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 
-CONFIDENCE = 0.95
-"""The usual one; the 1.96 of the quantiles goes with it."""
 _DIVERGED = 1e3
 """A run whose error exceeds the free-running error of the load by this factor has diverged."""
 _SMALL = 1e-4
@@ -62,7 +60,7 @@ class Chance:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure with the limits of its confidence interval of :data:`CONFIDENCE`."""
+    """A figure with the limits of its confidence interval of :data:`design.confidence.CONFIDENCE`."""
 
     value: float
     low: float
@@ -76,16 +74,14 @@ def diverged(peaks_rad_s: Array) -> Estimate:
 
 def share(hits: int, n: int) -> Estimate:
     """A probability from ``hits`` of ``n``, with Clopper and Pearson's interval."""
-    tail = 0.5 * (1.0 - CONFIDENCE)
-    low = float(beta.ppf(tail, hits, n - hits + 1)) if hits else 0.0
-    high = float(beta.ppf(1.0 - tail, hits + 1, n - hits)) if hits < n else 1.0
-    return Estimate(hits / n, low, high)
+    return Estimate(hits / n, *clopper_pearson(hits, n))
 
 
 def quantile(values: Array, q: float) -> Estimate:
     """Quantile ``q`` of a sample; the interval's ends are order statistics, by the binomial law."""
     ordered = np.sort(values)
     n = len(ordered)
+    # normal: 1.96 standard deviations are 95 %
     spread = 1.96 * math.sqrt(n * q * (1.0 - q))
     places = [math.floor(q * (n - 1)), math.floor(n * q - spread), math.ceil(n * q + spread)]
     value, low, high = (float(ordered[min(max(place, 0), n - 1)]) for place in places)

@@ -12,6 +12,8 @@ ERROR_TEXTS: dict[int, str] = {int(code, 16): text for code, text in _TABLES["co
 """Error codes of 0x603F and of EMCY, CiA 402-1 (error codes) and CiA 301 table 26."""
 NO_ERROR: Final = 0x0000
 """The EMCY that says that all errors are gone (CiA 301 7.2.7.1)."""
+HEARTBEAT_ERROR: Final = 0x8130
+"""Life guarding or a heartbeat failed (CiA 301, table 26)."""
 
 
 class ErrorRegister(IntFlag):

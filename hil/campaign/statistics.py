@@ -24,6 +24,8 @@ from scipy.special import betaln
 from scipy.stats import binomtest, bootstrap, spearmanr
 from scipy.stats import t as student
 
+from design.confidence import clopper_pearson as confidence_limits
+
 Floats = NDArray[np.float64]
 
 RESAMPLES: Final = 2000
@@ -56,8 +58,7 @@ def clopper_pearson(passed: int, runs: int, confidence: float) -> ConfidenceInte
     """Of a rate after a number of runs that was planned; exact, never below ``confidence``."""
     if not runs:
         return ConfidenceInterval(math.nan, 0.0, 1.0)
-    interval = binomtest(passed, runs).proportion_ci(confidence)
-    return ConfidenceInterval(passed / runs, float(interval.low), float(interval.high))
+    return ConfidenceInterval(passed / runs, *confidence_limits(passed, runs, confidence=confidence))
 
 
 def anytime(passed: int, runs: int, confidence: float) -> ConfidenceInterval:

@@ -9,6 +9,7 @@ from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 from canopen.objectdictionary import ObjectDictionary
 
+from drivers.canopen.error_codes import HEARTBEAT_ERROR
 from drivers.canopen.pdo import PdoPlan
 from drivers.canopen.pdo_budget import budget_of
 from drivers.cia402.drive_setup import DriveSettings
@@ -56,8 +57,6 @@ _SERVED_S: Final = 0.01
 """How soon the end of a fit is seen."""
 BUS_LOAD_MAX_PERCENT: Final = 70.0
 """The worst case of stuffing included; the rest is for SDO, heartbeats and what others send."""
-_HOST_LOST: Final = 0x8130
-"""EMCY: life guard or heartbeat error (CiA 301, table 26)."""
 
 
 class EmergencyStopped(Interrupted):
@@ -122,9 +121,9 @@ class Session:
             return
         control = self.drive.control
         codes = [emergency.code for emergency in control.emergencies if emergency.code]
-        if control.read_state() in FAULTY and codes and codes[-1] == _HOST_LOST:
+        if control.read_state() in FAULTY and codes and codes[-1] == HEARTBEAT_ERROR:
             self.drive.reset_fault(self.deadline(ENABLE_LIMIT_S))
-            self.dialog.tell(f"    the fault {_HOST_LOST:04X}h, of a host that was not heard, is reset")
+            self.dialog.tell(f"    the fault {HEARTBEAT_ERROR:04X}h, of a host that was not heard, is reset")
         faults = lapses(self.drive, self.request.heartbeat_ms)
         if faults or self.disturbed:
             if faults:

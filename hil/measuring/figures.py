@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from design.confidence import CONFIDENCE, rank_above, share_within_largest
 from drivers.canopen.pdo import PdoMap
 from drivers.timebase import NS_PER_US
 from drivers.wire.frame_port import EchoBasis
@@ -16,7 +17,6 @@ from hil.configuration.toml_text import toml_text
 from hil.execution.assembly import shortest_transit
 from hil.loop.axis import Axis
 from hil.loop.samples import CommandFate
-from hil.measuring.bounds import CONFIDENCE, rank_above, share_within_largest
 from hil.measuring.loss_model import UNKNOWN, Losses, Outcomes, losses_of
 from hil.measuring.stages import Stage
 from hil.measuring.subject import MeasureRequest
@@ -119,7 +119,7 @@ class Measured:
 
 
 def stage_json(measured: Stage) -> Json:
-    """A stage: us, with bounds at the confidence of :mod:`hil.measuring.bounds`."""
+    """A stage: us, with bounds at the confidence of :mod:`design.confidence`."""
     times = measured.times
     delays, bars = delays_of(times), histogram_of(times)
     if delays is None or bars is None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from hil.measuring.bounds import Interval, clopper_pearson
+from design.confidence import Interval, clopper_pearson
 from hil.reviewing.network_meter import runs_of
 
 CAME: Final = 0

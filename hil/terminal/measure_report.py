@@ -4,7 +4,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from hil.measuring.bounds import CONFIDENCE, share_within_largest
+from design.confidence import CONFIDENCE, share_within_largest
 from hil.measuring.figures import Measured, MeasuredDrive
 from hil.measuring.loss_model import Losses, LossModel
 from hil.measuring.stages import WAYS, Stage

@@ -2,10 +2,8 @@
 100Ch and 100Dh.
 """
 
-from typing import Final
-
 from drivers.canopen.cob_ids import ERROR_CONTROL
-from drivers.canopen.error_codes import ErrorRegister
+from drivers.canopen.error_codes import HEARTBEAT_ERROR, ErrorRegister
 from drivers.canopen.nmt_states import NODE_ID_MAX, NmtState
 from drivers.canopen.objects301 import Cia301
 from drivers.timebase import NS_PER_MS, Instant
@@ -16,9 +14,6 @@ from virtual_bus.device.object_dictionary import Check, Variable
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station
 from virtual_bus.frame import Frame
-
-HEARTBEAT_ERROR: Final = 0x8130
-"""EMCY: life guard or heartbeat error (CiA 301, table 26)."""
 
 
 class HeartbeatProducer:

@@ -3,10 +3,9 @@
 
 from typing import Final
 
-from drivers.canopen.error_codes import ErrorRegister
+from drivers.canopen.error_codes import HEARTBEAT_ERROR, ErrorRegister
 from virtual_bus.device.application import CommunicationLoss, DeviceServices
 from virtual_bus.device.canopen_device import RECOVERED_FROM_BUS_OFF
-from virtual_bus.device.heartbeat import HEARTBEAT_ERROR
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.rpdo import PDO_DEADLINE
 

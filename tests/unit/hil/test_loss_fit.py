@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from hil.measuring.bounds import clopper_pearson
+from design.confidence import clopper_pearson
 from hil.measuring.loss_model import (
     CAME,
     LOST,

@@ -10,6 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 from typer.testing import CliRunner, Result
 
+from design.confidence import Interval
 from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.wire.frame_port import EchoBasis
@@ -17,7 +18,6 @@ from hil.cli import app
 from hil.configuration.motor_file import LING2012
 from hil.configuration.network_file import DelayFigures, Network, load_network
 from hil.measuring import measure, picture
-from hil.measuring.bounds import Interval
 from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive, fault_plan_text
 from hil.measuring.loss_model import Losses, LossModel, Parameters
 from hil.measuring.stages import WAYS, stage

@@ -9,11 +9,11 @@ from typing import Any, Final, cast
 import numpy as np
 import pytest
 
+from design.confidence import Interval, clopper_pearson
 from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
 from drivers.wire.frame_port import EchoBasis
 from hil.loop.axis import Axis
 from hil.loop.samples import CommandFate
-from hil.measuring.bounds import Interval, clopper_pearson
 from hil.measuring.figures import (
     ClockFigures,
     Measured,

@@ -1,4 +1,4 @@
-"""How sure a figure is that rests on a sample: closed forms, at 95 % confidence throughout.
+"""How sure a figure is that rests on a sample: closed forms, at 95 % confidence if nothing else is said.
 
 Samples count as independent. Losses that come in bursts tell less than their number: see ``inflation``.
 """
@@ -14,13 +14,15 @@ CONFIDENCE: Final = 0.95
 
 
 class Interval(NamedTuple):
-    """Where a value is, at :data:`CONFIDENCE`."""
+    """Where a value is."""
 
     low: float
     high: float
 
 
-def clopper_pearson(events: float, trials: float, inflation: float = 1.0) -> Interval:
+def clopper_pearson(
+    events: float, trials: float, inflation: float = 1.0, confidence: float = CONFIDENCE
+) -> Interval:
     """The probability of an event of which ``events`` were seen in ``trials`` (Clopper and Pearson 1934).
 
     It covers the true one at least as often as it says. ``inflation``: by how much the variance of the count
@@ -29,7 +31,7 @@ def clopper_pearson(events: float, trials: float, inflation: float = 1.0) -> Int
     """
     if not 0 <= events <= trials or trials <= 0:
         raise ValueError(f"{events} events in {trials} trials")
-    half = (1.0 - CONFIDENCE) / 2.0
+    half = (1.0 - confidence) / 2.0
     seen, missed = events / inflation, (trials - events) / inflation
     low = float(betaincinv(seen, missed + 1.0, half)) if seen > 0.0 else 0.0
     high = float(betaincinv(seen + 1.0, missed, 1.0 - half)) if missed > 0.0 else 1.0
