@@ -3,7 +3,7 @@
     (1436509052.249713) can0 123#11223344
 
 Which of them the bench sent has no place in that format: Wireshark refuses a line with more in it. It is told
-line by line beside it.
+line by line beside it. The lines are made by columns, ~0.2 us each.
 """
 
 from collections.abc import Sequence
@@ -15,9 +15,12 @@ from drivers.timebase import NS_PER_US
 from drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
 from hil.rows.run_files import DIRECTION_BYTES
 
+_HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
 _IDENTIFIER_MASK = (1 << 30) - 1
 """The highest of these bits marks an error frame (CAN_ERR_FLAG)."""
-_US_PER_S = 1_000_000
+_SECONDS_DIGITS = 10
+"""Of Unix time, until the year 2286."""
+_DIGIT_WEIGHTS = 10 ** np.arange(_SECONDS_DIGITS + 6 - 1, -1, -1, dtype=np.int64)
 
 
 def candump_lines(
@@ -27,17 +30,41 @@ def candump_lines(
 
     ``segments``: names of those after the first one, whose frames bear their own name for an interface.
     """
-    names = (interface, *segments)
-    stamps_us = ((rows["at"] + wall_offset_ns) // NS_PER_US).tolist()
-    identifiers, lengths = rows["can_id"].tolist(), rows["length"].tolist()
-    numbers, digits = (rows["sent"] >> 1).tolist(), rows["data"].tobytes().hex().upper()
-    lines = []
-    for row, (at_us, can_id) in enumerate(zip(stamps_us, identifiers, strict=True)):
-        stamp = f"({at_us // _US_PER_S:010d}.{at_us % _US_PER_S:06d})"
-        identifier = f"{can_id & _IDENTIFIER_MASK:0{8 if can_id & EXTENDED_FLAG else 3}X}"
-        data = "R" if can_id & REMOTE_FLAG else digits[16 * row : 16 * row + 2 * lengths[row]]
-        lines.append(f"{stamp} {names[numbers[row]]} {identifier}#{data}\n")
-    return "".join(lines).encode()
+    if not rows.size:
+        return b""
+    count = rows.size
+    extended = (rows["can_id"] & EXTENDED_FLAG) != 0
+    remote = (rows["can_id"] & REMOTE_FLAG) != 0
+    always = np.ones((count, 1), bool)
+    parts: list[tuple[NDArray[np.uint8], NDArray[np.bool_]]] = []
+
+    def text(letters: str, where: NDArray[np.bool_] = always) -> None:
+        block = np.broadcast_to(np.frombuffer(letters.encode(), np.uint8), (count, len(letters)))
+        parts.append((block, np.broadcast_to(where, block.shape)))
+
+    stamp = _decimal_digits((rows["at"] + wall_offset_ns) // NS_PER_US)
+    text("(")
+    parts.append((stamp[:, :_SECONDS_DIGITS], np.broadcast_to(always, (count, _SECONDS_DIGITS))))
+    text(".")
+    parts.append((stamp[:, _SECONDS_DIGITS:], np.broadcast_to(always, (count, 6))))
+    text(") ")
+    for number, name in enumerate((interface, *segments)):
+        text(name, (rows["sent"] >> 1 == number)[:, None])
+    text(" ")
+    identifier = _hex_digits(rows["can_id"] & _IDENTIFIER_MASK)
+    # a standard identifier has the last three digits, an extended one all eight
+    parts.append(
+        (identifier, np.concatenate((np.repeat(extended[:, None], 5, 1), np.repeat(always, 3, 1)), 1))
+    )
+    text("#")
+    parts.append((np.full((count, 1), ord("R"), np.uint8), remote[:, None]))
+    data = _HEX[np.stack((rows["data"] >> 4, rows["data"] & 15), 2)].reshape(count, 16)
+    present = np.repeat(np.arange(8) < rows["length"][:, None], 2, 1) & ~remote[:, None]
+    parts.append((data, present))
+    text("\n")
+    letters = np.concatenate([part for part, _ in parts], 1)
+    lines: bytes = letters[np.concatenate([kept for _, kept in parts], 1)].tobytes()
+    return lines
 
 
 def direction_lines(rows: NDArray[np.void]) -> bytes:
@@ -45,3 +72,15 @@ def direction_lines(rows: NDArray[np.void]) -> bytes:
     lines = np.full((rows.size, DIRECTION_BYTES), ord("\n"), np.uint8)
     lines[:, 0] = np.where(rows["sent"] & 1, ord("T"), ord("R"))
     return lines.tobytes()
+
+
+def _decimal_digits(values: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """(n, 16) ASCII digits with leading zeros."""
+    return (values[:, None] // _DIGIT_WEIGHTS % 10 + ord("0")).astype(np.uint8)
+
+
+def _hex_digits(values: NDArray[np.integer]) -> NDArray[np.uint8]:
+    """(n, 8) ASCII digits with leading zeros."""
+    shifts = np.arange(28, -1, -4, dtype=np.uint32)
+    letters: NDArray[np.uint8] = _HEX[(values[:, None] >> shifts) & 15]
+    return letters
