@@ -233,10 +233,9 @@ def test_wrong_decoupling_is_shown_over_speed() -> None:
     assert robust["coupled"]["rightmost_pole_per_s"] > 0.0
 
 
-def test_text_draws_the_bounds_and_recommends_a_rate() -> None:
+def test_text_recommends_a_rate() -> None:
     status, out, _ = _run("design", "current", MOTOR, "--axis", "d", "--sample-rate-hz", "8000")
     assert status == 0
-    assert all(f"|{name}| and its bound" in out for name in ("S", "KS", "T"))
     assert "Hz or more holds a modulus margin of" in out
 
 
