@@ -91,6 +91,11 @@ def test_a_sheet_that_agrees_with_itself_has_nothing_to_tell() -> None:
     assert full.motor().torque_constant_nm_a == pytest.approx(0.8 / math.sqrt(2.0))
 
 
+def test_without_a_peak_current_the_peak_torque_is_the_limit() -> None:
+    sheet = replace(SHEET, peak_current_a=None, peak_torque_nm=7.2)
+    assert sheet.motor().current_max_a == pytest.approx(7.2 / (0.8 / math.sqrt(2.0)))
+
+
 @pytest.mark.parametrize(("given", "meant"), [
     ("ke_line_vrms_krpm", "ke_line_vpk_krpm"),
     ("ke_line_vpk_krpm", "ke_line_vrms_krpm"),

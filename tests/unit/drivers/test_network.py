@@ -364,3 +364,20 @@ def test_a_node_that_answers_late_is_not_two(rig: Rig) -> None:
     bus.deliver(0x581, bytes.fromhex("4300100092010200"), NS_PER_MS)
     read_repeatedly(network)
     network.refuse_two(1)
+
+
+@pytest.mark.parametrize(
+    ("beat", "seen"), [(b"\x7f", "its heartbeat says PRE_OPERATIONAL"), (b"", "no heartbeat")]
+)
+def test_a_command_of_nmt_that_has_no_effect_is_told(rig: Rig, beat: bytes, seen: str) -> None:
+    """Sent again after two heartbeats each, until a second and four of them have passed."""
+    bus, _, network = rig
+    if beat:
+        for ms in range(0, 2_000, 50):
+            bus.deliver(0x701, beat, ms * NS_PER_MS)
+    with pytest.raises(NoAnswer) as caught:
+        network.change_nmt(1, "the drive", NmtCommand.START, NmtState.OPERATIONAL, Duration(50 * MS))
+    assert (
+        str(caught.value) == f"the drive did not become OPERATIONAL; {seen}; check its supply and the cable"
+    )
+    assert set(bus.sent_to(0x000)) == {b"\x01\x01"}

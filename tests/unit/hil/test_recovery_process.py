@@ -16,7 +16,7 @@ from drivers.timebase import NS_PER_MS, Instant
 from hil.recording import recovery
 from hil.recording.faults_file import BLOCK_DTYPE
 from hil.recording.log_files import FaultsKeeper
-from hil.recording.recovery import main, recover
+from hil.recording.recovery import _as_many_directions, main, recover
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import read_summary
 from hil.recording.tail import TAIL_FILE
@@ -25,6 +25,7 @@ from hil.recording.whole_records import Rings, whole_records
 from hil.rows.recording_plan import ObservedDrive, RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
 from hil.rows.records_file import RecordsWriter, is_whole
+from hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE
 from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, BeginEvent, TextEvent, frame_row
 from tests.rrd_columns import columns
 from tests.unit.hil import test_drawn_rows as drawn
@@ -168,3 +169,25 @@ def test_records_that_find_the_disk_full_are_left_as_they_were(
     assert read(tmp_path).tobytes() == rows[:30].tobytes()
     assert (tmp_path / TAIL_FILE).exists()
     assert recovery.ROOM_BYTES == 4 << 20
+
+
+@pytest.mark.parametrize(
+    ("frames", "directions", "left"),
+    [
+        ("a\nb\n", bytes(7), 4),
+        ("a\nb\nc\n", bytes(6), 6),
+        ("", bytes(6), 0),
+        (None, bytes(6), 6),
+        ("a\n", None, None),
+    ],
+)
+def test_directions_beyond_the_last_frame_go(
+    tmp_path: Path, frames: str | None, directions: bytes | None, left: int | None
+) -> None:
+    if frames is not None:
+        (tmp_path / FRAMES_FILE).write_text(frames)
+    path = tmp_path / DIRECTIONS_FILE
+    if directions is not None:
+        path.write_bytes(directions)
+    _as_many_directions(tmp_path)
+    assert (path.stat().st_size if path.exists() else None) == left

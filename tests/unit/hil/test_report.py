@@ -157,6 +157,7 @@ def test_progress_writes_once_for_each_percent() -> None:
     lines = terminal.getvalue().split("\r")[1:]
     assert len(lines) == 101
     assert all(len(line) == LINE_WIDTH for line in lines)
+    assert [line for line in lines if " 25 %" in line] == [bar_line("running", 0.5, 2.0, 25)]
     assert "100 %" in lines[-1]
     progress.clear()
     assert terminal.getvalue().endswith("\r" + " " * LINE_WIDTH + "\r")
