@@ -132,6 +132,9 @@ def test_the_import_brings_nothing_heavy() -> None:
 
 def test_every_public_name_is_there() -> None:
     assert all(getattr(hil, name) is not None for name in hil.__all__)
+    with pytest.raises(AttributeError) as caught:
+        hil.__getattr__("Bensch")
+    assert str(caught.value) == "module 'hil' has no attribute 'Bensch'"
 
 
 def test_the_block_of_the_docs_runs(
