@@ -62,8 +62,8 @@ _ROUNDS = 30
 """Of changes of the best."""
 _DELAY_PARTS = (0.0, 0.5, 1.0)
 """Of a window, where the moment of a single switching is tried."""
-ENDS = (0.0, 1.0)
-"""The same of several; and where a step of the load meets a switching."""
+_ENDS = (0.0, 1.0)
+"""The same of several."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,7 +293,7 @@ def _letters(loop: SwitchedLoop) -> list[Letter]:
 def _until_delivery(by_source: dict[int, list[Family]], node: int) -> Iterator[tuple[PeriodStep, ...]]:
     for family in by_source[node]:
         if family.windows:
-            parts = _DELAY_PARTS if len(family.windows) == 1 else ENDS
+            parts = _DELAY_PARTS if len(family.windows) == 1 else _ENDS
             yield from ((step,) for step in family.over(parts))
         else:
             step = family.at(())

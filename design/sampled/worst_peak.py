@@ -15,12 +15,13 @@ from scipy.linalg import expm
 from design.delay.delay_loop import Array
 from design.sampled.admissible_steps import families
 from design.sampled.held_loop import HeldLoop, PeriodStep
-from design.sampled.loss_patterns import ENDS
 
 _BEAM = 150
 """Sequences kept for each node and each of the two orders."""
 _PHASES = (0.0, 0.25, 0.5, 0.75)
 """Parts of a period after a sample at which the load steps."""
+_ENDS = (0.0, 1.0)
+"""Parts of its window at which a switching is tried."""
 _INSTANTS = 8
 """Between two switchings, at which the error is looked at."""
 _PERIODS_MIN = 40
@@ -41,7 +42,7 @@ class _Step:
 
 def worst_peak(loop: HeldLoop) -> float:
     """The largest error that the search finds, rad/s per N m."""
-    steps = [_under_load(loop, step) for family in families(loop.network) for step in family.over(ENDS)]
+    steps = [_under_load(loop, step) for family in families(loop.network) for step in family.over(_ENDS)]
     h, k = loop.network.period_s, loop.kept
     periods = max(_PERIODS_MIN, int(_AGES * loop.network.age_max_s / h))
     model = loop.model

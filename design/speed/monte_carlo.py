@@ -19,8 +19,9 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
-from design.confidence import clopper_pearson
+from design.confidence import CONFIDENCE, clopper_pearson
 from design.delay.delay_loop import Array
 from design.delay.speed_loop import current_rate_rad_s, speed_model
 from design.errors import UnsuitableNetwork
@@ -81,8 +82,7 @@ def quantile(values: Array, q: float) -> Estimate:
     """Quantile ``q`` of a sample; the interval's ends are order statistics, by the binomial law."""
     ordered = np.sort(values)
     n = len(ordered)
-    # normal: 1.96 standard deviations are 95 %
-    spread = 1.96 * math.sqrt(n * q * (1.0 - q))
+    spread = float(ndtri(0.5 + 0.5 * CONFIDENCE)) * math.sqrt(n * q * (1.0 - q))
     places = [math.floor(q * (n - 1)), math.floor(n * q - spread), math.ceil(n * q + spread)]
     value, low, high = (float(ordered[min(max(place, 0), n - 1)]) for place in places)
     return Estimate(value, low, high)
