@@ -4,11 +4,12 @@ CiA 301 7.5.2.35 to 7.5.2.38: communication parameters 0x1400 and 0x1800, mappin
 may change only while the PDO does not exist (bit 31 of its COB-ID), with sub 0 of the mapping at 0 meanwhile.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from struct import Struct, calcsize
+from typing import NamedTuple
 
 from drivers.canopen.cob_ids import CAN_ID, NO_RTR, NOT_VALID, RPDOS, TPDOS
 from drivers.canopen.objects import RemoteObjects, SettingRefused
@@ -186,27 +187,122 @@ def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:
     """Put the plan into the drive, which must be pre-operational, read it back, and say what was done.
 
     PDOs that hold the plan already are left alone, so a drive with a fixed mapping that fits is served.
-    Raises SettingRefused naming every difference that stays, or TransferAborted.
+    Raises SettingRefused naming every difference that stays, or TransferAborted; the drive's PDOs then are
+    what they were before.
     """
+    held: dict[int, _Held] = {}
+    try:
+        notes = _write_all(objects, plan, held)
+        verify_plan(objects, plan)
+    except (TransferAborted, SettingRefused):
+        _put_back(objects, held)
+        raise
+    return notes
+
+
+def _write_all(objects: RemoteObjects, plan: PdoPlan, held: dict[int, "_Held"]) -> list[str]:
+    """Notes on what was done. Into ``held`` goes what each PDO held before it was changed, by the index of
+    its communication parameter."""
+
+    def switch_off(communication_index: int) -> bool:
+        cob_id = objects.read_if_there(communication_index, 1)
+        if cob_id is None or cob_id & NOT_VALID:
+            return False
+        held.setdefault(communication_index, _held(objects, communication_index))
+        objects.write(communication_index, 1, "I", cob_id | NOT_VALID)
+        return True
+
     notes: list[str] = []
     for direction in PdoDirection:
         pdos = [pdo for pdo in plan if pdo.direction is direction]
-        used = {pdo.number for pdo in pdos}
-        for number in range(1, _PDOS_LOOKED_AT + 1):
-            if number not in used:
-                notes += _switch_off_unused(objects, direction, number)
+        for number in sorted(set(range(1, _PDOS_LOOKED_AT + 1)) - {pdo.number for pdo in pdos}):
+            name = f"{direction.letter}PDO{number}"
+            try:
+                notes += [f"{name}{_SWITCHED_OFF}"] if switch_off(direction.value + number - 1) else []
+            except TransferAborted as error:
+                notes.append(f"{name} is not used and cannot be switched off: {error.evidence}")
         # All are switched off before one is moved: two PDOs may swap identifiers.
         for pdo in pdos:
             if differences(objects, pdo):
                 # With a read-only COB-ID it stays on; its transmission type may be writable.
                 with suppress(TransferAborted):
-                    _switch_off(objects, pdo.communication_index)
+                    switch_off(pdo.communication_index)
         for pdo in pdos:
             if differences(objects, pdo):
-                _write_pdo(objects, pdo)
+                before = held.setdefault(pdo.communication_index, _held(objects, pdo.communication_index))
+                _write_pdo(objects, pdo.communication_index, _planned(pdo, before))
                 notes.append(f"{pdo.name}{_WRITTEN}")
-    verify_plan(objects, plan)
     return notes
+
+
+class _Held(NamedTuple):
+    """Parameters of a PDO; None: it has none, or they are left as they are."""
+
+    cob_id: int
+    """With its flags."""
+    transmission_type: int | None
+    timers: Mapping[int, int | None]
+    """By sub-index: inhibit time and event timer."""
+    mapping: tuple[int, ...]
+    """Mapping words."""
+
+
+def _held(objects: RemoteObjects, communication_index: int) -> _Held:
+    """What a PDO holds now. Raises TransferAborted if there is no such PDO."""
+    return _Held(
+        objects.read(communication_index, 1),
+        objects.read_if_there(communication_index, 2, "B"),
+        {sub: objects.read_if_there(communication_index, sub, "H") for sub in (3, 5)},
+        tuple(_held_mapping(objects, communication_index + MAPPING_OFFSET)),
+    )
+
+
+def _put_back(objects: RemoteObjects, held: Mapping[int, _Held]) -> None:
+    """As :func:`_write_all` found them; all are off before one is moved here too."""
+    for communication_index in held:
+        with suppress(TransferAborted):
+            cob_id = objects.read(communication_index, 1)
+            if not cob_id & NOT_VALID:
+                objects.write(communication_index, 1, "I", cob_id | NOT_VALID)
+    for communication_index, before in held.items():
+        with suppress(TransferAborted):
+            _write_pdo(objects, communication_index, before)
+
+
+def _planned(pdo: PdoMap, held: _Held) -> _Held:
+    """What a PDO of the plan is to hold in a drive whose PDO holds ``held``."""
+    # Bit 30 (no remote frames) is kept: some drives refuse the other value. It is reserved in an RPDO.
+    remote = held.cob_id & NO_RTR if pdo.direction is PdoDirection.TRANSMIT else 0
+    return _Held(
+        pdo.cob_id | remote,
+        pdo.transmission_type,
+        {3: pdo.inhibit_time_100us, 5: pdo.event_timer_ms},
+        tuple(entry.mapping_word for entry in pdo.entries),
+    )
+
+
+def _write_pdo(objects: RemoteObjects, communication_index: int, wanted: _Held) -> None:
+    """The standard's procedure on a PDO that is switched off."""
+    mapping_index = communication_index + MAPPING_OFFSET
+    kind = objects.read_if_there(communication_index, 2, "B")
+    if wanted.transmission_type is not None and kind not in (None, wanted.transmission_type):
+        objects.write(communication_index, 2, "B", wanted.transmission_type)
+    for sub, value in wanted.timers.items():
+        _write_timer(objects, communication_index, sub, value)
+    if tuple(_held_mapping(objects, mapping_index)) != wanted.mapping:
+        objects.write(mapping_index, 0, "B", 0)
+        for sub, word in enumerate(wanted.mapping, start=1):
+            objects.write(mapping_index, sub, "I", word)
+        objects.write(mapping_index, 0, "B", len(wanted.mapping))
+    if (objects.read(communication_index, 1) ^ wanted.cob_id) & (NOT_VALID | CAN_ID):
+        objects.write(communication_index, 1, "I", wanted.cob_id)
+
+
+def _write_timer(objects: RemoteObjects, index: int, sub: int, value: int | None) -> None:
+    """Inhibit time or event timer; whether a drive that lacks or refuses it does is for ``differences``."""
+    if value is not None and objects.read_if_there(index, sub, "H") not in (None, value):
+        with suppress(TransferAborted):
+            objects.write(index, sub, "H", value)
 
 
 def verify_plan(objects: RemoteObjects, plan: PdoPlan) -> None:
@@ -261,46 +357,3 @@ def _timer_differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
 def _held_mapping(objects: RemoteObjects, mapping_index: int) -> list[int]:
     count = objects.read_if_there(mapping_index, 0, "B") or 0
     return [objects.read(mapping_index, sub) for sub in range(1, min(count, 64) + 1)]
-
-
-def _switch_off_unused(objects: RemoteObjects, direction: PdoDirection, number: int) -> list[str]:
-    name = f"{direction.letter}PDO{number}"
-    try:
-        return [f"{name}{_SWITCHED_OFF}"] if _switch_off(objects, direction.value + number - 1) else []
-    except TransferAborted as error:
-        return [f"{name} is not used and cannot be switched off: {error.evidence}"]
-
-
-def _switch_off(objects: RemoteObjects, communication_index: int) -> bool:
-    """True if the PDO existed and exists no more."""
-    cob_id = objects.read_if_there(communication_index, 1)
-    if cob_id is None or cob_id & NOT_VALID:
-        return False
-    objects.write(communication_index, 1, "I", cob_id | NOT_VALID)
-    return True
-
-
-def _write_pdo(objects: RemoteObjects, pdo: PdoMap) -> None:
-    """The standard's procedure on a PDO that is switched off."""
-    held = objects.read(pdo.communication_index, 1)
-    # Bit 30 (no remote frames) is kept: some drives refuse the other value. It is reserved in an RPDO.
-    remote = held & NO_RTR if pdo.direction is PdoDirection.TRANSMIT else 0
-    kind = objects.read_if_there(pdo.communication_index, 2, "B")
-    if kind not in (None, pdo.transmission_type):
-        objects.write(pdo.communication_index, 2, "B", pdo.transmission_type)
-    for sub, value in ((3, pdo.inhibit_time_100us), (5, pdo.event_timer_ms)):
-        _write_timer(objects, pdo.communication_index, sub, value)
-    if _held_mapping(objects, pdo.mapping_index) != [entry.mapping_word for entry in pdo.entries]:
-        objects.write(pdo.mapping_index, 0, "B", 0)
-        for sub, entry in enumerate(pdo.entries, start=1):
-            objects.write(pdo.mapping_index, sub, "I", entry.mapping_word)
-        objects.write(pdo.mapping_index, 0, "B", len(pdo.entries))
-    if held & (NOT_VALID | CAN_ID) != pdo.cob_id:
-        objects.write(pdo.communication_index, 1, "I", pdo.cob_id | remote)
-
-
-def _write_timer(objects: RemoteObjects, index: int, sub: int, value: int) -> None:
-    """Inhibit time or event timer; whether a drive that lacks or refuses it does is for ``differences``."""
-    if objects.read_if_there(index, sub, "H") not in (None, value):
-        with suppress(TransferAborted):
-            objects.write(index, sub, "H", value)

@@ -5,12 +5,13 @@ a note. What the bench cannot do without raises.
 """
 
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import NamedTuple
 
 from drivers.canopen.error_control import WatchTimes
 from drivers.canopen.objects import RemoteObjects, SettingRefused
 from drivers.canopen.objects301 import Cia301
-from drivers.canopen.pdo import PdoPlan, write_plan
+from drivers.canopen.pdo import PdoDirection, PdoPlan, write_plan
 from drivers.canopen.pdo_capability import PdoCapability, capability_of_drive
 from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
@@ -321,12 +322,44 @@ def _wish(settings: DriveSettings) -> PlanWish:
 def _map_as_held(
     objects: RemoteObjects, settings: DriveSettings, refusal: PeerFault
 ) -> tuple[PdoPlan, list[str]]:
-    """The mappings that the drive holds, used as they are; raises ``refusal`` if they do not serve."""
+    """The mappings that the drive holds, used as they are: first those of one direction, with plans for the
+    other, then all. Raises the last refusal if they do not serve.
+    """
     standard = mode_plan(objects.node_id, _wish(settings), demand_changes=settings.demand_changes)
     codes = {(entry.index, entry.sub): entry.code for pdo in standard for entry in pdo.entries}
-    try:
-        result = plan_pdos(capability_of_drive(objects, codes), objects.node_id, _wish(settings))
-    except PlanImpossible as error:
-        raise refusal from error
-    notes = [f"mappings are used as the drive has them: {refusal.evidence}", *result.notes]
-    return result.plan, notes + write_plan(objects, result.plan)
+    held = capability_of_drive(objects, codes)
+    impossible: PlanImpossible | None = None
+    tried: list[PdoPlan] = []
+    for kept, features in product(
+        ("RPDO ", "TPDO ", ""), choices(_able(objects, settings), settings.position_every_cycles)
+    ):
+        try:
+            result = plan_pdos(
+                _with_held(settings.capability or STANDARD, held, kept),
+                objects.node_id,
+                replace(_wish(settings), features=features),
+            )
+            if result.plan in tried:
+                continue
+            tried.append(result.plan)
+            written = write_plan(objects, result.plan)
+        except PlanImpossible as error:
+            impossible = error
+        except (TransferAborted, SettingRefused) as error:
+            refusal = error
+        else:
+            note = f"{kept}mappings are used as the drive has them: {refusal.evidence}"
+            return result.plan, [note, *result.notes, *written]
+    raise refusal from impossible
+
+
+def _with_held(known: PdoCapability, held: PdoCapability, kept: str) -> PdoCapability:
+    """``known``, with the PDOs of the direction ``kept`` as they are ``held``; all of them if it is empty."""
+    if not kept:
+        return held
+    slots = tuple(
+        slot
+        for direction in PdoDirection
+        for slot in (held if kept[0] == direction.letter else known).of(direction)
+    )
+    return replace(known, slots=slots)

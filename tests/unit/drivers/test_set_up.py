@@ -1,8 +1,9 @@
 """Setting a drive up that lacks something, or whose dictionary is known."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Final
 
 import pytest
 
@@ -11,6 +12,7 @@ from drivers.canopen.objects import SettingRefused
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.pdo_planner import PlanImpossible
 from drivers.cia402.servo import ServoDrive
+from drivers.errors import TransferAborted
 from drivers.sheets.capability import capability_of
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.eds_maker import four_pdos, sheet
@@ -161,6 +163,80 @@ def test_a_drive_that_refuses_part_of_the_plan_is_served_by_the_next_best(
     (reading,) = drive.take_readings()
     assert (reading.device_time_ns is None) == (STAMP in unmapped)
     assert len(drive.take_readbacks()) == (DEMAND not in unmapped and events)
+    bus.shutdown()
+
+
+class HalfFixed(FakeServo):
+    """Takes only those words into the mappings of ``kept`` that they hold from the factory; the refusal comes
+    with sub 1, when sub 0 is 0 already."""
+
+    HELD: Final = {
+        0x1A00: (0x60410010, 0x60770010),
+        0x1A01: (0x60640020, 0x606C0020),
+        0x1600: (0x60710010, 0x60400010),
+    }
+
+    def __init__(
+        self, bus: FakeBus, kept: tuple[int, ...], mappings: Mapping[int, tuple[int, ...]] = HELD
+    ) -> None:
+        self.kept, self.mappings = kept, mappings
+        super().__init__(bus)
+        for mapping, words in mappings.items():
+            self.values[mapping - 0x200, 1] &= 0x7FFFFFFF
+            for sub, word in enumerate((len(words), *words)):
+                self.values[mapping, sub] = word
+
+    def _download(self, index: int, sub: int, data: bytes) -> bytes:
+        self.refuse.pop((index, sub), None)
+        held = (*self.mappings.get(index, ()), *8 * (0,))
+        if index & 0xFF00 in self.kept and sub and int.from_bytes(data, "little") != held[sub - 1]:
+            self.refuse[index, sub] = NOT_MAPPABLE
+        return super()._download(index, sub, data)
+
+    def pdos(self) -> dict[tuple[int, int], int]:
+        """Parameters of all PDOs: what is mapped, and to where."""
+        return {
+            (index, sub): value
+            for (index, sub), value in self.values.items()
+            if 0x1400 <= index < 0x1B00 and sub <= self.values.get((index, 0), 0)
+        }
+
+
+@pytest.mark.parametrize(
+    ("kept", "told"),
+    [
+        ((0x1600, 0x1A00), "mappings are used as the drive has them: abort code 06040041h"),
+        ((0x1600,), "RPDO mappings are used as the drive has them: abort code 06040041h"),
+        ((0x1A00,), "TPDO mappings are used as the drive has them: abort code 06040041h"),
+    ],
+)
+def test_a_drive_that_refuses_the_first_word_of_a_mapping_is_served_by_those_that_it_holds(
+    kept: tuple[int, ...], told: str
+) -> None:
+    bus, network = make_network()
+    servo = HalfFixed(bus, kept)
+    drive = ServoDrive(network, 1, "axis1")
+    drive.connect(soon(network))
+    assert any(note.startswith(told) for note in drive.configure(SETTINGS))
+    drive.enable(soon(network))
+    servo.values[0x606C, 0] = 1000
+    cycle((bus, servo, network, drive))
+    (reading,) = drive.take_readings()
+    assert reading.velocity_rad_s == pytest.approx(2 * math.pi / 60)
+    bus.shutdown()
+
+
+@pytest.mark.parametrize("first", [0x1600, 0x1A00])
+def test_a_drive_that_cannot_be_served_holds_the_pdos_that_it_held(first: int) -> None:
+    bus, network = make_network()
+    others = {first: (0x60410010,) if first == 0x1A00 else (0x60400010,), 0x1A01: (0x60640020,)}
+    servo = HalfFixed(bus, (first,), others)
+    drive = ServoDrive(network, 1, "axis1")
+    drive.connect(soon(network))
+    before = servo.pdos()
+    with pytest.raises(TransferAborted, match="06040041h"):
+        drive.configure(SETTINGS)
+    assert servo.pdos() == before
     bus.shutdown()
 
 
