@@ -25,6 +25,7 @@ from virtual_bus.drive.data_sheet import only_modes
 from virtual_bus.drive.lacks import take_away
 from virtual_bus.drive.motor_kernel import S_TORQUE_MEASURED
 from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.drive.unknown_drive import Truth, unknown_drive
 from virtual_bus.frame import Frame
 
@@ -203,7 +204,7 @@ def unknown_world(
     ``plate``: in place of the true nameplate, which is to be trusted unless told otherwise.
     ``last_step``: no step behind that one.
     """
-    servo, truth = unknown_drive(seed, clock_drift_ppm=drift_ppm)
+    servo, truth = unknown_drive(seed, drive=DriveParameters(clock_drift_ppm=drift_ppm))
     take_away(servo.dictionary, lacks)
     if modes is not None:
         only_modes(servo.dictionary, modes)

@@ -19,8 +19,9 @@ from hil.commissioning.files import set_objects, write_files
 from hil.commissioning.outcome import StepVerdict
 from hil.commissioning.recording import SessionLog
 from hil.commissioning.rehearsal import rehearsed_drive
+from hil.commissioning.rehearsed_files import ways_to_run
 from hil.commissioning.report import HTML_FILE, Commissioned, as_json, write_report
-from hil.commissioning.request import CommissionRequest, Nameplate
+from hil.commissioning.request import CommissionRequest, Nameplate, Rehearsal
 from hil.commissioning.sequence import Step, run_sequence
 from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
@@ -29,7 +30,7 @@ from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import stop_signals
 from hil.restoring.journal import DriveMark, JournaledNetwork, append_restored, read_journal
 from hil.restoring.restore import await_answer, restore
-from hil.rows.run_files import COMMISSIONING_RECORDING
+from hil.rows.run_files import BENCH_FILE, COMMISSIONING_RECORDING
 from virtual_bus.device.canopen_device import CanopenDevice
 
 SAVE: bytes = b"save"
@@ -58,9 +59,10 @@ def run_command(
         expected = "--rehearse SEED or --rehearse-eds FILE with --bus simulated, and only with it"
         raise BadInput("--bus", "", request.bus, expected)
     if rehearsed:
-        servo, plate = rehearsed_drive(rehearse or 0, rehearse_eds, request.node, request.bitrate_bit_s, say)
+        rehearsal = Rehearsal(rehearse, rehearse_eds)
+        servo, plate = rehearsed_drive(rehearsal, request.node, request.bitrate_bit_s, say)
         devices = [servo]
-        request = replace(request, eds=request.eds or rehearse_eds)
+        request = replace(request, eds=request.eds or rehearse_eds, rehearsal=rehearsal)
         if not plate_given:
             request = replace(request, nameplate=Nameplate.model_validate(plate), trust_nameplate=True)
             say("no --motor: the rehearsed drive's own nameplate is taken, and trusted against the drive")
@@ -80,6 +82,9 @@ def run_command(
     done = sum(record.verdict is StepVerdict.DONE for record in result.records)
     faults = sum(len(record.outcome.faults) for record in result.records)
     say(f"{done} of {len(result.records)} steps done, {faults} faults found; see {request.out / HTML_FILE}")
+    if (request.out / BENCH_FILE).exists():
+        for line in ways_to_run(request, request.out):
+            say(line)
     figures = as_json(request, result)
     if result.error is not None:
         say(f"hil: error: {result.error}")

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
@@ -14,6 +15,7 @@ from drivers.cia402.profile import QuickStopOption
 from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from hil.commissioning.findings import Findings
 from hil.commissioning.outcome import LOSSES_MAX
+from hil.commissioning.rehearsed_files import copied_files, sheet_name, simulation_table, ways_to_run
 from hil.commissioning.session import Session
 from hil.commissioning.steps_design import rounded, suggested_limits
 from hil.configuration.network_file import NETWORK_FILE, network_text
@@ -63,9 +65,12 @@ def write_files(session: Session) -> None:
             findings.identity,
         )
     if findings.controller and MOTOR_FILE in texts:
-        texts[BENCH_FILE] = _headed(
-            "A bench for this drive, with the suggested controller and limits.", _bench_tables(session)
-        )
+        lines = [
+            "A bench for this drive, with the suggested controller and limits.",
+            *ways_to_run(session.request, Path()),
+        ]
+        texts[BENCH_FILE] = _headed("\n# ".join(lines), _bench_tables(session))
+        texts |= copied_files(session.request)
     for name, text in texts.items():
         (out / name).write_text(text, encoding="utf-8")
 
@@ -207,6 +212,9 @@ def _bench_tables(session: Session) -> dict[str, Any]:
         "motor": MOTOR_FILE,
         "commissioned": COMMISSIONED_FILE,
         **_heartbeats(session),
+        **({"eds": sheet} if (sheet := sheet_name(session.request)) else {}),
+        **({"unwatched": True} if session.unwatched else {}),
+        **({"simulation": simulation} if (simulation := simulation_table(session.request)) else {}),
         "limits": limits,
         "controller": findings.controller,
     }

@@ -11,11 +11,12 @@ from typing import Any
 
 from drivers.bounded_file import write_file
 from drivers.wire.adapters import shared_bus
-from hil.configuration.motor_file import LING2012
+from hil.commissioning.request import Rehearsal
 from hil.configuration.toml_text import toml_text
 from hil.execution.device_files import DeviceFiles
-from hil.execution.simulated_drives import host_drives
+from hil.execution.simulated_drives import host_drives, servo_of
 from hil.execution.world import WorldPlan
+from virtual_bus.drive.data_sheet import ENCODER_COUNTS_MIN
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.drive.unknown_drive import Truth, nameplate_of, unknown_drive
@@ -23,18 +24,23 @@ from virtual_bus.hosting.injection import Faults
 
 
 def rehearsed_drive(
-    seed: int, eds: Path | None, node: int, bitrate_bit_s: int, announce: Callable[[str], None]
+    rehearsal: Rehearsal, node: int, bitrate_bit_s: int, announce: Callable[[str], None]
 ) -> tuple[SimulatedServo, dict[str, Any]]:
-    """The drive of the data sheet ``eds`` if there is one, else that of ``seed``; and what is printed on its
-    motor, as tables of a nameplate file. Raises BadInput.
+    """The simulated drive, and what is printed on its motor, as tables of a nameplate file. Raises BadInput.
+
+    A data sheet need not tell what a position unit is: the encoder is printed on the motor of its drive.
     """
-    if eds is None:
-        servo, truth = unknown_drive(seed, node)
+    if rehearsal.eds is None:
+        servo, truth = unknown_drive(rehearsal.seed or 0, node)
         return servo, truth.nameplate
-    motor = LING2012.parameters
-    files = DeviceFiles(eds=eds)
-    vendor, drive = files.vendor(announce, [node], bitrate_bit_s, motor), files.drive(DriveParameters())
-    return SimulatedServo(node, motor, drive, vendor=vendor), nameplate_of(motor)
+    motor = rehearsal.motor.parameters
+    files = DeviceFiles(eds=rehearsal.eds)
+    servo = servo_of(files, node, motor, DriveParameters(), announce=announce, bitrate_bit_s=bitrate_bit_s)
+    units, encoder_counts = servo.drive.units, servo.drive.drive.encoder_counts_per_revolution
+    units.take()
+    counts = round(encoder_counts / abs(units.counts_per_position))
+    encoder = {"encoder": {"counts_per_revolution": counts}} if counts >= ENCODER_COUNTS_MIN else {}
+    return servo, nameplate_of(motor) | encoder
 
 
 def rehearse(
@@ -54,7 +60,7 @@ def rehearse(
     Raises BadInput for a bus in simulated time, BusDown if the bus cannot be opened or goes away.
     """
     spec = shared_bus(bus_spec, "in simulated time: hil commission --bus simulated --rehearse SEED")
-    servo, truth = unknown_drive(seed, node, clock_drift_ppm)
+    servo, truth = unknown_drive(seed, node, DriveParameters(clock_drift_ppm=clock_drift_ppm))
     if nameplate is not None:
         text = f"# What is printed on motor and drive of seed {seed}.\n\n{toml_text(truth.nameplate)}"
         write_file("--nameplate", nameplate, text)

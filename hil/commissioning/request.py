@@ -12,6 +12,7 @@ from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from hil.configuration.config_files import Section, load_file
+from hil.configuration.motor_file import LING2012, MotorFile
 from hil.configuration.quantities import Current, Inductance, Resistance, Speed, Torque, Voltage
 
 
@@ -93,6 +94,16 @@ _UNWATCHED_TURNS: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
+class Rehearsal:
+    """The simulated drive on the bus ``simulated``: that of a data sheet on its motor, or that of a seed."""
+
+    seed: int | None = None
+    eds: Path | None = None
+    motor: MotorFile = LING2012
+    """Beside ``eds``; a seed draws its own."""
+
+
+@dataclass(frozen=True, slots=True)
 class CommissionRequest:
     """One commissioning."""
 
@@ -110,6 +121,8 @@ class CommissionRequest:
     """Take the nameplate's word, where nobody is there to ask, though the drive contradicts it by far."""
     heartbeat_timeout_ms: int = 150
     """Silence that the host bears of the drive, and the drive of the host."""
+    rehearsal: Rehearsal | None = None
+    """None: the drive is on the bus."""
     unwatched: bool = False
     """Bear a drive that has neither 1016h nor node guarding: within the limits of :func:`cautious`."""
 

@@ -1,6 +1,7 @@
 """Steps that only listen and read: bus, identity, dictionary, units."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -36,6 +37,15 @@ _REMEDIES = {
     "velocity": "60A9h, and 6096h with the position unit, tell none: this drive cannot be commissioned",
     "acceleration": "60AAh, and 6097h with the position unit, tell none: this drive cannot be commissioned",
 }
+_OVERRIDES = {
+    "torque": "rated_torque_nm",
+    "position": "position_rad",
+    "velocity": "velocity_rad_s",
+    "acceleration": "acceleration_rad_s2",
+}
+"""Which field of an override gives the unit."""
+_UNKNOWN = 1e-3
+"""In place of a unit that nobody tells, to see what else is missing."""
 _COARSEST_RAD = 1.01 * math.tau / 6.0
 """Hall sensors of one pole pair: a position unit that is coarser is a resolution that nobody has set."""
 
@@ -163,22 +173,7 @@ class UnitsTold(Step):
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
         findings, plate, objects = session.found, session.request.nameplate, session.objects
-        override = ScaleOverride()
-        if not objects.read_if_there(Object.MOTOR_RATED_TORQUE) and plate.rating.torque_nm:
-            override = ScaleOverride(rated_torque_nm=plate.rating.torque_nm)
-            outcome.say(
-                f"6076h tells no rated torque; the nameplate's {plate.rating.torque_nm:g} N m is taken"
-            )
-        try:
-            told = _plausible(read_scaling(objects, override))
-        except UnitNotTold as error:
-            counts = plate.encoder.counts_per_revolution
-            if error.unit != "position" or counts is None:
-                raise StepFailed(error.summary, error.evidence, _REMEDIES[error.unit]) from error
-            outcome.faults.append(f"{error.summary}; the nameplate's {counts} counts per turn are taken")
-            override = ScaleOverride(math.tau / counts, rated_torque_nm=override.rated_torque_nm)
-            told = read_scaling(objects, override)
-        findings.told, findings.override = told, override
+        findings.told, findings.override = told, _ = _units(session, outcome)
         read_motor(session, outcome)
         compare_ratings(session, outcome, told.rated_torque_nm)
         settle_winding(session, outcome)
@@ -211,9 +206,38 @@ class UnitsTold(Step):
             outcome.say(f"period {findings.period / 1e3:.0f} us, at most {load:.0f} % bus load")
 
 
-def _plausible(told: Scaling) -> Scaling:
+def _units(session: Session, outcome: StepOutcome) -> tuple[Scaling, ScaleOverride]:
+    """The units by the drive, and what the nameplate says of those that it does not tell.
+
+    Raises StepFailed that asks for all that neither tells.
+    """
+    plate, override, missing = session.request.nameplate, ScaleOverride(), list[UnitNotTold]()
+    while True:
+        try:
+            told = _plausible(read_scaling(session.objects, override), override)
+            break
+        except UnitNotTold as error:
+            torque_nm, counts = plate.rating.torque_nm, plate.encoder.counts_per_revolution
+            known = _UNKNOWN
+            if error.unit == "torque" and torque_nm is not None:
+                known = torque_nm
+                outcome.say(f"6076h tells no rated torque; the nameplate's {torque_nm:g} N m is taken")
+            elif error.unit == "position" and counts is not None:
+                known = math.tau / counts
+                outcome.faults.append(f"{error.summary}; the nameplate's {counts} counts per turn are taken")
+            else:
+                missing.append(error)
+            override = replace(override, **{_OVERRIDES[error.unit]: known})
+    if missing:
+        evidence = "; ".join(error.evidence for error in missing if error.evidence)
+        remedy = "; ".join(_REMEDIES[error.unit] for error in missing)
+        raise StepFailed("; ".join(error.summary for error in missing), evidence, remedy)
+    return told, override
+
+
+def _plausible(told: Scaling, override: ScaleOverride) -> Scaling:
     """``told``. Raises UnitNotTold for a position unit with which no shaft could be controlled."""
-    if told.position_rad > _COARSEST_RAD:
+    if override.position_rad is None and told.position_rad > _COARSEST_RAD:
         raise UnitNotTold(
             f"one position unit would be {told.position_rad:.4g} rad",
             f"{told.sources.get('position', 'the drive')} was never set",

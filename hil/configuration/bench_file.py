@@ -146,6 +146,7 @@ _FILES_OF_DRIVE: Final[Mapping[str, _Reader]] = {
     "controller": load_controller,
     "commissioned": load_drive_file,
 }
+_FILES_OF_SIMULATION: Final[Mapping[str, _Reader]] = {"motor": load_motor}
 _FILES_OF_CURRENT_CONTROL: Final[Mapping[str, _Reader]] = {
     "controller": partial(load_current_controller, axis="q"),
     "controller_d": partial(load_current_controller, axis="d"),
@@ -205,8 +206,13 @@ class _Expansion:
         for part in ("controller", "compensator"):
             if isinstance(tables.get(part), Mapping):
                 tables[part] = own_code_at(tables[part], self._folder)
-        if isinstance(tables.get("eds"), str):
-            tables["eds"] = str(self._folder / tables["eds"])
+        simulation = tables.get("simulation")
+        if isinstance(simulation, Mapping):
+            key = f"drive.{name}.simulation"
+            tables["simulation"] = self._files_in(key, simulation, _FILES_OF_SIMULATION)
+        for table in (tables, tables.get("simulation")):
+            if isinstance(table, dict) and isinstance(table.get("eds"), str):
+                table["eds"] = str(self._folder / table["eds"])
         controller = tables.get("controller")
         if "compensator" not in tables and isinstance(controller, Mapping | StateFeedbackController):
             made_for = self._attempt(

@@ -50,6 +50,13 @@ class Simulation(Section):
     """Of the PI current loops; a twentieth of the inner rate if absent."""
     lacks: Annotated[tuple[Lack, ...], Field(strict=False)] = ()
     """What the drive does without: objects ("6074"), sub-indices ("1400:5"), "tpdo events"."""
+    eds: str | None = None
+    """Data sheet (EDS, DCF, XDD, XDC) of the drive that is simulated, relative to the bench file; absent: it
+    is servobench's own drive."""
+    motor: MotorFile | None = None
+    """The motor on its shaft, as a motor file or its tables; ``drive.NAME.motor`` if absent."""
+    rehearse: int | None = Field(default=None, ge=0)
+    """Seed of `hil rehearse`, whose drive with its motor and encoder is simulated instead."""
 
     @property
     def current_loop_hz(self) -> float:

@@ -222,6 +222,15 @@ def _limits(config: BenchConfig) -> Iterator[Fault]:
             yield f"{key}.speed_max_rpm", drive.limits.speed_max_rpm, expected, ""
 
 
+def _simulations(config: BenchConfig) -> Iterator[Fault]:
+    """A seed draws all that a data sheet and a motor file would say."""
+    for axis in config.axes:
+        simulation, key = config.drive[axis].simulation, f"drive.{axis}.simulation"
+        beside = [name for name in ("eds", "motor") if getattr(simulation, name) is not None]
+        if simulation.rehearse is not None and beside:
+            yield f"{key}.rehearse", simulation.rehearse, f"no {key}.{beside[0]} beside it", ""
+
+
 def _profiles(config: BenchConfig) -> Iterator[Fault]:
     profiles = (("reference", config.reference), ("load", config.load))
     for table, profile in profiles:
@@ -319,6 +328,7 @@ _CHECKS = (
     _observed,
     _background,
     _limits,
+    _simulations,
     _profiles,
     _load_machine,
     mode_faults,

@@ -296,7 +296,7 @@ class _Run:
             settings = drive_settings(self.config, drive.name, timing, sheet)
             commissioned = self.config.drive[drive.name].commissioned
             if commissioned is not None:
-                write_commissioned(drive, commissioned)
+                write_commissioned(drive, commissioned, simulated=self.config.simulated)
             for note in drive.configure(settings):
                 self._say(f"{drive.name}: {note}", "INFO" if note.endswith(DONE) else "WARN")
             self._note_state(drive)

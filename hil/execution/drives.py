@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Final
 
 from drivers.canopen.objects import SettingRefused
 from drivers.canopen.sdo import object_name
@@ -95,8 +96,16 @@ def connect(drive: ServoDrive, timeout_s: float, stop: StopRequest) -> Identity:
             network.pump(slice_end)  # a transfer that fails at once is not to flood the bus with the next
 
 
-def write_commissioned(drive: ServoDrive, file: DriveFile) -> None:
+_REMEDY: Final = "commission this drive, or take its 'commissioned' out of the bench file"
+_SIMULATED_REMEDY: Final = (
+    "the bench simulates its drive itself: name the data sheet of the commissioned one "
+    "(drive.NAME.simulation.eds), or run on the bus of the commissioned one (--bus)"
+)
+
+
+def write_commissioned(drive: ServoDrive, file: DriveFile, *, simulated: bool = False) -> None:
     """Hold the drive against its file and write the file's objects; the drive is connected and disabled.
+    ``simulated``: the bench makes it itself.
 
     Raises PeerFault if it is another drive, SettingRefused or TransferAborted if it does not take a setting.
     """
@@ -111,7 +120,7 @@ def write_commissioned(drive: ServoDrive, file: DriveFile) -> None:
             raise PeerFault(
                 f"{drive.name} is not the drive that was commissioned",
                 f"{what} {held}, its drive file says {wanted}",
-                "commission this drive, or take its 'commissioned' out of the bench file",
+                (_SIMULATED_REMEDY if simulated else _REMEDY).replace("NAME", drive.name),
             )
     network, node = drive.network, drive.node_id
     for setting in file.object:

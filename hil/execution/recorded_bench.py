@@ -1,6 +1,7 @@
 """What the recording of a bench knows beforehand, and what it keeps of the user's files.
 
-With copies of the files of references, loads and code of one's own a recording repeats its run by itself.
+With copies of data sheets, of the files of references and loads, and of code of one's own a recording
+repeats its run by itself.
 """
 
 import json
@@ -41,6 +42,12 @@ def _kept_bench(config: BenchConfig, code: Mapping[str, AxisCode]) -> tuple[Benc
             _, _, class_name = own.name.rpartition(":")
             kept = getattr(drives[axis], key).model_copy(update={"object": f"{name}:{class_name}"})
             drives[axis] = drives[axis].model_copy(update={key: kept})
+    for axis, drive in drives.items():
+        simulation = drive.simulation
+        kept_sheets: dict[str, object] = {"eds": _kept_sheet(drive.eds, f"{axis}-eds", files)}
+        simulated = _kept_sheet(simulation.eds, f"{axis}-simulation-eds", files)
+        kept_sheets["simulation"] = simulation.model_copy(update={"eds": simulated})
+        drives[axis] = drive.model_copy(update=kept_sheets)
     tables: dict[str, object] = {"drive": drives}
     for table in ("reference", "load"):
         tables[table] = {
@@ -50,6 +57,15 @@ def _kept_bench(config: BenchConfig, code: Mapping[str, AxisCode]) -> tuple[Benc
             for axis, entries in getattr(config, table).items()
         }
     return config.model_copy(update=tables), files
+
+
+def _kept_sheet(path: str | None, name: str, files: dict[str, Path]) -> str | None:
+    """The name of the copy of a data sheet, which is noted."""
+    if path is None:
+        return None
+    copy = f"{name}{Path(path).suffix}"
+    files[copy] = Path(path)
+    return copy
 
 
 def _kept(entry: Reference | Load, name: str, files: dict[str, Path]) -> Reference | Load:

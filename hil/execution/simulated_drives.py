@@ -38,6 +38,7 @@ from virtual_bus.device.parameter_storage import FileStore
 from virtual_bus.drive.load_table import LoadTable
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
+from virtual_bus.drive.unknown_drive import unknown_drive
 from virtual_bus.frame import Device
 from virtual_bus.hosting.devices import serve
 from virtual_bus.hosting.injection import Faults
@@ -54,21 +55,45 @@ def simulated_drives(config: BenchConfig) -> list[SimulatedServo]:
     """The drives of a bench, for its own simulated bus. Raises BadInput for one that cannot be made so."""
     drives = []
     for axis in config.axes:
-        drive = config.drive[axis]
-        rate_hz = drive.simulation.inner_rate_hz
-        parameters = DriveParameters(
-            **drive.simulation.model_dump(),
-            controller_q=_at_rate(drive.current_control.controller, rate_hz),
-            controller_d=_at_rate(drive.current_control.controller_d, rate_hz),
-            load=_load_of(config, axis),
-        )
         try:
-            drives.append(SimulatedServo(drive.node, drive.motor.parameters, parameters, config.bench.seed))
+            drives.append(_simulated_drive(config, axis))
         except ValueError as error:
             key = f"drive.{axis}.simulation.lacks"
             expected = "objects that the simulated drive has and could do without"
             raise BadInput(config.source, key, str(error), expected, "see docs/simulated-drive.md") from None
     return drives
+
+
+def _simulated_drive(config: BenchConfig, axis: str) -> SimulatedServo:
+    drive, seed = config.drive[axis], config.bench.seed
+    simulation, rate_hz = drive.simulation, drive.simulation.inner_rate_hz
+    parameters = DriveParameters(
+        **simulation.model_dump(exclude={"eds", "motor", "rehearse"}),
+        controller_q=_at_rate(drive.current_control.controller, rate_hz),
+        controller_d=_at_rate(drive.current_control.controller_d, rate_hz),
+        load=_load_of(config, axis),
+    )
+    if simulation.rehearse is not None:
+        return unknown_drive(simulation.rehearse, drive.node, parameters)[0]
+    motor = (simulation.motor or drive.motor).parameters
+    files = DeviceFiles(None if simulation.eds is None else Path(simulation.eds))
+    return servo_of(files, drive.node, motor, parameters, seed)
+
+
+def servo_of(
+    files: DeviceFiles,
+    node: int,
+    motor: PmsmParameters,
+    parameters: DriveParameters,
+    seed: int = 0,
+    announce: Callable[[str], None] = lambda _text: None,
+    bitrate_bit_s: int | None = None,
+) -> SimulatedServo:
+    """The simulated drive of a data sheet, or servobench's own. ``announce``, ``bitrate_bit_s``: as in
+    :meth:`.DeviceFiles.vendor`. Raises BadInput for a sheet that cannot be read, ValueError for a lack that
+    cannot be."""
+    vendor = files.vendor(announce, [node], bitrate_bit_s, motor)
+    return SimulatedServo(node, motor, files.drive(parameters), seed, vendor=vendor)
 
 
 def _load_of(config: BenchConfig, axis: str) -> LoadTable | None:

@@ -133,10 +133,7 @@ TRAITS: Final[dict[str, Trait]] = {
     "no 6075h": Trait(_lacks(0x6075)),
     "608Fh is 1/1": Trait(_told_as_one, "608Fh|beyond the limit", mendable=True),
     "608Fh is 2000": Trait(_encoder_of_2000),
-    "no position unit": Trait(
-        _lacks(0x608F, 0x6090, 0x6092, 0x60A8, 0x60A9, 0x6096),
-        "does not tell its position unit.*counts_per_revolution",
-    ),
+    "no position unit": Trait(_lacks(0x608F, 0x6090, 0x6092, 0x60A8, 0x60A9, 0x6096)),
     "mappings fixed for torque": Trait(_fixed(_TORQUE_PDO), without=_NO_CURRENT),
     "mappings fixed for speed": Trait(_fixed(_SPEED_PDO), without=_NO_TORQUE),
     "mappings fixed, no values": Trait(

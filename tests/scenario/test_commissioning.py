@@ -174,6 +174,8 @@ def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
     bench = load_bench(out / "bench.toml")
     assert bench.verdict.speed_error_rms_rad_s_max is not None
     assert bench.drive["axis1"].commissioned == drive
+    ran = CliRunner().invoke(app, ["run", str(out / "bench.toml"), "--no-record"])
+    assert ran.exit_code == 0, ran.stderr
     report = (out / REPORT_FILE).read_text()
     for step in figures["steps"]:
         assert step["figures"] is not None

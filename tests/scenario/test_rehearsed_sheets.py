@@ -1,5 +1,6 @@
 """Commissioning rehearsed by data sheets: some of the made-up ones; ``make rehearsals`` has them all."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,6 @@ from tests.rehearsals.traits import TRAITS
 
 REFUSED = [
     "no 1016h",
-    "no position unit",
     "6502h with positions only",
     "mappings fixed, no values",
     "no 606Ch",
@@ -28,6 +28,8 @@ READY = [
     "6060h refuses a mode of 6502h",
     "no 6071h",
     "mappings fixed for speed",
+    "no position unit",
+    "608Fh is 1/1",
     "no 6061h+types fixed",
 ]
 
@@ -41,7 +43,7 @@ def test_a_drive_that_cannot_be_served_is_refused_before_it_moves(case: str, tmp
 @pytest.mark.parametrize("case", READY)
 def test_an_odd_drive_is_set_up_and_enabled(case: str, tmp_path: Path) -> None:
     names = tuple(case.split("+"))
-    assert all(not TRAITS[name].ends for name in names)
+    assert all(not TRAITS[name].ends or TRAITS[name].mendable for name in names)
     result = rehearsed(made_sheet(names, tmp_path), tmp_path, last_step="enable")
     assert (result.reason, result.not_done, result.is_safe()) == ("", {}, True)
 
@@ -51,6 +53,24 @@ def test_a_whole_commissioning_by_a_data_sheet(tmp_path: Path) -> None:
     assert complaints(("608Fh is 2000",), result) == []
     assert result.moved
     assert result.exit_code == 0
+    bench = tmp_path / "out" / "bench.toml"
+    (tmp_path / "made.eds").unlink()
+    ran = CliRunner().invoke(app, ["run", str(bench), "--record", str(tmp_path / "run"), "--json"])
+    assert ran.exit_code == 0, ran.stderr
+    again = CliRunner().invoke(app, ["run", str(tmp_path / "run" / "bench.toml"), "--no-record", "--json"])
+    assert again.exit_code == 0, again.stderr
+    assert json.loads(again.stdout)["digest"] == json.loads(ran.stdout)["digest"]
+
+
+def test_all_that_neither_drive_nor_nameplate_tells_is_asked_for_at_once(tmp_path: Path) -> None:
+    plate = tmp_path / "plate.toml"
+    plate.write_text("[rating]\nspeed_rpm = 1500.0\n")
+    sheet = made_sheet(["no position unit", "no 6076h"], tmp_path)
+    result = rehearsed(sheet, tmp_path, ["--motor", str(plate)], last_step="enable")
+    assert result.ended_in == "units"
+    assert "does not tell its torque unit; the drive does not tell its position unit" in result.reason
+    assert "rating.torque_nm" in result.reason
+    assert "encoder.counts_per_revolution" in result.reason
 
 
 def test_the_sheet_of_another_drive_is_refused(tmp_path: Path) -> None:

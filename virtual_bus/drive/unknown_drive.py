@@ -9,7 +9,7 @@ the commissioning side sees the bus and the nameplate, and nothing else.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -72,12 +72,14 @@ def nameplate_of(motor: PmsmParameters) -> dict[str, Any]:
     }
 
 
-def unknown_drive(seed: int, node_id: int = 1, clock_drift_ppm: float = 0.0) -> tuple[SimulatedServo, Truth]:
-    """The drive of a seed, and what is hidden in it."""
+def unknown_drive(
+    seed: int, node_id: int = 1, drive: DriveParameters | None = None
+) -> tuple[SimulatedServo, Truth]:
+    """The drive of a seed, and what is hidden in it. ``drive``: its parameters, the encoder apart."""
     random = np.random.Generator(np.random.PCG64([seed, 0x402]))
     motor = _motor(random, seed)
     counts = int(random.choice(_COUNTS))
-    parameters = DriveParameters(encoder_counts_per_revolution=counts, clock_drift_ppm=clock_drift_ppm)
+    parameters = replace(drive or DriveParameters(), encoder_counts_per_revolution=counts)
     servo = SimulatedServo(node_id, motor, parameters, seed)
     _draw_position_unit(random, servo, counts)
     _draw_velocity_unit(random, servo)
@@ -103,7 +105,7 @@ def unknown_drive(seed: int, node_id: int = 1, clock_drift_ppm: float = 0.0) -> 
         position_sign=-1 if in_force & POSITION_POLARITY else 1,
         velocity_sign=-1 if in_force & VELOCITY_POLARITY else 1,
         faults=frozenset(faults),
-        clock_drift_ppm=clock_drift_ppm,
+        clock_drift_ppm=parameters.clock_drift_ppm,
     )
     return servo, truth
 

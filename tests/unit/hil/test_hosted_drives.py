@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -20,15 +21,18 @@ from drivers.wire.link import BusLink
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
+from hil.configuration.toml_text import toml_text
 from hil.execution import simulated_drives as hosting
 from hil.execution.device_files import DeviceFiles
 from hil.execution.simulated_drives import drive_parameters, host_drives, simulate, simulated_drives
 from hil.execution.world import WorldPlan
+from tests.rehearsals.made_sheet import PRODUCT, REVISION, VENDOR, MadeSheet
 from tests.unit.hil.test_config import EXAMPLES, edited
 from tests.unit.hil.test_signal_file import written
 from virtual_bus.drive.load_table import LoadTable
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
+from virtual_bus.drive.unknown_drive import unknown_drive
 from virtual_bus.frame import Device, Frame
 
 CONTROLLERS: Final = Path(EXAMPLES) / "controllers"
@@ -40,6 +44,10 @@ zeros_z = []
 poles_z = [[0.5, 0.0]]
 sample_rate_hz = {rate}
 """
+OTHER_MOTOR: Final = toml_text(
+    LING2012.model_dump(mode="json")
+    | {"mechanics": {"inertia_kg_m2": 0.002, "viscous_friction_nm_s": 0.00185}}
+)
 _channels: Final = count()
 
 
@@ -73,6 +81,36 @@ def test_a_drive_is_what_its_tables_say(tmp_path: Path) -> None:
     controller = parameters.controller_q
     assert controller is not None
     assert (controller.order, controller.period_s) == (1, 1 / 20_000)
+
+
+def test_a_drive_is_simulated_by_a_data_sheet_on_a_motor_of_its_own(tmp_path: Path) -> None:
+    sheet, motor = tmp_path / "made.eds", tmp_path / "shaft.toml"
+    sheet.write_text(MadeSheet().text())
+    motor.write_text(OTHER_MOTOR)
+    tables = {"eds": str(sheet), "motor": str(motor), "clock_drift_ppm": 3.0}
+    (drive,) = simulated_drives(bench_with(simulation=tables))
+    assert [drive.dictionary.variable(0x1018, sub).value for sub in (1, 2, 3)] == [VENDOR, PRODUCT, REVISION]
+    assert drive.drive.motor == replace(LING2012.parameters, inertia_kg_m2=0.002)
+    assert drive.drive.drive.clock_drift_ppm == 3.0
+
+
+def test_a_drive_is_simulated_by_the_seed_of_a_rehearsal() -> None:
+    (drive,) = simulated_drives(bench_with(simulation={"rehearse": 7, "inner_rate_hz": 20_000}))
+    truth = unknown_drive(7, 3)[1]
+    assert (drive.node_id, drive.drive.motor, drive.drive.drive.inner_rate_hz) == (3, truth.motor, 20_000)
+    assert drive.drive.drive.encoder_counts_per_revolution == truth.counts_per_revolution
+
+
+@pytest.mark.parametrize("key", ["eds", "motor"])
+def test_a_seed_leaves_nothing_to_a_file(key: str, tmp_path: Path) -> None:
+    file = tmp_path / "shaft.toml"
+    file.write_text(OTHER_MOTOR)
+    with pytest.raises(BadInput) as caught:
+        bench_with(simulation={"rehearse": 7, key: str(file)})
+    assert (caught.value.key, caught.value.expected) == (
+        "drive.axis1.simulation.rehearse",
+        f"no drive.axis1.simulation.{key} beside it",
+    )
 
 
 def test_a_controller_for_another_rate_is_refused(tmp_path: Path) -> None:

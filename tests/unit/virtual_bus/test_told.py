@@ -22,7 +22,7 @@ TOLD: Final = Path(__file__).with_name("told")
 def test_drawn_drives_are_told() -> None:
     lines = []
     for seed in range(12):
-        servo, truth = unknown_drive(seed, clock_drift_ppm=float(seed))
+        servo, truth = unknown_drive(seed, drive=DriveParameters(clock_drift_ppm=float(seed)))
         drawn = dataclasses.asdict(truth) | {"faults": sorted(truth.faults)}
         lines += [f"== {seed}", *(f"{key} {value}" for key, value in drawn.items()), str(truth.nameplate)]
         for entry in servo.dictionary:
