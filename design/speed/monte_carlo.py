@@ -14,7 +14,7 @@ on the number of threads nor on the order of the runs.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -25,6 +25,7 @@ from design.confidence import CONFIDENCE, clopper_pearson
 from design.delay.delay_loop import Array
 from design.delay.speed_loop import current_rate_rad_s, speed_model
 from design.errors import UnsuitableNetwork
+from design.kept_code import kept
 from design.motor import PmsmParameters
 from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 
@@ -37,13 +38,13 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 def _kernel(function: _F) -> _F:
-    """numba without fastmath, typed as the plain function it is."""
-    return cast(_F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    """Without fastmath."""
+    return kept(function, nogil=True, error_model="numpy")
 
 
 def _parallel(function: _F) -> _F:
     """The same with its ``prange`` on all threads."""
-    return cast(_F, numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)(function))
+    return kept(function, nogil=True, error_model="numpy", parallel=True)
 
 
 @dataclass(frozen=True, slots=True)

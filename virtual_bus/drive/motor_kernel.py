@@ -11,25 +11,25 @@ arithmetic, so a run gives the same bits on every IEEE 754 machine.
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from design.kept_code import kept
 
 FloatArray = NDArray[np.float64]
 Motion = tuple[float, float, float, float, float]
 """i_d, i_q, omega, v_d, v_q: A, A, rad/s, V, V."""
 F = TypeVar("F", bound=Callable[..., Any])
-_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
 
 
 def compiled(function: F) -> F:
-    """numba without fastmath, typed as the plain function it is.
+    """numba without fastmath.
 
     Without numba's reference counts: nothing here makes an array; counting took half of the time.
     """
-    return cast(F, numba.njit(**_OPTIONS)(function))
+    return kept(function, error_model="numpy", _nrt=False)
 
 
 # State: motor and mechanics
