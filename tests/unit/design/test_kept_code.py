@@ -20,7 +20,8 @@ def processes(count):
         if not started[-1]:
             hits = double.stats.cache_hits, triple.stats.cache_hits
             values = double(1), double(1.5), triple(1), triple(1.5)
-            print(*values, *(sum(each.values()) for each in hits), flush=True)
+            line = [*values, *(sum(each.values()) for each in hits)]
+            os.write(1, (" ".join(map(str, line)) + "\\n").encode())  # at once: the others write too
             os._exit(0)
     assert [os.waitpid(each, 0)[1] for each in started] == [0] * count
 
