@@ -64,8 +64,11 @@ GROUPS = {
         *_below("virtual_bus/device", "application canopen_device heartbeat object_dictionary"),
         *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"),
         *_below("virtual_bus/drive", "actual_values axis cyclic_modes failures firmware homing"),
-        *_below("virtual_bus/drive", "homing_methods machine operation_mode operation_modes power_state"),
-        *_below("virtual_bus/drive", "profile_modes servo"),
+        *_below(
+            "virtual_bus/drive",
+            "homing_methods machine operation_mode operation_modes power_state",
+        ),
+        *_below("virtual_bus/drive", "profile_modes servo simulated_load"),
         *_below("virtual_bus/drive", "servo_parameters trajectory user_units"),
         *_below("virtual_bus/hosting", "devices"),
     ],

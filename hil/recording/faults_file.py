@@ -1,7 +1,8 @@
 """faults.jsonl: what was injected into a run, a line for each entry of its fault log.
 
-The log counts from the first cycle, as all files do, but for a slow drive's entries: those count from the
-power-on of the drive, which in simulated time is the beginning. Entries wait until the first cycle is known.
+The log counts from the first cycle, as all files do, but for the entries of what a drive has from its
+power-on: those count from there, which in simulated time is the beginning. Entries wait until the first cycle
+is known.
 """
 
 import numpy as np
@@ -12,14 +13,14 @@ from hil.rows.run_zero import RunZero
 from virtual_bus.faults.fault_log import (
     BLOCK,
     BLOCK_BYTES,
-    KIND_CODES,
     FaultEntry,
     entries_of,
 )
+from virtual_bus.faults.register import LOG_KINDS
 
 BLOCK_DTYPE = np.dtype([("length", "<u4"), ("block", "u1", (BLOCK_BYTES,))])
 assert BLOCK_DTYPE.itemsize == BLOCK.size
-_SINCE_POWER_ON = frozenset({KIND_CODES["late"], KIND_CODES["boot"]})
+_SINCE_POWER_ON = frozenset(code for code, kind in enumerate(LOG_KINDS) if kind.since_power_on)
 
 
 class FaultEntries:

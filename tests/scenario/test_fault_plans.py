@@ -41,6 +41,10 @@ INJECTED = {
     "host_stall": {"host_stall"},
     "lss": {"lss_yes_sayer"},
     "safe_torque_off": {"safe_torque_off"},
+    "mode_change": {"mode_change"},
+    "ignored_commands": {"ignored_commands"},
+    "refused_mapping": {"refused_mapping"},
+    "repeated_emergency": {"repeated_emergency"},
 }
 
 

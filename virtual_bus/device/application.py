@@ -76,6 +76,10 @@ class DeviceServices(Protocol):
         """
         ...
 
+    def repeat_error(self, code: int, register: ErrorRegister) -> None:
+        """As ``raise_error``, and an EMCY once more if the code is active already."""
+        ...
+
     def clear_error(self, code: int) -> None:
         """The cause of ``code`` is gone: 1001h follows, and EMCY 0000h is sent (CiA 301, 7.2.7.1).
 

@@ -162,6 +162,10 @@ class CanopenDevice:
         """See :class:`virtual_bus.device.application.DeviceServices`."""
         self._emergency.raise_error(code, register, information)
 
+    def repeat_error(self, code: int, register: ErrorRegister) -> None:
+        """See :class:`virtual_bus.device.application.DeviceServices`."""
+        self._emergency.repeat_error(code, register)
+
     def clear_error(self, code: int) -> None:
         """See :class:`virtual_bus.device.application.DeviceServices`."""
         self._emergency.clear_error(code)

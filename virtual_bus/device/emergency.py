@@ -66,6 +66,14 @@ class EmergencyProducer:
         self._history.appendleft(code | int.from_bytes(information[:2], "little") << 16)
         self._post(code, information)
 
+    def repeat_error(self, code: int, register: ErrorRegister) -> None:
+        """As :meth:`raise_error`; an error that is active already is reported once more."""
+        if (code, 0) in self._active:
+            self._history.appendleft(code)
+            self._post(code, b"")
+        else:
+            self.raise_error(code, register)
+
     def clear_error(self, code: int, source: int = 0) -> None:
         """An error is gone, if it was active: EMCY 0000h tells so, with what is left in 1001h."""
         if self._active.pop((code, source), None) is not None:

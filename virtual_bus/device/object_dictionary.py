@@ -274,6 +274,11 @@ class ObjectDictionary:
         """The variable, for the device itself: a concealed one too. Error: KeyError."""
         return (self._concealed.get(index) or self._objects[index]).members[subindex]
 
+    def known(self, index: int, subindex: int = 0) -> Variable | None:
+        """As :meth:`variable`, or None."""
+        entry = self._concealed.get(index) or self._objects.get(index)
+        return None if entry is None else entry.members.get(subindex)
+
     def conceal(self, index: int) -> None:
         """Take an object off the bus; the application goes on to work with it."""
         self._concealed[index] = self._objects.pop(index)

@@ -38,6 +38,15 @@ class AbortCode(IntEnum):
     NO_DICTIONARY = 0x08000023
     NO_DATA = 0x08000024
 
+    @classmethod
+    def _missing_(cls, value: object) -> "AbortCode | None":
+        """A code that CiA 301 does not have: some makers' drives send such."""
+        if not isinstance(value, int):
+            return None
+        code = int.__new__(cls, value)
+        code._name_, code._value_ = "OF_A_MAKER", value
+        return code
+
 
 class SdoAbort(Exception):
     """An access to the dictionary that the standard forbids; becomes an abort on the bus, never a crash."""

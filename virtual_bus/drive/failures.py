@@ -39,6 +39,11 @@ class Failures:
         self._codes.add(code)
         self._services.raise_error(code, register)
 
+    def repeat(self, code: int, register: ErrorRegister) -> None:
+        """As :meth:`add`, and it is reported again if it was there."""
+        self._codes.add(code)
+        self._services.repeat_error(code, register)
+
     def show(self, code: int) -> None:
         """Put the cause of FAULT into 603Fh."""
         self._error_code.value = code

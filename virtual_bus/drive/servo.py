@@ -7,6 +7,7 @@ CanopenDevice (CiA 301)  --  ServoApplication  --  PowerStateMachine   (when may
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from design.motor import PmsmParameters
@@ -23,26 +24,26 @@ from drivers.cia402.profile import (
     Status,
 )
 from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import ParameterStore
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.drive.actual_values import INTERNAL_LIMIT_ACTIVE, LOAD_NM, ActualValues, provide_slow_values
+from virtual_bus.drive.actual_values import INTERNAL_LIMIT_ACTIVE, ActualValues, provide_slow_values
 from virtual_bus.drive.axis import REST_S, SimulatedAxis
+from virtual_bus.drive.deaf_mode import DeafMode, set_points
 from virtual_bus.drive.failures import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES, Failures
 from virtual_bus.drive.firmware import Firmware, InnerControl
 from virtual_bus.drive.lacks import take_away
-from virtual_bus.drive.load_object import LoadCourse
 from virtual_bus.drive.machine import SimulatedMachine
 from virtual_bus.drive.motion_objects import MotionObjects
-from virtual_bus.drive.motor_kernel import D_LOAD, S_COUNT
+from virtual_bus.drive.motor_kernel import S_COUNT
 from virtual_bus.drive.operation_mode import OperationMode
 from virtual_bus.drive.operation_modes import MODES
 from virtual_bus.drive.power_state import MotorAction, PowerStateMachine
 from virtual_bus.drive.servo_objects import ServoObjects
 from virtual_bus.drive.servo_parameters import DriveParameters, device_options
+from virtual_bus.drive.simulated_load import SimulatedLoad
 from virtual_bus.drive.user_units import UserUnits
 
 _WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS
@@ -62,16 +63,14 @@ class ServoApplication(Application):
         self.motor = motor
         self.drive = drive
         self.firmware = Firmware(motor, drive)
-        self._demand = self.firmware.demand
         self.wake_at = Instant(0)
         self._powered = False
         self._motion = MotorAction.OFF
         self._revision = -1
         self._base_status = 0
         self._controlword = 0
-        self._load_course = int(LoadCourse.OFF)
-        self._load_waits = False
-        """For the SYNC with which the load over time begins."""
+        self._deafen: Callable[[OperationMode], DeafMode] | None = None
+        """Makes a mode one that follows no set-points, while that is so."""
         self._task: OperationMode | None = None
         """The mode, if it is followed and runs once per motion period."""
 
@@ -100,9 +99,7 @@ class ServoApplication(Application):
             variable.on_write = lambda _value: self._take_limits()
         for variable in (objects.rated_torque, objects.rated_current):
             variable.check, variable.on_write = self.units.check_state, lambda _value: self._take_rating()
-        objects.load_torque.on_write = self._on_load
-        objects.load_course.check, objects.load_course.on_write = self._check_course, self._on_course
-        objects.load_course.provider = lambda: self._load_course
+        self.load = SimulatedLoad(self.firmware, objects, self.drive.load)
         for variable in (motion.position_min, motion.position_max, motion.home_offset):
             variable.on_write = lambda _value: self._take_guards()
         self.units.changed = self._actual.take_units
@@ -123,6 +120,7 @@ class ServoApplication(Application):
                     variable.restore(self._services.node_id)
         self.wake_at = Instant(now + _WAKE_NS)
         self._failures.forget()
+        self.hear_again()
         self.power.restart()
         mode = self.objects.mode.value
         if mode in self._modes:
@@ -243,15 +241,17 @@ class ServoApplication(Application):
 
     def _on_mode(self, mode: int) -> None:
         """0 is "no change" (CiA 402-2, object 6060h)."""
-        if mode == Mode.NONE or self._modes[mode] is self._mode:
-            return
-        self._mode = self._modes[mode]
+        if mode not in (Mode.NONE, self.objects.mode_display.value):
+            self.take_mode(mode)
+
+    def take_mode(self, mode: int) -> None:
+        """The drive is in that mode from now on, whatever 6060h says."""
+        own = self._modes[mode]
+        self._mode = own if self._deafen is None else self._deafen(own)
         self.objects.mode_display.value = mode
         if self._motion is MotorAction.FOLLOW:
             self._mode.begin(self._controlword)
-            self._choose_task()
-            self._show_mode()
-            self._refresh()
+            self._show_other_mode()
 
     def _on_torque(self, _value: int) -> None:
         self._mode.take_torque()
@@ -262,24 +262,8 @@ class ServoApplication(Application):
     def _on_position(self, _value: int) -> None:
         self._mode.take_position()
 
-    def _on_load(self, raw: int) -> None:
-        self._demand[D_LOAD] = raw * LOAD_NM
-
-    def _check_course(self, course: int) -> AbortCode | None:
-        return AbortCode.NO_DATA if course != LoadCourse.OFF and self.drive.load is None else None
-
-    def _on_course(self, course: int) -> None:
-        """A load over time waits for the SYNC from which on it counts."""
-        self._load_course = course
-        self._load_waits = course != LoadCourse.OFF
-        self.firmware.bear(None)
-        self._on_load(self.objects.load_torque.value)
-
     def on_sync(self, _counter: int, now: Instant) -> None:
-        if self._load_waits:
-            self._load_waits = False
-            begins = Instant(now + self.objects.load_delay.value * NS_PER_US)
-            self.firmware.bear(self.drive.load, self._load_course == LoadCourse.HELD, begins)
+        self.load.on_sync(now)
 
     def _take_limits(self) -> None:
         objects, motor = self.objects, self.motor
@@ -329,13 +313,40 @@ class ServoApplication(Application):
         self._failures.add(code, register)
         self._signal_fault(code)
 
-    def hold_encoder(self, held: bool) -> None:
-        """``held``: the encoder's count stands still from the next inner tick on; nothing notices it here."""
-        self.firmware.hold_encoder(held)
+    def report_again(self, code: int, register: ErrorRegister) -> None:
+        """An EMCY, and 603Fh, of something that leaves the drive enabled; nothing while it is not."""
+        if self.power.state is State.OPERATION_ENABLED:
+            self._failures.repeat(code, register)
+            self._failures.show(code)
 
-    def open_sto(self, opened: bool) -> None:
-        """As the object of the machine: the input for safe torque off."""
-        self.machine.switch_sto(int(opened))
+    def leave_mode(self, mode: int) -> None:
+        """Back to the mode of 6060h, unless the drive has left ``mode`` since."""
+        if self.objects.mode_display.value == mode:
+            self._on_mode(self.objects.mode.value)
+
+    def turn_deaf(self, zero: bool, hides_bit_12: bool) -> None:
+        """Set-points are not followed: the last ones go on to act, or where ``zero`` none."""
+        self.hear_again()
+        self._deafen = partial(DeafMode, set_points(self._services.dictionary, zero), hides_bit_12)
+        self._mode = deaf = self._deafen(self._mode)
+        if self._motion is MotorAction.FOLLOW:
+            deaf.freeze(self._controlword)
+        self._show_other_mode()
+
+    def hear_again(self) -> None:
+        """Set-points are followed, those that have come meanwhile at once."""
+        self._deafen = None
+        deaf = self._mode
+        if isinstance(deaf, DeafMode):
+            self._mode = deaf.inner
+            if self._motion is MotorAction.FOLLOW:
+                deaf.thaw(self._controlword)
+            self._show_other_mode()
+
+    def _show_other_mode(self) -> None:
+        self._choose_task()
+        self._show_mode()
+        self._refresh()
 
     def _signal_fault(self, code: int) -> None:
         if self.power.state in (State.FAULT, State.FAULT_REACTION):

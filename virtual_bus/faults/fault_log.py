@@ -11,9 +11,13 @@ line of JSON, by kind (each says so itself, :class:`.log_kind.LogKind`):
     delay                                   the same, delay_ns; in_order false: it may overtake others
     error_frame                             the same, of attempts to send; bit on the wire
     silence, bus_off, drive_fault,          at_ns, node, and what happens
-    clock_step, clock_drift, lss_yes_sayer
+    clock_step, clock_drift, lss_yes_sayer,
+    mode_change, ignored_commands,
+    repeated_emergency
     late, boot                              a slow drive: node, can_id, n, delay_ns; at_ns since its power-on,
                                             in a recording since the first cycle, as everywhere
+    refused_mapping                         at_ns (the same), node, abort; parameter and mapped as the upper
+                                            24 bits of a mapping word
     host_stall                              at_ns, n and late_ns: the host's n-th action came so much later
 
 A frame that was struck at a drive's own connection bears side ("drive") and node as well, and n counts there.

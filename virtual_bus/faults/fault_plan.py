@@ -23,6 +23,13 @@ Each of these may also hold direction ("host_to_drive", "drive_to_host"; "both" 
     [[clock_drift]]  drift_ppm; from_s, until_s
     [[slow_drive]]   sdo_delay_us, tpdo_delay_us, boot_s, or a _min and _max of each
     [[lss_yes_sayer]]
+    [[mode_change]]  mode = "pp", "pv", "pt", "hm", "csp", "csv" or "cst";  when
+                     duration_s (for good, if left out)
+    [[ignored_commands]]  holds = "last" or "zero",                  when
+                     bit_12_cleared = true; duration_s
+    [[refused_mapping]]  parameter = "1A00:1", mapped = "6061" or both;
+                     abort = 0x06040041
+    [[repeated_emergency]]  code, period_ms = 10; duration_s         when
     [[host_stall]]   late_us, or late_min_us and late_max_us         when
 
 ``when``: at_s, or every_s or probability_per_s with from_s and until_s. Each but the host's may hold nodes.
@@ -53,6 +60,7 @@ _EXPECTED = {
     "int_type": A_WHOLE_NUMBER,
     "int_from_float": A_WHOLE_NUMBER,
     "bool_type": "true or false",
+    "string_type": "text in quotes",
 }
 """What a field takes, by the validator's word for a value that it does not take."""
 _MISSING: dict[Any, str] = {float: "float_type", int: "int_type"}

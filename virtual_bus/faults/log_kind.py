@@ -42,6 +42,8 @@ class LogKind:
     """What goes on in place of a struck frame by the entry's first number; None: nothing, it is lost."""
     in_order: bool = True
     """The frames behind it wait for what goes on."""
+    since_power_on: bool = False
+    """It counts its times from the drive's power-on, not from the plan's time zero."""
 
     @property
     def in_windows(self) -> bool:
@@ -53,6 +55,6 @@ LATER: Final = LogNumber("delay_ns", unsaid=0)
 """For how long a fault of the same frame delays it."""
 
 
-def node_event(name: str, *numbers: LogNumber) -> LogKind:
+def node_event(name: str, *numbers: LogNumber, since_power_on: bool = False) -> LogKind:
     """Entries of something that befalls a node now and then."""
-    return LogKind(name, numbers, "node", "nothing")
+    return LogKind(name, numbers, "node", "nothing", since_power_on=since_power_on)

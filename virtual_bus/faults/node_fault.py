@@ -1,7 +1,7 @@
 """What all faults of a node itself, or of the host, have in common: when they strike, and what they then do.
 
 They act where the drive is simulated, those of the host in simulated time. Times count from the plan's time
-zero, except those of a slow drive, which is slow from power-on.
+zero, except for what is so from the drive's power-on (a slow drive, a refused mapping).
 """
 
 import math
@@ -57,6 +57,25 @@ class StruckNode(Protocol):
     def open_sto(self, opened: bool, now: Instant) -> None:
         """Its input for safe torque off."""
 
+    def take_mode(self, mode: int, now: Instant) -> None:
+        """The drive takes that mode of operation by itself."""
+
+    def leave_mode(self, mode: int, now: Instant) -> None:
+        """The drive goes back to the mode of 6060h, if it still is in ``mode``."""
+
+    def turn_deaf(self, zero: bool, hides_bit_12: bool, now: Instant) -> None:
+        """The drive ignores set-points, see :class:`virtual_bus.drive.deaf_mode.DeafMode`."""
+
+    def hear_again(self, now: Instant) -> None:
+        """The drive follows set-points again."""
+
+    def report_again(self, code: int, register: ErrorRegister, now: Instant) -> None:
+        """The drive sends an EMCY, once more if it did already, while it is enabled."""
+
+    def refuse_mapping(self, index: int, subindex: int, abort: int, mapped: int) -> None:
+        """Refuse writes of a mapping parameter, 0: of every entry of every PDO; ``mapped``: index and
+        sub-index, as in the word, of the only object that is refused, 0: whatever is written."""
+
     def later(self, due: int, action: Callable[[Instant], None]) -> None:
         """Do something at ``due``."""
 
@@ -87,6 +106,10 @@ class NodeFault(FaultTable):
     def events(self, streams: Streams) -> Iterator[NodeEvent]:  # noqa: ARG002
         """What strikes one node, in order of time."""
         return iter(())
+
+    def from_power_on(self) -> "NodeEvent | None":
+        """What is so from power-on; its time counts from there."""
+        return None
 
     def slowness(self, streams: Streams) -> Slowness | None:  # noqa: ARG002
         """How slow it makes one node; None: not at all."""

@@ -9,7 +9,7 @@ from virtual_bus.faults.fault_log import FRAME_KINDS
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.fault_streams import uniform_stream
 from virtual_bus.faults.node_fault import NodeEvent, NodeFault, Slowness
-from virtual_bus.faults.register import TABLE_OF
+from virtual_bus.faults.register import LOG_KINDS, TABLE_OF
 from virtual_bus.faults.replay import RecordedFaults
 
 
@@ -47,13 +47,15 @@ class DrawnNode(Events):
             slow.append(fault.slowness(streams))
         super().__init__(merge(*events, key=lambda event: event.at_ns))
         self._slow = [one for one in slow if one is not None]
+        self.from_power_on = [each for fault in mine if (each := fault.from_power_on()) is not None]
+        """What is so from power-on."""
         self.needs_drive = next((fault.kind for fault in mine if fault.needs_drive), "")
         """A kind that may strike and needs a device with a motor inside; empty: none."""
 
     @property
     def idle(self) -> bool:
         """Nothing ever befalls this node."""
-        return self._next is None and not self._slow
+        return self._next is None and not (self._slow or self.from_power_on)
 
     def lateness(self, can_id: int) -> Duration:
         """For how long the node, a slow one, keeps its next frame with ``can_id`` back."""
@@ -74,9 +76,15 @@ class ReplayedNode(Events):
         events = [
             NodeEvent(entry.at_ns, entry.kind, entry.a, entry.b, entry.c)
             for entry in mine
-            if entry.kind not in ("late", "boot")
+            if not LOG_KINDS[entry.code].since_power_on
         ]
         super().__init__(iter(sorted(events, key=lambda event: event.at_ns)))
+        self.from_power_on = [
+            NodeEvent(0, entry.kind, entry.a, entry.b, entry.c)
+            for entry in mine
+            if LOG_KINDS[entry.code].since_power_on and entry.kind not in ("late", "boot")
+        ]
+        """As of :class:`DrawnNode`."""
         self._frames: dict[int, int] = {}
         self._booted = 0
         self.needs_drive = next((each.kind for each in events if node_kind(each.kind).needs_drive), "")
@@ -85,7 +93,7 @@ class ReplayedNode(Events):
     @property
     def idle(self) -> bool:
         """Nothing ever befalls this node."""
-        return self._next is None and not (self._late or self._boots)
+        return self._next is None and not (self._late or self._boots or self.from_power_on)
 
     def lateness(self, can_id: int) -> Duration:
         """As of :class:`DrawnNode`."""

@@ -13,11 +13,15 @@ from virtual_bus.faults.kinds.delay import Delay
 from virtual_bus.faults.kinds.drive_fault import DriveFault
 from virtual_bus.faults.kinds.duplicate import Duplicate
 from virtual_bus.faults.kinds.host_stall import HostStall
+from virtual_bus.faults.kinds.ignored_commands import IgnoredCommands
 from virtual_bus.faults.kinds.loss import Loss
 from virtual_bus.faults.kinds.lss_yes_sayer import LssYesSayer
 from virtual_bus.faults.kinds.measured_delay import MeasuredDelay
+from virtual_bus.faults.kinds.mode_change import ModeChange
 from virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
+from virtual_bus.faults.kinds.refused_mapping import RefusedMapping
 from virtual_bus.faults.kinds.reorder import Reorder
+from virtual_bus.faults.kinds.repeated_emergency import RepeatedEmergency
 from virtual_bus.faults.kinds.safe_torque_off import SafeTorqueOff
 from virtual_bus.faults.kinds.silence import Silence
 from virtual_bus.faults.kinds.slow_drive import SlowDrive
@@ -42,6 +46,10 @@ _ALL: Final[tuple[type[FaultTable], ...]] = (
     HostStall,
     LssYesSayer,
     SafeTorqueOff,
+    ModeChange,
+    IgnoredCommands,
+    RefusedMapping,
+    RepeatedEmergency,
 )
 TABLES: Final = {table.kind: table for table in _ALL}
 """By the name of a plan's tables."""

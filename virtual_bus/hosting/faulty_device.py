@@ -15,12 +15,15 @@ from heapq import heappop, heappush
 from typing import TYPE_CHECKING, cast
 
 from drivers.canopen.error_codes import ErrorRegister
+from drivers.canopen.objects301 import is_mapping
 from drivers.timebase import NEVER, Instant
 from drivers.wire.identifiers import EXTENDED_FLAG
 from virtual_bus.bus.held_frames import HeldFrames
 from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.port import Port
 from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.device.object_dictionary import Check
+from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.faults.fates import FateSource, Queue
 from virtual_bus.faults.fault_log import KIND_CODES, FaultLog
 from virtual_bus.faults.node_fault import NodeEvent
@@ -111,6 +114,8 @@ class FaultyDevice:
     def start(self, now: Instant) -> Sequence[Frame]:
         """Power on."""
         self._powered_at = self._now = now
+        for event in self._source.from_power_on:
+            self._strike(event, now)
         return self._pass_on(self.device.start(now), now)
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
@@ -269,11 +274,40 @@ class FaultyDevice:
 
     def hold_encoder(self, held: bool, now: Instant) -> None:
         """Its encoder stands still at its last count, or goes on."""
-        self._befall_drive(lambda drive: drive.hold_encoder(held), now)
+        self._befall_drive(lambda drive: drive.firmware.hold_encoder(held), now)
 
     def open_sto(self, opened: bool, now: Instant) -> None:
         """Its input for safe torque off opens, or closes again."""
-        self._befall_drive(lambda drive: drive.open_sto(opened), now)
+        self._befall_drive(lambda drive: drive.machine.switch_sto(int(opened)), now)
+
+    def take_mode(self, mode: int, now: Instant) -> None:
+        """It takes that mode of operation by itself."""
+        self._befall_drive(lambda drive: drive.take_mode(mode), now)
+
+    def leave_mode(self, mode: int, now: Instant) -> None:
+        """It goes back to the mode of 6060h, if it still is in ``mode``."""
+        self._befall_drive(lambda drive: drive.leave_mode(mode), now)
+
+    def turn_deaf(self, zero: bool, hides_bit_12: bool, now: Instant) -> None:
+        """It ignores set-points."""
+        self._befall_drive(lambda drive: drive.turn_deaf(zero, hides_bit_12), now)
+
+    def hear_again(self, now: Instant) -> None:
+        """It follows set-points."""
+        self._befall_drive(lambda drive: drive.hear_again(), now)
+
+    def report_again(self, code: int, register: ErrorRegister, now: Instant) -> None:
+        """It sends an EMCY, once more if it did already, while it is enabled."""
+        self._befall_drive(lambda drive: drive.report_again(code, register), now)
+
+    def refuse_mapping(self, index: int, subindex: int, abort: int, mapped: int) -> None:
+        """It refuses what is written to a mapping parameter; index 0: to every entry of every PDO."""
+        for entry in self.device.dictionary:
+            if entry.index != index and (index or not is_mapping(entry.index)):
+                continue
+            for place, variable in entry.members.items():
+                if place == subindex if index else place:
+                    variable.check = _refusal(variable.check, AbortCode(abort), mapped)
 
     def later(self, due: int, action: Callable[[Instant], None]) -> None:
         """Do something at ``due``."""
@@ -287,3 +321,14 @@ class FaultyDevice:
         act(drive)
         frames += self.device.wake(now)
         self._out += self._pass_on(frames, now)
+
+
+def _refusal(own: Check | None, abort: AbortCode, mapped: int) -> Check:
+    """A check of a mapping parameter before its ``own``."""
+
+    def check(value: int) -> AbortCode | None:
+        if mapped in (0, value >> 8):
+            return abort
+        return None if own is None else own(value)
+
+    return check

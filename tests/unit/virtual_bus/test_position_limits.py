@@ -175,7 +175,7 @@ def test_a_broken_encoder_is_noticed_as_a_following_error() -> None:
     bench = bench_with_profile()
     bench.target(50.0)
     bench.wait_ms(200)
-    bench.servo.drive.hold_encoder(True)
+    bench.servo.drive.firmware.hold_encoder(True)
     assert bench.wait_until(lambda: bench.state is not State.OPERATION_ENABLED, 500) > 100
     assert bench.emergencies() == [0x8611]
 

@@ -22,7 +22,10 @@ class SlowDrive(NodeFault):
     """
 
     kind = "slow_drive"
-    logs = (LogKind("late", (LATER,), "node"), LogKind("boot", (LATER,), "node", "count"))
+    logs = (
+        LogKind("late", (LATER,), "node", since_power_on=True),
+        LogKind("boot", (LATER,), "node", "count", since_power_on=True),
+    )
     ranges = (
         RangeRule("sdo_delay_us", optional=True),
         RangeRule("tpdo_delay_us", optional=True),
