@@ -9,7 +9,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Final
 
-from drivers.canopen.cob_ids import BROADCASTS, RPDOS, SDO_ANSWER, SDO_REQUEST, SERVICES, TPDOS
+from drivers.canopen.cob_ids import BROADCASTS, RPDOS, SDO_ANSWER, SERVICES, TPDOS
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.objects301 import Cia301
@@ -205,7 +205,7 @@ class BusScan:
             due = network.clock.now()
             for node_id in unheard:
                 if node_id not in answered:
-                    network.link.send(SDO_REQUEST + node_id, request)
+                    network.send_request(node_id, request)
                     due = Instant(due + KNOCK_EVERY_NS)
                     network.pump(due)
             network.pump(Instant(network.clock.now() + KNOCK_WAIT_NS))

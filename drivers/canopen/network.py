@@ -25,7 +25,9 @@ from drivers.canopen.sdo import (
     PumpedSdoClient,
     abort_text,
     object_name,
+    written_object,
 )
+from drivers.canopen.write_list import NOTHING, WriteGate, WriteList
 from drivers.errors import AnswersTwice, NoAnswer, TransferAborted
 from drivers.timebase import NEVER, NS_PER_S, Clock, Duration, Instant
 from drivers.wire.link import BusLink
@@ -34,6 +36,7 @@ CHANGE_LIMIT = Duration(NS_PER_S)
 """Time for a change of state, two heartbeats apart."""
 MASTER_NODE_ID = 127
 """The highest there is: its heartbeat, 77Fh, gives way to those of all nodes."""
+SDO_REQUESTS = range(SDO_REQUEST + 1, SDO_REQUEST + NODE_ID_MAX + 1)
 SURPLUS_BORNE = 2
 """SDO answers too many of which nothing is made: an adapter may repeat a frame. Two nodes give one for each
 request, and a dozen are needed to connect."""
@@ -46,7 +49,15 @@ class CanopenNetwork(canopen.Network):
     Every method that sends or lets time pass raises BusDown if the bus is gone.
     """
 
-    def __init__(self, link: BusLink, clock: Clock, node_id: int = MASTER_NODE_ID) -> None:
+    def __init__(
+        self,
+        link: BusLink,
+        clock: Clock,
+        node_id: int = MASTER_NODE_ID,
+        *,
+        writes: WriteList = NOTHING,
+    ) -> None:
+        """``node_id``: the master's own, for its heartbeat. ``writes``: all that it may write by SDO."""
         super().__init__(link.bus)
         self.link = link
         self.clock = clock
@@ -58,6 +69,8 @@ class CanopenNetwork(canopen.Network):
         """Wait for one answer."""
         lss: Any = self.lss
         lss.responses = AnswerQueue(self)
+        self.writes = WriteGate(writes)
+        """Asked before each write by SDO."""
         self._status: dict[int, NodeStatus] = {}
         self._clients: dict[int, PumpedSdoClient] = {}
         self._posts: dict[int, DownloadPost] = {}
@@ -92,10 +105,25 @@ class CanopenNetwork(canopen.Network):
     # ---- sending --------------------------------------------------------------------------------------
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-        """Send a data frame; canopen's own services come through here, and remote frames do not."""
+        """Send a data frame of canopen's own services; ValueError for remote frames and SDO requests."""
         if remote:
             raise ValueError("the only remote frames of this master are those of its guard()")
+        if can_id in SDO_REQUESTS:
+            raise ValueError(
+                "SDO requests of this master are those of upload(), download() and send_request()"
+            )
         self.link.send(can_id, bytes(data))
+
+    def send_request(self, node_id: int, request: bytes) -> Instant:
+        """Send an SDO request without waiting for an answer; when it was handed over. All come through here.
+
+        Raises UnlistedWrite for an object that may not be written, ValueError for a block download; then
+        nothing is sent.
+        """
+        written = written_object(request)
+        if written is not None:
+            self.writes.check(node_id, *written)
+        return self.link.send(SDO_REQUEST + node_id, request)
 
     def command(self, command: NmtCommand, node_id: int = 0) -> Instant:
         """Send an NMT command to a node; to all nodes with ``node_id`` 0 (CiA 301 7.2.8.2.1)."""
@@ -223,7 +251,7 @@ class CanopenNetwork(canopen.Network):
     def download(self, node_id: int, index: int, sub: int, data: bytes) -> None:
         """Write an object by SDO and wait for the confirmation; pumps meanwhile.
 
-        Raises TransferAborted with the abort code, or NoAnswer.
+        Raises UnlistedWrite, TransferAborted with the abort code, or NoAnswer.
         """
         client = self._client(node_id)
         try:
@@ -234,8 +262,9 @@ class CanopenNetwork(canopen.Network):
     def post_download(self, node_id: int, index: int, sub: int, data: bytes) -> PostedDownload:
         """Write 1 to 4 bytes by SDO without waiting; the pump looks after confirmation and repetition.
 
-        Of several posts to one object that wait for their turn, the latest wins.
+        Of several posts to one object that wait for their turn, the latest wins. Raises UnlistedWrite.
         """
+        self.writes.check(node_id, index, sub)
         download = PostedDownload(node_id, index, sub, data)
         self._post(node_id).post(download)
         self._plan_housekeeping()
@@ -263,9 +292,9 @@ class CanopenNetwork(canopen.Network):
         if post is None:
             client = self._client_of(node_id)
 
-            def ask(can_id: int, data: bytes) -> Instant:
+            def ask(request: bytes) -> Instant:
                 client.answers.expect()
-                return self.link.send(can_id, data)
+                return self.send_request(node_id, request)
 
             post = self._posts[node_id] = DownloadPost(node_id, ask)
         return post

@@ -32,8 +32,11 @@ _ABORT = Struct("<BHBL")
 _EXPEDITED_DOWNLOAD = 0x23
 _DOWNLOADED = 0x60
 _ABORTED = 0x80
-_INITIATE_REQUESTS = (1, 2)
-"""Client command specifiers of initiate download and initiate upload: their answers name the object."""
+# Client command specifiers (CiA 301 7.2.4.3).
+_INITIATE_DOWNLOAD = 1
+_BLOCK_DOWNLOAD = 6
+_INITIATE_REQUESTS = (_INITIATE_DOWNLOAD, 2)
+"""Initiate download and initiate upload: their answers name the object."""
 _INITIATE_ANSWERS = (2, 3)
 """Server command specifiers of the answers to them."""
 
@@ -49,9 +52,21 @@ class Pump(Protocol):
         """The instant ``duration`` from now."""
         ...
 
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Send one frame."""
+    def send_request(self, node_id: int, request: bytes) -> Instant:
+        """Send one SDO request; raises UnlistedWrite before that if it may not be."""
         ...
+
+
+def written_object(request: bytes) -> tuple[int, int] | None:
+    """Index and sub-index of the object whose download a request initiates; None for any other request.
+
+    Raises ValueError for a block download (CiA 301 7.2.4.3.9): this master sends none, and the segments of
+    one, which begin with their number, could not be told from requests.
+    """
+    specifier = request[0] >> 5
+    if specifier == _BLOCK_DOWNLOAD:
+        raise ValueError("this master sends no SDO block downloads")
+    return (request[1] | request[2] << 8, request[3]) if specifier == _INITIATE_DOWNLOAD else None
 
 
 def object_name(index: int, sub: int) -> str:
@@ -94,7 +109,8 @@ class PumpedSdoClient(SdoClient):
 
     def __init__(self, pump: Pump, node_id: int) -> None:
         super().__init__(SDO_REQUEST + node_id, SDO_ANSWER + node_id, ObjectDictionary())  # type: ignore[no-untyped-call]
-        self.network: Any = pump
+        self._pump = pump
+        self._node_id = node_id
         self.responses: Any = AnswerQueue(pump)
         self.answers = Owed(SDO_ATTEMPTS)
         """Of the node on this channel, to posted downloads and to the requests of others too."""
@@ -113,8 +129,8 @@ class PumpedSdoClient(SdoClient):
 
     def send_request(self, sdo_request: bytes) -> None:
         """Send a request, or a segment of one: each has one answer."""
+        self._pump.send_request(self._node_id, bytes(sdo_request))
         self.answers.expect()
-        super().send_request(sdo_request)  # type: ignore[no-untyped-call]
 
     def on_foreign_request(self, _data: bytes, _at: Instant) -> None:
         """Another client has asked the node: its answer will be heard here."""
@@ -132,7 +148,7 @@ class PumpedSdoClient(SdoClient):
     def abort(self, abort_code: int = 0x08000000) -> None:
         """Abort the transfer, naming its object as CiA 301 7.2.4.3.17 asks."""
         index, sub = self._multiplexer[0] | self._multiplexer[1] << 8, self._multiplexer[2]
-        self.network.send_message(self.rx_cobid, _ABORT.pack(_ABORTED, index, sub, abort_code))
+        self._pump.send_request(self._node_id, _ABORT.pack(_ABORTED, index, sub, abort_code))
 
 
 class PostedDownload:
@@ -171,7 +187,8 @@ class DownloadPost:
     """Of different objects, as one to the same replaces the other: nobody here writes as many without
     waiting, unless none is confirmed."""
 
-    def __init__(self, node_id: int, send: Callable[[int, bytes], Instant]) -> None:
+    def __init__(self, node_id: int, send: Callable[[bytes], Instant]) -> None:
+        """``send``: hands a request to the bus, and says when."""
         self.in_flight: PostedDownload | None = None
         self._node_id = node_id
         self._send = send
@@ -233,5 +250,5 @@ class DownloadPost:
 
     def _transmit(self, download: PostedDownload) -> None:
         download.attempts += 1
-        sent_at = self._send(SDO_REQUEST + self._node_id, download.frame)
+        sent_at = self._send(download.frame)
         download.deadline = Instant(sent_at + self.TIMEOUT_NS)

@@ -14,6 +14,7 @@ from drivers.canopen.objects301 import Cia301
 from drivers.canopen.pdo import PdoDirection, PdoPlan, write_plan
 from drivers.canopen.pdo_capability import PdoCapability, capability_of_drive
 from drivers.canopen.sdo import object_name
+from drivers.canopen.write_list import Product
 from drivers.cia402.objects402 import Object
 from drivers.cia402.observed import NOTHING, Observed
 from drivers.cia402.pdo_planner import PlanImpossible, mode_plan, plan_pdos
@@ -154,7 +155,10 @@ REACTIONS = (
 
 
 def read_identity(objects: RemoteObjects) -> Identity:
-    """Device name, identity object and device type; raises PeerFault if it is no CiA 402 device."""
+    """Device name, identity object and device type; raises PeerFault if it is no CiA 402 device.
+
+    From then on the network knows which product the node is.
+    """
     device_type = objects.read(Cia301.DEVICE_TYPE)
     if device_type & 0xFFFF != DRIVE_PROFILE:
         raise PeerFault(
@@ -165,7 +169,9 @@ def read_identity(objects: RemoteObjects) -> Identity:
     vendor, product, revision, serial = (
         objects.read_if_there(Cia301.IDENTITY, sub) or 0 for sub in (1, 2, 3, 4)
     )
-    return Identity(objects.read_text(Cia301.DEVICE_NAME), vendor, product, revision, serial, device_type)
+    name = objects.read_text(Cia301.DEVICE_NAME)
+    objects.network.writes.products[objects.node_id] = Product(vendor, product, name)
+    return Identity(name, vendor, product, revision, serial, device_type)
 
 
 def read_scaling(objects: RemoteObjects, override: ScaleOverride) -> Scaling:

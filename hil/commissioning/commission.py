@@ -31,6 +31,7 @@ from hil.machine.stopping import stop_signals
 from hil.restoring.journal import DriveMark, JournaledNetwork, append_restored, read_journal
 from hil.restoring.restore import await_answer, restore
 from hil.rows.run_files import BENCH_FILE, COMMISSIONING_RECORDING
+from hil.write_lists import COMMISSION, RESTORE
 from virtual_bus.device.canopen_device import CanopenDevice
 
 SAVE: bytes = b"save"
@@ -107,7 +108,7 @@ def commission(
     title = f"commissioning of node {request.node} on {request.bus}"
     with writing("--out", request.out):
         log = SessionLog(request.out / COMMISSIONING_RECORDING, world, request.bus, title)
-    network = JournaledNetwork(world.link, world.clock)
+    network = JournaledNetwork(world.link, world.clock, COMMISSION)
     session = Session(request, world, network, dialog, stop, sheet, log)
     result = Commissioned(findings=session.found)
     chosen = list((steps or all_steps)())
@@ -202,7 +203,7 @@ def run_restore(bus: str, node: int, journal: Path, bitrate_bit_s: int) -> dict[
     contents = read_journal(journal)
     if contents.head.node != node:
         raise BadInput("--node", "", node, f"{contents.head.node}, whose journal {journal} is")
-    with stop_signals(), drive_network(bus, bitrate_bit_s) as network:
+    with stop_signals(), drive_network(bus, bitrate_bit_s, RESTORE) as network:
         await_answer(network, node, _ANSWER_LIMIT)
         check_mark(RemoteObjects(network, node), contents.head.mark)
         result = restore(network, contents, say)

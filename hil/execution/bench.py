@@ -47,6 +47,7 @@ from hil.recording.run_recorder import RunRecorder
 from hil.recording.watch import RecordingWatch
 from hil.rows.recording_plan import RecordingPlan
 from hil.verdict.summary import Summary
+from hil.write_lists import RUN
 from virtual_bus.faults.fault_log import FaultLog
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ class _Run:
         config, world, recorder = self.config, self.world, self.recorder
         goes_on = config.recording.on_failure == "continue"
         self._watch = RecordingWatch(recorder, goes_on, self.progress, self._say)
-        self._network = CanopenNetwork(world.link, world.clock, config.host.node)
+        self._network = CanopenNetwork(world.link, world.clock, config.host.node, writes=RUN)
         self._networks, self._master = masters(self._network, world)
         self._drives = [
             ServoDrive(self._networks[config.drive[name].segment], config.drive[name].node, name)

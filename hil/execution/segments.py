@@ -128,7 +128,9 @@ def masters(first: CanopenNetwork, world: World) -> tuple[dict[str | None, Canop
     if not world.further:
         return networks, first.frame_pump
     for segment in world.further:
-        networks[segment.name] = CanopenNetwork(segment.link, world.clock, first.node_id)
+        networks[segment.name] = CanopenNetwork(
+            segment.link, world.clock, first.node_id, writes=first.writes.allowed
+        )
     return networks, SegmentMasters(list(networks.values()), world.wait)
 
 

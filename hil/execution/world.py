@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.write_list import WriteList
 from drivers.errors import BadInput
 from drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
 from drivers.wire.adapters import BusSpec, open_bus, shared_bus
@@ -162,11 +163,14 @@ def open_world(plan: WorldPlan, devices: Sequence[CanopenDevice]) -> Iterator[Wo
 
 
 @contextmanager
-def drive_network(bus: str, bitrate_bit_s: int) -> Iterator[CanopenNetwork]:
-    """A master on a bus with drives on it. Raises BadInput for the simulated one, BusDown."""
+def drive_network(bus: str, bitrate_bit_s: int, writes: WriteList) -> Iterator[CanopenNetwork]:
+    """A master on a bus with drives on it, which may write ``writes``.
+
+    Raises BadInput for the simulated one, BusDown.
+    """
     spec = shared_bus(bus, "use hub:NAME and `hil simulate`", "a bus with a drive on it")
     with open_world(WorldPlan(spec, bitrate_bit_s), ()) as world:
-        yield CanopenNetwork(world.link, world.clock)
+        yield CanopenNetwork(world.link, world.clock, writes=writes)
 
 
 class _SimulatedSegment:

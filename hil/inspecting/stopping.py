@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from drivers.canopen.bus_scan import NODES
-from drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
+from drivers.canopen.cob_ids import SDO_ANSWER
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtCommand
 from drivers.cia402.objects402 import Object
@@ -206,13 +206,13 @@ def _stop_at_once(network: CanopenNetwork, nodes: Sequence[int]) -> dict[int, St
                 return
             told[node] = state_of(int.from_bytes(data[4:6], "little"))
             if told[node] not in _DISABLED:
-                network.link.send(SDO_REQUEST + node, _QUICK_STOP)
+                network.send_request(node, _QUICK_STOP)
 
         network.listen(SDO_ANSWER + node, heard)
 
     for node in nodes or NODES:
         listen(node)
-        network.link.send(SDO_REQUEST + node, _ASK)
+        network.send_request(node, _ASK)
         network.pump(network.deadline_after(_ASK_EVERY))
     network.pump(network.deadline_after(_ASK_WAIT))
     for node in nodes or NODES:

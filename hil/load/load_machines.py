@@ -25,6 +25,7 @@ from virtual_bus.drive.load_object import (
     LOAD_MACHINE,
     LOAD_NUMBER_SUB,
     LOAD_TORQUE_SUB,
+    SIMULATED_DRIVE,
     LoadCourse,
 )
 from virtual_bus.instruments.dynamometer.hosting import TimelineLine
@@ -202,8 +203,12 @@ class ShaftLoad:
 
     def take_off(self) -> None:
         """Take the load off the shaft and wait for the confirmation. Raises PeerFault."""
-        self._network.download(self._node_id, LOAD_MACHINE, LOAD_COURSE_SUB, bytes([LoadCourse.OFF]))
-        self._network.download(self._node_id, LOAD_MACHINE, LOAD_TORQUE_SUB, _raw(0.0))
+        _take_off(self._network, self._node_id)
+
+
+def _take_off(network: CanopenNetwork, node_id: int) -> None:
+    network.download(node_id, LOAD_MACHINE, LOAD_COURSE_SUB, bytes([LoadCourse.OFF]))
+    network.download(node_id, LOAD_MACHINE, LOAD_TORQUE_SUB, _raw(0.0))
 
 
 def _raw(torque_nm: float) -> bytes:
@@ -213,12 +218,24 @@ def _raw(torque_nm: float) -> bytes:
 def find_load_machine(
     network: CanopenNetwork, node_id: int, source: str, axis: str, wanted: Sequence[Load]
 ) -> ObjectLoadMachine | ShaftLoad | None:
-    """What puts loads on a simulated drive's shaft; None for a drive without it.
+    """What puts the ``wanted`` loads on a simulated drive's shaft; None if the bench asks for none.
 
-    Raises BadInput if the bench asks for a load (``wanted``) that nothing can produce.
+    2100h is read and written only on a drive that is :data:`SIMULATED_DRIVE` by its 1018h and 1008h. Where no
+    load is wanted, one that an earlier run has left there is taken off at once.
+    Raises BadInput if the bench asks for a load that nothing can make, PeerFault.
     """
+    product = network.writes.products.get(node_id)
+    if product != SIMULATED_DRIVE:
+        if not wanted:
+            return None
+        raise _no_load_machine(source, axis, f"a load for {product or 'an unnamed device'}")
     over_time = next((entry for entry in wanted if isinstance(entry, SignalFile)), None)
     try:
+        if not wanted:
+            left = [network.upload(node_id, LOAD_MACHINE, sub) for sub in (LOAD_TORQUE_SUB, LOAD_COURSE_SUB)]
+            if any(map(any, left)):
+                _take_off(network, node_id)
+            return None
         if over_time is None:
             network.upload(node_id, LOAD_MACHINE, LOAD_TORQUE_SUB)
             return ObjectLoadMachine(network, node_id)
@@ -226,13 +243,7 @@ def find_load_machine(
     except TransferAborted:
         if not wanted:
             return None
-        raise BadInput(
-            source,
-            f"load.{axis}",
-            "a load",
-            "none, for this drive has no load machine (object 0x2100)",
-            "take the load out of the file, or run against a simulated drive",
-        ) from None
+        raise _no_load_machine(source, axis, f"a load for {product}, which was made without 2100h") from None
     # It loads numba, which a host without such loads does without.
     from hil.load.simulated_load import load_table
 
@@ -242,6 +253,16 @@ def find_load_machine(
         remedy = f"hil simulate --load {node_id}={over_time.path}"
         raise BadInput(source, f"load.{axis}[0].path", over_time.path, expected, remedy)
     return ShaftLoad(network, node_id, over_time)
+
+
+def _no_load_machine(source: str, axis: str, asked: str) -> BadInput:
+    return BadInput(
+        source,
+        f"load.{axis}",
+        asked,
+        f"a load on the shaft of a {SIMULATED_DRIVE.device_name}, the only drive with a load machine (2100h)",
+        f"take load.{axis} out of the file, or couple an instrument to the shaft: [load_machine]",
+    )
 
 
 class LoadMachines:

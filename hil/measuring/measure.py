@@ -34,6 +34,7 @@ from hil.measuring.subject import MeasureRequest, Subject, affordable, timing_of
 from hil.restoring.journal import Journal, JournaledNetwork
 from hil.restoring.restore import head_of, restore
 from hil.rows.records import Rows
+from hil.write_lists import MEASURE
 from virtual_bus.device.canopen_device import CanopenDevice
 
 CONNECT_LIMIT_S: Final = 5.0
@@ -89,7 +90,7 @@ class Measurement:
         self._folder = folder
         self._say = say
         self._progress = progress
-        self._network = JournaledNetwork(world.link, world.clock)
+        self._network = JournaledNetwork(world.link, world.clock, MEASURE)
         self._subjects = [
             Subject(ServoDrive(self._network, node), world.clock, request) for node in request.nodes
         ]

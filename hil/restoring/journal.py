@@ -18,12 +18,14 @@ from typing import Any, Final, NamedTuple
 from drivers.bounded_file import NamedBy, parse_json, read_lines
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.objects301 import Cia301
-from drivers.canopen.sdo import PostedDownload
+from drivers.canopen.sdo import PostedDownload, object_name
+from drivers.canopen.write_list import WriteList
 from drivers.cia402.objects402 import Object
 from drivers.errors import MISSING, BadInput, TransferAborted
 from drivers.timebase import Clock
 from drivers.wire.link import BusLink
 from hil.machine.on_disk import sync_folder, write_synced
+from hil.write_lists import RESTORE
 
 VERSION = 1
 """Of its lines; another one is refused."""
@@ -188,9 +190,13 @@ def _change(path: Path, number: int, record: dict[str, Any]) -> ObjectWrite:
     try:
         index, sub = bytes.fromhex(record["object"][:4]), bytes.fromhex(record["object"][5:7])
         key = ObjectKey(int.from_bytes(index), int.from_bytes(sub))
-        return ObjectWrite(key, bytes.fromhex(record["old"]), bytes.fromhex(record["new"]))
+        write = ObjectWrite(key, bytes.fromhex(record["old"]), bytes.fromhex(record["new"]))
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(str(path), f"line {number}", record, "object, old and new", str(error)) from None
+    if (key.index, key.sub) not in RESTORE:
+        expected = "an object that hil commission or hil measure writes (docs/writes.md)"
+        raise BadInput(str(path), f"line {number}", object_name(key.index, key.sub), expected)
+    return write
 
 
 def _refuse_open_journal(path: Path) -> None:
@@ -214,8 +220,8 @@ class JournaledNetwork(CanopenNetwork):
     Nothing may be written to a node without one.
     """
 
-    def __init__(self, link: BusLink, clock: Clock) -> None:
-        super().__init__(link, clock)
+    def __init__(self, link: BusLink, clock: Clock, writes: WriteList) -> None:
+        super().__init__(link, clock, writes=writes)
         self.journals: dict[int, Journal] = {}
         """By node."""
         self.putting_back = False
@@ -242,6 +248,7 @@ class JournaledNetwork(CanopenNetwork):
         return super().post_download(node_id, index, sub, data)
 
     def _note(self, node_id: int, index: int, sub: int, data: bytes | None) -> None:
+        self.writes.check(node_id, index, sub)
         if self.putting_back:
             return
         journal = self.journals.get(node_id)

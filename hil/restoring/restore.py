@@ -16,12 +16,14 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
 from drivers.canopen.objects301 import MAPPING_OFFSET, PDO_PARAMETERS, Cia301
+from drivers.canopen.write_list import ListedWrite, WriteList
 from drivers.cia402.drive_setup import Identity
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
 from drivers.errors import NoAnswer, PeerFault, TransferAborted
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.restoring.journal import DriveMark, JournalContents, JournalHead, ObjectKey
+from hil.write_lists import PUTTING_BACK
 
 REST_LIMIT: Final = Duration(5 * NS_PER_S)
 """A drive with a ramp of its own takes seconds."""
@@ -61,6 +63,23 @@ def restore(
 
     A drive that cannot be brought to rest keeps its settings, for they may be what stops it: PeerFault.
     """
+    with network.writes.only(_writes_back(contents)):
+        return _restore(network, contents, tell)
+
+
+def _writes_back(contents: JournalContents) -> WriteList:
+    """What a journal names, and what a PDO that it names is switched off and on with."""
+    keys = set(contents.originals())
+    for pdo in {pdo for key in keys if (pdo := pdo_of(key.index)) is not None}:
+        keys |= {ObjectKey(pdo, 1), ObjectKey(pdo + MAPPING_OFFSET, 0)}
+    named = (
+        ListedWrite(range(key.index, key.index + 1), range(key.sub, key.sub + 1), str(key), "changed", "now")
+        for key in sorted(keys)
+    )
+    return WriteList(f"restoring node {contents.head.node}", (*PUTTING_BACK.writes, *named))
+
+
+def _restore(network: CanopenNetwork, contents: JournalContents, tell: Callable[[str], None]) -> Restoration:
     node = contents.head.node
     objects = RemoteObjects(network, node)
     tell("bringing the drive to rest")

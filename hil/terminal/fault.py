@@ -22,8 +22,9 @@ def fault(
     """
     from hil.execution.world import drive_network
     from hil.inspecting.drive_fault import look_at_fault
+    from hil.write_lists import FAULT
 
-    with drive_network(bus, bitrate) as network:
+    with drive_network(bus, bitrate, FAULT) as network:
         diagnosis = look_at_fault(network, node, reset)
     put(diagnosis.as_json(), as_json, lambda _figures: typer.echo("\n".join(diagnosis.lines())))
     raise typer.Exit(ExitStatus.FAILED if diagnosis.in_fault else ExitStatus.PASSED)

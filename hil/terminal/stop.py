@@ -24,9 +24,10 @@ def stop(
     from hil.execution.world import drive_network
     from hil.inspecting.stopping import stop_drives
     from hil.terminal.node_list import drive_ids
+    from hil.write_lists import STOP
 
     nodes = drive_ids(node) if node else []
-    with drive_network(bus, bitrate) as network:
+    with drive_network(bus, bitrate, STOP) as network:
         stopped = stop_drives(network, nodes)
     at_rest = all(each.at_rest for each in stopped)
     lines = [f"node {each.node}: {each.text} (after {each.took_ms:.0f} ms)" for each in stopped]

@@ -8,6 +8,9 @@ from typing import Any
 
 from drivers.canopen.error_codes import error_text
 from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects301 import MANUFACTURER
+from drivers.canopen.sdo import object_name
+from drivers.canopen.write_list import ListedWrite, WriteList
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.profile import State
 from drivers.cia402.servo import ServoDrive
@@ -19,6 +22,7 @@ from hil.execution.device_files import DeviceFiles
 from hil.execution.world import World, WorldPlan, open_world
 from hil.testing.hosted import DriveHost, DriveProcess, DriveWish
 from hil.testing.wire import Wire, intended_frames
+from hil.write_lists import RIG
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 
@@ -57,7 +61,7 @@ class DriveRig:
         self.wire = Wire(self.clock.now())
         """Every frame that the master's adapter saw; times count from the making of the rig."""
         world.link.tap(self.wire.take)
-        self.network = CanopenNetwork(world.link, world.clock)
+        self.network = CanopenNetwork(world.link, world.clock, writes=RIG)
         self.client = ServoDrive(self.network, wish.node)
         """The drive as the bench talks to it: states, modes, moves, objects."""
         self._live = world.real_time
@@ -96,6 +100,16 @@ class DriveRig:
         """
         self.client.connect(self.deadline(ENABLE_LIMIT_S))
         return self.client.configure(replace(self.settings, **changes))
+
+    def allow_write(self, index: int, sub: int = 0) -> None:
+        """Let the test write an object that neither the set-up nor a move needs, by ``client.objects``.
+
+        An object of 2000h to 5FFFh is its maker's, and then allowed for the drive that was connected alone.
+        """
+        product = self.network.writes.products.get(self.node) if index in MANUFACTURER else None
+        name = object_name(index, sub)
+        write = ListedWrite(range(index, index + 1), range(sub, sub + 1), name, "asked for", "test", product)
+        self.network.writes.allowed |= WriteList("the test", (write,))
 
     def enable(self, **changes: Any) -> None:
         """:meth:`configure` if that was not done, then walk to OPERATION ENABLED."""

@@ -30,6 +30,7 @@ from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, MonotonicClock
 from drivers.wire.adapters import open_bus, parse_bus_spec
 from drivers.wire.link import BusLink
+from hil.write_lists import RIG
 from tests.benchmarks.frozen_hub import FrozenHubBus
 from tests.motors import LING
 from virtual_bus.device.eds_export import export_eds
@@ -125,7 +126,7 @@ def our_cycle(spec: str, nodes: list[int]) -> Iterator[Cycle]:
     """By the link, the pump and the drive client."""
     opened = open_bus(parse_bus_spec(spec), BITRATE_BIT_S)
     link = BusLink(opened.bus, CLOCK, opened.stamps, opened.name)
-    network = CanopenNetwork(link, CLOCK)
+    network = CanopenNetwork(link, CLOCK, writes=RIG)
     drives = [ServoDrive(network, node) for node in nodes]
     for drive in drives:
         drive.connect(network.deadline_after(PATIENCE_NS))

@@ -11,7 +11,7 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.cia402.servo import ServoDrive
 from drivers.timebase import MonotonicClock
 from drivers.wire.link import BusLink, StampSource
-from tests.contract.modes_suite import NODE, ModesRig
+from tests.contract.modes_suite import NODE, WRITES, ModesRig
 from tests.motors import LING
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.hosting.devices import serve
@@ -35,7 +35,7 @@ def live_modes(open_bus: Callable[[], can.BusABC], stamps: StampSource) -> Itera
 
     served_bus, bus, listening = open_bus(), open_bus(), open_bus()
     served = threading.Thread(target=serve, args=([device], served_bus, clock, ended))
-    network = CanopenNetwork(BusLink(bus, clock, stamps, "live"), clock)
+    network = CanopenNetwork(BusLink(bus, clock, stamps, "live"), clock, writes=WRITES)
     rig = ModesRig(network, device, ServoDrive(network, NODE, "axis1"), asked.put)
 
     def hear(message: can.Message) -> None:

@@ -11,6 +11,7 @@ import pytest
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.pdo import PdoPlan
+from drivers.canopen.write_list import ListedWrite, WriteList
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.motion import HomingSetup, MoveProfile
 from drivers.cia402.objects402 import Object
@@ -20,6 +21,8 @@ from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault
 from drivers.exchange import PositionCommand, SpeedCommand
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from hil.write_lists import RIG
+from virtual_bus.drive.load_object import SIMULATED_DRIVE
 from virtual_bus.drive.servo import SimulatedServo
 
 TURN = math.tau
@@ -29,6 +32,11 @@ PERIOD = Duration(NS_PER_MS)
 PROFILE = MoveProfile(speed_rad_s=10 * TURN, acceleration_rad_s2=200 * TURN, deceleration_rad_s2=200 * TURN)
 HOW = HomingSetup(switch_speed_rad_s=5 * TURN, zero_speed_rad_s=2 * TURN, acceleration_rad_s2=200 * TURN)
 SDO_REQUEST = 0x600 + NODE
+WRITES = RIG | WriteList(
+    "the suite",
+    (ListedWrite(range(0x2110, 0x2111), range(1, 9), "Inputs", "what happens", "tests", SIMULATED_DRIVE),),
+)
+"""2110h: the switches, the index and the supply of a simulated drive."""
 ENABLED = 0x0F
 FAULT_RESET = 0x80
 MODES = (

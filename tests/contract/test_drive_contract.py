@@ -18,6 +18,7 @@ from drivers.errors import DriveInFault, NoAnswer
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from drivers.wire.link import BusLink, StampSource
+from hil.write_lists import RIG
 from tests.fates import keys
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
@@ -101,7 +102,7 @@ def make_bench(plan: FaultPlan | None = None, seed: int = 0) -> Bench:
         faulty = FaultyBus(bus, FaultInjector(plan, seed), clock, side="host")
         faulty.start(clock.now())
         bus = faulty
-    network = CanopenNetwork(BusLink(bus, clock, StampSource.MONOTONIC, "simulated"), clock)
+    network = CanopenNetwork(BusLink(bus, clock, StampSource.MONOTONIC, "simulated"), clock, writes=RIG)
     return Bench(timeline, segment, bus, device, network, ServoDrive(network, 1, "axis1"))
 
 

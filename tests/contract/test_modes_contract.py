@@ -14,7 +14,7 @@ from drivers.cia402.servo import ServoDrive
 from drivers.timebase import Instant
 from drivers.wire.link import BusLink, StampSource
 from tests.contract.live_modes import live_modes
-from tests.contract.modes_suite import NODE, ModesRig, ModesSuite
+from tests.contract.modes_suite import NODE, WRITES, ModesRig, ModesSuite
 from tests.motors import LING
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
@@ -35,7 +35,9 @@ def simulated_rig(synchronous: bool) -> Iterator[ModesRig]:
         device.wake(timeline.now)
 
     with can.Bus(interface="simulated", segment=segment, ignore_config=True) as bus:
-        network = CanopenNetwork(BusLink(bus, clock, StampSource.MONOTONIC, "simulated"), clock)
+        network = CanopenNetwork(
+            BusLink(bus, clock, StampSource.MONOTONIC, "simulated"), clock, writes=WRITES
+        )
         rig = ModesRig(network, device, ServoDrive(network, NODE, "axis1"), tell, synchronous)
 
         def hear(frame: Frame, _at: Instant) -> None:

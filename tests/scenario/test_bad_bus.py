@@ -21,6 +21,7 @@ from drivers.wire.identifiers import ERROR_FLAG
 from drivers.wire.link import BusLink, StampSource
 from hil.cli import app
 from hil.testing.bench_runs import BenchRunner
+from hil.write_lists import RIG
 from tests.motors import LING
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.disturbance import Disturbance
@@ -71,7 +72,7 @@ def make_axis(timeline: Timeline, name: str = "axis1") -> Axis:
     servo = SimulatedServo(1, LING)
     attached = AttachedDevice(servo, segment)
     bus = SimulatedBus(segment=segment)
-    network = CanopenNetwork(BusLink(bus, clock, StampSource.MONOTONIC, name), clock)
+    network = CanopenNetwork(BusLink(bus, clock, StampSource.MONOTONIC, name), clock, writes=RIG)
     return Axis(segment, bus, servo, attached, network, ServoDrive(network, 1, name))
 
 

@@ -34,6 +34,7 @@ from hil.execution.world import World, WorldPlan, open_world
 from hil.machine.stopping import Interrupted
 from hil.restoring.journal import DriveMark, append_restored, read_journal
 from hil.restoring.restore import restore
+from hil.write_lists import RIG
 from tests.commissioning import WrappedStep
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.unknown_drive import unknown_drive
@@ -248,7 +249,7 @@ def test_the_journal_of_another_drive_is_refused(rig: Rig) -> None:
 
 
 def test_a_drive_that_was_operational_is_so_again(rig: Rig) -> None:
-    network = CanopenNetwork(rig.world.link, rig.world.clock)
+    network = CanopenNetwork(rig.world.link, rig.world.clock, writes=RIG)
     objects = RemoteObjects(network, 1)
     objects.write(0x1017, 0, "H", 100)
     network.command(NmtCommand.START, 1)

@@ -29,6 +29,7 @@ from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
 from hil.execution.world import World, WorldPlan, open_world
 from hil.restoring.journal import JournaledNetwork
+from hil.write_lists import COMMISSION
 from tests.commissioning import WrappedStep
 from tests.motors import LING
 from tests.scenario.processes import hub_name, in_background
@@ -281,7 +282,7 @@ def test_a_fit_that_takes_long_keeps_the_host_s_heartbeat(tmp_path: Path) -> Non
 
     with open_world(plan, ()) as world:
         world.link.tap(lambda _way, can_id, *_rest: beats.release() if can_id == 0x77F else None)
-        network = JournaledNetwork(world.link, world.clock)
+        network = JournaledNetwork(world.link, world.clock, COMMISSION)
         log = SessionLog(tmp_path / "recording", world, bus, "a fit")
         session = Session(
             CommissionRequest(bus, 1, tmp_path), world, network, Dialog(print), EmergencyStop(), None, log

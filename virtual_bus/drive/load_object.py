@@ -3,6 +3,10 @@
 from enum import IntEnum
 from typing import Final
 
+from drivers.canopen.write_list import Product
+
+SIMULATED_DRIVE: Final = Product(0, 0x0001_0402, "servobench simulated servo drive")
+"""The simulated drive by its 1018h and 1008h. In any other product 2100h is another object."""
 LOAD_MACHINE: Final = 0x2100
 LOAD_TORQUE_SUB: Final = 1
 """mN m against positive speed."""

@@ -19,6 +19,7 @@ from virtual_bus.device.device_options import (
     unmapped_tpdos,
 )
 from virtual_bus.drive.firmware import FirmwareParameters
+from virtual_bus.drive.load_object import SIMULATED_DRIVE
 from virtual_bus.drive.load_table import LoadTable
 
 SERVO_DRIVE: Final = 0x0002_0192
@@ -85,10 +86,11 @@ def device_options(node_id: int, drive: DriveParameters, seed: int) -> DeviceOpt
     return DeviceOptions(
         identity=DeviceIdentity(
             device_type=SERVO_DRIVE,
-            product_code=0x0001_0402,
+            vendor_id=SIMULATED_DRIVE.vendor,
+            product_code=SIMULATED_DRIVE.code,
             revision_number=0x0001_0000,
             serial_number=node_id,
-            device_name="servobench simulated servo drive",
+            device_name=SIMULATED_DRIVE.device_name,
         ),
         rpdos=(RPDO1, *unmapped_rpdos()[1:]),
         tpdos=(TPDO1, TPDO2, *unmapped_tpdos()[2:]),

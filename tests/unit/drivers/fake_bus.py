@@ -19,6 +19,7 @@ from drivers.cia402.profile import (
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from drivers.wire.frame_port import FramePort, WireFrame
 from drivers.wire.link import BusLink, StampSource
+from hil.write_lists import RIG
 
 PDOS = 4
 ANSWER_AFTER_NS = 100 * NS_PER_US
@@ -342,4 +343,4 @@ def make_network() -> tuple[FakeBus, CanopenNetwork]:
     """A network on a fake bus that nobody else is on."""
     bus = FakeBus()
     link = BusLink(bus, bus, StampSource.MONOTONIC, "fake")
-    return bus, CanopenNetwork(link, bus)
+    return bus, CanopenNetwork(link, bus, writes=RIG)

@@ -13,6 +13,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.frame_port import FramePort
 from drivers.wire.link import BusLink, StampSource
 from hil.configuration.motor_file import LING2012
+from hil.write_lists import RIG
 from tests.hearing import Hearing
 from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
@@ -56,7 +57,9 @@ class Bench:
         if drop_every:
             bus.frame_port = DeafPort(bus.frame_port, drop_every)  # type: ignore[assignment]
         clock = SimulatedClock(self.timeline)
-        self.network = CanopenNetwork(BusLink(bus, clock, StampSource.MONOTONIC, "simulated"), clock)
+        self.network = CanopenNetwork(
+            BusLink(bus, clock, StampSource.MONOTONIC, "simulated"), clock, writes=RIG
+        )
         self.servos = [self.add(node) for node in nodes]
         self.network.pump(Instant(NS_PER_MS))
 

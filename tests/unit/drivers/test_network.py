@@ -238,19 +238,19 @@ def test_a_doubled_answer_does_not_disturb_segments(rig: Rig) -> None:
 
 def test_posted_download_is_confirmed_without_waiting(rig: Rig) -> None:
     bus, servo, network = rig
-    posted = network.post_download(1, 0x2100, 1, (600).to_bytes(4, "little", signed=True))
+    posted = network.post_download(1, 0x6085, 0, (600).to_bytes(4, "little", signed=True))
     assert bus.now() == 0
     assert posted.done_at is None
     network.pump(Instant(NS_PER_MS))
     assert posted.done_at == NS_PER_MS // 10
     assert posted.failure is None
-    assert servo.values[0x2100, 1] == 600
+    assert servo.values[0x6085, 0] == 600
 
 
 def test_posted_download_is_repeated(rig: Rig) -> None:
     _, servo, network = rig
     servo.deaf_to_sdo = 2
-    posted = network.post_download(1, 0x2100, 1, bytes(4))
+    posted = network.post_download(1, 0x6085, 0, bytes(4))
     network.pump(Instant(NS_PER_S))
     assert posted.failure is None
     assert posted.attempts == 3
@@ -259,7 +259,7 @@ def test_posted_download_is_repeated(rig: Rig) -> None:
 def test_posted_download_is_given_up(rig: Rig) -> None:
     _, servo, network = rig
     servo.silent = True
-    posted = network.post_download(1, 0x2100, 1, bytes(4))
+    posted = network.post_download(1, 0x6085, 0, bytes(4))
     network.pump(Instant(NS_PER_S))
     assert isinstance(posted.failure, NoAnswer)
     assert posted.done_at == 100 * NS_PER_MS
@@ -267,27 +267,27 @@ def test_posted_download_is_given_up(rig: Rig) -> None:
 
 def test_posted_download_that_is_refused(rig: Rig) -> None:
     _, _, network = rig
-    posted = network.post_download(1, 0x5555, 0, b"\x01")
+    posted = network.post_download(1, 0x6099, 1, b"\x01")
     network.pump(Instant(NS_PER_S))
     assert isinstance(posted.failure, TransferAborted)
 
 
 def test_the_latest_of_waiting_posts_wins(rig: Rig) -> None:
     bus, servo, network = rig
-    first, *_ = [network.post_download(1, 0x2100, 1, bytes([value, 0, 0, 0])) for value in (1, 2, 3)]
+    first, *_ = [network.post_download(1, 0x6085, 0, bytes([value, 0, 0, 0])) for value in (1, 2, 3)]
     network.post_download(1, 0x6071, 0, b"\x07\x00")
     network.pump(Instant(NS_PER_S))
     assert first.done_at is not None
-    assert servo.values[0x2100, 1] == 3
+    assert servo.values[0x6085, 0] == 3
     assert servo.values[0x6071, 0] == 7
     assert [data[4] for data in bus.sent_to(0x601)] == [1, 3, 7]
 
 
 def test_a_transfer_waits_for_posts_on_its_channel(rig: Rig) -> None:
     _, servo, network = rig
-    network.post_download(1, 0x2100, 1, bytes([9, 0, 0, 0]))
-    assert network.upload(1, 0x2100, 1) == bytes([9, 0, 0, 0])
-    assert servo.values[0x2100, 1] == 9
+    network.post_download(1, 0x6085, 0, bytes([9, 0, 0, 0]))
+    assert network.upload(1, 0x6085) == bytes([9, 0, 0, 0])
+    assert servo.values[0x6085, 0] == 9
 
 
 def test_a_dead_bus_is_one_error(rig: Rig) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.written_objects import CONTROL
 from drivers.timebase import NS_PER_MS, Instant
 from drivers.wire.adapters import parse_bus_spec
 from hil.execution.world import World, WorldPlan, open_world
@@ -100,4 +101,4 @@ def on_a_bus(*drives: ScriptedDrive) -> Iterator[tuple[World, CanopenNetwork]]:
     """A simulated segment with ``drives``, and a network of node 126 on it."""
     with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, 0), []) as world:
         put_on_the_bus(world, *drives)
-        yield world, CanopenNetwork(world.link, world.clock, 126)
+        yield world, CanopenNetwork(world.link, world.clock, 126, writes=CONTROL)

@@ -73,7 +73,8 @@ def test_objects_are_off_at_the_beginning_and_at_the_end(tmp_path: Path) -> None
     load = signal_file(tmp_path)
     number = load_table(load.signal).number.to_bytes(4, "little")
     plain, shaft, none, said = Dictionary({1: b"\0" * 4}), Dictionary({4: number}), Dictionary(), Said()
-    loads = LoadMachines(bench_of(loads={"axis2": [load]}), network(plain), cast(RunRecorder, Recorder()), ())
+    wanted: dict[str, list[Any]] = {"axis1": [STEP], "axis2": [load]}
+    loads = LoadMachines(bench_of(loads=wanted), network(plain), cast(RunRecorder, Recorder()), ())
     assert type(loads.find(drive_on(plain), said)) is ObjectLoadMachine
     assert plain.written == [(3, 0x2100, 1, b"\0\0\0\0")]
     assert loads.find(drive_on(shaft, "axis2"), said) is None, "the shaft bears it by itself"

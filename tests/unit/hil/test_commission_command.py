@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import pytest
 
+from drivers.canopen.write_list import WriteList
 from drivers.cia402.drive_setup import Identity
 from drivers.errors import BadInput, PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
@@ -22,6 +23,7 @@ from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.session import Session
 from hil.restoring.journal import DriveMark, Journal, JournalHead, ObjectKey, ObjectWrite, read_journal
 from hil.restoring.restore import Restoration
+from hil.write_lists import RESTORE
 from virtual_bus.drive.unknown_drive import unknown_drive
 
 SEED = 5
@@ -260,7 +262,8 @@ class Restored:
         network = object()
 
         @contextmanager
-        def drive_network(bus: str, bitrate_bit_s: int) -> Iterator[object]:
+        def drive_network(bus: str, bitrate_bit_s: int, writes: WriteList) -> Iterator[object]:
+            assert writes is RESTORE
             self.done.append((bus, bitrate_bit_s))
             yield network
 

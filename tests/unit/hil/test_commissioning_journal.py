@@ -21,10 +21,11 @@ from hil.restoring.journal import (
 HEAD = JournalHead("hub:bench", 7, DriveMark(1, 2, 3), 127, 0)
 LIMIT = ObjectKey(0x6072, 0)
 HEARTBEAT = ObjectKey(0x1016, 1)
+PDOS = (0x1400, 0x15FF, 0x1602, 0x1800, 0x1BFF)
 
 
 def changes() -> st.SearchStrategy[list[ObjectWrite]]:
-    key = st.builds(ObjectKey, st.integers(0x1000, 0xFFFF), st.integers(0, 255))
+    key = st.builds(ObjectKey, st.sampled_from(PDOS), st.integers(1, 5))
     octets = st.binary(max_size=8)
     return st.lists(st.builds(ObjectWrite, key, octets, octets), max_size=8)
 

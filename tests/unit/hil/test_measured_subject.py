@@ -25,6 +25,7 @@ from hil.loop.samples import AT_REST
 from hil.loop.scenario import Quantity
 from hil.loop.syncs import SyncLog
 from hil.measuring.subject import Excitation, MeasureRequest, Subject, timing_of
+from hil.write_lists import RIG
 from tests.motors import LING
 from tests.unit.hil.cycles import in_cycle
 from tests.unit.hil.row_tools import record_of, rows_of
@@ -74,7 +75,7 @@ class Bench:
         self._world = open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, 1), [servo])
         world = self._world.__enter__()
         self.clock = world.clock
-        self.network = CanopenNetwork(world.link, world.clock)
+        self.network = CanopenNetwork(world.link, world.clock, writes=RIG)
         drive = ServoDrive(self.network, 1)
         drive.connect(Instant(world.clock.now() + NS_PER_S))
         self.drive = Told(drive)

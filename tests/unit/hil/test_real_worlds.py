@@ -9,6 +9,7 @@ from typing import Final
 import can
 import pytest
 
+from drivers.canopen.write_list import NOTHING
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock, wall_clock_offset
 from drivers.wire.adapters import parse_bus_spec
@@ -138,7 +139,7 @@ def test_segments_bear_their_names_and_rates() -> None:
 
 
 def test_a_master_of_a_bus_with_drives_is_not_on_the_simulated_one() -> None:
-    with pytest.raises(BadInput) as caught, drive_network("simulated", 1_000_000):
+    with pytest.raises(BadInput) as caught, drive_network("simulated", 1_000_000, NOTHING):
         pass
     error = caught.value
     assert (error.source, error.key, error.value) == ("--bus", "", "simulated")
@@ -151,7 +152,7 @@ def test_a_master_of_a_bus_with_drives_is_not_on_the_simulated_one() -> None:
 def test_a_master_sends_on_the_bus_that_it_was_made_for_until_it_is_left() -> None:
     spec = f"virtual:master-{next(_channels)}"
     with can.Bus(interface="virtual", channel=spec.partition(":")[2]) as drive:
-        with drive_network(spec, 500_000) as network:
+        with drive_network(spec, 500_000, NOTHING) as network:
             assert network.link.name == spec
             network.link.send(0x601, b"\x40")
             heard = drive.recv(0.0)

@@ -17,6 +17,7 @@ from drivers.sheets.fitness import assess
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.adapters import parse_bus_spec
 from hil.execution.world import WorldPlan, open_world
+from hil.write_lists import RIG
 from tests.motors import LING
 from tests.unit.drivers.eds_maker import I8, NODE, U32, Pdo, four_pdos, sheet_text, variable
 from tests.unit.drivers.test_vendor_files import FILES
@@ -44,7 +45,7 @@ def rehearse(path: Path) -> dict[Mode, int]:
     vendor = partial(overlay, vendor=load_dictionary(path, BASE_NODE_ID).dictionary)
     plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, 0)
     with open_world(plan, [SimulatedServo(NODE, LING, vendor=vendor)]) as world:
-        network = CanopenNetwork(world.link, world.clock)
+        network = CanopenNetwork(world.link, world.clock, writes=RIG)
         drive = ServoDrive(network, NODE)
         drive.connect(_soon(network))
         found = {mode: _readings(network, drive, loaded, mode) for mode in _modes(loaded)}

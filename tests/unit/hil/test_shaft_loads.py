@@ -8,6 +8,7 @@ from typing import Any, Final, cast
 import pytest
 
 from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.write_list import WriteGate
 from drivers.errors import BadInput, NoAnswer, TransferAborted
 from drivers.instruments.dynamometer import Dynamometer, LineCounts, LoadReading
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant, MonotonicClock
@@ -20,8 +21,10 @@ from hil.load.load_machines import (
     instrument_line,
 )
 from hil.load.simulated_load import load_table
+from hil.write_lists import RUN
 from tests.unit.hil.test_load_machine_config import FakeDynamometer
 from tests.unit.hil.test_signal_file import written
+from virtual_bus.drive.load_object import SIMULATED_DRIVE
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.timeline import SimulatedClock, Timeline
 
@@ -216,6 +219,8 @@ class Dictionary:
         self.written: list[tuple[int, int, int, bytes]] = []
         self.posted: list[tuple[int, int, int, bytes]] = []
         self.fails = False
+        self.writes = WriteGate(RUN)
+        self.writes.products[3] = SIMULATED_DRIVE
 
     def upload(self, node: int, index: int, sub: int) -> bytes:
         assert (node, index) == (3, 0x2100)
@@ -284,7 +289,12 @@ STEP: Final = SimpleNamespace()
 
 
 def test_a_drive_with_the_object_has_a_load_machine_and_one_without_needs_none(tmp_path: Path) -> None:
-    assert type(found(Dictionary({1: b"\0" * 4}))) is ObjectLoadMachine
+    unasked = Dictionary({1: b"\0" * 4, 3: b"\0"})
+    assert found(unasked) is None
+    assert unasked.written == []
+    left = Dictionary({1: b"\1\0\0\0", 3: b"\0"})
+    assert found(left) is None
+    assert left.written == [(3, 0x2100, 3, b"\0"), (3, 0x2100, 1, b"\0\0\0\0")]
     assert type(found(Dictionary({1: b"\0" * 4}), [STEP])) is ObjectLoadMachine
     assert found(Dictionary()) is None
     number = load_table(signal_file(tmp_path).signal).number
@@ -298,9 +308,14 @@ def test_a_load_that_nothing_can_make_is_told_in_whole(tmp_path: Path, over_time
     with pytest.raises(BadInput) as caught:
         found(Dictionary(), [wanted])
     error = caught.value
-    assert (error.source, error.key, error.value) == ("bench.toml", "load.axis1", "a load")
-    assert error.expected == "none, for this drive has no load machine (object 0x2100)"
-    assert error.remedy == "take the load out of the file, or run against a simulated drive"
+    assert (error.source, error.key) == ("bench.toml", "load.axis1")
+    assert error.value == f"a load for {SIMULATED_DRIVE}, which was made without 2100h"
+    assert error.expected == (
+        f"a load on the shaft of a {SIMULATED_DRIVE.device_name}, the only drive with a load machine (2100h)"
+    )
+    assert error.remedy == (
+        "take load.axis1 out of the file, or couple an instrument to the shaft: [load_machine]"
+    )
 
 
 @pytest.mark.parametrize(("number", "has"), [(0, "none"), (77, "another file")])

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
+from drivers.canopen.write_list import WriteList
 from drivers.wire.adapters import parse_bus_spec
 from hil.cli import app
 from hil.execution import recovered_run, world
@@ -20,6 +21,7 @@ from hil.machine.examples import examples_folder
 from hil.reviewing.trace.log_frame import LogFrame
 from hil.terminal import init as init_command
 from hil.terminal import report
+from hil.write_lists import STOP
 from tests.told import ROOT
 from virtual_bus.instruments.serial_line.device_line import LineFaults
 from virtual_bus.instruments.slcan import server
@@ -42,7 +44,8 @@ def stops(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     kept: dict[str, Any] = {"stopped": [AT_REST]}
 
     @contextmanager
-    def network(bus: str, bitrate: int) -> Iterator[str]:
+    def network(bus: str, bitrate: int, writes: WriteList) -> Iterator[str]:
+        assert writes is STOP
         kept["opened"] = bus, bitrate
         yield "the network"
         kept["closed"] = True

@@ -15,6 +15,7 @@ from drivers.wire.adapters import parse_bus_spec
 from hil.cli import app
 from hil.execution.world import World, WorldPlan, open_world
 from hil.inspecting.stopping import NodeStopped, stop_drives
+from hil.write_lists import STOP
 from tests.motors import LING
 from tests.scenario.foreign_node import put_on_the_bus
 from virtual_bus.drive.motor_kernel import S_SPEED
@@ -75,7 +76,7 @@ class Shafts:
         return abs(float(servo.drive.firmware.state[S_SPEED]))
 
     def stop(self, *nodes: int) -> list[NodeStopped]:
-        return stop_drives(CanopenNetwork(self.world.link, self.world.clock, 126), nodes)
+        return stop_drives(CanopenNetwork(self.world.link, self.world.clock, 126, writes=STOP), nodes)
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from drivers.wire.adapters import parse_bus_spec
 from hil.commissioning.outcome import StepVerdict
 from hil.commissioning.report import Commissioned
 from hil.execution.world import World, WorldPlan, open_world
+from hil.write_lists import RIG
 from tests.motors import LING
 from tests.scenario.test_commissioning_host_gaps import SEED, commissioned
 from virtual_bus.device.canopen_device import CanopenDevice
@@ -108,7 +109,7 @@ class Lab:
 
     def __init__(self, world: World, servo: SimulatedServo) -> None:
         self.world, self.servo = world, servo
-        self.network = CanopenNetwork(world.link, world.clock)
+        self.network = CanopenNetwork(world.link, world.clock, writes=RIG)
         self.drive = ServoDrive(self.network, 1)
         self.drive.connect(self.soon())
 

@@ -14,6 +14,7 @@ from hil.configuration.background import Background
 from hil.configuration.config import BusSegment
 from hil.execution.segments import SegmentMasters, masters
 from hil.execution.world import LoadMeter, WorldFaults, WorldPlan, check_time, open_world
+from hil.write_lists import RUN
 from tests.unit.hil.test_config import edited, load
 from virtual_bus.faults.faulty_bus import FaultyBus
 from virtual_bus.hosting.injection import Injection
@@ -160,10 +161,11 @@ def test_each_segment_has_its_own_frames_and_the_busiest_is_the_load() -> None:
     second = SECOND.model_copy(update={"background": BACKGROUND})
     with open_world(replace(PLAN, segments=(second,)), []) as world:
         (further,) = world.further
-        first = CanopenNetwork(world.link, world.clock, 126)
+        first = CanopenNetwork(world.link, world.clock, 126, writes=RUN)
         networks, master = masters(first, world)
         assert list(networks) == [None, "second"]
         assert networks["second"].node_id == 126
+        assert networks["second"].writes.allowed is RUN
         assert networks["second"].link is further.link
         assert isinstance(master, SegmentMasters)
         here, there = Seen(), Seen()

@@ -1,0 +1,105 @@
+"""The objects that each command may write to a drive by SDO: what is not on its list is refused unsent.
+
+``docs/writes.md`` shows them; ``python docs/make_writes.py`` renews it. The reason for each object stands
+beside it, here and in :mod:`drivers.cia402.written_objects`.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from drivers.canopen.objects301 import Cia301
+from drivers.canopen.write_list import NOTHING, ListedWrite, WriteList
+from drivers.cia402.objects402 import Object
+from drivers.cia402.written_objects import CONTROL, MOTION, SET_UP, listed
+from virtual_bus.drive.load_object import (
+    LOAD_COURSE_SUB,
+    LOAD_DELAY_SUB,
+    LOAD_MACHINE,
+    LOAD_TORQUE_SUB,
+    SIMULATED_DRIVE,
+)
+
+_COMMISSIONED: Final = listed(
+    Object.POLARITY, "signs that commissioning turned over", "set-up, from the drive file"
+)
+_HISTORY: Final = listed(
+    Cia301.ERROR_HISTORY, "an error history that was empty is emptied again", "when all is put back"
+)
+
+
+PUTTING_BACK: Final = CONTROL | WriteList("putting back", (_HISTORY,))
+"""What is written beside the objects that a journal names."""
+
+
+def _load(sub: int, why: str, when: str) -> ListedWrite:
+    index = range(LOAD_MACHINE, LOAD_MACHINE + 1)
+    return ListedWrite(index, range(sub, sub + 1), "Load machine", why, when, SIMULATED_DRIVE)
+
+
+DRIVE_FILE: Final = WriteList("a drive file", (_COMMISSIONED,))
+"""What a drive file may have a run write: its table ``[[object]]``."""
+
+RUN: Final = (
+    SET_UP
+    | DRIVE_FILE
+    | WriteList(
+        "loads of simulated drives",
+        (
+            _load(LOAD_TORQUE_SUB, "load torque of the bench", "each step of a load; 0 at the end"),
+            _load(LOAD_COURSE_SUB, "load over time", "first cycle; off at the end"),
+            _load(LOAD_DELAY_SUB, "delay of a load over time", "before the first cycle"),
+        ),
+    )
+).named("hil run")
+MEASURE: Final = (SET_UP | PUTTING_BACK).named("hil measure")
+COMMISSION: Final = (
+    SET_UP
+    | PUTTING_BACK
+    | WriteList(
+        "commissioning",
+        (
+            listed(Cia301.STORE_PARAMETERS, "the drive keeps its settings", "with --store", range(1, 2)),
+            listed(Object.HALT_OPTION, "halt by quick stop ramp", "step 'setup'"),
+            listed(Object.FOLLOWING_ERROR_WINDOW, "following error of the limits", "step 'setup'"),
+            listed(Object.MAX_CURRENT, "current limit of the bench", "step 'setup'"),
+            listed(Object.SOFTWARE_POSITION_LIMIT, "travel of the limits", "step 'setup'", range(1, 3)),
+            listed(Object.POLARITY, "signs that contradict each other", "step 'polarity'"),
+            listed(Object.PROFILE_ACCELERATION, "ramp of a motion", "steps that turn the shaft"),
+            listed(
+                Object.PROFILE_DECELERATION, "ramp of a motion and of a stop", "steps that turn the shaft"
+            ),
+            listed(Object.TORQUE_SLOPE, "torque slope of the limits", "step 'setup', profile torque"),
+            listed(Object.HOMING_METHOD, "homing on the index: one turn", "step 'units'"),
+            listed(Object.HOMING_SPEEDS, "speeds of that homing", "step 'units'", range(1, 3)),
+            listed(Object.HOMING_ACCELERATION, "ramp of that homing", "step 'units'"),
+        ),
+    )
+).named("hil commission")
+RESTORE: Final = COMMISSION.named("hil restore")
+"""A journal may name these; what it does not name is not written, :data:`PUTTING_BACK` apart."""
+STOP: Final = CONTROL.named("hil stop")
+FAULT: Final = CONTROL.named("hil fault")
+RIG: Final = (SET_UP | MOTION).named("a fixture of pytest")
+"""The drive of a test; what else its author has written is allowed by ``DriveRig.allow_write``."""
+
+COMMANDS: Final[Mapping[str, WriteList]] = MappingProxyType(
+    {
+        "run": RUN,
+        "measure": MEASURE,
+        "commission": COMMISSION,
+        "restore": RESTORE,
+        "stop": STOP,
+        "fault": FAULT,
+        "scan": NOTHING.named("hil scan"),
+    }
+)
+"""By the name of the command; one that is missing asks no drive anything."""
+
+
+def writes_of(command: str) -> WriteList:
+    """The list of ``hil COMMAND``; ``(index, sub) in writes_of("run")`` for a drive of any make.
+
+    A command that writes to no drive has an empty one.
+    """
+    return COMMANDS.get(command, NOTHING.named(f"hil {command}"))
