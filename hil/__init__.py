@@ -52,5 +52,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     for home, names in _HOMES.items():
         if name in names:
+            if (trouble := import_module("hil.terminal.hidden_rooms").hidden_room()) is not None:
+                raise ImportError(trouble)
             return getattr(import_module(home), name)
     raise AttributeError(f"module 'hil' has no attribute {name!r}")

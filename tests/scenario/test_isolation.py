@@ -96,6 +96,23 @@ def test_a_hidden_room_is_named_in_one_line(tmp_path: Path, room: str) -> None:
     assert f"hides the package {room!r}" in verdict["reason"]
 
 
+@pytest.mark.parametrize("hiding", ["drivers/__init__.py", "design.py", "virtual_bus/mine.py"])
+def test_a_script_beside_a_hiding_folder_is_told_which_and_what_to_do(tmp_path: Path, hiding: str) -> None:
+    (tmp_path / hiding).parent.mkdir(exist_ok=True)
+    (tmp_path / hiding).touch()
+    script = tmp_path / "bench.py"
+    script.write_text("from hil import run\nprint(run)\n")
+    found = said_in(tmp_path, [sys.executable, str(script)])
+    if hiding == "virtual_bus/mine.py":  # without __init__.py it is a package only where no other is found
+        assert found.returncode == 0, found.stderr
+        return
+    room = Path(hiding).parts[0].removesuffix(".py")
+    assert found.stderr.splitlines()[-1].startswith("ImportError: ")
+    assert f"hides the package {room!r} of servobench" in found.stderr.splitlines()[-1]
+    assert str(tmp_path / room) in found.stderr.splitlines()[-1]
+    assert "rename it" in found.stderr
+
+
 def test_no_room_is_hidden_here() -> None:
     assert hidden_room() is None
     assert "hides" in (hidden_room(Path("/nowhere")) or "")
