@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from drivers.wire.adapters import parse_bus_spec
 from hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
+from hil.commissioning.drive_left import DriveLeft
 from hil.commissioning.files import set_objects, write_files
 from hil.commissioning.outcome import StepVerdict
 from hil.commissioning.recording import SessionLog
@@ -29,7 +31,7 @@ from hil.execution.world import World, WorldPlan, drive_network, open_world
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import stop_signals
 from hil.restoring.journal import DriveMark, JournaledNetwork, append_restored, read_journal
-from hil.restoring.restore import await_answer, restore
+from hil.restoring.restore import DISABLED, await_answer, restore
 from hil.rows.run_files import BENCH_FILE, COMMISSIONING_RECORDING
 from hil.write_lists import COMMISSION, RESTORE
 from virtual_bus.device.canopen_device import CanopenDevice
@@ -101,82 +103,118 @@ def commission(
     sheet: LoadedDictionary | None = None,
     steps: Callable[[], Sequence[Step]] | None = None,
 ) -> Commissioned:
-    """Run the sequence. Whatever happens, the drive is brought to rest and put back before this returns.
+    """Run the sequence. Whatever happens, the drive is brought to rest and put back, as far as it can be
+    reached, and the report says in what state it was left.
 
-    Raises only what keeps it from being put back: BusDown, NoAnswer. The journal then has everything.
+    Raises BadInput if there is no place for the recording; a fault of bus or drive is in what it returns.
     """
     title = f"commissioning of node {request.node} on {request.bus}"
     with writing("--out", request.out):
         log = SessionLog(request.out / COMMISSIONING_RECORDING, world, request.bus, title)
     network = JournaledNetwork(world.link, world.clock, COMMISSION)
     session = Session(request, world, network, dialog, stop, sheet, log)
-    result = Commissioned(findings=session.found)
+    result = Commissioned(findings=session.found, defect="an error of hil's own, see its traceback")
     chosen = list((steps or all_steps)())
     try:
-        run_sequence(session, chosen, result.records)
+        with writing("--out", request.out):
+            run_sequence(session, chosen, result.records)
+        result.defect = ""
     except BenchError as error:
-        result.error = error
+        result.error, result.defect = error, ""
         log.event("CRITICAL", str(error))
     finally:
         try:
             _finish(session, result)
         finally:
             _end_log(session, result)
-    if not request.dry_run:
-        write_files(session)
-    write_report(request, result)
+            _write(session, result)
     return result
 
 
 def _finish(session: Session, result: Commissioned) -> None:
-    """Every way out leads through here."""
-    network, journal = session.network, session.network.journal
+    """Every way out leads through here; what bus or drive do wrong on it is noted, not raised."""
+    network, journal, left = session.network, session.network.journal, result.left
     if journal is None:
         return
     session.found.settings = set_objects(session)
     session.found.originals = journal.contents.originals()
+    left.changed = len({change.object for change in journal.contents.changes if change.new != change.old})
+    left.enabled = session.configured
+    left.host_watched = session.configured and not session.unwatched
     try:
-        if session.configured:
-            _rest(session)
-        if session.request.store and result.error is None:
-            _store(session, result)
-        else:
-            network.putting_back = True
-            result.restoration = restore(network, journal.contents)
-            if result.restoration.complete:
-                journal.note_restored()
+        for leave in (_rest, _store if session.request.store and result.error is None else _put_back):
+            try:
+                with writing("--out", session.request.out):
+                    leave(session, left)
+            except BenchError as failure:
+                left.evidence = left.evidence or str(failure)
+                session.log.event("CRITICAL", f"at the end: {failure}")
+                if result.error is None or result.error.exit_status != PeerFault.exit_status:
+                    result.error = failure
     finally:
         session.guard.end(session.clock_now)
         network.fall_silent()
         network.watch(session.request.node, Duration(0))
-        journal.close()
-        put_back = result.restoration is not None and result.restoration.complete
-        if not (put_back or result.stored):
-            session.dialog.tell(f"not everything is as it was: {session.request.restore_command}")
+        with suppress(OSError):  # a line that found no room was told when it was written
+            journal.close()
 
 
 def _end_log(session: Session, result: Commissioned) -> None:
-    restoration = result.restoration
+    restoration = result.left.restoration
     if restoration is not None and restoration.complete:
         session.log.event("INFO", f"{restoration.objects} objects hold again what they held before")
     for failure in [] if restoration is None else restoration.failures:
         session.log.event("ERROR", f"not put back: {failure}")
-    if result.stored:
+    if result.left.stored:
         session.log.event("INFO", "the settings were stored in the drive (1010h)")
     session.log.close()
     if session.log.failed:
         session.dialog.tell(f"the recording ends early: {session.log.failed}")
 
 
-def _rest(session: Session) -> None:
+def _write(session: Session, result: Commissioned) -> None:
+    """Leave files and report, as far as there is room for them, and say how the drive was left."""
+    request = session.request
+    try:
+        with writing("--out", request.out):
+            if not request.dry_run:
+                write_files(session)
+    except BadInput as error:
+        result.error = result.error or error
+    try:
+        with writing("--out", request.out):
+            write_report(request, result)
+    except BadInput as error:
+        result.error = result.error or error
+        session.dialog.tell(f"the report is not whole: {error}")
+    for sentence in result.left.sentences(request):
+        session.dialog.tell(sentence)
+
+
+def _rest(session: Session, left: DriveLeft) -> None:
+    if not session.configured:
+        return
     release = session.drive.release()
+    left.at_rest = release.at_rest or None
+    left.disabled = (release.at_rest and release.state in DISABLED) or None
+    left.evidence = release.evidence
     if release.unwatched:
         session.dialog.tell(f"{session.drive.name}: {release.unwatched}")
     if not release.at_rest:
         session.dialog.tell(f"the drive is not confirmed at rest: {release.evidence}")
 
 
-def _store(session: Session, result: Commissioned) -> None:
+def _put_back(session: Session, left: DriveLeft) -> None:
+    network, journal = session.network, session.network.journal
+    assert journal is not None
+    network.putting_back = True
+    left.restoration = restore(network, journal.contents)
+    left.at_rest = left.disabled = True
+    if left.restoration.complete:
+        journal.note_restored()
+
+
+def _store(session: Session, left: DriveLeft) -> None:
     """Have the drive keep what was set, 1010h:1."""
     network, node = session.network, session.request.node
     before = network.sdo_timeout_s
@@ -184,12 +222,12 @@ def _store(session: Session, result: Commissioned) -> None:
     try:
         network.download(node, Cia301.STORE_PARAMETERS, 1, SAVE)
     except PeerFault as error:
-        result.not_stored = str(error)
+        left.not_stored = str(error)
         session.dialog.tell(
             f"the drive does not store: {error}; it keeps the settings until it is switched off"
         )
     else:
-        result.stored = True
+        left.stored = True
     finally:
         network.sdo_timeout_s = before
     network.pump(network.deadline_after(Duration(50 * NS_PER_MS)))

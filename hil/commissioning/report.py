@@ -12,10 +12,10 @@ from typing import Any, Final
 
 from drivers.errors import BenchError
 from drivers.vendors.motor_objects import QUANTITIES
+from hil.commissioning.drive_left import DriveLeft
 from hil.commissioning.findings import Findings
 from hil.commissioning.outcome import StepRecord, StepVerdict
 from hil.commissioning.request import CommissionRequest
-from hil.restoring.restore import Restoration
 from hil.rows.run_files import COMMISSIONING_FIGURES
 
 REPORT_FILE = "report.md"
@@ -35,28 +35,31 @@ class Commissioned:
     begun_at: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     records: list[StepRecord] = field(default_factory=list)
     findings: Findings = field(default_factory=Findings)
-    restoration: Restoration | None = None
-    """None: nothing had been changed, or everything was stored."""
-    stored: bool = False
-    not_stored: str = ""
-    """Why not, if it was asked for and the drive did not."""
+    left: DriveLeft = field(default_factory=DriveLeft)
     error: BenchError | None = None
     """What ended it early."""
+    defect: str = ""
+    """An error of hil's own that ended it, or that is under way while the report is written."""
 
     @property
     def passed(self) -> bool:
         """Every step that could be done was done, and the drive is as it was found, or stored."""
         failed = any(record.verdict is StepVerdict.FAILED for record in self.records)
-        put_back = self.restoration is None or self.restoration.complete
-        return self.error is None and not failed and put_back and not self.not_stored
+        left = self.left.stored or (self.left.as_found and not self.left.not_stored)
+        return self.error is None and not failed and left
+
+    @property
+    def ended_by(self) -> str:
+        """In words; empty if it came to its end."""
+        return self.defect if self.error is None else str(self.error)
 
 
 def write_report(request: CommissionRequest, result: Commissioned) -> None:
     """Write report.md, report.html and figures.json into the folder."""
     out = request.out
     figures = as_json(request, result)
-    (out / REPORT_FILE).write_text(_markdown(request, result, figures), encoding="utf-8")
     (out / COMMISSIONING_FIGURES).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    (out / REPORT_FILE).write_text(_markdown(request, result, figures), encoding="utf-8")
     (out / HTML_FILE).write_text(_html(figures, out), encoding="utf-8")
 
 
@@ -111,14 +114,16 @@ def _in_words(value: Any) -> str:
 
 def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
     """The same for programs."""
-    restoration, findings = result.restoration, result.findings
+    left, findings = result.left, result.findings
+    restoration = left.restoration
     return {
         "header": header_of(request, result),
         "bus": request.bus,
         "node": request.node,
-        "error": None if result.error is None else str(result.error),
-        "stored": result.stored,
-        "not_stored": result.not_stored,
+        "error": result.ended_by or None,
+        "left": left.as_json(request),
+        "stored": left.stored,
+        "not_stored": left.not_stored,
         "restored": None if restoration is None else restoration.complete,
         "not_restored": [] if restoration is None else restoration.failures,
         "written": [
@@ -166,8 +171,8 @@ def _markdown(request: CommissionRequest, result: Commissioned, figures: Mapping
         lines += [f"{identity}, revision {identity.revision:08X}h.", ""]
     if request.dry_run:
         lines += ["A dry run: nothing was written, and nothing moved.", ""]
-    if result.error is not None:
-        lines += [f"**Ended early:** {result.error}", ""]
+    if result.ended_by:
+        lines += [f"**Ended early:** {result.ended_by}", ""]
     header = ((name, _in_words(value)) for name, value in figures["header"].items())
     lines += ["| | |", "|---|---|", *(_row(name, told) for name, told in header if told), ""]
     lines += ["| step | result | |", "|---|---|---|", *(_row(*row) for row in _results(figures)), ""]
@@ -176,7 +181,7 @@ def _markdown(request: CommissionRequest, result: Commissioned, figures: Mapping
     if absent:
         listed = (f"- {step['title']}: {step['verdict']}, {step['reason']}" for step in absent)
         lines += ["## Left out", "", *listed, ""]
-    lines += ["## How the drive was left", "", _left(request, result), ""]
+    lines += ["## How the drive was left", "", *figures["left"]["text"], ""]
     for number, step in enumerate(figures["steps"], start=1):
         lines += _markdown_step(number, step)
     return "\n".join(lines)
@@ -185,27 +190,6 @@ def _markdown(request: CommissionRequest, result: Commissioned, figures: Mapping
 def _row(*cells: str) -> str:
     escaped = (cell.replace("|", "\\|").replace("\n", " ") for cell in cells)
     return f"| {' | '.join(escaped)} |"
-
-
-def _left(request: CommissionRequest, result: Commissioned) -> str:
-    restoration = result.restoration
-    if result.not_stored:
-        return (
-            f"The settings were NOT stored in the drive: {result.not_stored}. It keeps them until it is "
-            "switched off; the journal still holds what was there before."
-        )
-    if result.stored:
-        return "The settings were stored in the drive (1010h); the journal still holds what was there before."
-    if restoration is None:
-        return "Nothing was changed."
-    if restoration.complete:
-        return (
-            f"All {restoration.objects} objects that were changed hold again, byte for byte, what they held "
-            "before; each was read back."
-        )
-    return (
-        f"Not all is as it was: {'; '.join(restoration.failures)}. `{request.restore_command}` tries again."
-    )
 
 
 def _markdown_step(number: int, step: Mapping[str, Any]) -> list[str]:
@@ -231,6 +215,7 @@ def _html(figures: Mapping[str, Any], folder: Path) -> str:
         body.append(f"<p class='failed'>Ended early: {_text(figures['error'])}</p>")
     body += ["<h2>Result</h2>", _table(["step", "result", ""], _results(figures))]
     body += ["<h2>Faults in the drive's settings</h2>", _list(_faults(figures))]
+    body += ["<h2>How the drive was left</h2>", _list(figures["left"]["text"])]
     body += _written(figures)
     for number, step in enumerate(figures["steps"], start=1):
         body += _html_step(number, step, folder)
@@ -243,12 +228,9 @@ def _html(figures: Mapping[str, Any], folder: Path) -> str:
 
 def _written(figures: Mapping[str, Any]) -> list[str]:
     rows = [[each["object"], each["before"], each["set"]] for each in figures["written"]]
-    left = "They are stored in the drive." if figures["stored"] else "All were put back at the end."
-    if figures["not_restored"]:
-        left = f"Not put back: {'; '.join(figures['not_restored'])}."
     if not rows:
         return ["<h2>Written to the drive</h2>", "<p>Nothing.</p>"]
-    undo = f"<p>{_text(left)} To undo: <code>{_text(figures['undo'])}</code></p>"
+    undo = f"<p>To undo: <code>{_text(figures['undo'])}</code></p>"
     return ["<h2>Written to the drive</h2>", _table(["object", "before, hex", "set, hex"], rows), undo]
 
 

@@ -4,10 +4,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
-from drivers.errors import BusDown, PeerFault
+from drivers.errors import BadInput, BusDown, PeerFault
 from hil.commissioning.dialog import Choice
 from hil.commissioning.outcome import ReadingsLost, StepFailed, StepOutcome, StepRecord, StepVerdict
-from hil.commissioning.session import EmergencyStopped, Session
+from hil.commissioning.session import Session
 from hil.machine.stopping import Interrupted
 
 
@@ -134,7 +134,7 @@ def _attempt(session: Session, step: Step, record: StepRecord) -> PeerFault | No
     try:
         session.begin_attempt()
         step.run(session, outcome)
-    except (BusDown, Interrupted, EmergencyStopped):
+    except (BusDown, Interrupted, BadInput, OSError):
         record.verdict, record.reason = StepVerdict.FAILED, "cut short"
         raise
     except PeerFault as error:

@@ -212,17 +212,19 @@ def _units(session: Session, outcome: StepOutcome) -> tuple[Scaling, ScaleOverri
     Raises StepFailed that asks for all that neither tells.
     """
     plate, override, missing = session.request.nameplate, ScaleOverride(), list[UnitNotTold]()
+    torque_nm, counts = plate.rating.torque_nm, plate.encoder.counts_per_revolution
+    if torque_nm and not session.objects.read_if_there(Object.MOTOR_RATED_TORQUE):
+        override = ScaleOverride(rated_torque_nm=torque_nm)
+        outcome.say(f"6076h tells no rated torque; the nameplate's {torque_nm:g} N m is taken")
     while True:
         try:
-            told = _plausible(read_scaling(session.objects, override), override)
+            told = read_scaling(session.objects, override)
+            if override.position_rad is None:
+                _plausible(told)
             break
         except UnitNotTold as error:
-            torque_nm, counts = plate.rating.torque_nm, plate.encoder.counts_per_revolution
             known = _UNKNOWN
-            if error.unit == "torque" and torque_nm is not None:
-                known = torque_nm
-                outcome.say(f"6076h tells no rated torque; the nameplate's {torque_nm:g} N m is taken")
-            elif error.unit == "position" and counts is not None:
+            if error.unit == "position" and counts is not None:
                 known = math.tau / counts
                 outcome.faults.append(f"{error.summary}; the nameplate's {counts} counts per turn are taken")
             else:
@@ -235,9 +237,9 @@ def _units(session: Session, outcome: StepOutcome) -> tuple[Scaling, ScaleOverri
     return told, override
 
 
-def _plausible(told: Scaling, override: ScaleOverride) -> Scaling:
+def _plausible(told: Scaling) -> Scaling:
     """``told``. Raises UnitNotTold for a position unit with which no shaft could be controlled."""
-    if override.position_rad is None and told.position_rad > _COARSEST_RAD:
+    if told.position_rad > _COARSEST_RAD:
         raise UnitNotTold(
             f"one position unit would be {told.position_rad:.4g} rad",
             f"{told.sources.get('position', 'the drive')} was never set",

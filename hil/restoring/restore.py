@@ -31,7 +31,8 @@ _REST_COUNTS: Final = 3
 """Readings in a row without a change of position, 20 ms apart, that count as rest."""
 _BEATS_HEARD: Final = 2.5
 """Heartbeat periods in which one comes for certain, though one be lost."""
-_OUT_OF_THE_WAY: Final = (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.FAULT)
+DISABLED: Final = (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.FAULT)
+"""States in which the motor gets no torque (CiA 402-2)."""
 _NMT_OF_STATE: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
     NmtState.PRE_OPERATIONAL: NmtCommand.ENTER_PRE_OPERATIONAL,
@@ -136,7 +137,7 @@ def bring_to_rest(objects: RemoteObjects, limit: Duration = REST_LIMIT) -> None:
         if state in (State.OPERATION_ENABLED, State.QUICK_STOP):
             objects.write(Object.CONTROLWORD, 0, "H", CONTROLWORDS[DriveCommand.QUICK_STOP])
         position = objects.read_if_there(Object.POSITION_ACTUAL_VALUE, 0, "i")
-        stopped = state in _OUT_OF_THE_WAY or (state is State.QUICK_STOP and position is not None)
+        stopped = state in DISABLED or (state is State.QUICK_STOP and position is not None)
         calm = calm + 1 if stopped and position == last else 0
         last = position
         if calm >= _REST_COUNTS:

@@ -41,7 +41,7 @@ def measured(seed: int, lossy: bool, drift_ppm: float) -> tuple[int, Errors | No
         for record in result.records
         if record.verdict is not StepVerdict.DONE
     ]
-    if result.restoration is None or not result.restoration.complete:
+    if result.left.restoration is None or not result.left.restoration.complete:
         failed.append("not put back")
     complete = result.findings.mechanics is not None and result.findings.effect_delay_us is not None
     errors = errors_of(truth, result, spy) if complete else None

@@ -71,8 +71,8 @@ def test_what_is_hidden_is_found(tmp_path: Path, seed: int, hidden: set[str]) ->
     constant = truth.motor.pole_pairs * truth.motor.flux_linkage_wb
     assert constant < voltage["voltage_constant_below"] < 6.0 * constant
     assert voltage["by_torque_constant"] == pytest.approx(constant, rel=0.01)
-    assert result.restoration is not None
-    assert result.restoration.complete
+    assert result.left.restoration is not None
+    assert result.left.restoration.complete
     assert result.passed
 
 
@@ -114,8 +114,8 @@ def test_a_drive_without_torque_mode_gets_the_steps_that_it_allows(tmp_path: Pat
     left_out = [name for name, verdict in verdicts.items() if verdict is StepVerdict.LEFT_OUT]
     assert left_out == ["torque_constant", "voltage_constant", "response", "suggest", "verify"]
     assert not [name for name, verdict in verdicts.items() if verdict is StepVerdict.FAILED]
-    assert result.restoration is not None
-    assert result.restoration.complete
+    assert result.left.restoration is not None
+    assert result.left.restoration.complete
     errors = errors_of(truth, result)
     assert abs(errors.inertia) < 0.03
     assert abs(errors.position) < 0.005
@@ -212,8 +212,8 @@ def test_a_dry_run_writes_nothing_and_moves_nothing(tmp_path: Path) -> None:
 
 def test_store_keeps_the_settings_and_says_so(tmp_path: Path) -> None:
     truth, result, _ = unknown_world(4, tmp_path, period_us=4000, store=True)
-    assert result.stored
-    assert result.restoration is None
+    assert result.left.stored
+    assert result.left.restoration is None
     assert "stored in the drive" in (tmp_path / REPORT_FILE).read_text()
     assert truth.faults
 
@@ -221,7 +221,7 @@ def test_store_keeps_the_settings_and_says_so(tmp_path: Path) -> None:
 def test_a_drive_that_does_not_store_is_not_said_to_have_stored(tmp_path: Path) -> None:
     said: list[str] = []
     _, result, _ = unknown_world(4, tmp_path, period_us=4000, store=True, lacks=["1010"], tell=said.append)
-    assert not result.stored
+    assert not result.left.stored
     assert not result.passed
     assert any("hil restore" in text for text in said), "what puts it back"
     assert "NOT stored in the drive" in (tmp_path / REPORT_FILE).read_text()

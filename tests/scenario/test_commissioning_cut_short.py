@@ -4,8 +4,10 @@ The bus goes away in the middle of a step, for good, as for a process that is ki
 program would still like to do reaches the drive. A second master then works from the journal alone.
 """
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
 from drivers.cia402.drive_setup import read_identity
 from drivers.cia402.profile import State
-from drivers.errors import BusDown, PeerFault
+from drivers.errors import BadInput, BusDown, PeerFault
 from drivers.timebase import NS_PER_S, Instant
 from drivers.wire.adapters import parse_bus_spec
 from drivers.wire.frame_port import FramePort, WireFrame
@@ -36,6 +38,7 @@ from hil.restoring.journal import DriveMark, append_restored, read_journal
 from hil.restoring.restore import restore
 from hil.write_lists import RIG
 from tests.commissioning import WrappedStep
+from virtual_bus.drive.motor_kernel import S_SPEED_MEASURED
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.unknown_drive import unknown_drive
 
@@ -60,13 +63,16 @@ class CutPort(FramePort):
     def receive(self, until: Instant) -> WireFrame | None:
         self._bus.check()
         frame = self._inner.receive(until)
+        while frame is not None and self._bus.unplugged:
+            frame = self._inner.receive(until)
         self.came_at, self.came_own = self._inner.came_at, self._inner.came_own
         return frame
 
     def transmit(self, frame: WireFrame) -> None:
         self._bus.check()
         self._bus.sent += 1
-        self._inner.transmit(frame)
+        if not self._bus.unplugged:
+            self._inner.transmit(frame)
 
 
 class CutBus(can.BusABC):
@@ -77,6 +83,8 @@ class CutBus(can.BusABC):
         self.channel_info = "cut bus"
         self.sent = 0
         self.cut_at: int | None = None
+        self.unplugged_at: int | None = None
+        """From then on nobody hears it, and it hears nobody."""
         self.frame_port = CutPort(self)
         self._is_shutdown = True
         self._filters = None
@@ -88,6 +96,11 @@ class CutBus(can.BusABC):
     def shutdown(self) -> None:
         """Of the inner bus."""
         self.inner.shutdown()
+
+    @property
+    def unplugged(self) -> bool:
+        """The drive's plug is out."""
+        return self.unplugged_at is not None and self.sent >= self.unplugged_at
 
     def check(self) -> None:
         """Raises can.CanOperationError if it is gone."""
@@ -146,6 +159,7 @@ class Rig:
         )
         self.stop = Stop(self.bus)
         self.sent: dict[str, int] = {}
+        self.said: list[str] = []
 
     def memory(self) -> dict[tuple[int, int], bytes]:
         """All that the bus could have changed."""
@@ -166,11 +180,30 @@ class Rig:
                 for step in all_steps()
             ]
 
-        return commission(self.request, self.world, Dialog(lambda _text: None), self.stop, steps=steps)
+        return commission(self.request, self.world, Dialog(self.said.append), self.stop, steps=steps)
+
+    def left(self, result: Commissioned) -> dict[str, Any]:
+        """How the drive was left by figures.json; terminal, report.md and report.html say the same."""
+        out = self.request.out
+        figures = json.loads((out / "figures.json").read_text())
+        assert figures["error"] == str(result.error)
+        left: dict[str, Any] = figures["left"]
+        assert self.said[-len(left["text"]) :] == left["text"]
+        for name in ("report.md", "report.html"):
+            text = unescape((out / name).read_text())
+            assert "Ended early" in text
+            assert all(sentence in text for sentence in left["text"]), name
+        return left
+
+    def stands_disabled(self) -> bool:
+        """By the simulated drive itself."""
+        drive = self.servo.drive
+        turning = abs(float(drive.firmware.state[S_SPEED_MEASURED])) > 0.1
+        return drive.power.state is State.SWITCH_ON_DISABLED and not turning
 
     def restore(self) -> None:
         """What ``hil restore`` does, as a process of its own."""
-        self.bus.cut_at = None
+        self.bus.cut_at = self.bus.unplugged_at = None
         network = CanopenNetwork(self.world.link, self.world.clock)
         network.pump(Instant(self.world.clock.now() + 2 * NS_PER_S))
         assert self.servo.drive.power.state is not State.OPERATION_ENABLED, "the drive missed its host"
@@ -216,9 +249,12 @@ def test_a_journal_alone_puts_the_drive_back(
     def cut() -> None:
         rig.bus.cut_at = rig.bus.sent + max(1, round(part * frames[name]))
 
-    with pytest.raises(BusDown):
-        rig.commission(name, cut)
-    assert rig.bus.cut_at is not None
+    result = rig.commission(name, cut)
+    assert isinstance(result.error, BusDown)
+    left = rig.left(result)
+    assert left["at_rest"] is None or rig.stands_disabled()
+    if rig.memory() != before:
+        assert (left["settings"], left["mend"]) == ("changed", rig.request.restore_command)
     rig.restore()
     assert rig.memory() == before
     assert read_journal(rig.request.journal).restored
@@ -235,8 +271,61 @@ def test_ctrl_c_puts_the_drive_back_by_itself(rig: Rig, frames: dict[str, int], 
     assert isinstance(result.error, Interrupted), [(r.name, r.reason) for r in result.records]
     assert result.records[-1].name == name or rig.bus.sent >= (rig.stop.at or 0)
     assert rig.memory() == before
-    assert rig.servo.drive.power.state is State.SWITCH_ON_DISABLED
-    assert "Ended early" in (rig.request.out / "report.md").read_text()
+    assert rig.stands_disabled()
+    left = rig.left(result)
+    assert left["settings"] in ("restored", "unchanged")
+    assert (left["at_rest"], left["disabled"]) in ((True, True), (None, None))
+    assert left["at_rest"] or name in FIRST_READING
+
+
+def test_a_key_leaves_a_report_of_a_drive_at_rest_and_put_back(rig: Rig) -> None:
+    before = rig.memory()
+
+    def hit() -> None:
+        rig.stop.at, rig.stop.key = rig.bus.sent + 40, True
+
+    result = rig.commission("polarity", hit)
+    assert result.error is not None
+    assert (str(result.error), result.error.exit_status) == ("emergency stop by a key", 3)
+    left = rig.left(result)
+    assert (left["at_rest"], left["disabled"], left["settings"]) == (True, True, "restored")
+    assert (rig.stands_disabled(), rig.memory() == before) == (True, True)
+
+
+@pytest.mark.parametrize("name", ["setup", "polarity"])
+def test_a_drive_that_is_unplugged_leaves_a_report_of_what_is_open(rig: Rig, name: str) -> None:
+    before = rig.memory()
+
+    def pull() -> None:
+        rig.bus.unplugged_at = rig.bus.sent + 40
+
+    result = rig.commission(name, pull)
+    assert result.error is not None
+    assert result.error.exit_status == 3
+    left = rig.left(result)
+    assert (left["at_rest"], left["disabled"], left["settings"]) == (None, None, "changed")
+    assert left["mend"] == rig.request.restore_command
+    enabled = "The drive was never enabled." if name == "setup" else "NOT confirmed at rest"
+    assert enabled in left["text"][0]
+    assert rig.memory() != before
+    rig.restore()
+    assert rig.memory() == before
+
+
+def test_a_disk_without_room_ends_it_with_the_drive_put_back(rig: Rig) -> None:
+    before = rig.memory()
+    full = Path("/dev/full")
+    (rig.request.out / "parameters.txt").symlink_to(full)
+    (rig.request.out / "report.html").symlink_to(full)
+    result = rig.commission()
+    assert isinstance(result.error, BadInput)
+    assert "No space left on device" in str(result.error)
+    assert [record.name for record in result.records][-1] == "dump"
+    assert rig.memory() == before
+    said = "\n".join(rig.said)
+    assert "the report is not whole: --out: " in said
+    assert json.loads((rig.request.out / "figures.json").read_text())["left"]["settings"] == "restored"
+    assert result.left.sentences(rig.request) == rig.said[-2:]
 
 
 def test_the_journal_of_another_drive_is_refused(rig: Rig) -> None:

@@ -228,4 +228,5 @@ def test_a_lost_bus_ends_it_and_names_what_puts_things_back(tmp_path: Path) -> N
         assert process.returncode == 3, said
         assert "Traceback" not in said
         assert f"hil restore --bus {bus} --node 1 {tmp_path / 'journal.jsonl'}" in said
+        assert "may hold other values than before" in (tmp_path / REPORT_FILE).read_text()
         assert drive.wait(timeout=20) == 3

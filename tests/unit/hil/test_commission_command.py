@@ -12,11 +12,14 @@ import pytest
 
 from drivers.canopen.write_list import WriteList
 from drivers.cia402.drive_setup import Identity
+from drivers.cia402.profile import State
+from drivers.cia402.supervision import Release
 from drivers.errors import BadInput, PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.commissioning import commission as module
 from hil.commissioning.commission import _rest, _store, check_mark, run_command, run_restore
 from hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
+from hil.commissioning.drive_left import DriveLeft
 from hil.commissioning.outcome import StepOutcome, StepRecord, StepVerdict
 from hil.commissioning.report import Commissioned, as_json
 from hil.commissioning.request import CommissionRequest, Nameplate
@@ -158,8 +161,12 @@ def record(verdict: StepVerdict, *faults: str) -> StepRecord:
             "1 of 2 steps done, 3 faults found",
         ),
         (Commissioned(records=[record(StepVerdict.SKIPPED)]), 0, "0 of 1 steps done, 0 faults found"),
-        (Commissioned(restoration=Restoration(failures=["x"])), 1, "0 of 0 steps done, 0 faults found"),
-        (Commissioned(not_stored="no"), 1, "0 of 0 steps done, 0 faults found"),
+        (
+            Commissioned(left=DriveLeft(restoration=Restoration(failures=["x"]))),
+            1,
+            "0 of 0 steps done, 0 faults found",
+        ),
+        (Commissioned(left=DriveLeft(not_stored="no")), 1, "0 of 0 steps done, 0 faults found"),
     ],
 )
 def test_the_exit_status_tells_whether_it_passed(
@@ -208,15 +215,15 @@ class Network:
 @pytest.mark.parametrize("refusal", [None, PeerFault("1010h: refused", "0800 0020h")])
 def test_a_drive_has_two_seconds_to_store(refusal: PeerFault | None) -> None:
     said: list[str] = []
-    network, result = Network(refusal), Commissioned()
+    network, left = Network(refusal), DriveLeft()
     session = SimpleNamespace(
         network=network, request=SimpleNamespace(node=5), dialog=SimpleNamespace(tell=said.append)
     )
-    _store(cast(Session, session), result)
+    _store(cast(Session, session), left)
     assert network.told == [((5, 0x1010, 1, b"save"), 2.0), 50 * NS_PER_MS]
     assert network.sdo_timeout_s == 0.25
-    assert result.stored is (refusal is None)
-    assert result.not_stored == ("" if refusal is None else str(refusal))
+    assert left.stored is (refusal is None)
+    assert left.not_stored == ("" if refusal is None else str(refusal))
     assert said == (
         []
         if refusal is None
@@ -237,12 +244,17 @@ def test_a_drive_has_two_seconds_to_store(refusal: PeerFault | None) -> None:
 )
 def test_what_a_release_shows_is_told(unwatched: str, at_rest: bool, told: list[str]) -> None:
     said: list[str] = []
-    release = SimpleNamespace(unwatched=unwatched, at_rest=at_rest, evidence="it turns")
+    evidence = "" if at_rest else "it turns"
+    release = Release(at_rest, State.READY if at_rest else None, evidence, unwatched=unwatched)
+    left = DriveLeft()
     session = SimpleNamespace(
-        drive=SimpleNamespace(name="axis", release=lambda: release), dialog=SimpleNamespace(tell=said.append)
+        configured=True,
+        drive=SimpleNamespace(name="axis", release=lambda: release),
+        dialog=SimpleNamespace(tell=said.append),
     )
-    _rest(cast(Session, session))
+    _rest(cast(Session, session), left)
     assert said == told
+    assert (left.at_rest, left.disabled, left.evidence) == (at_rest or None, at_rest or None, evidence)
 
 
 # ---- hil restore -----------------------------------------------------------------------------------------

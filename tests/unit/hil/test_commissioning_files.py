@@ -44,10 +44,13 @@ def session(plate: dict[str, Any] | None = None, **more: Any) -> Session:
         heartbeat_ms=50,
         heartbeat_timeout_ms=150,
         nameplate=Nameplate.model_validate(plate or PLATE),
+        eds=None,
+        rehearsal=None,
         **more.pop("requested", {}),
     )
     made = session_of(Shaft(shaft_of(1e-3)), request=request, mechanics=MECHANICS, dictionary=None, **more)
     cast(Any, made).configured = True
+    cast(Any, made).unwatched = False
     made.found.identity = IDENTITY
     made.found.mechanics = MECHANICS
     return made

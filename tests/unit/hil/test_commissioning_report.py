@@ -1,6 +1,8 @@
 """The report of a commissioning, step by step, as Markdown and as one HTML file."""
 
 import base64
+import json
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +10,7 @@ import pytest
 
 from drivers.cia402.told_motor import ToldFigure
 from drivers.errors import NoAnswer
+from hil.commissioning.drive_left import DriveLeft
 from hil.commissioning.findings import BY_NAMEPLATE, Findings, Stated
 from hil.commissioning.outcome import StatedFigure, StepOutcome, StepRecord, StepVerdict
 from hil.commissioning.report import Commissioned, header_of, write_report
@@ -62,6 +65,7 @@ def test_each_step_has_its_part_in_markdown(tmp_path: Path) -> None:
             "",
             "## How the drive was left",
             "",
+            "The drive was never enabled.",
             "Nothing was changed.",
             "",
             "## 1. Step | one",
@@ -88,36 +92,80 @@ def test_each_step_has_its_part_in_markdown(tmp_path: Path) -> None:
     )
 
 
+REST = {"enabled": True, "at_rest": True, "disabled": True}
+AT_REST = "The drive is at rest and disabled."
+UNDO = "hil restore --bus hub:x --node 5 {}/journal.jsonl"
+
+
 @pytest.mark.parametrize(
-    ("result", "left"),
+    ("left", "settings", "sentences"),
     [
+        ({}, "unchanged", ["The drive was never enabled.", "Nothing was changed."]),
         (
-            {"stored": True},
-            "The settings were stored in the drive (1010h); the journal still holds what was there before.",
+            {**REST, "stored": True},
+            "stored",
+            [
+                AT_REST,
+                "The settings were stored in the drive (1010h); the journal still holds what was there "
+                "before.",
+            ],
         ),
         (
-            {"not_stored": "refused"},
-            "The settings were NOT stored in the drive: refused. It keeps them until it is switched off; the "
-            "journal still holds what was there before.",
+            {**REST, "changed": 3, "not_stored": "refused"},
+            "changed",
+            [
+                AT_REST,
+                "The settings were NOT stored in the drive: refused. It keeps them until it is switched off; "
+                f"`{UNDO}` puts back what was there before.",
+            ],
         ),
         (
-            {"restoration": Restoration(3, 2)},
-            "All 3 objects that were changed hold again, byte for byte, what they held before; each was read "
-            "back.",
+            {**REST, "changed": 3, "restoration": Restoration(3, 2)},
+            "restored",
+            [
+                AT_REST,
+                "All 3 objects that were changed hold again, byte for byte, what they held before; each was "
+                "read back.",
+            ],
+        ),
+        (
+            {**REST, "changed": 3, "restoration": Restoration(3, 2, ["6072h", "6080h"])},
+            "changed",
+            [AT_REST, f"Not all is as it was: 6072h; 6080h. `{UNDO}` tries again."],
+        ),
+        (
+            {"enabled": True, "changed": 1, "evidence": "hub:x is gone", "host_watched": True},
+            "changed",
+            [
+                "The drive is NOT confirmed at rest: hub:x is gone; it was set to stop by itself 150 ms "
+                "after the host's last heartbeat.",
+                f"1 object may hold other values than before: `{UNDO}` puts them back.",
+            ],
+        ),
+        (
+            {"enabled": True, "at_rest": True, "disabled": False, "evidence": "it does not answer"},
+            "unchanged",
+            [
+                "The drive is at rest, but not confirmed disabled: it does not answer; it does not watch its "
+                "host: stop it by its own emergency stop.",
+                "Nothing was changed.",
+            ],
         ),
     ],
 )
-def test_how_the_drive_was_left_is_told(tmp_path: Path, result: dict[str, Any], left: str) -> None:
-    text, _ = written(tmp_path, **result)
-    assert text.split("## How the drive was left\n\n")[1] == f"{left}\n"
-
-
-def test_what_is_still_different_is_told_with_the_command_against_it(tmp_path: Path) -> None:
-    text, _ = written(tmp_path, restoration=Restoration(3, 2, ["6072h", "6080h"]))
-    command = f"hil restore --bus hub:x --node 5 {tmp_path / 'journal.jsonl'}"
-    assert text.split("## How the drive was left\n\n")[1] == (
-        f"Not all is as it was: 6072h; 6080h. `{command}` tries again.\n"
-    )
+def test_how_the_drive_was_left_is_told_in_both_reports_and_to_programs(
+    tmp_path: Path, left: dict[str, Any], settings: str, sentences: list[str]
+) -> None:
+    text, page = written(tmp_path, left=DriveLeft(**left))
+    undo = UNDO.format(tmp_path)
+    lines = [sentence.replace(UNDO, undo) for sentence in sentences]
+    assert text.split("## How the drive was left\n\n")[1] == "\n".join([*lines, ""])
+    for line in lines:
+        assert f"<li>{escape(line)}</li>" in page
+    figures = json.loads((tmp_path / "figures.json").read_text())["left"]
+    assert (figures["settings"], figures["text"]) == (settings, lines)
+    assert (figures["at_rest"], figures["disabled"]) == (left.get("at_rest"), left.get("disabled"))
+    assert figures["mend"] == (undo if settings == "changed" else None)
 
 
 def test_each_step_has_its_part_in_one_html_file(tmp_path: Path) -> None:
@@ -159,26 +207,16 @@ def test_whose_word_stands_for_what_nothing_measures(measured: float | None) -> 
     }
 
 
-@pytest.mark.parametrize(
-    ("result", "left"),
-    [
-        ({}, "All were put back at the end."),
-        ({"stored": True}, "They are stored in the drive."),
-        ({"restoration": Restoration(3, 2, ["a < b", "c"])}, "Not put back: a &lt; b; c."),
-    ],
-)
-def test_what_was_written_is_told_in_the_order_of_the_objects(
-    tmp_path: Path, result: dict[str, Any], left: str
-) -> None:
+def test_what_was_written_is_told_in_the_order_of_the_objects(tmp_path: Path) -> None:
     limit, heartbeat = ObjectKey(0x6072, 0), ObjectKey(0x1017, 0)
     findings = Findings(settings={limit: b"\1\2", heartbeat: b"\x64\0"}, originals={limit: b"\xe8\3"})
-    _, page = written(tmp_path, findings=findings, **result)
+    _, page = written(tmp_path, findings=findings)
     undo = f"hil restore --bus hub:x --node 5 {tmp_path / 'journal.jsonl'}"
     assert page[page.index("<h2>Written") :] == (
         "<h2>Written to the drive</h2><table><tr><th>object</th><th>before, hex</th><th>set, hex</th></tr>"
         f"<tr><td>{heartbeat}</td><td></td><td>6400</td></tr>"
         f"<tr><td>{limit}</td><td>e803</td><td>0102</td></tr></table>"
-        f"<p>{left} To undo: <code>{undo}</code></p></body></html>\n"
+        f"<p>To undo: <code>{undo}</code></p></body></html>\n"
     )
     _, nothing = written(tmp_path)
     assert nothing.endswith("<h2>Written to the drive</h2><p>Nothing.</p></body></html>\n")

@@ -155,8 +155,8 @@ def test_a_drive_that_cannot_stop_is_named_before_it_turns(
     assert named in last.reason
     assert "605Ah" in last.reason
     assert fastest(watching) < RESTING_RAD_S
-    assert result.restoration is not None
-    assert result.restoration.complete
+    assert result.left.restoration is not None
+    assert result.left.restoration.complete
 
 
 def test_a_unit_that_is_told_wrong_is_found_by_a_slow_stop_and_mended(tmp_path: Path) -> None:

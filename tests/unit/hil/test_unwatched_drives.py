@@ -50,8 +50,8 @@ def test_a_drive_without_heartbeat_consumer_is_commissioned_under_life_guarding(
     assert before > 10.0, "it turned when the host stood still"
     assert after < 0.5
     assert (0x701, True) in still.kinds
-    assert result.restoration is not None
-    assert result.restoration.complete
+    assert result.left.restoration is not None
+    assert result.left.restoration.complete
 
 
 def test_without_any_watch_it_is_named_before_anything_turns(tmp_path: Path) -> None:

@@ -1,0 +1,98 @@
+"""How a commissioning leaves its drive: at rest, disabled and as it was found, or what is open."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from hil.commissioning.request import CommissionRequest
+from hil.restoring.restore import Restoration
+
+
+@dataclass(slots=True)
+class DriveLeft:
+    """What the host saw of the drive at the end."""
+
+    enabled: bool = False
+    """It was set up, and may have been enabled in some step."""
+    at_rest: bool | None = None
+    """None: not known."""
+    disabled: bool | None = None
+    """The power stage carries no torque; None: not known."""
+    evidence: str = ""
+    """Why it is not known, or not so."""
+    host_watched: bool = False
+    """It stops by itself when it misses the host."""
+    changed: int = 0
+    """Objects that were written with another value than they held."""
+    restoration: Restoration | None = None
+    """None: nothing was put back."""
+    stored: bool = False
+    not_stored: str = ""
+    """Why not, if it was asked for and the drive did not."""
+
+    @property
+    def as_found(self) -> bool:
+        """All settings hold what they held before."""
+        return not self.changed if self.restoration is None else self.restoration.complete
+
+    @property
+    def settings(self) -> str:
+        """In a word for programs: unchanged, restored, stored or changed."""
+        if self.stored:
+            return "stored"
+        if not self.as_found or self.not_stored:
+            return "changed"
+        return "unchanged" if self.restoration is None else "restored"
+
+    def sentences(self, request: CommissionRequest) -> list[str]:
+        """For terminal and report: the shaft, then the settings."""
+        return [*self._motion(request), self._settings(request)]
+
+    def as_json(self, request: CommissionRequest) -> dict[str, Any]:
+        """The same for programs; ``mend`` is the command that puts back what is changed, or None."""
+        changed = self.settings == "changed"
+        return {
+            "at_rest": self.at_rest,
+            "disabled": self.disabled,
+            "settings": self.settings,
+            "mend": request.restore_command if changed else None,
+            "text": self.sentences(request),
+        }
+
+    def _motion(self, request: CommissionRequest) -> list[str]:
+        if self.at_rest and self.disabled:
+            return ["The drive is at rest and disabled."]
+        if not self.enabled:
+            return ["The drive was never enabled."]
+        seen = "The drive is at rest, but not confirmed disabled" if self.at_rest else (
+            "The drive is NOT confirmed at rest"
+        )  # fmt: skip
+        cure = (
+            f"it was set to stop by itself {request.heartbeat_timeout_ms} ms after the host's last heartbeat"
+            if self.host_watched
+            else "it does not watch its host: stop it by its own emergency stop"
+        )
+        return [f"{seen}: {self.evidence or 'it was not asked'}; {cure}."]
+
+    def _settings(self, request: CommissionRequest) -> str:
+        if self.not_stored:
+            return (
+                f"The settings were NOT stored in the drive: {self.not_stored}. It keeps them until it is "
+                f"switched off; `{request.restore_command}` puts back what was there before."
+            )
+        if self.stored:
+            return (
+                "The settings were stored in the drive (1010h); the journal still holds what was there "
+                "before."
+            )
+        if self.restoration is None:
+            if not self.changed:
+                return "Nothing was changed."
+            objects = f"{self.changed} object{'' if self.changed == 1 else 's'}"
+            return f"{objects} may hold other values than before: `{request.restore_command}` puts them back."
+        if self.restoration.complete:
+            return (
+                f"All {self.restoration.objects} objects that were changed hold again, byte for byte, what "
+                "they held before; each was read back."
+            )
+        failures = "; ".join(self.restoration.failures)
+        return f"Not all is as it was: {failures}. `{request.restore_command}` tries again."
