@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from drivers.cia402.objects402 import Object
-from drivers.cia402.scaling import ScaleOverride
-from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
+from drivers.cia402.scaling import ScaleOverride, increment_of
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.vendors.families import Quirk
 
 Values = dict[tuple[int, int], int | None]
@@ -51,7 +51,7 @@ def _apply(quirk: Quirk, name: str, so_far: Applied, read: Callable[[int, int], 
     if quirk.rated_torque_nm is not None and rated and override.rated_torque_nm is None:
         override = replace(override, rated_torque_nm=rated * quirk.rated_torque_nm)
         sources["torque"] = f"6076h in units of {quirk.rated_torque_nm:g} N m ({name})"
-    increment = _increment_rad(values)
+    increment, _ = increment_of(values, override.position_rad) or (None, "")
     if quirk.position_increments is not None and increment and override.position_rad is None:
         override = replace(override, position_rad=increment * quirk.position_increments)
         sources["position"] = f"{quirk.position_increments:g} increments ({name})"
@@ -61,12 +61,6 @@ def _apply(quirk: Quirk, name: str, so_far: Applied, read: Callable[[int, int], 
         override = replace(override, velocity_rad_s=velocity)
         sources["velocity"] = name
     return Applied(values, override, sources, notes)
-
-
-def _increment_rad(values: Values) -> float | None:
-    increments = values.get((Object.POSITION_ENCODER_RESOLUTION, 1))
-    turns = values.get((Object.POSITION_ENCODER_RESOLUTION, 2))
-    return RAD_PER_REVOLUTION * turns / increments if increments and turns else None
 
 
 def _velocity_rad_s(quirk: Quirk, increment_rad: float | None) -> float | None:

@@ -6,6 +6,10 @@
     jerk          60ABh, else acceleration units per second
     torque        thousandths of 6076h
 
+A position unit that is known better than the drive tells it makes another increment too where it rests on
+increments (608Fh): all that the drive tells by them, in 6094h, 6097h or by its maker's units, is disbelieved
+with it. 608Fh of less than four increments a turn is a factory's 1/1 that nobody set: 6090h is asked then.
+
 Positions, speeds and accelerations here are those of the motor shaft. Turns in a unit word, and the feed, are
 those of the driving shaft behind the gear 6091h.
 Sources: CiA 402-2 clause 8 (factor group), CiA 303-2 (unit codes). 6093h and 6094h are of DSP 402 version 2;
@@ -15,6 +19,7 @@ a drive that has 6094h means 6097h as that version does, in increments.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
 from drivers.cia402.objects402 import Object, Unit, unit_parts
 from drivers.errors import PeerFault
@@ -56,6 +61,8 @@ FACTOR_OBJECTS: tuple[tuple[int, int], ...] = (
 )
 """What :func:`scaling_from` wants to know of a drive."""
 
+ENCODER_COUNTS_MIN: Final = 4
+"""Increments of one line of an encoder by quadrature: no encoder has fewer on a turn."""
 _TURNS_PER_UNIT = {
     Unit.REVOLUTION: 1.0,
     Unit.RADIAN: 1.0 / RAD_PER_REVOLUTION,
@@ -135,13 +142,17 @@ def scaling_from(values: ObjectValues, override: ScaleOverride | None = None) ->
 
     rated = choose("torque", given.rated_torque_nm, lambda: _rated_torque(values), "give its rated torque")
     position = choose("position", given.position_rad, lambda: _position(values), "give rad per position unit")
+    increment = increment_of(values, given.position_rad)
     velocity = choose(
-        "velocity", given.velocity_rad_s, lambda: _velocity(values, position), "give rad/s per velocity unit"
+        "velocity",
+        given.velocity_rad_s,
+        lambda: _velocity(values, position, increment),
+        "give rad/s per velocity unit",
     )
     acceleration = choose(
         "acceleration",
         given.acceleration_rad_s2,
-        lambda: _acceleration(values, position, velocity),
+        lambda: _acceleration(values, position, velocity, increment),
         "give rad/s^2 per acceleration unit",
     )
     jerk, sources["jerk"] = _jerk(values, position, acceleration)
@@ -181,16 +192,42 @@ def _gear(values: ObjectValues) -> tuple[float, str]:
 
 
 def _turn_rad(values: ObjectValues) -> tuple[float, str] | None:
-    """rad of the motor shaft per increment of its encoder."""
-    resolution = _ratio(values, Object.POSITION_ENCODER_RESOLUTION)
-    if resolution is not None:
-        return RAD_PER_REVOLUTION / resolution, "608Fh"
-    resolution = _ratio(values, Object.VELOCITY_ENCODER_RESOLUTION)
-    return (RAD_PER_REVOLUTION / resolution, "6090h (no 608Fh)") if resolution is not None else None
+    """rad of the motor shaft per increment of its encoder, by its resolution."""
+    position, velocity = (
+        _ratio(values, index)
+        for index in (Object.POSITION_ENCODER_RESOLUTION, Object.VELOCITY_ENCODER_RESOLUTION)
+    )
+    if velocity is not None and (position is None or position < ENCODER_COUNTS_MIN <= velocity):
+        why = "no 608Fh" if position is None else f"608Fh is {position:g}"
+        return RAD_PER_REVOLUTION / velocity, f"6090h ({why})"
+    return None if position is None else (RAD_PER_REVOLUTION / position, "608Fh")
+
+
+def increment_of(values: ObjectValues, position_rad: float | None) -> tuple[float, str] | None:
+    """rad of the motor shaft per increment, and what tells it. ``position_rad``: the position unit, where it
+    is known better than the drive tells it."""
+    if position_rad is None or _position_in_units(values) is not None:
+        return _turn_rad(values)
+    return position_rad / (_ratio(values, Object.POSITION_FACTOR) or 1.0), "the position unit"
 
 
 def _position(values: ObjectValues) -> tuple[float, str] | None:
     """rad of the motor shaft per position unit."""
+    in_units = _position_in_units(values)
+    if in_units is not None:
+        return in_units
+    increment = _turn_rad(values)
+    if increment is None:
+        return None
+    factor = _ratio(values, Object.POSITION_FACTOR)
+    if factor is not None and factor != 1.0:
+        # DSP 402: increments = position in user units, times 6093h.
+        return increment[0] * factor, f"6093h, {increment[1]}"
+    return increment
+
+
+def _position_in_units(values: ObjectValues) -> tuple[float, str] | None:
+    """As :func:`_position`, where it does not rest on increments."""
     gear, by_gear = _gear(values)
     word = values.get((Object.SI_UNIT_POSITION, 0))
     if word:
@@ -202,22 +239,17 @@ def _position(values: ObjectValues) -> tuple[float, str] | None:
     # A feed constant of 1 is a factory default that nobody set: whole turns are no unit of position.
     if feed is not None and feed != 1.0:
         return RAD_PER_REVOLUTION * gear / feed, "6092h, 6091h"
-    increment = _turn_rad(values)
-    if increment is None:
-        return None
-    factor = _ratio(values, Object.POSITION_FACTOR)
-    if factor is not None and factor != 1.0:
-        # DSP 402: increments = position in user units, times 6093h.
-        return increment[0] * factor, f"6093h, {increment[1]}"
-    return increment
+    return None
 
 
-def _velocity(values: ObjectValues, position_rad: float) -> tuple[float, str] | None:
+def _velocity(
+    values: ObjectValues, position_rad: float, increment: tuple[float, str] | None
+) -> tuple[float, str] | None:
     """rad/s per velocity unit; position units per second where nothing says otherwise."""
     rate = _told_rate(values, Object.SI_UNIT_VELOCITY, position_rad, power=1)
     if rate is not None:
         return rate
-    factor, increment = _ratio(values, Object.VELOCITY_ENCODER_FACTOR), _turn_rad(values)
+    factor = _ratio(values, Object.VELOCITY_ENCODER_FACTOR)
     if factor is not None and increment is not None:
         # DSP 402: increments per second = velocity in user units, times 6094h.
         return increment[0] * factor, f"6094h, {increment[1]}"
@@ -229,13 +261,13 @@ def _velocity(values: ObjectValues, position_rad: float) -> tuple[float, str] | 
 
 
 def _acceleration(
-    values: ObjectValues, position_rad: float, velocity_rad_s: float
+    values: ObjectValues, position_rad: float, velocity_rad_s: float, increment: tuple[float, str] | None
 ) -> tuple[float, str] | None:
     """rad/s^2 per acceleration unit; velocity units per second where nothing says otherwise."""
     rate = _told_rate(values, Object.SI_UNIT_ACCELERATION, position_rad, power=2)
     if rate is not None:
         return rate
-    factor, increment = _ratio(values, Object.ACCELERATION_FACTOR), _turn_rad(values)
+    factor = _ratio(values, Object.ACCELERATION_FACTOR)
     of_dsp_402 = _ratio(values, Object.VELOCITY_ENCODER_FACTOR) is not None
     if factor is not None and of_dsp_402 and increment is not None:
         # DSP 402: increments per second squared = acceleration in user units, times 6097h.

@@ -40,6 +40,8 @@ class Findings:
     """By the drive's own objects."""
     override: ScaleOverride = field(default_factory=ScaleOverride)
     """Where they are wrong."""
+    units: Scaling | None = None
+    """With the override; None: as told."""
     modes: tuple[Mode, ...] = ()
     """Those of the drive in which something can be commanded."""
     plan: PdoPlan | None = None

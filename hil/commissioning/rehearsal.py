@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from drivers.bounded_file import write_file
+from drivers.cia402.scaling import ENCODER_COUNTS_MIN
 from drivers.wire.adapters import shared_bus
 from hil.commissioning.request import Rehearsal
 from hil.configuration.toml_text import toml_text
 from hil.execution.device_files import DeviceFiles
 from hil.execution.simulated_drives import host_drives, servo_of
 from hil.execution.world import WorldPlan
-from virtual_bus.drive.data_sheet import ENCODER_COUNTS_MIN
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.drive.unknown_drive import Truth, nameplate_of, unknown_drive

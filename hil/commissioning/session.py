@@ -12,7 +12,7 @@ from canopen.objectdictionary import ObjectDictionary
 from drivers.canopen.error_codes import HEARTBEAT_ERROR
 from drivers.canopen.pdo import PdoPlan
 from drivers.canopen.pdo_budget import budget_of
-from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.drive_setup import DriveSettings, read_scaling
 from drivers.cia402.lapses import lapses
 from drivers.cia402.pdo_planner import mode_plan
 from drivers.cia402.pdo_plans import PlanWish
@@ -184,24 +184,30 @@ class Session:
         return self.found.told
 
     @property
+    def units(self) -> Scaling:
+        """The units as far as they are known by now: what was found against the drive's objects is
+        disbelieved in all that follows from it too."""
+        return self.found.units or self.told
+
+    @property
     def position_rad(self) -> float:
         """One raw unit of the position, as far as it is known by now."""
-        return self.found.override.position_rad or self.told.position_rad
+        return self.units.position_rad
 
     @property
     def velocity_rad_s(self) -> float:
         """One raw unit of the velocity, as far as it is known by now."""
-        return self.found.override.velocity_rad_s or self.told.velocity_rad_s
+        return self.units.velocity_rad_s
 
     @property
     def acceleration_rad_s2(self) -> float:
         """One raw unit of the accelerations, as far as it is known by now."""
-        return self.found.override.acceleration_rad_s2 or self.told.acceleration_rad_s2
+        return self.units.acceleration_rad_s2
 
     @property
     def rated_torque_nm(self) -> float:
         """The rated torque, as far as it is known by now."""
-        return self.found.override.rated_torque_nm or self.told.rated_torque_nm
+        return self.units.rated_torque_nm
 
     @property
     def mechanics(self) -> Mechanics:
@@ -345,6 +351,7 @@ class Session:
     def overridden(self, **changes: Any) -> None:
         """Take better factors or signs; they act from the next :meth:`configure` on."""
         self.found.override = replace(self.found.override, **changes)
+        self.found.units = read_scaling(self.objects, self.found.override)
 
     def picture(
         self, outcome: StepOutcome, name: str, draw: Callable[Concatenate[Path, P], None],

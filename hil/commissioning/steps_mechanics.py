@@ -206,7 +206,7 @@ def _ramps(session: Session, speed: float) -> list[Recording]:
 
 
 def _write_ramps(session: Session, acceleration_rad_s2: float) -> None:
-    raw = max(1, round(acceleration_rad_s2 / session.told.acceleration_rad_s2))
+    raw = max(1, round(acceleration_rad_s2 / session.acceleration_rad_s2))
     for index in (Object.PROFILE_ACCELERATION, Object.PROFILE_DECELERATION):
         write_optional(session.objects, index, "I", raw, "ramp")
 

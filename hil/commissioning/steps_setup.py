@@ -101,13 +101,13 @@ def _extra_limits(session: Session) -> list[str]:
         notes += write_optional(objects, Object.TORQUE_SLOPE, "I", slope, "torque slope of the host's")
     option = HaltOption.QUICK_STOP_RAMP
     notes += write_optional(objects, Object.HALT_OPTION, "h", int(option), "halt by quick stop ramp")
-    window = max(1, round(limits.following_rad / session.told.position_rad))
+    window = max(1, round(limits.following_rad / session.position_rad))
     notes += write_optional(
         objects, Object.FOLLOWING_ERROR_WINDOW, "I", min(window, 0xFFFF_FFFE), "following error"
     )
     if limits.travel_rad < math.inf:
         here = objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
-        reach = round(limits.travel_rad / session.told.position_rad)
+        reach = round(limits.travel_rad / session.position_rad)
         for sub, bound in ((1, here - reach), (2, here + reach)):
             bound = min(max(bound, -0x8000_0000), 0x7FFF_FFFF)
             notes += write_optional(

@@ -94,7 +94,7 @@ def _ramp(session: Session, turns_s: float) -> list[str]:
     lags behind by the next reading, a t^2/2, is taken for a part of the turn. Notes on what is refused."""
     if session.objects.read_if_there(Object.HOMING_ACCELERATION) is None:
         return []
-    raw = round(turns_s * math.tau / _SPEED_UP_S / session.told.acceleration_rad_s2)
+    raw = round(turns_s * math.tau / _SPEED_UP_S / session.acceleration_rad_s2)
     raw = min(max(raw, 1), 0xFFFF_FFFF)
     return write_optional(session.objects, Object.HOMING_ACCELERATION, "I", raw, "homing acceleration")
 

@@ -10,7 +10,7 @@ from drivers.bounded_file import write_file
 from drivers.canopen.objects301 import Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.quirky_units import apply_quirks
-from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride
+from drivers.cia402.scaling import ENCODER_COUNTS_MIN, FACTOR_OBJECTS, ScaleOverride
 from drivers.errors import BadInput
 from drivers.sheets.dictionary import held, load_dictionary
 from drivers.sheets.eds.information import Commissioning
@@ -20,7 +20,7 @@ from virtual_bus.device.eds_export import export_eds
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import FileStore
 from virtual_bus.device.vendor_dictionary import BASE_NODE_ID
-from virtual_bus.drive.data_sheet import ENCODER_COUNTS_MIN, lay_over, tell_motor
+from virtual_bus.drive.data_sheet import lay_over, tell_motor
 from virtual_bus.drive.servo_parameters import DriveParameters
 
 Maker = Callable[[ObjectDictionary], None]

@@ -28,6 +28,12 @@ def complaints(names: tuple[str, ...], result: Rehearsal) -> list[str]:
     wrong = []
     if not result.is_safe():
         wrong.append(f"left {'enabled' if result.enabled else 'moving' if not result.stands else 'changed'}")
+    finds = [TRAITS[name].finds for name in names if TRAITS[name].finds]
+    wrong += [
+        f"invented: {fault}"
+        for fault in result.faults
+        if not any(re.search(pattern, fault) for pattern in finds)
+    ]
     ends = [TRAITS[name].ends for name in names if TRAITS[name].ends]
     if ends and (result.reason or not all(TRAITS[name].mendable for name in names if TRAITS[name].ends)):
         if not any(re.search(pattern, result.reason) for pattern in ends):

@@ -34,6 +34,8 @@ class Trait(NamedTuple):
     """Steps that are left out, or fail with a reason of their own."""
     mendable: bool = False
     """A commissioning that sets it right, or finds a way round, may do the drive all the same."""
+    finds: str = ""
+    """The faults that the drive has by it, as a pattern: every other one is invented."""
 
 
 def _lacks(*indices: int) -> Callable[[MadeSheet], None]:
@@ -76,6 +78,20 @@ def _told_as_one(sheet: MadeSheet) -> None:
     sheet.set(0x608F, 1, default=1)
 
 
+def _told_as_one_beside_factors(factors: Mapping[int, tuple[int, int]]) -> Callable[[MadeSheet], None]:
+    """608Fh is 1/1, as nobody set it; speeds and accelerations come by factors, numerator and divisor."""
+
+    def change(sheet: MadeSheet) -> None:
+        _told_as_one(sheet)
+        sheet.drop(0x6090, 0x6096)
+        for index, values in factors.items():
+            sheet.add(index, {1: DataType.UNSIGNED32, 2: DataType.UNSIGNED32})
+            for sub, value in enumerate(values, start=1):
+                sheet.set(index, sub, default=value)
+
+    return change
+
+
 def _encoder_of_2000(sheet: MadeSheet) -> None:
     sheet.drop(0x60A8, 0x60A9, 0x60AA, 0x6092, 0x6096)
     sheet.set(0x608F, 1, default=2000)
@@ -97,6 +113,7 @@ _NO_CURRENT: Final = frozenset({"torque_constant"})
 """6078h finds no place beside the rest."""
 _SLOPED: Final = frozenset({"delays", "suggest", "verify"})
 """In profile torque 6087h bounds the rise: no switch of the torque shows the delay of a command."""
+_UNSET: Final = "one position unit would be 6.283 rad; the nameplate's 65536 counts"
 TRAITS: Final[dict[str, Trait]] = {
     "no 1018h": Trait(_lacks(0x1018)),
     "identity in [DeviceInfo]": Trait(_identity_in_device_info),
@@ -132,6 +149,14 @@ TRAITS: Final[dict[str, Trait]] = {
     "no 6079h": Trait(_lacks(0x6079), without=frozenset({"voltage_constant"})),
     "no 6075h": Trait(_lacks(0x6075)),
     "608Fh is 1/1": Trait(_told_as_one, "608Fh|beyond the limit", mendable=True),
+    "608Fh is 1/1, 6094h": Trait(_told_as_one_beside_factors({0x6094: (1, 1)}), finds=_UNSET),
+    "608Fh is 1/1, 6094h, 6097h": Trait(
+        _told_as_one_beside_factors({0x6094: (10, 1), 0x6097: (100, 1)}), finds=_UNSET
+    ),
+    "608Fh is 1/1, 6096h": Trait(_told_as_one_beside_factors({0x6096: (60, 65536)}), finds=_UNSET),
+    "608Fh is 1/1, 6090h, 6096h": Trait(
+        _told_as_one_beside_factors({0x6090: (65536, 1), 0x6096: (60, 65536), 0x6097: (60, 65536)})
+    ),
     "608Fh is 2000": Trait(_encoder_of_2000),
     "no position unit": Trait(_lacks(0x608F, 0x6090, 0x6092, 0x60A8, 0x60A9, 0x6096)),
     "mappings fixed for torque": Trait(_fixed(_TORQUE_PDO), without=_NO_CURRENT),

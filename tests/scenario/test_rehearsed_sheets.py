@@ -48,6 +48,16 @@ def test_an_odd_drive_is_set_up_and_enabled(case: str, tmp_path: Path) -> None:
     assert (result.reason, result.not_done, result.is_safe()) == ("", {}, True)
 
 
+@pytest.mark.parametrize(
+    "case", ["608Fh is 1/1, 6090h, 6096h", "608Fh is 1/1, 6094h, 6097h+6502h without torque"]
+)
+def test_an_encoder_that_nobody_set_is_disbelieved_in_every_unit(case: str, tmp_path: Path) -> None:
+    names = tuple(case.split("+"))
+    result = rehearsed(made_sheet(names, tmp_path), tmp_path, last_step="stop_proof")
+    assert complaints(names, result) == [], "no unit of the velocity or the acceleration is found wrong"
+    assert result.moved
+
+
 def test_a_whole_commissioning_by_a_data_sheet(tmp_path: Path) -> None:
     result = rehearsed(made_sheet(["608Fh is 2000"], tmp_path), tmp_path)
     assert complaints(("608Fh is 2000",), result) == []

@@ -10,6 +10,7 @@ from drivers.canopen.objects301 import Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import NEEDED_OBJECTS
 from drivers.cia402.profile import Mode, supported_mode_bit
+from drivers.cia402.scaling import ENCODER_COUNTS_MIN
 from drivers.sheets.dictionary import held_number
 from drivers.vendors.families import motor_objects_for
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
@@ -18,8 +19,6 @@ from virtual_bus.drive.servo_parameters import current_per_rms
 
 _STANDARD_MODES: Final = 0x3FF
 """Of 6502h; the rest is reserved, and the maker's."""
-ENCODER_COUNTS_MIN: Final = 4
-"""Increments of one line of an encoder by quadrature: no encoder has fewer on a turn."""
 
 
 def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:

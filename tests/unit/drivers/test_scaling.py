@@ -139,6 +139,31 @@ def test_the_factors_of_dsp_402() -> None:
     assert scaling.acceleration_rad_s2 == pytest.approx(1000 * increment)
 
 
+def test_an_encoder_that_is_disbelieved_is_disbelieved_in_every_unit_that_rests_on_it() -> None:
+    unset = {(0x608F, 1): 1, (0x608F, 2): 1}
+    factors = {(0x6094, 1): 100, (0x6094, 2): 1, (0x6097, 1): 1000, (0x6097, 2): 1}
+    increment = 2 * math.pi / 65536
+    scaling = scaling_from({**RATED, **unset, **factors}, ScaleOverride(position_rad=increment))
+    assert scaling.velocity_rad_s == pytest.approx(100 * increment)
+    assert scaling.acceleration_rad_s2 == pytest.approx(1000 * increment)
+    in_tens = {(0x6093, 1): 10, (0x6093, 2): 1}
+    scaling = scaling_from(
+        {**RATED, **unset, **factors, **in_tens}, ScaleOverride(position_rad=10 * increment)
+    )
+    assert scaling.velocity_rad_s == pytest.approx(100 * increment)
+    degrees = {(0x60A8, 0): unit_word(0, Unit.DEGREE)}
+    scaling = scaling_from({**RATED, **ENCODER, **factors, **degrees}, ScaleOverride(position_rad=1e-3))
+    assert scaling.velocity_rad_s == pytest.approx(100 * increment), "that unit does not rest on it"
+
+
+@pytest.mark.parametrize(("resolution", "source"), [(1, "6090h (608Fh is 1)"), (4, "608Fh")])
+def test_the_velocity_encoder_is_asked_where_nobody_set_608fh(resolution: int, source: str) -> None:
+    values = {(0x608F, 1): resolution, (0x608F, 2): 1, (0x6090, 1): 4096, (0x6090, 2): 1}
+    scaling = scaling_from({**RATED, **values})
+    assert scaling.sources["position"] == source
+    assert scaling.position_rad == pytest.approx(2 * math.pi / (resolution if source == "608Fh" else 4096))
+
+
 def test_the_acceleration_factor_of_cia_402() -> None:
     # 100 acceleration units are one position unit per second squared.
     values = {**RATED, **ENCODER, (0x6097, 1): 100, (0x6097, 2): 1}

@@ -344,7 +344,7 @@ def test_a_unit_of_the_velocity_that_is_coarse_makes_one_of_it(monkeypatch: pyte
 def test_the_ramp_is_a_whole_number_of_32_bits(
     monkeypatch: pytest.MonkeyPatch, unit: float, raw: int
 ) -> None:
-    searching = Searching(monkeypatch, told=SimpleNamespace(acceleration_rad_s2=unit))
+    searching = Searching(monkeypatch, acceleration_rad_s2=unit)
     assert _ramp(searching.session, 0.5) == []
     assert searching.objects.written == [(Object.HOMING_ACCELERATION, 0, "I", raw)]
 
