@@ -2,15 +2,18 @@
 
 Bits 4 to 6 of the controlword mean another thing in each mode: bit 4 is "new set-point" in one and "start
 homing" in another. So they are 0 before the mode changes, and the set-point of the new mode is such that the
-drive neither jumps nor turns by an old value.
+drive neither jumps nor turns by an old value. A mode that follows only with some of them set gets these once
+the drive is enabled in it.
 """
 
 from drivers.canopen.objects import RemoteObjects, SettingRefused
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import TARGETS
-from drivers.cia402.profile import Control, Mode, State, run_words, supported_mode_bit
+from drivers.cia402.profile import FOLLOW_BITS, Control, Mode, State, run_words, supported_mode_bit
 from drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
+from drivers.cia402.velocity_mode import velocity_mode_unit
 from drivers.errors import TransferAborted
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import Instant
 
 
@@ -35,8 +38,8 @@ class ModeControl:
     def change(self, mode: Mode, deadline: Instant) -> None:
         """Have the drive take up a mode, in whatever state it is, and wait until it shows it.
 
-        A position mode begins at the present position, a torque mode at 0, a velocity mode at the present
-        speed if the drive is enabled, else at 0. Raises ModeRefused if the drive has no such mode, refuses it
+        A position mode begins at the present position, a torque mode at 0, a mode of speeds at the present
+        one if the drive is enabled, else at 0. Raises ModeRefused if the drive has no such mode, refuses it
         or keeps another one until the deadline, DriveInFault if a fault comes up.
         """
         self.require(mode)
@@ -51,6 +54,14 @@ class ModeControl:
             ) from error
         self._await_display(mode, deadline)
         self.mode = mode
+        if mode in FOLLOW_BITS and self._turns():
+            self.follow()
+
+    def follow(self) -> None:
+        """Set the bits of the controlword without which the mode does not follow; the drive is enabled."""
+        bits = FOLLOW_BITS.get(self.mode)
+        if bits is not None:
+            self._control.set_bits(MODE_BITS, bits)
 
     def ensure(self, mode: Mode, deadline: Instant) -> None:
         """As :meth:`change`; nothing is sent if the drive is in that mode."""
@@ -63,12 +74,22 @@ class ModeControl:
         self.primed_position = None
         if target is None:
             return
+        self._aim(mode)
         raw = 0
-        if target.index == Object.TARGET_POSITION:
+        if target.index in (Object.TARGET_POSITION, Object.INTERPOLATION_DATA_RECORD):
             raw = self.primed_position = self._objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
         elif target.index == Object.TARGET_VELOCITY and self._turns():
             raw = self._objects.read(Object.VELOCITY_ACTUAL_VALUE, 0, "i")
-        self._control.write_value(target.index, target.code, raw)
+        elif target.index == Object.VL_TARGET_VELOCITY and self._turns():
+            raw = self._objects.read_if_there(Object.VL_VELOCITY_ACTUAL_VALUE, 0, "h") or 0
+        self._control.write_value(target.index, target.code, raw, target.sub)
+
+    def _aim(self, mode: Mode) -> None:
+        """Let the RPDOs of each cycle carry the set-points of ``mode``, in its units."""
+        frames = self._control.set_point
+        if frames is not None:
+            unit = velocity_mode_unit(self._objects) if mode is Mode.VELOCITY else RAD_S_PER_RPM
+            frames.aim(mode, unit)
 
     def _turns(self) -> bool:
         return self._control.read_state() is State.OPERATION_ENABLED

@@ -18,6 +18,18 @@ class Object(IntEnum):
     ERROR_CODE = 0x603F
     CONTROLWORD = 0x6040
     STATUSWORD = 0x6041
+    VL_TARGET_VELOCITY = 0x6042
+    """r/min divided by 0x604C, as everything of the velocity mode."""
+    VL_VELOCITY_DEMAND = 0x6043
+    VL_VELOCITY_ACTUAL_VALUE = 0x6044
+    VL_VELOCITY_MIN_MAX_AMOUNT = 0x6046
+    """Sub 1 minimum, sub 2 maximum."""
+    VL_VELOCITY_ACCELERATION = 0x6048
+    """Sub 1 a change of speed, sub 2 the seconds that it takes; likewise the next two."""
+    VL_VELOCITY_DECELERATION = 0x6049
+    VL_VELOCITY_QUICK_STOP = 0x604A
+    VL_DIMENSION_FACTOR = 0x604C
+    """Sub 1 over sub 2: r/min of one unit."""
     QUICK_STOP_OPTION = 0x605A
     SHUTDOWN_OPTION = 0x605B
     DISABLE_OPERATION_OPTION = 0x605C
@@ -105,6 +117,9 @@ class Object(IntEnum):
     VELOCITY_OFFSET = 0x60B1
     TORQUE_OFFSET = 0x60B2
     """Per thousand of 0x6076."""
+    INTERPOLATION_SUB_MODE_SELECT = 0x60C0
+    INTERPOLATION_DATA_RECORD = 0x60C1
+    """Sub 1: the set-point of interpolated position, user position unit."""
     INTERPOLATION_TIME_PERIOD = 0x60C2
     MAX_ACCELERATION = 0x60C5
     MAX_DECELERATION = 0x60C6
@@ -122,7 +137,7 @@ class Object(IntEnum):
     def title(self) -> str:
         """Its name in words: ``Target torque``."""
         words = self.name.replace("_", " ").capitalize()
-        return words.replace("Si unit", "SI unit").replace("Dc link", "DC link")
+        return words.replace("Si unit", "SI unit").replace("Dc link", "DC link").replace("Vl ", "vl ")
 
 
 class Unit(IntEnum):

@@ -266,6 +266,13 @@ def supported_mode_bit(mode: Mode) -> int:
     return 1 << (mode - 1) if mode > 0 else 0
 
 
+FOLLOW_BITS: Final = {
+    Mode.VELOCITY: Control.MODE_4 | Control.MODE_5 | Control.MODE_6,
+    Mode.INTERPOLATED_POSITION: Control.MODE_4,
+}
+"""Bits of the controlword without which a mode does not follow its set-point: enable ramp, unlock ramp and
+reference ramp; enable interpolation. The cyclic synchronous and the other profile modes need none."""
+
 BENCH_MODES: Final = {
     "cst": Mode.CYCLIC_SYNCHRONOUS_TORQUE,
     "csv": Mode.CYCLIC_SYNCHRONOUS_VELOCITY,

@@ -28,6 +28,7 @@ from drivers.cia402.rest import resting_since, slow
 from drivers.cia402.setpoint import SetPointFrames
 from drivers.cia402.state_control import FAULTY, NONE_SENT, StateControl
 from drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
+from drivers.cia402.velocity_mode import write_velocity_mode_ramps
 from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
 from drivers.exchange import (
     Command,
@@ -117,6 +118,7 @@ class ServoDrive(Drive):
         scaling = read_scaling(self.objects, settings.scale)
         notes = [*watched, *scaling.notes, *write_reactions(self.objects, settings.quick_stop_option)]
         notes += write_limits(self.objects, settings, scaling)
+        notes += write_velocity_mode_ramps(self.objects, settings)
         plan, pdo_notes = map_pdos(self.objects, settings)
         plan, observed_notes = map_observed(self.objects, plan, settings.observed)
         self._assembler = ReadingAssembler(network, plan, scaling, settings.sync_period_ns, self._told)
@@ -144,6 +146,7 @@ class ServoDrive(Drive):
         self.control.clear_bits(MODE_BITS)
         self.modes.prime(self.modes.mode)
         self.control.walk(State.OPERATION_ENABLED, deadline)
+        self.modes.follow()
         self.control.await_older_words(self.plan, deadline)
         self._watch.begin()
 
@@ -391,5 +394,4 @@ class ServoDrive(Drive):
         """Frames carry no torque nor speed from now on, and ``check`` asks for OPERATION ENABLED no more."""
         self._watch.active = False
         if self.control.set_point is not None:
-            self.control.set_point.hold_torque(0.0)
-            self.control.set_point.hold(Object.TARGET_VELOCITY, 0)
+            self.control.set_point.hold_rest()

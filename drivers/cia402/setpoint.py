@@ -5,20 +5,28 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.pdo import PdoMap, PdoPlan
+from drivers.canopen.pdo import Key, PdoMap, PdoPlan
+from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode
 from drivers.cia402.scaling import Scaling
 from drivers.exchange import SentCommand
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import Instant
 from drivers.wire.frame_port import UNTOLD
 from drivers.wire.link import BusLink
 
 _TORQUE_RAW_MAX: Final = 0x7FFF
 _VELOCITY_RAW_MAX: Final = 0x7FFF_FFFF
-"""6071h is an INTEGER16, 60FFh an INTEGER32 (CiA 402-2)."""
+_VL_RAW_MAX: Final = 0x7FFF
+"""6071h and 6042h are INTEGER16, 60FFh is an INTEGER32 (CiA 402-2)."""
 _WORD: Final = 1 << 32
 _HALF_WORD: Final = 1 << 31
-_TARGET_TORQUE: Final = int(Object.TARGET_TORQUE)
+_TARGET_TORQUE: Final[Key] = (int(Object.TARGET_TORQUE), 0)
+_TARGET_VELOCITY: Final[Key] = (int(Object.TARGET_VELOCITY), 0)
+_TARGET_POSITION: Final[Key] = (int(Object.TARGET_POSITION), 0)
+_VL_TARGET: Final[Key] = (int(Object.VL_TARGET_VELOCITY), 0)
+_DATA_RECORD: Final[Key] = (int(Object.INTERPOLATION_DATA_RECORD), 1)
 _round: Final = round
 """As constants of this module: found without a look-up where it is compiled."""
 _AWAITED_MAX: Final = 256
@@ -101,31 +109,44 @@ class SetPointFrames:
         speed_max_rad_s: float | None = None,
     ) -> None:
         self._link: BusLink = network.link
-        per_nm, per_rad_s = 1.0 / scaling.torque_nm, 1.0 / scaling.velocity_rad_s
+        self._scaling = scaling
+        self._speed_max_rad_s = speed_max_rad_s
+        per_nm = 1.0 / scaling.torque_nm
         self._per_nm = scaling.torque_sign * per_nm
-        self._per_rad_s = scaling.velocity_sign * per_rad_s
         self._per_rad = 1.0 / scaling.position_rad
         self._torque_raw_max = _raw_limit(torque_max_nm, per_nm, _TORQUE_RAW_MAX)
-        self._velocity_raw_max = _raw_limit(speed_max_rad_s, per_rad_s, _VELOCITY_RAW_MAX)
-        self._places: dict[int, list[_Place]] = {}
+        self._places: dict[Key, list[_Place]] = {}
         for pdo in plan.rpdos:
             carrier = _Carrier(pdo)
             network.frame_pump.echo_handlers[pdo.cob_id] = carrier.awaited.echoed
             for place, entry in enumerate(pdo.entries):
-                if entry.sub == 0:
-                    self._places.setdefault(entry.index, []).append(_Place(carrier, place))
-        self._torque = self._places.get(Object.TARGET_TORQUE, [])
+                key = (entry.index, entry.sub)
+                self._places.setdefault(key, []).append(_Place(carrier, place))
+        self._torque = self._places.get(_TARGET_TORQUE, [])
+        self.aim(Mode.NONE)
+
+    def aim(self, mode: Mode, vl_rad_s: float = RAD_S_PER_RPM) -> None:
+        """Have speeds and positions go to the set-point of ``mode``; ``vl_rad_s``: what a unit of 6042h is,
+        rad/s, negative if its sign is turned."""
+        velocity_mode = mode is Mode.VELOCITY
+        interpolated = mode is Mode.INTERPOLATED_POSITION
+        self._speed_key = _VL_TARGET if velocity_mode else _TARGET_VELOCITY
+        self._position_key = _DATA_RECORD if interpolated else _TARGET_POSITION
+        per_rad_s = 1.0 / (vl_rad_s if velocity_mode else self._scaling.velocity_rad_s)
+        self._per_rad_s = self._scaling.velocity_sign * per_rad_s
+        raw_max = _VL_RAW_MAX if velocity_mode else _VELOCITY_RAW_MAX
+        self._velocity_raw_max = _raw_limit(self._speed_max_rad_s, abs(per_rad_s), raw_max)
 
     # ---- any object -----------------------------------------------------------------------------------
 
-    def hold(self, index: int, raw: int) -> None:
+    def hold(self, index: int, raw: int, sub: int = 0) -> None:
         """Put a value in force without sending it: the next frame that maps the object carries it."""
-        for place in self._places.get(index, ()):
+        for place in self._places.get((index, sub), ()):
             place.carrier.values[place.place] = raw
 
-    def send(self, index: int) -> None:
+    def send(self, index: int, sub: int = 0) -> None:
         """Send every RPDO that carries an object; nothing if none does."""
-        for place in self._places.get(index, ()):
+        for place in self._places.get((index, sub), ()):
             carrier = place.carrier
             self._link.send(carrier.cob_id, carrier.pack(*carrier.values))
 
@@ -134,7 +155,7 @@ class SetPointFrames:
         self.hold(Object.CONTROLWORD, controlword)
         self.send(Object.CONTROLWORD)
 
-    # ---- the cyclic modes -----------------------------------------------------------------------------
+    # ---- set-points of each cycle -----------------------------------------------------------------------
 
     def hold_torque(self, torque_nm: float) -> int:
         """Set the torque that the next frame carries, N m; it, as sent. Raises ValueError for no number."""
@@ -146,6 +167,12 @@ class SetPointFrames:
             place.carrier.values[place.place] = raw
         return raw
 
+    def hold_rest(self) -> None:
+        """From now on frames carry no torque and no speed."""
+        self.hold_torque(0.0)
+        for key in (_TARGET_VELOCITY, _VL_TARGET):
+            self.hold(key[0], 0)
+
     def send_torque(self, torque_nm: float, sequence: int) -> SentCommand:
         """Set and send; what was sent, of which the bus may tell more later.
 
@@ -155,23 +182,24 @@ class SetPointFrames:
         return self._send_first(self._torque, _TARGET_TORQUE, raw, sequence)
 
     def send_speed(self, speed_rad_s: float, sequence: int) -> SentCommand:
-        """As :meth:`send_torque`, for 0x60FF."""
+        """As :meth:`send_torque`, for 0x60FF, or 0x6042 in its whole units."""
         limit = self._velocity_raw_max
         raw = min(max(round(speed_rad_s * self._per_rad_s), -limit), limit)
-        self.hold(Object.TARGET_VELOCITY, raw)
-        places = self._places.get(Object.TARGET_VELOCITY, [])
-        return self._send_first(places, Object.TARGET_VELOCITY, raw, sequence)
+        return self._send_for(self._speed_key, raw, sequence)
 
     def send_position(self, position_rad: float, sequence: int) -> SentCommand:
-        """As :meth:`send_torque`, for 0x607A, which wraps as the position in a reading is unwrapped."""
+        """As :meth:`send_torque`, for 0x607A, or 0x60C1:1. It wraps as the position in a reading is
+        unwrapped."""
         raw = (round(position_rad * self._per_rad) + _HALF_WORD) % _WORD - _HALF_WORD
-        self.hold(Object.TARGET_POSITION, raw)
-        places = self._places.get(Object.TARGET_POSITION, [])
-        return self._send_first(places, Object.TARGET_POSITION, raw, sequence)
+        return self._send_for(self._position_key, raw, sequence)
 
-    def _send_first(self, places: list[_Place], index: int, raw: int, sequence: int) -> SentCommand:
+    def _send_for(self, key: Key, raw: int, sequence: int) -> SentCommand:
+        self.hold(key[0], raw, key[1])
+        return self._send_first(self._places.get(key, []), key, raw, sequence)
+
+    def _send_first(self, places: list[_Place], key: Key, raw: int, sequence: int) -> SentCommand:
         if not places:
-            raise RuntimeError(f"no RPDO of the plan carries {index:04X}h")
+            raise RuntimeError(f"no RPDO of the plan carries {object_name(*key)}")
         carrier = places[0].carrier
         data = carrier.pack(*carrier.values)
         command = SentCommand(sequence, raw, self._link.send(carrier.cob_id, data))

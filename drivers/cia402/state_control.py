@@ -109,18 +109,18 @@ class StateControl:
         if self.controlword != NONE_SENT and self.controlword & mask:
             self.set_bits(mask, 0)
 
-    def write_value(self, index: int, code: str, raw: int) -> None:
+    def write_value(self, index: int, code: str, raw: int, sub: int = 0) -> None:
         """Give a set-point or the mode to the drive, by SDO and then in every RPDO that carries it.
 
         An RPDO that waits for a SYNC, or is sent later, so repeats the new value, not the old one. Before the
         first command no RPDO is sent, as it would be the one that brings a controlword. Raises ValueError if
         the value does not fit, TransferAborted if the drive refuses it; RPDOs then stay as they were.
         """
-        self.objects.write(index, 0, code, raw)
+        self.objects.write(index, sub, code, raw)
         if self.set_point is not None:
-            self.set_point.hold(index, raw)
+            self.set_point.hold(index, raw, sub)
             if self.controlword != NONE_SENT:
-                self.set_point.send(index)
+                self.set_point.send(index, sub)
 
     def walk(self, target: State, deadline: Instant) -> None:
         """Go by the shortest path of the state machine; a command without effect is repeated.

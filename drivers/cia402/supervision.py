@@ -101,7 +101,7 @@ class CommandSupervision:
     def _timer_of(self, mode: Mode) -> int | None:
         """Communication parameter of the RPDO with the set-point, if it has an event timer."""
         target = TARGETS.get(mode)
-        rpdo = None if target is None else self._plan.rpdo_with(target.index)
+        rpdo = None if target is None else self._plan.rpdo_with(target.index, target.sub)
         if rpdo is None or self._objects.read_if_there(rpdo.communication_index, _EVENT_TIMER, "H") is None:
             return None
         return rpdo.communication_index

@@ -1,8 +1,8 @@
-"""What the drive client promises in the seven modes, with a monitor that sees every frame on the wire."""
+"""What the drive client promises in the nine modes, with a monitor that sees every frame on the wire."""
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import permutations
 from struct import unpack_from
 
@@ -16,7 +16,8 @@ from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.motion import HomingSetup, MoveProfile
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_planner import all_modes_plan
-from drivers.cia402.profile import Mode, State
+from drivers.cia402.pdo_plans import TARGETS
+from drivers.cia402.profile import FOLLOW_BITS, Mode, State
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault
 from drivers.exchange import PositionCommand, SpeedCommand
@@ -31,6 +32,7 @@ NODE = 1
 PERIOD = Duration(NS_PER_MS)
 PROFILE = MoveProfile(speed_rad_s=10 * TURN, acceleration_rad_s2=200 * TURN, deceleration_rad_s2=200 * TURN)
 HOW = HomingSetup(switch_speed_rad_s=5 * TURN, zero_speed_rad_s=2 * TURN, acceleration_rad_s2=200 * TURN)
+RECORD = Object.INTERPOLATION_DATA_RECORD
 SDO_REQUEST = 0x600 + NODE
 WRITES = RIG | WriteList(
     "the suite",
@@ -41,9 +43,11 @@ ENABLED = 0x0F
 FAULT_RESET = 0x80
 MODES = (
     Mode.PROFILE_POSITION,
+    Mode.VELOCITY,
     Mode.PROFILE_VELOCITY,
     Mode.PROFILE_TORQUE,
     Mode.HOMING,
+    Mode.INTERPOLATED_POSITION,
     Mode.CYCLIC_SYNCHRONOUS_POSITION,
     Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
     Mode.CYCLIC_SYNCHRONOUS_TORQUE,
@@ -71,8 +75,11 @@ class ModesRig:
 
     @property
     def plan(self) -> PdoPlan:
-        """0x6040 stands in three RPDOs."""
-        return all_modes_plan(NODE, synchronous_command=self.synchronous)
+        """0x6040 stands in four RPDOs."""
+        plan = all_modes_plan(NODE, synchronous_command=self.synchronous)
+        entries = (plan.rpdos[0].entries[0], TARGETS[Mode.VELOCITY], TARGETS[Mode.INTERPOLATED_POSITION])
+        further = replace(plan.rpdos[0], number=4, cob_id=0x500 + NODE, entries=entries)
+        return replace(plan, rpdos=(*plan.rpdos, further))
 
     def start(self) -> None:
         """Connect and enable, as a bench does; the words up to there are forgotten."""
@@ -93,6 +100,16 @@ class ModesRig:
 
     def soon(self, seconds: float = 2.0) -> Instant:
         return self.network.deadline_after(Duration(int(seconds * NS_PER_S)))
+
+    def cycles(
+        self, count: int, command: type[SpeedCommand | PositionCommand], value: float, start: float = 0.0
+    ) -> None:
+        """Set-points of 10 ms from ``start`` straight to ``value``."""
+        for cycle in range(1, count + 1):
+            due = self.network.deadline_after(Duration(10 * NS_PER_MS))
+            self.network.send_sync()
+            self.drive.write(command(cycle, start + (value - start) * cycle / count, due, self.soon()))
+            self.network.pump(due)
 
     def wait(self, seconds: float) -> None:
         self.network.pump(self.soon(seconds))
@@ -196,16 +213,8 @@ class ModesSuite:
         assert rig.shows(State.OPERATION_ENABLED)
 
     def test_the_cyclic_modes_follow(self, rig: ModesRig) -> None:
-        drive, network = rig.drive, rig.network
+        drive, network, cycles = rig.drive, rig.network, rig.cycles
         drive.objects.write(Object.INTERPOLATION_TIME_PERIOD, 1, "B", 10)
-
-        def cycles(count: int, command: type[SpeedCommand | PositionCommand], value: float) -> None:
-            for cycle in range(1, count + 1):
-                due = network.deadline_after(Duration(10 * NS_PER_MS))
-                network.send_sync()
-                drive.write(command(cycle, value * cycle / count, due, rig.soon()))
-                network.pump(due)
-
         drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION, rig.soon())
         cycles(40, PositionCommand, 1.0)
         network.send_sync()
@@ -221,15 +230,64 @@ class ModesSuite:
         assert rig.words() == [], "every RPDO repeats the word in force"
         assert rig.shows(State.OPERATION_ENABLED)
 
-    def test_a_change_of_mode_sends_the_controlword_in_force_and_no_other(self, rig: ModesRig) -> None:
+    def test_interpolated_position_follows_once_its_bit_is_set(self, rig: ModesRig) -> None:
+        drive = rig.drive
+        drive.objects.write(Object.INTERPOLATION_TIME_PERIOD, 1, "B", 10)
+        drive.move_to(0.5, rig.soon(5.0), PROFILE)
+        rig.words()
+        drive.objects.write(RECORD, 1, "i", 40_000)
+        drive.change_mode(Mode.INTERPOLATED_POSITION, rig.soon())
+        assert rig.words() == [ENABLED, 0x1F]
+        rig.network.send_sync()
+        rig.wait(0.05)
+        assert rig.position_rad == pytest.approx(0.5, abs=0.02), "it begins where the shaft is"
+        rig.cycles(40, PositionCommand, 1.5, start=0.5)
+        rig.network.send_sync()
+        rig.wait(0.1)
+        assert rig.position_rad == pytest.approx(1.5, abs=0.02)
+        assert rig.words() == [], "every RPDO repeats the word in force"
+        drive.halt(rig.soon())
+        drive.resume()
+        assert rig.words() == [0x11F, 0x1F]
+
+    def test_velocity_mode_follows_in_whole_units_of_its_own(self, rig: ModesRig) -> None:
+        drive = rig.drive
+        drive.objects.write(Object.VL_VELOCITY_ACCELERATION, 1, "I", 30_000)
+        drive.change_mode(Mode.VELOCITY, rig.soon())
+        assert rig.words() == [0x7F]
+        rpm = TURN / 60.0
+        rig.cycles(40, SpeedCommand, 300.4 * rpm)
+        rig.network.send_sync()
+        rig.wait(0.2)
+        assert drive.objects.read(Object.VL_TARGET_VELOCITY, 0, "h") == 300
+        assert rig.velocity_rad_s == pytest.approx(300 * rpm, rel=0.05)
+        assert rig.words() == [], "every RPDO repeats the word in force"
+        sent = drive.write(SpeedCommand(1, 1e4, rig.soon(), rig.soon()))
+        assert sent is not None
+        assert sent.raw == int(250.0 / rpm), "the limit of speed, in whole r/min"
+        drive.quick_stop(rig.soon())
+        drive.objects.write(Object.VL_DIMENSION_FACTOR, 1, "i", 60)
+        drive.enable(rig.soon())
+        assert rig.words()[-2:] == [ENABLED, 0x7F]
+        rig.cycles(10, SpeedCommand, 2.6 * TURN)
+        rig.network.send_sync()
+        rig.wait(0.01)
+        assert drive.objects.read(Object.VL_TARGET_VELOCITY, 0, "h") == 3, "604Ch makes them turns a second"
+
+    def test_a_change_of_mode_sends_the_controlword_in_force_and_the_bits_of_the_mode(
+        self, rig: ModesRig
+    ) -> None:
         """Through every pair of modes, with SYNCs in between that let waiting RPDOs act."""
+        words: list[int] = []
         for before, after in permutations(MODES, 2):
             for mode in (before, after):
+                words += [ENABLED] if words[-1:] not in ([], [ENABLED]) else []
+                words += [ENABLED | FOLLOW_BITS[mode]] if mode in FOLLOW_BITS else []
                 rig.drive.change_mode(mode, rig.soon())
                 rig.network.send_sync()
                 assert rig.drive.objects.read(Object.MODES_OF_OPERATION_DISPLAY, 0, "b") == mode
         rig.wait(0.02)
-        assert rig.words() == []
+        assert rig.words() == words
         assert rig.shows(State.OPERATION_ENABLED)
         assert abs(rig.velocity_rad_s) < 1.0
         assert rig.position_rad == pytest.approx(0.0, abs=0.01)

@@ -22,6 +22,8 @@ PATIENCE_S = 20.0
 COUNTS = 65_536
 NEW_SET_POINT = 0x3F
 ENABLED = 0x0F
+BY_BITS = ("VELOCITY", "INTERPOLATED POSITION")
+"""Modes that follow only with bits of the controlword, which this client leaves to whoever uses it."""
 MODES = (
     "PROFILED POSITION",
     "PROFILED VELOCITY",
@@ -123,12 +125,32 @@ def test_states_modes_moves_and_homing(node: Any) -> None:
 
 def test_every_mode_that_it_knows_and_6502h_offers_is_taken(node: Any) -> None:
     taken = []
-    for name in MODES:
+    for name in (*MODES, *BY_BITS):
         assert node.is_op_mode_supported(name)
         node.op_mode = name
         taken.append(node.op_mode == name)
     assert all(taken)
-    assert not node.is_op_mode_supported("INTERPOLATED POSITION")
+
+
+def test_velocity_and_interpolated_position(node: Any) -> None:
+    node.op_mode = "VELOCITY"
+    node.state = "OPERATION ENABLED"
+    node.sdo[Object.VL_VELOCITY_ACCELERATION][1].raw = 20_000
+    node.sdo[Object.VL_TARGET_VELOCITY].raw = -60
+    node.controlword = 0x7F
+    assert eventually(lambda: abs(int(node.sdo[Object.VL_VELOCITY_ACTUAL_VALUE].raw) + 60) <= 3)
+    node.controlword = 0x3F  # without reference ramp
+    assert eventually(lambda: abs(int(node.sdo[Object.VL_VELOCITY_ACTUAL_VALUE].raw)) <= 3)
+    node.controlword = ENABLED
+
+    node.op_mode = "INTERPOLATED POSITION"
+    target = position(node) + COUNTS // 64
+    node.sdo[Object.INTERPOLATION_DATA_RECORD][1].raw = target
+    assert not status(node) & 0x1000
+    node.controlword = 0x1F
+    assert eventually(lambda: status(node) & 0x1400 == 0x1400)
+    assert position(node) == pytest.approx(target, abs=200)
+    node.state = "SWITCH ON DISABLED"
 
 
 class ByPdo:

@@ -115,6 +115,10 @@ def provide_slow_values(axis: SimulatedAxis) -> None:
     motion.velocity_demand.provider = lambda: clipped(
         state[S_SPEED_DEMAND] * units.velocity_per_rad_s if state[S_CONTROL] == CONTROL_SPEED else 0.0, 32
     )
+    motion.vl_demand.provider = lambda: clipped(
+        state[S_SPEED_DEMAND] / axis.rad_s_per_vl if state[S_CONTROL] == CONTROL_SPEED else 0.0, 16
+    )
+    motion.vl_velocity.provider = lambda: clipped(state[S_SPEED_MEASURED] / axis.rad_s_per_vl, 16)
     motion.following_error.provider = lambda: clipped(axis.following_error, 32)
 
 

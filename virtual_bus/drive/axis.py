@@ -13,9 +13,17 @@ from typing import Final, cast
 
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import HaltOption
+from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.drive.firmware import Firmware, InnerControl
 from virtual_bus.drive.machine import SimulatedMachine
-from virtual_bus.drive.motion_objects import HIGHEST, LOWEST, NO_WINDOW, UNLIMITED, MotionObjects
+from virtual_bus.drive.motion_objects import (
+    HIGHEST,
+    LOWEST,
+    NO_WINDOW,
+    UNLIMITED,
+    MotionObjects,
+    VelocityRamp,
+)
 from virtual_bus.drive.motor_kernel import (
     CONTROL_SPEED,
     D_SPEED_MAX,
@@ -39,7 +47,7 @@ torque limit cuts it swings through rest, slow for up to 3.5 ms until it is fast
 _HOLDS_RAD: Final = 0.01
 """A shaft this close to a target at rest is held there, not moved on, so that the position loop works at
 the end of the axis too."""
-_STIFFEST_RAD_S2: Final = 1e9
+STIFFEST_RAD_S2: Final = 1e9
 """In the place of an acceleration without limit where a profile is planned with it."""
 
 
@@ -263,6 +271,18 @@ class SimulatedAxis:
         self.limited = self.limited or cut != change_rad_s
         return float(cut)
 
+    @property
+    def rad_s_per_vl(self) -> float:
+        """rad/s of a unit of the velocity mode, by 604Ch; bit 6 of 607Eh turns its sign too."""
+        motion = self.motion
+        numerator, denominator = int(motion.vl_numerator.value), int(motion.vl_denominator.value)
+        rpm = numerator / denominator if numerator and denominator else 1.0
+        return math.copysign(rpm * RAD_S_PER_RPM, self.units.rad_s_per_velocity)
+
+    def ramp_rad_s2(self, ramp: VelocityRamp) -> float:
+        """Of the velocity mode."""
+        return min(ramp.units_s * abs(self.rad_s_per_vl), STIFFEST_RAD_S2)
+
     def interpolation_ticks(self) -> int:
         """60C2h in inner ticks, one motion period at least."""
         seconds = self.motion.period_value.value * 10.0**self.motion.period_index.value
@@ -297,12 +317,12 @@ class SimulatedAxis:
         value = rate if most == UNLIMITED else min(rate, most)
         return float(value * self.units.rad_s2_per_acceleration)
 
-    def halt_rad_s2(self, slow_down_rad_s2: float) -> float:
-        """By 605Dh."""
+    def halt_rad_s2(self, slow_down_rad_s2: float, quick_stop_rad_s2: float) -> float:
+        """By 605Dh, of the ramps of the mode."""
         option = self.objects.option(Object.HALT_OPTION)
         if option == HaltOption.SLOW_DOWN_RAMP:
             return slow_down_rad_s2
-        return self.quick_stop_rad_s2 if option == HaltOption.QUICK_STOP_RAMP else _STIFFEST_RAD_S2
+        return quick_stop_rad_s2 if option == HaltOption.QUICK_STOP_RAMP else STIFFEST_RAD_S2
 
     # ---- what watches over it -------------------------------------------------------------------------
 

@@ -1,19 +1,24 @@
-"""CSP, CSV and CST, the cyclic synchronous modes (CiA 402-2): the master plans, the drive follows.
+"""CSP, CSV and CST, the cyclic synchronous modes, and IP, interpolated position (CiA 402-2).
+
+In all of them the master plans, and the drive follows.
 
 CSP   607Ah + 60B0h, interpolated over 60C2h; 60B2h is fed forward, and 60B1h, or while that is 0 the
       slope of the interpolation
 CSV   60FFh + 60B1h, reached within 60C2h, no faster than 60C5h and 60C6h; 60B2h is fed forward
 CST   6071h + 60B2h, at once
+IP    60C1h:1, interpolated over 60C2h in a straight line (60C0h = 0), while bit 4 of the controlword is 1
 
-Statusword bit 12 in all of them: the drive follows the command; 0 while the end of the axis bars the way.
+Statusword bit 12 in the first three: the drive follows the command; 0 while the end of the axis bars the way.
+In IP: interpolation is active; 0 too while the way is barred, or a halt is commanded.
 """
 
 from typing import Final
 
-from drivers.cia402.profile import Status
-from virtual_bus.drive.axis import SimulatedAxis
+from drivers.cia402.profile import Control, Status
+from virtual_bus.drive.axis import SimulatedAxis, WindowTimer
 from virtual_bus.drive.firmware import InnerControl
-from virtual_bus.drive.operation_mode import OperationMode
+from virtual_bus.drive.motion_objects import NO_WINDOW
+from virtual_bus.drive.operation_mode import HaltedMode, OperationMode
 
 _LATE: Final = 1.5
 """Interpolation periods after which a set-point without a follower is the end of the motion."""
@@ -74,26 +79,59 @@ class CyclicSynchronousVelocity(_CyclicMode):
         axis.run_at(now + change)
 
 
-class CyclicSynchronousPosition(_CyclicMode):
-    """CSP. Statusword bit 13: following error.
+class _Interpolation:
+    """Straight lines between set-points, each reached one interpolation period after its arrival; without
+    another one the drive stays. Encoder counts, inner ticks."""
 
-    A set-point is reached one interpolation period after its arrival; without another one the drive stays.
-    """
+    def __init__(self, axis: SimulatedAxis) -> None:
+        self._axis = axis
+        self.target = 0.0
+        self._start = 0.0
+        self._start_tick = 0
+        self._ticks = 1
+
+    def stand(self, count: float) -> None:
+        """Stay at ``count``."""
+        self._start = self.target = count
+
+    def lead_to(self, position: int) -> None:
+        """To a set-point, user position units, from where the line before has come to."""
+        axis = self._axis
+        ticks = axis.firmware.ticks
+        self._start = self.demand(ticks)
+        self.target = axis.units.nearest_count_of(position, self.target)
+        self._start_tick, self._ticks = ticks, axis.interpolation_ticks()
+
+    def demand(self, ticks: int) -> float:
+        """The position at a tick."""
+        share = (ticks - self._start_tick) / self._ticks
+        return self.target if share >= 1.0 else self._start + share * (self.target - self._start)
+
+    def slope(self, ticks: int) -> float:
+        """Counts/s at a tick; it goes on while the next set-point is a little late."""
+        if ticks - self._start_tick >= _LATE * self._ticks:
+            return 0.0
+        return (self.target - self._start) / (self._ticks * self._axis.firmware.tick_s)
+
+    def over(self, ticks: int) -> bool:
+        """The last line has come to its end."""
+        return ticks - self._start_tick >= self._ticks
+
+
+class CyclicSynchronousPosition(_CyclicMode):
+    """CSP. Statusword bit 13: following error."""
 
     def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
         self.has_following_error = True
-        self._start = 0.0
-        self._target = 0.0
-        self._start_tick = 0
-        self._ticks = 1
+        self._line = _Interpolation(axis)
         self._lags = False
         self._cut = False
 
     def begin(self, _controlword: int) -> None:
         axis = self.axis
         axis.begin(feeds_torque=True)
-        self._start = self._target = axis.count
+        self._line.stand(axis.count)
         self._lags = False
         self.take_position()
 
@@ -102,16 +140,13 @@ class CyclicSynchronousPosition(_CyclicMode):
         axis.limited = False
         position = axis.cut_target(motion.target_position.value + motion.position_offset.value)
         self._cut = axis.limited
-        ticks = axis.firmware.ticks
-        self._start = self._demand(ticks)
-        self._target = axis.units.nearest_count_of(position, self._target)
-        self._start_tick, self._ticks = ticks, axis.interpolation_ticks()
+        self._line.lead_to(position)
 
     def run(self) -> None:
         axis = self.axis
         axis.limited = self._cut
         ticks = axis.firmware.ticks
-        axis.follow(self._demand(ticks), self._feed(ticks))
+        axis.follow(self._line.demand(ticks), self._feed(ticks))
         self._lags = axis.watch_following()
 
     def status_bits(self) -> int:
@@ -123,11 +158,83 @@ class CyclicSynchronousPosition(_CyclicMode):
         offset = axis.motion.velocity_offset.value
         if offset:
             return float(offset * axis.units.rad_s_per_velocity * axis.firmware.counts_per_rad)
-        if ticks - self._start_tick >= _LATE * self._ticks:
-            return 0.0
-        return (self._target - self._start) / (self._ticks * axis.firmware.tick_s)
+        return self._line.slope(ticks)
 
-    def _demand(self, ticks: int) -> float:
-        """The interpolated position at a tick, encoder counts."""
-        share = (ticks - self._start_tick) / self._ticks
-        return self._target if share >= 1.0 else self._start + share * (self._target - self._start)
+
+class InterpolatedPosition(HaltedMode):
+    """IP. While bit 4 is 0 the shaft is brought to rest by 6084h, and set-points only wait; from its rising
+    edge on the one that waits is in force. Statusword bit 10: the last set-point is reached."""
+
+    def __init__(self, axis: SimulatedAxis) -> None:
+        super().__init__(axis)
+        self._line = _Interpolation(axis)
+        self._window = WindowTimer()
+        self._enabled = False
+        self._cut = False
+        self._reached = False
+
+    def begin(self, controlword: int) -> None:
+        self.axis.begin()
+        self._enabled = False
+        self._rest()
+        self.begin_halt(controlword)
+        self._switch(controlword)
+
+    def receive(self, controlword: int) -> None:
+        if self.take_halt(controlword):
+            self._enabled = False
+            self._rest()
+        self._switch(controlword)
+
+    def take_data_record(self) -> None:
+        axis = self.axis
+        if not self._active:
+            return
+        axis.limited = False
+        position = axis.cut_target(axis.motion.data_record.value)
+        self._cut = axis.limited
+        self._line.lead_to(position)
+        self._reached = False
+        self._window.restart()
+
+    def run(self) -> None:
+        axis = self.axis
+        if not self._active:
+            return
+        axis.limited = self._cut
+        ticks = axis.firmware.ticks
+        axis.follow(self._line.demand(ticks), self._line.slope(ticks))
+        near = self._line.over(ticks) and self._near()
+        self._reached = self._window.held(near, axis.period_s, axis.motion.position_ms.value)
+        axis.watch_following()
+
+    def status_bits(self) -> int:
+        active = Status.MODE_12 if self._active and not self.axis.barred else 0
+        return self.target_bit(self._reached and self._enabled) | active
+
+    # ---- inside ---------------------------------------------------------------------------------------
+
+    @property
+    def _active(self) -> bool:
+        return self._enabled and not self.halted
+
+    def _switch(self, controlword: int) -> None:
+        enabled = controlword & Control.MODE_4 != 0
+        if enabled == self._enabled or self.halted:
+            return
+        self._enabled = enabled
+        if enabled:
+            self._line.stand(self.axis.count)
+            self.take_data_record()
+        else:
+            self._rest()
+
+    def _rest(self) -> None:
+        self._reached = False
+        self._window.restart()
+        self.axis.stop(self.slow_down_rad_s2())
+
+    def _near(self) -> bool:
+        window = int(self.axis.motion.position_window.value)
+        away = self.axis.units.length_of(self._line.target - self.axis.count)
+        return window == NO_WINDOW or abs(away) <= window

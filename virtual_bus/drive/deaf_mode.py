@@ -78,10 +78,14 @@ class DeafMode(OperationMode):
     def slow_down_rad_s2(self) -> float:
         return self.inner.slow_down_rad_s2()
 
+    def quick_stop_rad_s2(self) -> float:
+        return self.inner.quick_stop_rad_s2()
+
     def _take_all(self) -> None:
         self.inner.take_torque()
         self.inner.take_velocity()
         self.inner.take_position()
+        self.inner.take_data_record()
 
     @contextmanager
     def _holding(self) -> Iterator[None]:

@@ -1,8 +1,10 @@
-"""The CiA 402 objects of the profile and cyclic modes, of homing, and of what watches over a motion.
+"""The CiA 402 objects of the modes of motion, of homing, and of what watches over a motion.
 
-Defaults are in the units that the drive starts with: encoder counts, 0.001 rev/min, rev/min per second.
+Defaults are in the units that the drive starts with: encoder counts, 0.001 rev/min, rev/min per second; in
+the velocity mode rev/min.
 """
 
+import math
 from typing import Final
 
 from design.motor import PmsmParameters
@@ -22,6 +24,8 @@ LINEAR_RAMP: Final = 0
 UNLIMITED: Final = 0xFFFF_FFFF
 NO_WINDOW: Final = 0xFFFF_FFFF
 """Value of 6065h and 6067h that switches the watch off (CiA 402-2)."""
+LINEAR: Final = 0
+"""The only interpolation sub-mode (60C0h) here, with a constant time."""
 LOWEST, HIGHEST = -0x8000_0000, 0x7FFF_FFFF
 
 _MRPM: Final = RAD_S_PER_RPM / 1000.0
@@ -35,6 +39,21 @@ _VELOCITY_THRESHOLD_MRPM: Final = 10_000
 """Of a drive as it is delivered: 0.7 degrees, and 20 and 10 rpm, above what an encoder's counts make."""
 
 
+class VelocityRamp:
+    """One of 6048h, 6049h and 604Ah: a change of speed, and the time that it takes."""
+
+    def __init__(self, dictionary: ObjectDictionary, index: Object, rpm_per_s: int) -> None:
+        record = dictionary.add_record(index, index.title)
+        self.speed = record.add(1, "Delta speed", _U32, default=rpm_per_s, low=1, mappable=True)
+        self.seconds = record.add(2, "Delta time", _U16, default=1, mappable=True)
+
+    @property
+    def units_s(self) -> float:
+        """Units of the velocity mode per second; without limit where no time is set."""
+        seconds = int(self.seconds.value)
+        return max(1, int(self.speed.value)) / seconds if seconds else math.inf
+
+
 class MotionObjects:
     """The variables, by name; their values are in the master's units."""
 
@@ -42,6 +61,7 @@ class MotionObjects:
         self._dictionary = dictionary
         self._add_set_points()
         self._add_profile(motor, drive)
+        self._add_velocity_mode(motor, drive)
         self._add_homing(motor, drive)
         self._add_windows(drive)
         self._add_demands()
@@ -61,6 +81,10 @@ class MotionObjects:
         self.position_offset = self._set_point(Object.POSITION_OFFSET)
         self.target_velocity = self._set_point(Object.TARGET_VELOCITY)
         self.velocity_offset = self._set_point(Object.VELOCITY_OFFSET)
+        sub_mode, record = Object.INTERPOLATION_SUB_MODE_SELECT, Object.INTERPOLATION_DATA_RECORD
+        self._add(sub_mode, _I16, LINEAR, check=one_of((LINEAR,)))
+        data = self._dictionary.add_array(record, record.title)
+        self.data_record = data.add(1, "Set-point", _I32, mappable=True, stored=False)
         period = self._dictionary.add_record(Object.INTERPOLATION_TIME_PERIOD, "Interpolation time period")
         self.period_value = period.add(1, "Interpolation time period value", _U8, default=1, low=1)
         self.period_index = period.add(2, "Interpolation time index", _I8, default=-3, low=-6, high=0)
@@ -84,6 +108,29 @@ class MotionObjects:
         self._add(Object.TORQUE_PROFILE_TYPE, _I16, check=one_of((LINEAR_RAMP,)))
         self.max_acceleration = self._add(Object.MAX_ACCELERATION, _U32, UNLIMITED, 1)
         self.max_deceleration = self._add(Object.MAX_DECELERATION, _U32, UNLIMITED, 1)
+
+    def _add_velocity_mode(self, motor: PmsmParameters, drive: DriveParameters) -> None:
+        self.vl_target = add_profile_object(self._dictionary, Object.VL_TARGET_VELOCITY, _I16, stored=False)
+        self.vl_demand, self.vl_velocity = (
+            add_profile_object(self._dictionary, index, _I16, Access.READ_ONLY)
+            for index in (Object.VL_VELOCITY_DEMAND, Object.VL_VELOCITY_ACTUAL_VALUE)
+        )
+        amount = self._dictionary.add_array(
+            Object.VL_VELOCITY_MIN_MAX_AMOUNT, Object.VL_VELOCITY_MIN_MAX_AMOUNT.title
+        )
+        fastest = math.floor(drive.speed_limit_rad_s(motor) / RAD_S_PER_RPM + 1e-6)
+        self.vl_least = amount.add(1, "Minimum amount", _U32, mappable=True)
+        self.vl_most = amount.add(2, "Maximum amount", _U32, default=fastest, mappable=True)
+        slow_down = max(1, round(drive.slow_down_rad_s2(motor) / RAD_S_PER_RPM))
+        quick = max(1, round(drive.quick_stop_rad_s2(motor) / RAD_S_PER_RPM))
+        self.vl_acceleration = VelocityRamp(self._dictionary, Object.VL_VELOCITY_ACCELERATION, slow_down)
+        self.vl_deceleration = VelocityRamp(self._dictionary, Object.VL_VELOCITY_DECELERATION, slow_down)
+        self.vl_quick_stop = VelocityRamp(self._dictionary, Object.VL_VELOCITY_QUICK_STOP, quick)
+        factor = self._dictionary.add_array(Object.VL_DIMENSION_FACTOR, Object.VL_DIMENSION_FACTOR.title)
+        self.vl_numerator, self.vl_denominator = (
+            factor.add(sub, part, _I32, default=1, low=1)
+            for sub, part in ((1, "Numerator"), (2, "Denominator"))
+        )
 
     def _add_homing(self, motor: PmsmParameters, drive: DriveParameters) -> None:
         self.home_offset = self._add(Object.HOME_OFFSET, _I32)

@@ -32,6 +32,9 @@ class OperationMode:
     def take_position(self) -> None:
         """607Ah or 60B0h was written."""
 
+    def take_data_record(self) -> None:
+        """60C1h:1 was written."""
+
     def run(self) -> None:
         """A motion period begins."""
 
@@ -42,6 +45,10 @@ class OperationMode:
     def slow_down_rad_s2(self) -> float:
         """Deceleration of the slow down ramp of the option codes (605Ah..605Eh)."""
         return self.axis.deceleration_rad_s2
+
+    def quick_stop_rad_s2(self) -> float:
+        """Deceleration of their quick stop ramp."""
+        return self.axis.quick_stop_rad_s2
 
 
 class HaltedMode(OperationMode):
@@ -64,7 +71,8 @@ class HaltedMode(OperationMode):
             return False
         self.halted = asked
         if asked:
-            self.axis.stop(self.axis.halt_rad_s2(self.slow_down_rad_s2()))
+            slow, quick = self.slow_down_rad_s2(), self.quick_stop_rad_s2()
+            self.axis.stop(self.axis.halt_rad_s2(slow, quick))
         return not asked
 
     def target_bit(self, reached: bool) -> int:

@@ -8,16 +8,20 @@ from virtual_bus.drive.cyclic_modes import (
     CyclicSynchronousPosition,
     CyclicSynchronousTorque,
     CyclicSynchronousVelocity,
+    InterpolatedPosition,
 )
 from virtual_bus.drive.homing import Homing
 from virtual_bus.drive.operation_mode import OperationMode
 from virtual_bus.drive.profile_modes import ProfilePosition, ProfileTorque, ProfileVelocity
+from virtual_bus.drive.velocity_mode import VelocityMode
 
 MODES: dict[Mode, Callable[[SimulatedAxis], OperationMode]] = {
     Mode.PROFILE_POSITION: ProfilePosition,
+    Mode.VELOCITY: VelocityMode,
     Mode.PROFILE_VELOCITY: ProfileVelocity,
     Mode.PROFILE_TORQUE: ProfileTorque,
     Mode.HOMING: Homing,
+    Mode.INTERPOLATED_POSITION: InterpolatedPosition,
     Mode.CYCLIC_SYNCHRONOUS_POSITION: CyclicSynchronousPosition,
     Mode.CYCLIC_SYNCHRONOUS_VELOCITY: CyclicSynchronousVelocity,
     Mode.CYCLIC_SYNCHRONOUS_TORQUE: CyclicSynchronousTorque,

@@ -91,6 +91,7 @@ class ServoApplication(Application):
         self._mode = self._modes[objects.mode.default]
         self._actual = ActualValues(self.firmware, objects, self.units)
         objects.controlword.on_write = self._on_controlword
+        motion.data_record.on_write = lambda _value: self._mode.take_data_record()
         objects.mode.on_write = self._on_mode
         objects.target_torque.on_write = objects.torque_offset.on_write = self._on_torque
         motion.target_velocity.on_write = motion.velocity_offset.on_write = self._on_velocity
@@ -105,7 +106,7 @@ class ServoApplication(Application):
         self.units.changed = self._actual.take_units
         self.machine.changed = self._on_inputs
         provide_slow_values(self.axis)
-        needed = objects.max_torque, objects.max_current, motion.following_window
+        needed = objects.max_torque, objects.max_current, motion.following_window, motion.vl_most
         self._own_defaults = [(variable, variable.default) for variable in needed]
         take_away(dictionary, self.drive.lacks)
 
@@ -217,11 +218,9 @@ class ServoApplication(Application):
     def _deceleration_rad_s2(self, motion: MotorAction) -> float:
         if motion is MotorAction.CURRENT_LIMIT:
             return math.inf
-        return (
-            self.axis.quick_stop_rad_s2
-            if motion is MotorAction.QUICK_STOP_RAMP
-            else self._mode.slow_down_rad_s2()
-        )
+        mode = self._mode
+        quick = motion is MotorAction.QUICK_STOP_RAMP
+        return mode.quick_stop_rad_s2() if quick else mode.slow_down_rad_s2()
 
     def _on_controlword(self, controlword: int) -> None:
         last, self._controlword = self._controlword, controlword

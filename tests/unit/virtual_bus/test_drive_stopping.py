@@ -6,7 +6,7 @@ import pytest
 
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, State, Status
+from drivers.cia402.profile import FOLLOW_BITS, Mode, State, Status
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import ENABLED, RPM_PER_TURN_S, MotionBench
 from virtual_bus.drive.servo_parameters import DriveParameters
@@ -19,10 +19,27 @@ TURNING = (
     Mode.PROFILE_POSITION,
     Mode.PROFILE_VELOCITY,
     Mode.PROFILE_TORQUE,
+    Mode.VELOCITY,
+    Mode.INTERPOLATED_POSITION,
     Mode.CYCLIC_SYNCHRONOUS_POSITION,
     Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
     Mode.CYCLIC_SYNCHRONOUS_TORQUE,
 )
+
+STREAMED = {
+    Mode.CYCLIC_SYNCHRONOUS_POSITION: (Object.TARGET_POSITION, 0),
+    Mode.INTERPOLATED_POSITION: (Object.INTERPOLATION_DATA_RECORD, 1),
+}
+RAMPS = {
+    Object.VL_VELOCITY_ACCELERATION: 500.0,
+    Object.VL_VELOCITY_DECELERATION: DOWN,
+    Object.VL_VELOCITY_QUICK_STOP: QUICK,
+}
+
+
+def bench_word(mode: Mode) -> int:
+    """With which a mode follows."""
+    return ENABLED | FOLLOW_BITS.get(mode, 0)
 
 
 def turning_bench(mode: Mode = Mode.PROFILE_VELOCITY) -> MotionBench:
@@ -43,13 +60,22 @@ def turning_bench(mode: Mode = Mode.PROFILE_VELOCITY) -> MotionBench:
         bench.set(Object.MODES_OF_OPERATION, "b", mode)
         bench.control(ENABLED | 0x10)
         bench.wait_ms(200)
-    elif mode is Mode.CYCLIC_SYNCHRONOUS_POSITION:
+    elif mode in STREAMED:
+        index, sub = STREAMED[mode]
         start = bench.read(0x6064, "i")
-        bench.set(Object.TARGET_POSITION, "i", start)
+        bench.set(index, "i", start, sub)
         bench.set(Object.MODES_OF_OPERATION, "b", mode)
+        bench.control(bench_word(mode))
         for place in range(1, 100):
-            bench.set(Object.TARGET_POSITION, "i", start + round(place * SPEED * 65.536))
+            bench.set(index, "i", start + round(place * SPEED * 65.536), sub)
             bench.wait_ms(1)
+    elif mode is Mode.VELOCITY:
+        bench.set(Object.VL_TARGET_VELOCITY, "h", round(SPEED * RPM_PER_TURN_S))
+        for index, steepness in RAMPS.items():
+            bench.set(index, "I", round(steepness * RPM_PER_TURN_S), 1)
+        bench.set(Object.MODES_OF_OPERATION, "b", mode)
+        bench.control(bench_word(mode))
+        bench.wait_ms(50)
     else:
         bench.set(Object.MODES_OF_OPERATION, "b", mode)
         bench.wait_ms(1)
@@ -135,8 +161,10 @@ def test_fault_reaction_by_605e(option: int, how: str) -> None:
 
 @pytest.mark.parametrize("mode", [*TURNING, Mode.HOMING])
 def test_the_slow_down_ramp_of_each_mode(mode: Mode) -> None:
-    """6084h, but in homing 609Ah."""
+    """6084h, but in homing 609Ah, and in velocity mode 6049h."""
     bench = turning_bench(mode)
+    if mode is Mode.VELOCITY:
+        bench.set(Object.PROFILE_DECELERATION, "I", round(2 * DOWN * RPM_PER_TURN_S))
     bench.set(Object.QUICK_STOP_OPTION, "h", 1)
     started, begun = bench.turns_s, bench.turns
     bench.control(0x02)
@@ -148,16 +176,24 @@ def test_the_slow_down_ramp_of_each_mode(mode: Mode) -> None:
 @pytest.mark.parametrize("mode", TURNING)
 def test_a_stop_called_off_goes_on_from_the_present_speed(mode: Mode) -> None:
     bench = turning_bench(mode)
-    if mode is Mode.CYCLIC_SYNCHRONOUS_POSITION:
-        return  # its set-point stays behind meanwhile
+    if mode in STREAMED:
+        return  # their set-points stay behind meanwhile
     bench.control(0x07)
     bench.wait_ms(40)
     speed = bench.turns_s
     assert speed == pytest.approx(SPEED - 0.04 * DOWN, rel=0.1)
-    bench.control(ENABLED)
+    bench.control(bench_word(mode))
     assert bench.shows(State.OPERATION_ENABLED)
     bench.wait_ms(1)
     assert bench.turns_s == pytest.approx(speed, abs=1.2)
+
+
+def test_the_quick_stop_ramp_of_velocity_mode_is_604a() -> None:
+    bench = turning_bench(Mode.VELOCITY)
+    bench.set(Object.QUICK_STOP_DECELERATION, "I", round(DOWN * RPM_PER_TURN_S))
+    started, begun = bench.turns_s, bench.turns
+    bench.control(0x02)
+    stopped(bench, QUICK_RAMP, State.SWITCH_ON_DISABLED, started, begun)
 
 
 def test_a_steeper_quick_stop_is_not_weakened_by_60c6() -> None:

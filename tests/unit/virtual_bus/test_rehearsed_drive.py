@@ -47,14 +47,13 @@ def test_a_sheet_without_1018h_is_of_a_drive_without() -> None:
 
 def test_modes_that_the_sheet_denies_are_neither_told_nor_taken() -> None:
     sheet = MadeSheet()
-    told = supported_mode_bit(Mode.PROFILE_VELOCITY) | supported_mode_bit(Mode.VELOCITY)
-    sheet.set(0x6502, default=told | 1 << 16)
+    own = supported_mode_bit(Mode.PROFILE_VELOCITY) | supported_mode_bit(Mode.VELOCITY)
+    with_angle = supported_mode_bit(Mode.CYCLIC_SYNCHRONOUS_TORQUE_WITH_ANGLE)
+    sheet.set(0x6502, default=own | with_angle | 1 << 16)
     drive = drive_of(sheet)
-    assert number(drive, 0x6502) == supported_mode_bit(Mode.PROFILE_VELOCITY), (
-        "velocity mode (vl) is not simulated"
-    )
-    assert number(drive, 0x6060) == number(drive, 0x6061) == Mode.PROFILE_VELOCITY
-    for mode in (Mode.CYCLIC_SYNCHRONOUS_TORQUE, Mode.VELOCITY, 99):
+    assert number(drive, 0x6502) == own, "cyclic torque with commutation angle is not simulated"
+    assert number(drive, 0x6060) == number(drive, 0x6061) == Mode.VELOCITY
+    for mode in (Mode.CYCLIC_SYNCHRONOUS_TORQUE, Mode.CYCLIC_SYNCHRONOUS_TORQUE_WITH_ANGLE, 99):
         with pytest.raises(SdoAbort):
             drive.dictionary.download(0x6060, 0, bytes([mode]))
 

@@ -297,7 +297,9 @@ def test_speed_is_held_below_6080() -> None:
         (Object.MAX_CURRENT, "H", 3001, AbortCode.TOO_HIGH),
         (Object.MAX_MOTOR_SPEED, "I", 6000, AbortCode.TOO_HIGH),
         (Object.QUICK_STOP_DECELERATION, "I", 0, AbortCode.TOO_LOW),
-        (Object.MODES_OF_OPERATION, "b", Mode.INTERPOLATED_POSITION, AbortCode.INVALID_VALUE),
+        (Object.MODES_OF_OPERATION, "b", 5, AbortCode.INVALID_VALUE),
+        (Object.MODES_OF_OPERATION, "b", 11, AbortCode.INVALID_VALUE),
+        (Object.INTERPOLATION_SUB_MODE_SELECT, "h", -1, AbortCode.INVALID_VALUE),
         (Object.MODES_OF_OPERATION, "b", -1, AbortCode.INVALID_VALUE),
         (Object.HALT_OPTION, "h", 0, AbortCode.INVALID_VALUE),
         (Object.HOMING_METHOD, "b", 15, AbortCode.INVALID_VALUE),
@@ -316,7 +318,7 @@ def test_what_the_drive_cannot_do_is_refused(index: int, code: str, value: int, 
 
 def test_only_the_modes_that_exist_are_offered() -> None:
     bench = ServoBench()
-    assert bench.read(Object.SUPPORTED_DRIVE_MODES, "I") == 0b11_1010_1101, "PP PV PT HM, CSP CSV CST"
+    assert bench.read(Object.SUPPORTED_DRIVE_MODES, "I") == 0b11_1110_1111, "PP VL PV PT HM, IP CSP CSV CST"
     assert bench.read(Object.MODES_OF_OPERATION_DISPLAY, "b") == Mode.CYCLIC_SYNCHRONOUS_TORQUE
 
 

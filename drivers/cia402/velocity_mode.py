@@ -1,0 +1,60 @@
+"""Unit and ramps of the velocity mode (vl), which has its own (CiA 402-2): 604Ch, and 6048h to 604Ah.
+
+    rad/s of a unit    604Ch:1 / 604Ch:2 r/min, and 1 r/min where the drive has none
+    ramp               units in sub-index 1, changed in the seconds of sub-index 2
+
+Of the motor's shaft, as 6080h. Which of them are there the drive decides: each that is missing or refused
+becomes a note.
+"""
+
+import math
+
+from drivers.canopen.objects import RemoteObjects
+from drivers.cia402.drive_setup import DriveSettings, write_optional
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode
+from drivers.rotation import RAD_S_PER_RPM
+
+_FINE = 100
+"""Units by which a ramp's speed changes at least: rounded to a whole unit it is right to 0.5 %."""
+_SECONDS_MAX = 0xFFFF
+
+
+def velocity_mode_unit(objects: RemoteObjects) -> float:
+    """rad/s of one unit of 6042h; negative if 604Ch turns its sign. 604Ch has two INTEGER32."""
+    numerator, denominator = (objects.read_if_there(Object.VL_DIMENSION_FACTOR, sub, "i") for sub in (1, 2))
+    return RAD_S_PER_RPM * (numerator / denominator if numerator and denominator else 1.0)
+
+
+def write_velocity_mode_ramps(objects: RemoteObjects, settings: DriveSettings) -> list[str]:
+    """The quick stop and the change of set-points that ``settings`` ask for; notes on what is not taken.
+    Nothing in another mode."""
+    if settings.mode is not Mode.VELOCITY:
+        return []
+    unit_rad_s = abs(velocity_mode_unit(objects))
+    quick_rad_s2, change_rad_s2 = settings.quick_stop_deceleration_rad_s2, settings.set_acceleration_rad_s2
+    notes = []
+    for index, rate_rad_s2, text in (
+        (Object.VL_VELOCITY_ACCELERATION, change_rad_s2, "acceleration of the velocity mode"),
+        (Object.VL_VELOCITY_DECELERATION, change_rad_s2, "deceleration of the velocity mode"),
+        (Object.VL_VELOCITY_QUICK_STOP, quick_rad_s2, "quick stop of the velocity mode"),
+    ):
+        if rate_rad_s2 is not None:
+            notes += _write_ramp(objects, index, rate_rad_s2 / unit_rad_s, text)
+    return notes
+
+
+def _write_ramp(objects: RemoteObjects, index: int, units_s: float, text: str) -> list[str]:
+    seconds = min(max(1, math.ceil(_FINE / units_s)), _SECONDS_MAX)
+    speed = min(max(1, round(units_s * seconds)), 0xFFFF_FFFF)
+    return write_optional(objects, index, "I", speed, text, 1) + write_optional(
+        objects, index, "H", seconds, text, 2
+    )
+
+
+def velocity_mode_ramp(objects: RemoteObjects, index: int) -> float | None:
+    """rad/s^2 of 6048h, 6049h or 604Ah; infinite where it has no time, None if the drive has no such ramp."""
+    speed, seconds = objects.read_if_there(index, 1, "I"), objects.read_if_there(index, 2, "H")
+    if not speed or seconds is None:
+        return None
+    return speed * abs(velocity_mode_unit(objects)) / seconds if seconds else math.inf
