@@ -37,8 +37,8 @@ class InjectedFaults:
     """Tells of entries as they come."""
 
     def __init__(self) -> None:
-        self._windows: dict[tuple[int, int], _Window] = {}
-        """Those that are open, by kind and link."""
+        self._windows: dict[tuple[int, int, int], _Window] = {}
+        """Those that are open, by kind, link and, where a kind tells it, what was struck."""
         self._lasting: list[tuple[Instant, str]] = []
         """Faults of nodes that end by themselves: when, and their tracks."""
         self._until_taken_back: dict[str, int] = {}
@@ -50,12 +50,17 @@ class InjectedFaults:
         windows = self._windows
         for entry in entries:
             at, code = Instant(zero + entry[0]), entry[6]
+            kind = LOG_KINDS[code]
+            if kind.says is not None:
+                told.append(TextEvent(at, "WARN", f"not injected: {kind.says(entry.a, entry.b)}"))
+                continue
             if code not in _IN_WINDOWS:
                 told.append(TextEvent(at, "WARN", f"injected: {_in_words(entry)}"))
                 told.append(self._node_state(entry, at))
                 continue
             # Where every frame is delayed, all but the first come here.
-            window = windows.get((code, entry[7]))
+            key = code, entry[7], 0 if kind.of is None else entry.a
+            window = windows.get(key)
             if window is not None and at - window.last <= WINDOW_GAP:
                 window.last = max(window.last, at)
                 window.count += 1
@@ -63,7 +68,7 @@ class InjectedFaults:
             if window is not None:
                 told += _closed(window)
             struck = _struck(entry)
-            windows[code, entry[7]] = _Window(entry.kind, struck, at)
+            windows[key] = _Window(entry.kind, struck, at)
             told.append(TextEvent(at, "WARN", f"injected from here: {struck}{_first(entry)}"))
             told.append(StateEvent(at, _track(entry.kind, struck), ACTIVE))
         return sorted(told, key=lambda event: event.at)
@@ -113,8 +118,10 @@ def _struck(entry: FaultEntry) -> str:
         return kind.replace("_", " ")
     if kind == "late":
         return f"late, node {entry.link}"
+    of = LOG_KINDS[entry.code].of
+    what = kind if of is None else f"{kind} {of(entry.a, entry.b)}"
     place = f" at node {entry.at_drive}" if entry.at_drive else ""
-    return f"{kind} {entry.direction.label}{place}".replace("_", " ")
+    return f"{what} {entry.direction.label}{place}".replace("_", " ")
 
 
 def _first(entry: FaultEntry) -> str:

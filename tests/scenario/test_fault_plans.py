@@ -45,6 +45,7 @@ INJECTED = {
     "ignored_commands": {"ignored_commands"},
     "refused_mapping": {"refused_mapping"},
     "repeated_emergency": {"repeated_emergency"},
+    "signals": {"signal_noise", "signal_scale", "signal_offset", "signal_nowhere"},
 }
 
 

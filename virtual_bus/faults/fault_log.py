@@ -10,6 +10,9 @@ line of JSON, by kind (each says so itself, :class:`.log_kind.LogKind`):
     reorder                                 the same, delay_ns, then held_ns in which others overtake it
     delay                                   the same, delay_ns; in_order false: it may overtake others
     error_frame                             the same, of attempts to send; bit on the wire
+    signal_stuck, signal_offset ..          at_ns, direction, can_id, n; object as the upper 24 bits of a
+                                            mapping word; bits_at, its length times 64 plus its first bit; raw
+    signal_nowhere                          the frame at which it was noticed; object, node (0: any)
     silence, bus_off, drive_fault,          at_ns, node, and what happens
     clock_step, clock_drift, lss_yes_sayer,
     mode_change, ignored_commands,

@@ -13,6 +13,12 @@
 Each of these may also hold direction ("host_to_drive", "drive_to_host"; "both" if left out), frames
 (["pdo"] if left out), nodes, from_s, until_s and side ("host", "drive").
 
+    [[signal]]          object = "velocity_actual_value", "606C", "60C1:1"; probability = 1;
+                        how = "stuck" (stuck_raw), "offset" (offset_raw), "drift" (drift_raw_per_s),
+                        "noise" (noise_raw_rms), "scale" (factor), "sign" or "bits" (set_bits, cleared_bits)
+
+This one the same, but for frames: PDOs, wherever one carries the object.
+
     [[silence]]      duration_s                                      when
     [[bus_off]]      recover_after_s (never, if left out)            when
     [[drive_fault]]  fault = "over_current", "over_temperature",     when
@@ -38,7 +44,7 @@ A plan says nothing about chance: the seed belongs to :class:`.fault_injector.Fa
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -49,8 +55,9 @@ from drivers.errors import MISSING, BadInput
 from drivers.key_advice import unknown_key
 from drivers.timebase import Duration
 from virtual_bus.faults.fault_table import A_NUMBER, A_WHOLE_NUMBER, FaultTable
-from virtual_bus.faults.frame_fault import FrameFault, Side
+from virtual_bus.faults.frame_fault import FrameFault, LinkFault, Side
 from virtual_bus.faults.kinds.host_stall import HostStall
+from virtual_bus.faults.kinds.signal import SignalFault
 from virtual_bus.faults.node_fault import NodeFault
 from virtual_bus.faults.register import TABLES
 
@@ -78,35 +85,42 @@ class FaultPlan:
     faults: tuple[FrameFault, ...] = ()
     node_faults: tuple[NodeFault, ...] = ()
     host_stalls: tuple[HostStall, ...] = ()
+    signals: tuple[SignalFault, ...] = ()
 
     @property
     def sides(self) -> list[tuple[str, Side]]:
-        """The kinds of the faults of frames that name a side, and that side."""
-        return [(fault.kind, fault.side) for fault in self.faults if fault.side is not None]
+        """The kinds of the faults of frames and signals that name a side, and that side."""
+        return [(fault.kind, fault.side) for fault in self._on_links if fault.side is not None]
 
     def at(self, side: Side) -> "FaultPlan":
         """What befalls frames at the connection of the program that is given the plan: ``side``'s."""
-        return FaultPlan(tuple(fault for fault in self.faults if fault.side in (None, side)))
+        return _of_links(fault for fault in self._on_links if fault.side in (None, side))
 
     def at_drive(self, node: int) -> "FaultPlan":
         """What befalls frames at the connection of that one drive."""
-        here = [
+        return _of_links(
             fault.model_copy(update={"nodes": (node,)})
-            for fault in self.faults
+            for fault in self._on_links
             if fault.side == "drive" and node in (fault.nodes or (node,))
-        ]
-        return FaultPlan(tuple(here))
+        )
+
+    @property
+    def _on_links(self) -> tuple[LinkFault, ...]:
+        return *self.faults, *self.signals
+
+    @property
+    def _tables(self) -> tuple[FaultTable, ...]:
+        return *self._on_links, *self.node_faults, *self.host_stalls
 
     @property
     def span(self) -> Duration:
         """When the last window opens or closes, ns after time zero: a run should be longer."""
-        every = (*self.faults, *self.node_faults, *self.host_stalls)
-        return max((edge for fault in every for edge in fault.edges_ns), default=Duration(0))
+        return max((edge for fault in self._tables for edge in fault.edges_ns), default=Duration(0))
 
     def as_tables(self) -> dict[str, list[dict[str, Any]]]:
         """The plan as :func:`load_fault_plan` takes it, to be written beside a run."""
         tables: dict[str, list[dict[str, Any]]] = {}
-        for fault in (*self.faults, *self.node_faults, *self.host_stalls):
+        for fault in self._tables:
             tables.setdefault(fault.kind, []).append(fault.as_table())
         return tables
 
@@ -149,8 +163,15 @@ def read_fault_plan(
         tuple(fault for fault in faults if isinstance(fault, FrameFault)),
         tuple(fault for fault in faults if isinstance(fault, NodeFault)),
         tuple(fault for fault in faults if isinstance(fault, HostStall)),
+        tuple(fault for fault in faults if isinstance(fault, SignalFault)),
     )
     return plan, errors
+
+
+def _of_links(faults: Iterable[LinkFault]) -> FaultPlan:
+    every = tuple(faults)
+    frames = tuple(fault for fault in every if isinstance(fault, FrameFault))
+    return FaultPlan(frames, signals=tuple(fault for fault in every if isinstance(fault, SignalFault)))
 
 
 def _bad_inputs(

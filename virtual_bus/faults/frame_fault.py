@@ -64,16 +64,26 @@ Frames = Annotated[
 ]
 
 
-class FrameFault(TimeWindow):
-    """A fault of frames. A kind is one subclass, in a file of its own."""
+class LinkFault(TimeWindow):
+    """A fault of what passes over a connection to the bus: of frames, or of signals in them."""
 
     direction: Literal["both", "host_to_drive", "drive_to_host"] = "both"
-    frames: Frames = ("pdo",)
     nodes: NodeIds = ()
     """Only classes' frames of these nodes; empty: of all, and broadcasts too."""
     side: Side | None = None
     """At whose connection; None: at that of the program that is given the plan. At a drive's, ``nodes`` are
     the drives, and frames that belong to no node are theirs too."""
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """First ns in which it acts, and the first in which it does so no more."""
+        return self.from_ns, NEVER if self.until_ns is None else self.until_ns
+
+
+class FrameFault(LinkFault):
+    """A fault of frames. A kind is one subclass, in a file of its own."""
+
+    frames: Frames = ("pdo",)
 
     delays: ClassVar[bool] = False
     """It makes a :class:`Hold`."""
@@ -91,11 +101,6 @@ class FrameFault(TimeWindow):
     def on_the_wire(self) -> bool:
         """A bus that has error frames strikes it, see :mod:`.disturber`."""
         return False
-
-    @property
-    def window(self) -> tuple[int, int]:
-        """First ns in which it acts, and the first in which it does so no more."""
-        return self.from_ns, NEVER if self.until_ns is None else self.until_ns
 
     def at_work(self, stream: UniformStream) -> Strike | Hold:
         """What it does to the frames of one link (or COB-ID), with the random stream of that link."""

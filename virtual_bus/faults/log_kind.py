@@ -42,13 +42,19 @@ class LogKind:
     """What goes on in place of a struck frame by the entry's first number; None: nothing, it is lost."""
     in_order: bool = True
     """The frames behind it wait for what goes on."""
+    alters: bool = False
+    """The frame goes on with other values, whatever else befalls it (:mod:`.mangler`)."""
+    of: Callable[[int, int], str] | None = None
+    """Tells what was struck by the first two numbers; strikes of each count for themselves."""
+    says: Callable[[int, int], str] | None = None
+    """Tells by the first two numbers of something that is no strike."""
     since_power_on: bool = False
     """It counts its times from the drive's power-on, not from the plan's time zero."""
 
     @property
     def in_windows(self) -> bool:
         """So many may strike in a row that a reader is told from when to when."""
-        return self.tells == "frame" or self.at == "host"
+        return self.says is None and (self.tells == "frame" or self.at == "host")
 
 
 LATER: Final = LogNumber("delay_ns", unsaid=0)

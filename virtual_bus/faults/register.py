@@ -23,6 +23,7 @@ from virtual_bus.faults.kinds.refused_mapping import RefusedMapping
 from virtual_bus.faults.kinds.reorder import Reorder
 from virtual_bus.faults.kinds.repeated_emergency import RepeatedEmergency
 from virtual_bus.faults.kinds.safe_torque_off import SafeTorqueOff
+from virtual_bus.faults.kinds.signal import SignalFault
 from virtual_bus.faults.kinds.silence import Silence
 from virtual_bus.faults.kinds.slow_drive import SlowDrive
 from virtual_bus.faults.log_kind import LogKind
@@ -50,6 +51,7 @@ _ALL: Final[tuple[type[FaultTable], ...]] = (
     IgnoredCommands,
     RefusedMapping,
     RepeatedEmergency,
+    SignalFault,
 )
 TABLES: Final = {table.kind: table for table in _ALL}
 """By the name of a plan's tables."""

@@ -11,6 +11,7 @@ from drivers.wire.identifiers import EXTENDED_FLAG
 from virtual_bus.faults.fates import FateSource, Queue, Route
 from virtual_bus.faults.fault_log import FRAME_KINDS, HOST_KINDS, NODE_KINDS, FaultEntry, FaultLog, read_line
 from virtual_bus.faults.kinds.corruption import ERROR_FRAME
+from virtual_bus.faults.register import LOG_KINDS
 
 SIZE_MAX_BYTES = 4_000_000_000
 """Three hours at 1 kHz in which every frame is delayed."""
@@ -76,7 +77,8 @@ class ReplayedFates(FateSource):
         kinds: dict[str, None] = {}
         for entry in recorded.entries:
             kind = entry.kind
-            if kind in FRAME_KINDS and kind != ERROR_FRAME and entry.at_drive == node:
+            strikes = kind in FRAME_KINDS and kind != ERROR_FRAME and not LOG_KINDS[entry.code].alters
+            if strikes and entry.at_drive == node:
                 self._entries[int(entry.direction), entry.can_id][entry.n] = entry
                 kinds[kind] = None
         kinds.pop("delay", None)

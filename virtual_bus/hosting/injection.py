@@ -21,6 +21,7 @@ from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.fault_streams import uniform_stream
 from virtual_bus.faults.frame_fault import Side
 from virtual_bus.faults.kinds.host_stall import HostStall
+from virtual_bus.faults.mangler import DrawnSignals, Mangler, ReplayedSignals
 from virtual_bus.faults.node_faults import DrawnNode, Events, node_source
 from virtual_bus.faults.replay import RecordedFaults, ReplayedFates
 from virtual_bus.hosting.faulty_device import FaultyDevice
@@ -119,11 +120,11 @@ class Injection:
         if self._side == "drive":
             return None
         if isinstance(faults, RecordedFaults):
-            return ReplayedFates(faults, self.log, node) if node in faults.drives_struck else None
+            return _replayed(faults, self.log, node) if node in faults.drives_struck else None
         plan = faults.at_drive(node)
-        if not plan.faults:
-            return None
-        return FaultInjector(plan, self._seed, f"{self._link}/drive {node}", log=self.log, node=node)
+        link = f"{self._link}/drive {node}"
+        inner = FaultInjector(plan, self._seed, link, log=self.log, node=node)
+        return _mangled(inner, plan, self._seed, link, node)
 
     @property
     def stalls_host(self) -> bool:
@@ -173,9 +174,21 @@ def _fates(
     faults: Faults, seed: int, log: FaultLog | None, error_frames: bool, link: str, side: Side
 ) -> FateSource | None:
     if isinstance(faults, RecordedFaults):
-        return ReplayedFates(faults, log)
+        return _replayed(faults, log)
     here = faults.at(side)
-    return FaultInjector(here, seed, link, error_frames, log) if here.faults else None
+    return _mangled(FaultInjector(here, seed, link, error_frames, log), here, seed, link)
+
+
+def _replayed(recorded: RecordedFaults, log: FaultLog | None, node: int = 0) -> FateSource:
+    fates, signals = ReplayedFates(recorded, log, node), ReplayedSignals(recorded.entries, node)
+    return fates if signals.idle else Mangler(signals, fates, log, node)
+
+
+def _mangled(inner: FateSource, plan: FaultPlan, seed: int, link: str, node: int = 0) -> FateSource | None:
+    """``inner``, behind what alters signals; None if neither has anything to do."""
+    if plan.signals:
+        return Mangler(DrawnSignals(plan.signals, seed, link), inner, inner.log, node)
+    return inner if plan.faults else None
 
 
 def _late_by(faults: Faults, seed: int, link: str) -> LateBy | None:

@@ -1,9 +1,8 @@
 """``[[refused_mapping]]``: a drive that does not take a PDO mapping."""
 
-import re
 from typing import Annotated, Final
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import model_validator
 
 from drivers.canopen.objects301 import PDO_ENTRIES_MAX, is_mapping
 from drivers.errors import MISSING
@@ -11,28 +10,10 @@ from drivers.timebase import Instant
 from virtual_bus.faults.fault_table import require, within
 from virtual_bus.faults.log_kind import NONE, LogNumber, node_event
 from virtual_bus.faults.node_fault import NodeEvent, NodeFault, StruckNode
+from virtual_bus.faults.object_place import ObjectPlace, place_of, place_text
 
 NOT_MAPPABLE: Final = 0x06040041
 """Object cannot be mapped to the PDO (CiA 301, table 22)."""
-_PLACE: Final = re.compile(r"([0-9A-Fa-f]{4})(?::([0-9]{1,3}))?")
-
-
-def _placed(text: str) -> int:
-    """Index and sub-index of ``1A00:1``, as they stand in a mapping word. Error: ValueError."""
-    match = _PLACE.fullmatch(text)
-    if match is None or int(match[2] or 0) > 0xFF:
-        raise ValueError('index and sub-index, such as "1A00:1"; or "6061"')
-    return int(match[1], 16) << 8 | int(match[2] or 0)
-
-
-def _known(text: str) -> str:
-    _placed(text)
-    return text
-
-
-Place = Annotated[
-    str, Field(description='index and sub-index, such as "1A00:1"; or "6061"'), AfterValidator(_known)
-]
 AbortNumber = Annotated[
     int, within(0x05000000, 0x0FFFFFFF, "an SDO abort code, such as 0x06040041 (CiA 301, table 22)")
 ]
@@ -55,8 +36,8 @@ class RefusedMapping(NodeFault):
             since_power_on=True,
         ),
     )
-    parameter: Place | None = None
-    mapped: Place | None = None
+    parameter: ObjectPlace | None = None
+    mapped: ObjectPlace | None = None
     abort: AbortNumber = NOT_MAPPABLE
 
     @model_validator(mode="after")
@@ -64,7 +45,7 @@ class RefusedMapping(NodeFault):
         both = self.parameter is not None or self.mapped is not None
         require(both, "parameter", MISSING, 'a mapping parameter, such as "1A00:1", or mapped, or both')
         if self.parameter is not None:
-            place = _placed(self.parameter)
+            place = place_of(self.parameter)
             good = is_mapping(place >> 8) and place & 0xFF <= PDO_ENTRIES_MAX
             expected = f"1600h to 17FFh or 1A00h to 1BFFh, sub-index 0 to {PDO_ENTRIES_MAX}"
             require(good, "parameter", self.parameter, expected)
@@ -75,7 +56,7 @@ class RefusedMapping(NodeFault):
         return self
 
     def from_power_on(self) -> NodeEvent:
-        parameter, mapped = (0 if text is None else _placed(text) for text in (self.parameter, self.mapped))
+        parameter, mapped = (0 if text is None else place_of(text) for text in (self.parameter, self.mapped))
         return NodeEvent(0, self.kind, self.abort, parameter, mapped)
 
     @staticmethod
@@ -88,10 +69,6 @@ class RefusedMapping(NodeFault):
 
     @staticmethod
     def in_words(kind: str, node: str, event: NodeEvent) -> str:  # noqa: ARG004
-        where = f"{_told(event.b)} is refused" if event.b else "a mapping is refused"
-        what = f" for {_told(event.c)}" if event.c else ""
+        where = f"{place_text(event.b)} is refused" if event.b else "a mapping is refused"
+        what = f" for {place_text(event.c)}" if event.c else ""
         return f"{where}{what} with {event.a:08X}h, {node}"
-
-
-def _told(place: int) -> str:
-    return f"{place >> 8:04X}h:{place & 0xFF}"
