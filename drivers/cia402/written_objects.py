@@ -89,6 +89,25 @@ SET_UP = CONTROL | WriteList(
             "a velocity mode begins at the present speed",
             "each change of mode, enabling",
         ),
+        listed(
+            Object.VL_TARGET_VELOCITY,
+            "velocity mode (vl) begins at the present speed",
+            "each change of mode, enabling",
+        ),
+        *(
+            listed(index, "ramp of velocity mode (vl)", _SET_UP, range(1, 3))
+            for index in (
+                Object.VL_VELOCITY_ACCELERATION,
+                Object.VL_VELOCITY_DECELERATION,
+                Object.VL_VELOCITY_QUICK_STOP,
+            )
+        ),
+        listed(
+            Object.INTERPOLATION_DATA_RECORD,
+            "interpolated position begins where the shaft is",
+            "each change of mode, enabling",
+            range(1, 2),
+        ),
     ),
 )
 """Everything that :class:`drivers.cia402.servo.ServoDrive` writes, moves and homing apart."""

@@ -36,7 +36,10 @@ RECORD = Object.INTERPOLATION_DATA_RECORD
 SDO_REQUEST = 0x600 + NODE
 WRITES = RIG | WriteList(
     "the suite",
-    (ListedWrite(range(0x2110, 0x2111), range(1, 9), "Inputs", "what happens", "tests", SIMULATED_DRIVE),),
+    (
+        ListedWrite(range(0x2110, 0x2111), range(1, 9), "Inputs", "what happens", "tests", SIMULATED_DRIVE),
+        ListedWrite(range(0x604C, 0x604D), range(1, 2), "Dimension factor", "another unit", "tests"),
+    ),
 )
 """2110h: the switches, the index and the supply of a simulated drive."""
 ENABLED = 0x0F
