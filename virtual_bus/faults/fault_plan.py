@@ -29,8 +29,8 @@ This one the same, but for frames: PDOs, wherever one carries the object.
     [[clock_drift]]  drift_ppm; from_s, until_s
     [[slow_drive]]   sdo_delay_us, tpdo_delay_us, boot_s, or a _min and _max of each
     [[lss_yes_sayer]]
-    [[mode_change]]  mode = "pp", "pv", "pt", "hm", "csp", "csv" or "cst";  when
-                     duration_s (for good, if left out)
+    [[mode_change]]  mode = "pp", "vl", "pv", "pt", "hm", "ip",      when
+                     "csp", "csv" or "cst"; duration_s (for good, if left out)
     [[ignored_commands]]  holds = "last" or "zero",                  when
                      bit_12_cleared = true; duration_s
     [[refused_mapping]]  parameter = "1A00:1", mapped = "6061" or both;

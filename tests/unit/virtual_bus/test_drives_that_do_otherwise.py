@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivers.cia402.profile import DriveCommand, Mode, State, Status
+from drivers.cia402.profile import FOLLOW_BITS, DriveCommand, Mode, State, Status
 from drivers.timebase import NS_PER_MS, Instant
 from tests.unit.virtual_bus.servo_bench import ENABLE
 from tests.unit.virtual_bus.test_node_faults import FaultyBench
@@ -30,6 +30,7 @@ def running(fault: NodeFault | None, mode: Mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
     bench = FaultyBench(*([] if fault is None else [fault]))
     assert bench.write(0x6060, "b", mode) is None
     bench.command(*ENABLE)
+    assert bench.write(0x6040, "H", 0x0F | FOLLOW_BITS.get(mode, 0)) is None
     bench.begin()
     return bench
 
@@ -71,17 +72,21 @@ def test_the_mode_of_6060h_written_again_is_taken() -> None:
 SET_POINTS: dict[Mode, list[tuple[int, str, int]]] = {
     Mode.PROFILE_VELOCITY: [(0x60FF, "i", 300_000)],
     Mode.PROFILE_TORQUE: [(0x6071, "h", 200)],
+    Mode.VELOCITY: [(0x6042, "h", 300)],
+    Mode.INTERPOLATED_POSITION: [(0x60C1, "i", 3000)],
     Mode.PROFILE_POSITION: [(0x607A, "i", 100_000), (0x6040, "H", 0x1F)],
     Mode.CYCLIC_SYNCHRONOUS_POSITION: [(0x607A, "i", 3000), (0x60B1, "i", 1000)],
     Mode.CYCLIC_SYNCHRONOUS_VELOCITY: [(0x60FF, "i", 300_000), (0x60B2, "h", 100)],
     Mode.CYCLIC_SYNCHRONOUS_TORQUE: [(0x6071, "h", 200), (0x60B2, "h", 50)],
 }
 
+SUBS = {0x60C1: 1}
+
 
 def give(bench: FaultyBench, mode: Mode, times: int) -> None:
     for index, code, value in SET_POINTS[mode]:
         factor = 1 if index == 0x6040 else times
-        assert bench.write(index, code, value * factor) is None
+        assert bench.write(index, code, value * factor, SUBS.get(index, 0)) is None
     if mode is Mode.PROFILE_POSITION:
         assert bench.write(0x6040, "H", 0x0F) is None
 
@@ -103,8 +108,8 @@ def test_the_last_set_points_go_on_to_act_and_the_newest_act_afterwards(mode: Mo
         for each in (bench, twin):
             each.pass_ms(4)
         assert shaft(bench) == shaft(twin)
-        first = SET_POINTS[mode][0]
-        assert bench.read(*first[:2]) == 2 * first[2], "the objects show what was written"
+        index, code, value = SET_POINTS[mode][0]
+        assert bench.read(index, code, SUBS.get(index, 0)) == 2 * value, "the objects show what was written"
     for each in (bench, twin):
         each.pass_ms(5)
     if mode is not Mode.PROFILE_POSITION:  # the rising edge of bit 4 went by

@@ -10,9 +10,11 @@ from virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckN
 
 MODES: Final = {
     "pp": Mode.PROFILE_POSITION,
+    "vl": Mode.VELOCITY,
     "pv": Mode.PROFILE_VELOCITY,
     "pt": Mode.PROFILE_TORQUE,
     "hm": Mode.HOMING,
+    "ip": Mode.INTERPOLATED_POSITION,
     "csp": Mode.CYCLIC_SYNCHRONOUS_POSITION,
     "csv": Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
     "cst": Mode.CYCLIC_SYNCHRONOUS_TORQUE,
@@ -32,7 +34,7 @@ class ModeChange(NodeOccasion):
     kind = "mode_change"
     logs = (node_event("mode_change", LogNumber("mode", words=_WORDS), LogNumber("duration_ns", usual=NONE)),)
     needs_drive = True
-    mode: Literal["pp", "pv", "pt", "hm", "csp", "csv", "cst"]
+    mode: Literal["pp", "vl", "pv", "pt", "hm", "ip", "csp", "csv", "cst"]
     duration_s: Lasting | None = None
 
     def numbers(self, draw: Draw) -> tuple[int, ...]:  # noqa: ARG002
