@@ -20,9 +20,9 @@ from virtual_bus.drive.load_object import (
     SIMULATED_DRIVE,
 )
 
-_COMMISSIONED: Final = listed(
-    Object.POLARITY, "signs that commissioning turned over", "set-up, from the drive file"
-)
+_LIMITS: Final = "Limits, reactions, PDO plan"
+_TURN: Final = "Encoder counts by a turn"
+"""Steps of commissioning, by their titles."""
 _HISTORY: Final = listed(
     Cia301.ERROR_HISTORY, "an error history that was empty is emptied again", "when all is put back"
 )
@@ -34,18 +34,15 @@ PUTTING_BACK: Final = CONTROL | WriteList("putting back", (_HISTORY,))
 
 def _load(sub: int, why: str, when: str) -> ListedWrite:
     index = range(LOAD_MACHINE, LOAD_MACHINE + 1)
-    return ListedWrite(index, range(sub, sub + 1), "Load machine", why, when, SIMULATED_DRIVE)
+    return ListedWrite(index, (sub,), "Load machine", why, when, SIMULATED_DRIVE)
 
-
-DRIVE_FILE: Final = WriteList("a drive file", (_COMMISSIONED,))
-"""What a drive file may have a run write: its table ``[[object]]``."""
 
 RUN: Final = (
     SET_UP
-    | DRIVE_FILE
     | WriteList(
-        "loads of simulated drives",
+        "drive files and loads",
         (
+            listed(Object.POLARITY, "signs that commissioning turned over", "set-up, from the drive file"),
             _load(LOAD_TORQUE_SUB, "load torque of the bench", "each step of a load; 0 at the end"),
             _load(LOAD_COURSE_SUB, "load over time", "first cycle; off at the end"),
             _load(LOAD_DELAY_SUB, "delay of a load over time", "before the first cycle"),
@@ -53,31 +50,35 @@ RUN: Final = (
     )
 ).named("hil run")
 MEASURE: Final = (SET_UP | PUTTING_BACK).named("hil measure")
-COMMISSION: Final = (
+RESTORE: Final = (
     SET_UP
     | PUTTING_BACK
     | WriteList(
         "commissioning",
         (
-            listed(Cia301.STORE_PARAMETERS, "the drive keeps its settings", "with --store", range(1, 2)),
-            listed(Object.HALT_OPTION, "halt by quick stop ramp", "step 'setup'"),
-            listed(Object.FOLLOWING_ERROR_WINDOW, "following error of the limits", "step 'setup'"),
-            listed(Object.MAX_CURRENT, "current limit of the bench", "step 'setup'"),
-            listed(Object.SOFTWARE_POSITION_LIMIT, "travel of the limits", "step 'setup'", range(1, 3)),
-            listed(Object.POLARITY, "signs that contradict each other", "step 'polarity'"),
+            listed(Object.HALT_OPTION, "halt by quick stop ramp", _LIMITS),
+            listed(Object.FOLLOWING_ERROR_WINDOW, "following error of the limits", _LIMITS),
+            listed(Object.MAX_CURRENT, "current limit of the bench", _LIMITS),
+            listed(Object.SOFTWARE_POSITION_LIMIT, "travel of the limits", _LIMITS, (1, 2)),
+            listed(Object.POLARITY, "signs that contradict each other", "Direction and polarity"),
             listed(Object.PROFILE_ACCELERATION, "ramp of a motion", "steps that turn the shaft"),
             listed(
                 Object.PROFILE_DECELERATION, "ramp of a motion and of a stop", "steps that turn the shaft"
             ),
-            listed(Object.TORQUE_SLOPE, "torque slope of the limits", "step 'setup', profile torque"),
-            listed(Object.HOMING_METHOD, "homing on the index: one turn", "step 'units'"),
-            listed(Object.HOMING_SPEEDS, "speeds of that homing", "step 'units'", range(1, 3)),
-            listed(Object.HOMING_ACCELERATION, "ramp of that homing", "step 'units'"),
+            listed(Object.TORQUE_SLOPE, "torque slope of the limits", f"{_LIMITS}; in profile torque"),
+            listed(Object.HOMING_METHOD, "homing on the index: one turn", _TURN),
+            listed(Object.HOMING_SPEEDS, "speeds of that homing", _TURN, (1, 2)),
+            listed(Object.HOMING_ACCELERATION, "ramp of that homing", _TURN),
         ),
     )
-).named("hil commission")
-RESTORE: Final = COMMISSION.named("hil restore")
+).named("hil restore")
 """A journal may name these; what it does not name is not written, :data:`PUTTING_BACK` apart."""
+COMMISSION: Final = (
+    RESTORE
+    | WriteList(
+        "orders", (listed(Cia301.STORE_PARAMETERS, "the drive keeps its settings", "with --store", (1,)),)
+    )
+).named("hil commission")
 STOP: Final = CONTROL.named("hil stop")
 FAULT: Final = CONTROL.named("hil fault")
 RIG: Final = (SET_UP | MOTION).named("a fixture of pytest")

@@ -38,7 +38,8 @@ class ListedWrite:
     """Objects that are written for one reason. Raises ValueError for a maker's object without its product."""
 
     indices: range
-    subs: range
+    subs: tuple[int, ...]
+    """In ascending order."""
     name: str
     """In the words of its profile: ``Target torque``."""
     why: str
@@ -53,10 +54,12 @@ class ListedWrite:
 
     @property
     def objects(self) -> str:
-        """``6060h:00``, ``1400h:01-05`` or ``1400h-15FFh:01-05``."""
+        """``6060h:00``, ``1016h:01-7F`` or ``1400h-15FFh:01,02,03,05``."""
         first, last = self.indices[0], self.indices[-1]
         index = f"{first:04X}h" if first == last else f"{first:04X}h-{last:04X}h"
-        subs = f"{self.subs[0]:02X}" if len(self.subs) == 1 else f"{self.subs[0]:02X}-{self.subs[-1]:02X}"
+        low, high = self.subs[0], self.subs[-1]
+        in_a_row = high - low == len(self.subs) - 1 > 0
+        subs = f"{low:02X}-{high:02X}" if in_a_row else ",".join(f"{sub:02X}" for sub in self.subs)
         return f"{index}:{subs}"
 
     def covers(self, index: int, sub: int) -> bool:
@@ -78,7 +81,7 @@ class WriteList:
 
     def __iter__(self) -> Iterator[ListedWrite]:
         """By index and sub-index."""
-        return iter(sorted(self.writes, key=lambda each: (each.indices.start, each.subs.start)))
+        return iter(sorted(self.writes, key=lambda each: (each.indices.start, each.subs)))
 
     def __contains__(self, key: tuple[int, int]) -> bool:
         """Index and sub-index may be written on a drive of any make."""

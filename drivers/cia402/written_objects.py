@@ -3,6 +3,7 @@
 Whoever has the client write a further object adds a line here; docs/make_writes.py then renews the page.
 """
 
+from collections.abc import Iterable
 from typing import Final
 
 from drivers.canopen.nmt_states import NODE_ID_MAX
@@ -24,19 +25,18 @@ _ALWAYS: Final = "each change of state"
 _MOTION: Final = "before a move"
 
 
-def listed(
-    entry: Cia301 | Object, why: str, when: str, subs: range = range(1), name: str | None = None
-) -> ListedWrite:
+def listed(entry: Cia301 | Object, why: str, when: str, subs: Iterable[int] = (0,)) -> ListedWrite:
     """One object of a profile, or the sub-indices of one."""
-    return ListedWrite(range(entry, entry + 1), subs, name or entry.title, why, when)
+    return ListedWrite(range(entry, entry + 1), tuple(subs), entry.title, why, when)
 
 
-def _pdo(first: int, subs: range, name: str, why: str) -> ListedWrite:
+def _pdo(first: int, subs: tuple[int, ...], name: str, why: str) -> ListedWrite:
     return ListedWrite(range(first, first + PDOS_MAX), subs, f"{name} parameter", why, _SET_UP)
 
 
-_COMMUNICATION_SUBS: Final = range(1, 6)
-_MAPPING_SUBS: Final = range(PDO_ENTRIES_MAX + 1)
+_COMMUNICATION_SUBS: Final = (1, 2, 3, 5)
+"""COB-ID, transmission type, inhibit time, event timer (CiA 301 7.5.2.35)."""
+_MAPPING_SUBS: Final = tuple(range(PDO_ENTRIES_MAX + 1))
 
 CONTROL = WriteList(
     "state control", (listed(Object.CONTROLWORD, "leads the drive through its states", _ALWAYS),)
@@ -58,9 +58,14 @@ SET_UP = CONTROL | WriteList(
             range(1, NODE_ID_MAX + 1),
         ),
         listed(Cia301.PRODUCER_HEARTBEAT_TIME, "the host notices when the drive is gone", _SET_UP),
-        listed(Cia301.ERROR_BEHAVIOUR, "the NMT state is kept when the host is lost", _SET_UP, range(1, 2)),
-        _pdo(RPDO_COMMUNICATION, _COMMUNICATION_SUBS, "RPDO communication", "commands; 05: their time-out"),
-        _pdo(RPDO_MAPPING, _MAPPING_SUBS, "RPDO mapping", "commands"),
+        listed(Cia301.ERROR_BEHAVIOUR, "the NMT state is kept when the host is lost", _SET_UP, (1,)),
+        _pdo(
+            RPDO_COMMUNICATION,
+            _COMMUNICATION_SUBS,
+            "RPDO communication",
+            "set-points; 05: time-out of the commands, until the end",
+        ),
+        _pdo(RPDO_MAPPING, _MAPPING_SUBS, "RPDO mapping", "set-points"),
         _pdo(TPDO_COMMUNICATION, _COMMUNICATION_SUBS, "TPDO communication", "readings"),
         _pdo(TPDO_MAPPING, _MAPPING_SUBS, "TPDO mapping", "readings"),
         listed(Object.ABORT_CONNECTION_OPTION, "quick stop when the host is lost", _SET_UP),
@@ -82,7 +87,7 @@ SET_UP = CONTROL | WriteList(
             Object.INTERPOLATION_TIME_PERIOD,
             "period of the commands, 02: its power of ten",
             _SET_UP,
-            range(1, 3),
+            (1, 2),
         ),
         listed(
             Object.TARGET_VELOCITY,
@@ -95,7 +100,7 @@ SET_UP = CONTROL | WriteList(
             "each change of mode, enabling",
         ),
         *(
-            listed(index, "ramp of velocity mode (vl)", _SET_UP, range(1, 3))
+            listed(index, "ramp of velocity mode (vl)", _SET_UP, (1, 2))
             for index in (
                 Object.VL_VELOCITY_ACCELERATION,
                 Object.VL_VELOCITY_DECELERATION,
@@ -106,7 +111,7 @@ SET_UP = CONTROL | WriteList(
             Object.INTERPOLATION_DATA_RECORD,
             "interpolated position begins where the shaft is",
             "each change of mode, enabling",
-            range(1, 2),
+            (1,),
         ),
     ),
 )
@@ -121,7 +126,7 @@ MOTION = WriteList(
         listed(Object.PROFILE_DECELERATION, "ramp of a move", _MOTION),
         listed(Object.TORQUE_SLOPE, "slope of a torque", _MOTION),
         listed(Object.HOMING_METHOD, "way of homing", _MOTION),
-        listed(Object.HOMING_SPEEDS, "speeds of homing", _MOTION, range(1, 3)),
+        listed(Object.HOMING_SPEEDS, "speeds of homing", _MOTION, (1, 2)),
         listed(Object.HOMING_ACCELERATION, "ramp of homing", _MOTION),
     ),
 )

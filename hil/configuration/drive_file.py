@@ -4,14 +4,15 @@
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from drivers.bounded_file import NamedBy
 from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.cia402.scaling import ScaleOverride
 from hil.configuration.config_files import Section, load_file
+from hil.write_lists import RUN
 
 Sign = Literal[-1, 1]
 
@@ -52,6 +53,12 @@ class SetObject(Section):
     index: int = Field(ge=FIRST_OBJECT, le=0xFFFF)
     sub: int = Field(default=0, ge=0, le=255)
     bytes: str = Field(pattern=r"^([0-9a-f]{2}){1,8}$", description="octets in hexadecimal, as on the wire")
+
+    @model_validator(mode="after")
+    def _check_listed(self) -> Self:
+        if (self.index, self.sub) not in RUN:
+            raise ValueError("index: an object on the list of hil run (docs/writes.md), or none")
+        return self
 
 
 class StopOfDrive(Section):

@@ -74,7 +74,7 @@ def _writes_back(contents: JournalContents) -> WriteList:
     for pdo in {pdo for key in keys if (pdo := pdo_of(key.index)) is not None}:
         keys |= {ObjectKey(pdo, 1), ObjectKey(pdo + MAPPING_OFFSET, 0)}
     named = (
-        ListedWrite(range(key.index, key.index + 1), range(key.sub, key.sub + 1), str(key), "changed", "now")
+        ListedWrite(range(key.index, key.index + 1), (key.sub,), str(key), "changed", "now")
         for key in sorted(keys)
     )
     return WriteList(f"restoring node {contents.head.node}", (*PUTTING_BACK.writes, *named))

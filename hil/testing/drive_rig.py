@@ -108,7 +108,7 @@ class DriveRig:
         """
         product = self.network.writes.products.get(self.node) if index in MANUFACTURER else None
         name = object_name(index, sub)
-        write = ListedWrite(range(index, index + 1), range(sub, sub + 1), name, "asked for", "test", product)
+        write = ListedWrite(range(index, index + 1), (sub,), name, "asked for", "test", product)
         self.network.writes.allowed |= WriteList("the test", (write,))
 
     def enable(self, **changes: Any) -> None:

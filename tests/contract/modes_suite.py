@@ -37,8 +37,10 @@ SDO_REQUEST = 0x600 + NODE
 WRITES = RIG | WriteList(
     "the suite",
     (
-        ListedWrite(range(0x2110, 0x2111), range(1, 9), "Inputs", "what happens", "tests", SIMULATED_DRIVE),
-        ListedWrite(range(0x604C, 0x604D), range(1, 2), "Dimension factor", "another unit", "tests"),
+        ListedWrite(
+            range(0x2110, 0x2111), tuple(range(1, 9)), "Inputs", "what happens", "tests", SIMULATED_DRIVE
+        ),
+        ListedWrite(range(0x604C, 0x604D), (1,), "Dimension factor", "another unit", "tests"),
     ),
 )
 """2110h: the switches, the index and the supply of a simulated drive."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.canopen.write_list import UnlistedWrite
 from drivers.cia402.profile import State
 from drivers.errors import BadInput, PeerFault, PowerLost
 from drivers.exchange import Reading
@@ -77,6 +78,19 @@ def test_a_set_up_tells_what_it_wrote_and_takes_changes(make: Make) -> None:
     rated = LING2012.rating.torque_nm
     assert rig.device is not None
     assert rig.device.dictionary.variable(0x6072).value == round(1000 * 1.0 / rated)
+
+
+def test_a_test_writes_a_further_object_once_it_has_said_so(make: Make) -> None:
+    rig = make()
+    index_pulse = (0x2110, 7)
+    rig.configure()
+    with pytest.raises(UnlistedWrite, match="a fixture of pytest: SDO write: found '2110h:07 of node 1'"):
+        rig.client.objects.write(*index_pulse, "I", 5)
+    rig.allow_write(*index_pulse)
+    rig.client.objects.write(*index_pulse, "I", 5)
+    assert rig.client.objects.read(*index_pulse) == 5
+    rig.allow_write(0x605D)
+    rig.client.objects.write(0x605D, 0, "h", 2)
 
 
 def test_how_long_a_state_took_is_returned(make: Make) -> None:

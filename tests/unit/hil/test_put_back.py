@@ -10,6 +10,7 @@ import pytest
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
+from drivers.canopen.write_list import WriteGate
 from drivers.cia402.drive_setup import Identity
 from drivers.errors import BadInput, NoAnswer, PeerFault, TransferAborted
 from drivers.timebase import NS_PER_MS, Duration, Instant
@@ -23,6 +24,7 @@ from hil.restoring.journal import (
     read_journal,
 )
 from hil.restoring.restore import Restoration, await_answer, head_of, pdo_of, restore
+from hil.write_lists import RESTORE
 
 NODE: Final = 7
 MARK: Final = DriveMark(1, 2, 3)
@@ -43,6 +45,7 @@ class Node:
         self.silent_until = Instant(-1)
         self.state: NmtState | None = None
         self.clock = SimpleNamespace(now=lambda: self.now)
+        self.writes = WriteGate(RESTORE)
 
     def upload(self, node: int, index: int, sub: int = 0, timeout_s: float = 0.0, attempts: int = 1) -> bytes:
         assert node == NODE
@@ -55,6 +58,7 @@ class Node:
 
     def download(self, node: int, index: int, sub: int, data: bytes) -> None:
         assert node == NODE
+        self.writes.check(node, index, sub)
         self.told.append(f"{index:04X}:{sub} {data.hex()}")
         if index in self.kept:
             raise TransferAborted("read only")

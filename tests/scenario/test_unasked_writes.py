@@ -1,0 +1,187 @@
+"""A drive is written what the command's list names, by the word of a third device on its bus."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from runpy import run_path
+from typing import Any, Final
+from unittest.mock import patch
+
+import pytest
+
+from drivers.canopen.bus_scan import BusScan
+from drivers.canopen.data_types import DataType
+from drivers.canopen.error_codes import ErrorRegister
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.write_list import NOTHING, WriteList
+from drivers.errors import BadInput
+from drivers.timebase import NS_PER_MS, Duration
+from drivers.wire.adapters import parse_bus_spec
+from hil.configuration.bench_tables import Bench
+from hil.execution.bench import run_bench
+from hil.execution.world import WorldPlan, open_world
+from hil.inspecting.drive_fault import look_at_fault
+from hil.inspecting.stopping import stop_drives
+from hil.restoring.journal import DriveMark, JournalContents, JournalHead, ObjectKey, ObjectWrite
+from hil.restoring.restore import restore
+from hil.write_lists import FAULT, RESTORE, STOP, writes_of
+from tests.motors import LING
+from tests.rehearsals.made_sheet import MadeSheet
+from tests.rehearsals.rehearsal import rehearsed
+from tests.scenario.foreign_node import beside_the_bench, put_on_the_bus
+from tests.scenario.measuring import measuring_rig
+from tests.sdo_writes import OF_MAKERS, SdoWrites
+from virtual_bus.drive.load_object import LOAD_MACHINE, SIMULATED_DRIVE
+from virtual_bus.drive.servo import SimulatedServo
+
+ROOT: Final = Path(__file__).parents[2]
+EXAMPLES: Final = ROOT / "examples"
+BENCHES: Final = {"cst": "ling2012.toml", "csv": "position_csv.toml", "csp": "position_csp.toml"}
+SHORT: Final = {"bench.duration_s": 0.3, "reference": None, "verdict": None, "load": None}
+LOAD: Final = (LOAD_MACHINE, 1)
+
+
+def unlisted(heard: SdoWrites, command: str) -> list[str]:
+    """What a drive of any make was written, though the command's list does not have it."""
+    assert heard.objects, "the device heard nothing"
+    return [
+        f"{index:04X}h:{sub:02X}" for index, sub in heard.objects if (index, sub) not in writes_of(command)
+    ]
+
+
+def ran(bench: str, **changes: Any) -> tuple[SdoWrites, SimulatedServo]:
+    """An example without reference and load for 0.3 s, and its drive at the end."""
+    heard, drives = SdoWrites(), list[SimulatedServo]()
+    with beside_the_bench(heard, seen=drives.append):
+        tables = Bench.load(EXAMPLES / BENCHES[bench]).changed({**SHORT, **changes})
+        run_bench(tables.config, keep=False)
+    return heard, drives[0]
+
+
+def foreign_sheet(folder: Path, **options: Any) -> Path:
+    """Of a drive of another make, which has an UNSIGNED16 of its own at 2100h:01."""
+    sheet = MadeSheet()
+    sheet.drop(LOAD_MACHINE)
+    sheet.add(LOAD_MACHINE, {1: DataType.UNSIGNED16})
+    sheet.set(LOAD_MACHINE, 1, default=7, **options)
+    path = folder / "foreign.eds"
+    path.write_text(sheet.text())
+    return path
+
+
+# ---- runs -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", BENCHES)
+def test_a_run_without_load_writes_no_object_of_a_maker(mode: str) -> None:
+    heard, _ = ran(mode)
+    assert unlisted(heard, "run") == []
+
+
+def test_a_run_with_a_load_writes_its_torque_and_takes_it_off() -> None:
+    heard, drive = ran("cst", load={"axis1": [{"at_s": 0.1, "torque_nm": 0.2}]})
+    assert {key for key in heard.objects if key[0] in OF_MAKERS} == {LOAD}
+    assert [write.product for write in writes_of("run") if write.covers(*LOAD)] == [SIMULATED_DRIVE]
+    assert drive.dictionary.upload(*LOAD) == bytes(4)
+
+
+@pytest.mark.parametrize("access", ["rw", "ro"])
+@pytest.mark.parametrize("mode", BENCHES)
+def test_another_makes_2100h_is_neither_written_nor_read(mode: str, access: str, tmp_path: Path) -> None:
+    """rw: as in maxon's EPOS2, where it is a brake's reaction time; ro: as the EPOS4's serial number."""
+    sheet = foreign_sheet(tmp_path, AccessType=access)
+    heard, drive = ran(mode, **{"drive.axis1.simulation.eds": str(sheet)})
+    assert unlisted(heard, "run") == []
+    assert [key for key in heard.asked if key[0] in OF_MAKERS] == []
+    assert drive.dictionary.upload(*LOAD) == b"\7\0"
+
+
+def test_a_load_for_a_drive_of_another_make_is_refused_with_the_reason(tmp_path: Path) -> None:
+    sheet = foreign_sheet(tmp_path)
+    with pytest.raises(BadInput) as caught:
+        ran(
+            "cst",
+            **{"drive.axis1.simulation.eds": str(sheet), "load": {"axis1": [{"at_s": 0.1, "torque_nm": 1}]}},
+        )
+    assert caught.value.key == "load.axis1"
+    assert "product 00000B22h" in caught.value.value
+    assert "the only drive with a load machine" in caught.value.expected
+
+
+# ---- other commands ---------------------------------------------------------------------------------------
+
+
+@contextmanager
+def listened(writes: WriteList) -> Iterator[tuple[CanopenNetwork, SdoWrites, SimulatedServo]]:
+    """A master with a list, and a drive with the device beside it."""
+    servo, heard = SimulatedServo(1, LING), SdoWrites()
+    with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000), [servo]) as world:
+        put_on_the_bus(world, heard)
+        yield CanopenNetwork(world.link, world.clock, writes=writes), heard, servo
+
+
+def test_a_stop_writes_the_controlword_alone() -> None:
+    with listened(STOP) as (network, heard, _):
+        assert stop_drives(network, [1])[0].at_rest
+        assert heard.objects <= {(0x6040, 0)}
+
+
+def test_a_reset_writes_the_controlword_alone() -> None:
+    with listened(FAULT) as (network, heard, servo):
+        network.pump(network.deadline_after(Duration(100 * NS_PER_MS)))
+        servo.drive.fail(0x4210, ErrorRegister.TEMPERATURE)
+        assert look_at_fault(network, 1, reset=True).was_reset
+        assert heard.objects == {(0x6040, 0)}
+
+
+def test_a_scan_writes_nothing() -> None:
+    with listened(NOTHING) as (network, heard, _):
+        scan = BusScan(network)
+        scan.probe()
+        assert [node.node_id for node in scan.found()] == [1]
+        assert heard.objects == set()
+        assert heard.asked
+
+
+def test_restoring_writes_what_the_journal_names() -> None:
+    limit, heartbeat = ObjectKey(0x6072, 0), ObjectKey(0x1017, 0)
+    changes = [ObjectWrite(limit, b"\1\0", b"\2\0"), ObjectWrite(heartbeat, b"\x50\0", b"\0\0")]
+    contents = JournalContents(JournalHead("x", 1, DriveMark(0, 0, 0), 127), changes)
+    with listened(RESTORE) as (network, heard, servo):
+        assert restore(network, contents).complete
+        assert heard.objects - {(0x6040, 0)} == {(0x6072, 0), (0x1017, 0)}
+        assert servo.dictionary.upload(0x6072, 0) == b"\1\0"
+
+
+def test_a_measurement_writes_its_list_and_puts_it_back(tmp_path: Path) -> None:
+    heard = SdoWrites()
+    with measuring_rig(tmp_path) as rig:
+        put_on_the_bus(rig.world, heard)
+        rig.measure(enable=True, cycles=50)
+    assert unlisted(heard, "measure") == []
+
+
+def test_commissioning_a_drive_of_another_make_writes_its_list(tmp_path: Path) -> None:
+    heard = SdoWrites()
+
+    @contextmanager
+    def heard_world(*given: Any) -> Iterator[Any]:
+        with open_world(*given) as world:
+            put_on_the_bus(world, heard)
+            yield world
+
+    with patch("hil.commissioning.commission.open_world", heard_world):
+        result = rehearsed(foreign_sheet(tmp_path), tmp_path, last_step="enable")
+    assert result.reason == ""
+    assert result.restored
+    assert unlisted(heard, "commission") == []
+
+
+# ---- the page ---------------------------------------------------------------------------------------------
+
+
+def test_the_page_shows_the_lists() -> None:
+    made = run_path(str(ROOT / "docs" / "make_writes.py"))
+    assert (ROOT / "docs" / "writes.md").read_text(encoding="utf-8") == made["page"](), (
+        "python docs/make_writes.py"
+    )
