@@ -171,6 +171,10 @@ class Drive:
         reference or command is a position, before its first cycle."""
         raise NotImplementedError
 
+    def follows(self) -> bool:
+        """Whether the drive follows what is sent to it; True for one that does not tell."""
+        return True
+
     def check(self) -> None:
         """Raises PeerFault if the drive is not enabled any more, reports a fault or was lost."""
         raise NotImplementedError

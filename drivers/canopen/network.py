@@ -17,12 +17,13 @@ from drivers.canopen.frame_pump import FramePump, Handler
 from drivers.canopen.life_signs import LifeSigns
 from drivers.canopen.nmt import Emergency, NodeStatus, parse_emergency
 from drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand, NmtState
+from drivers.canopen.polls import ObjectPoll, ObjectPolls, Polled
 from drivers.canopen.sdo import (
     SDO_ATTEMPTS,
     AnswerQueue,
-    DownloadPost,
     PostedDownload,
     PumpedSdoClient,
+    TransferPost,
     abort_text,
     object_name,
     written_object,
@@ -73,7 +74,8 @@ class CanopenNetwork(canopen.Network):
         """Asked before each write by SDO."""
         self._status: dict[int, NodeStatus] = {}
         self._clients: dict[int, PumpedSdoClient] = {}
-        self._posts: dict[int, DownloadPost] = {}
+        self._posts: dict[int, TransferPost] = {}
+        self.polls = ObjectPolls(self._client_of, self._post)
         self.frame_pump = pump = FramePump(link, clock, self._tell_canopen, self._keep_house)
         """What the cyclic path uses without a detour through this object."""
         self.pump: Callable[[Instant], None] = pump.pump
@@ -84,8 +86,6 @@ class CanopenNetwork(canopen.Network):
         """See :meth:`FramePump.send_sync`."""
         self.life_signs = LifeSigns(link, clock, node_id)
         """What the nodes watch of this master; ended by :meth:`fall_silent`."""
-        self.on_written: dict[int, Callable[[int, int, bytes], None]] = {}
-        """By node, told of each download that was confirmed: index, sub-index and data."""
         self._emergency_listeners: tuple[Callable[[Emergency], None], ...] = ()
         self.on_surplus_answer: Callable[[int, Instant], None] | None = None
         """Told of an SDO answer that nobody has asked for: which node's, and when."""
@@ -260,9 +260,6 @@ class CanopenNetwork(canopen.Network):
             client.download(index, sub, data)
         except SdoError as error:
             raise self._sdo_failure(error, node_id, "write", index, sub) from error
-        written = self.on_written.get(node_id)
-        if written is not None:
-            written(index, sub, data)
 
     def post_download(self, node_id: int, index: int, sub: int, data: bytes) -> PostedDownload:
         """Write 1 to 4 bytes by SDO without waiting; the pump looks after confirmation and repetition.
@@ -274,6 +271,13 @@ class CanopenNetwork(canopen.Network):
         self._post(node_id).post(download)
         self._plan_housekeeping()
         return download
+
+    def poll(self, polled: Polled) -> ObjectPoll:
+        """Read an object again and again; the pump looks after it. Until ``polls.end``."""
+        now = self.clock.now()
+        poll = self.polls.begin(polled, now)
+        self._keep_house(now)
+        return poll
 
     def refuse_two(self, node_id: int) -> None:
         """Raise AnswersTwice if a node gave more answers than it was asked for: two nodes are likely."""
@@ -292,7 +296,7 @@ class CanopenNetwork(canopen.Network):
         self.life_signs.end()
         self.frame_pump.housekeeping_at = NEVER
 
-    def _post(self, node_id: int) -> DownloadPost:
+    def _post(self, node_id: int) -> TransferPost:
         post = self._posts.get(node_id)
         if post is None:
             client = self._client_of(node_id)
@@ -301,7 +305,7 @@ class CanopenNetwork(canopen.Network):
                 client.answers.expect()
                 return self.send_request(node_id, request)
 
-            post = self._posts[node_id] = DownloadPost(node_id, ask)
+            post = self._posts[node_id] = TransferPost(node_id, ask)
         return post
 
     def _client_of(self, node_id: int) -> PumpedSdoClient:
@@ -315,7 +319,7 @@ class CanopenNetwork(canopen.Network):
     def _client(
         self, node_id: int, timeout_s: float | None = None, attempts: int = SDO_ATTEMPTS
     ) -> PumpedSdoClient:
-        """The node's SDO client, once its channel is free of posted downloads."""
+        """The node's SDO client, once its channel is free of posted transfers."""
         client = self._client_of(node_id)
         client.RESPONSE_TIMEOUT = self.sdo_timeout_s if timeout_s is None else timeout_s
         client.MAX_RETRIES = attempts
@@ -368,7 +372,7 @@ class CanopenNetwork(canopen.Network):
             listener(emergency)
 
     def _keep_house(self, now: Instant) -> None:
-        """Send the life signs, note lost nodes and repeat posted downloads that are due at ``now``."""
+        """Send the life signs, note lost nodes and repeat or post transfers that are due at ``now``."""
         self.life_signs.keep(now)
         for status in self._status.values():
             expires_at = status.expires_at()
@@ -376,10 +380,11 @@ class CanopenNetwork(canopen.Network):
                 status.lost_at = expires_at
         for post in self._posts.values():
             post.expire(now)
+        self.polls.keep(now)
         self._plan_housekeeping()
 
     def _plan_housekeeping(self) -> None:
-        due = self.life_signs.due
+        due = min(self.life_signs.due, self.polls.due)
         for status in self._status.values():
             expires_at = status.expires_at()
             if expires_at is not None and expires_at < due:

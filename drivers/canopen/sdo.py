@@ -28,9 +28,12 @@ SDO_ATTEMPTS = 6
 
 _HEADER = Struct("<BHB")
 _ABORT = Struct("<BHBL")
-# First bytes of initiate download, of its answer, and of an abort (CiA 301 7.2.4.3.3, 7.2.4.3.17).
+# First bytes of initiate download and upload, of their answers, and of an abort (CiA 301 7.2.4.3.3,
+# 7.2.4.3.6, 7.2.4.3.17); the answer to an upload tells beside it how many bytes are unused.
 _EXPEDITED_DOWNLOAD = 0x23
 _DOWNLOADED = 0x60
+_INITIATE_UPLOAD = 0x40
+_EXPEDITED_MASK, _EXPEDITED_UPLOAD = 0xF2, 0x42
 _ABORTED = 0x80
 # Client command specifiers (CiA 301 7.2.4.3).
 _INITIATE_DOWNLOAD = 1
@@ -117,6 +120,8 @@ class PumpedSdoClient(SdoClient):
         self.answers.expect()  # another client may have asked just before this one began to listen
         self.foreign_requests = 0
         """Requests of another client on this channel."""
+        self.busy = False
+        """A request waits for its answer: nothing else may use the channel."""
         self._multiplexer = bytes(3)
         self._initiating = False
 
@@ -125,7 +130,11 @@ class PumpedSdoClient(SdoClient):
         self._initiating = sdo_request[0] >> 5 in _INITIATE_REQUESTS
         if self._initiating:
             self._multiplexer = bytes(sdo_request[1:4])
-        return super().request_response(sdo_request)  # type: ignore[no-untyped-call]
+        self.busy = True
+        try:
+            return super().request_response(sdo_request)  # type: ignore[no-untyped-call]
+        finally:
+            self.busy = False
 
     def send_request(self, sdo_request: bytes) -> None:
         """Send a request, or a segment of one: each has one answer."""
@@ -151,16 +160,15 @@ class PumpedSdoClient(SdoClient):
         self._pump.send_request(self._node_id, _ABORT.pack(_ABORTED, index, sub, abort_code))
 
 
-class PostedDownload:
-    """A confirmed expedited download that goes on while the caller does other things."""
+class PostedTransfer:
+    """A confirmed expedited transfer that goes on while the caller does other things."""
 
-    __slots__ = ("attempts", "deadline", "done_at", "failure", "frame", "index", "node_id", "sub", "value")
+    __slots__ = ("attempts", "deadline", "done_at", "failure", "frame", "index", "node_id", "sub")
+    action = ""
+    """A verb for errors."""
 
-    def __init__(self, node_id: int, index: int, sub: int, value: bytes) -> None:
-        if not 1 <= len(value) <= 4:
-            raise ValueError(f"an expedited download carries 1 to 4 bytes, not {len(value)}")
-        self.node_id, self.index, self.sub, self.value = node_id, index, sub, value
-        command = _EXPEDITED_DOWNLOAD | (4 - len(value)) << 2
+    def __init__(self, node_id: int, index: int, sub: int, command: int, value: bytes = b"") -> None:
+        self.node_id, self.index, self.sub = node_id, index, sub
         self.frame = _HEADER.pack(command, index, sub) + value.ljust(4, b"\0")
         self.attempts = 0
         self.deadline = Instant(0)
@@ -170,13 +178,54 @@ class PostedDownload:
         """Why it was given up."""
 
     @property
-    def object(self) -> tuple[int, int]:
-        """Index and sub-index."""
-        return self.index, self.sub
+    def object(self) -> tuple[int, int, int]:
+        """What is done, to which index and sub-index."""
+        return self.frame[0] >> 5, self.index, self.sub
+
+    def confirmed(self, data: bytes, at: Instant) -> bool:
+        """Take an answer that names the object; False if it does not confirm this transfer."""
+        raise NotImplementedError
 
 
-class DownloadPost:
-    """Posted downloads to one node, one at a time and in order (CiA 301 7.2.4: one transfer per channel)."""
+class PostedDownload(PostedTransfer):
+    """A posted write of 1 to 4 bytes."""
+
+    __slots__ = ("value",)
+    action = "write"
+
+    def __init__(self, node_id: int, index: int, sub: int, value: bytes) -> None:
+        if not 1 <= len(value) <= 4:
+            raise ValueError(f"an expedited download carries 1 to 4 bytes, not {len(value)}")
+        super().__init__(node_id, index, sub, _EXPEDITED_DOWNLOAD | (4 - len(value)) << 2, value)
+        self.value = value
+
+    def confirmed(self, data: bytes, at: Instant) -> bool:  # noqa: ARG002
+        return data[0] == _DOWNLOADED
+
+
+class PostedUpload(PostedTransfer):
+    """A posted read; ``told`` is given the bytes and the instant of their frame.
+
+    A node that answers by segments is taken for one that does not answer.
+    """
+
+    __slots__ = ("_told",)
+    action = "read"
+
+    def __init__(self, node_id: int, index: int, sub: int, told: Callable[[bytes, Instant], None]) -> None:
+        super().__init__(node_id, index, sub, _INITIATE_UPLOAD)
+        self._told = told
+
+    def confirmed(self, data: bytes, at: Instant) -> bool:
+        if data[0] & _EXPEDITED_MASK != _EXPEDITED_UPLOAD:
+            return False
+        unused = data[0] >> 2 & 3 if data[0] & 1 else 0
+        self._told(bytes(data[4 : 8 - unused]), at)
+        return True
+
+
+class TransferPost:
+    """Posted transfers with a node, one at a time and in order (CiA 301 7.2.4: one transfer per channel)."""
 
     ATTEMPTS = 5
     """On a bus that loses one frame in ten, request or answer are lost 19 times in 100, five times in a row
@@ -189,53 +238,55 @@ class DownloadPost:
 
     def __init__(self, node_id: int, send: Callable[[bytes], Instant]) -> None:
         """``send``: hands a request to the bus, and says when."""
-        self.in_flight: PostedDownload | None = None
+        self.in_flight: PostedTransfer | None = None
         self._node_id = node_id
         self._send = send
-        self._waiting: deque[PostedDownload] = deque()
+        self._waiting: deque[PostedTransfer] = deque()
 
-    def post(self, download: PostedDownload) -> None:
+    def post(self, transfer: PostedTransfer) -> None:
         """Send it when its turn comes; one to the same object that still waits is replaced.
 
         Raises NoAnswer when 64 wait, because the node then confirms none.
         """
         for place, other in enumerate(self._waiting):
-            if other.object == download.object:
-                self._waiting[place] = download
+            if other.object == transfer.object:
+                self._waiting[place] = transfer
                 return
         if len(self._waiting) >= self.WAITING_MAX:
             evidence = f"{self.WAITING_MAX} are waiting"
-            raise NoAnswer(f"node {self._node_id} confirms no SDO download", evidence)
-        self._waiting.append(download)
+            raise NoAnswer(f"node {self._node_id} confirms no SDO transfer", evidence)
+        self._waiting.append(transfer)
         if self.in_flight is None:
             self._next()
 
     def answered(self, data: bytes, at: Instant) -> bool:
-        """Take the answer to the download in flight; False if this is the answer to something else."""
-        download = self.in_flight
-        if download is None or len(data) != 8 or data[1:4] != download.frame[1:4]:
+        """Take the answer to the transfer in flight; False if this is the answer to something else."""
+        transfer = self.in_flight
+        if transfer is None or len(data) != 8 or data[1:4] != transfer.frame[1:4]:
             return False
         if data[0] == _ABORTED:
-            name = object_name(download.index, download.sub)
+            name = object_name(transfer.index, transfer.sub)
             evidence = abort_text(int.from_bytes(data[4:8], "little"))
-            self._finish(at, TransferAborted(f"node {self._node_id} refused to write {name}", evidence))
+            summary = f"node {self._node_id} refused to {transfer.action} {name}"
+            self._finish(at, TransferAborted(summary, evidence))
             return True
-        if data[0] != _DOWNLOADED:
+        if not transfer.confirmed(data, at):
             return False
         self._finish(at, None)
         return True
 
     def expire(self, now: Instant) -> None:
-        """Send the download in flight again, or give it up, if its deadline has come."""
-        download = self.in_flight
-        if download is None or now < download.deadline:
+        """Send the transfer in flight again, or give it up, if its deadline has come."""
+        transfer = self.in_flight
+        if transfer is None or now < transfer.deadline:
             return
-        if download.attempts < self.ATTEMPTS:
-            self._transmit(download)
+        if transfer.attempts < self.ATTEMPTS:
+            self._transmit(transfer)
             return
-        name = object_name(download.index, download.sub)
-        evidence = f"{download.attempts} requests in {self.ATTEMPTS * self.TIMEOUT_NS / 1e6:.0f} ms"
-        self._finish(now, NoAnswer(f"node {self._node_id} did not confirm the write of {name}", evidence))
+        name = object_name(transfer.index, transfer.sub)
+        evidence = f"{transfer.attempts} requests in {self.ATTEMPTS * self.TIMEOUT_NS / 1e6:.0f} ms"
+        summary = f"node {self._node_id} did not confirm the {transfer.action} of {name}"
+        self._finish(now, NoAnswer(summary, evidence))
 
     def _finish(self, at: Instant, failure: PeerFault | None) -> None:
         assert self.in_flight is not None
@@ -248,7 +299,7 @@ class DownloadPost:
             self.in_flight = self._waiting.popleft()
             self._transmit(self.in_flight)
 
-    def _transmit(self, download: PostedDownload) -> None:
-        download.attempts += 1
-        sent_at = self._send(download.frame)
-        download.deadline = Instant(sent_at + self.TIMEOUT_NS)
+    def _transmit(self, transfer: PostedTransfer) -> None:
+        transfer.attempts += 1
+        sent_at = self._send(transfer.frame)
+        transfer.deadline = Instant(sent_at + self.TIMEOUT_NS)

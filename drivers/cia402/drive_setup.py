@@ -20,6 +20,7 @@ from drivers.cia402.observed import NOTHING, Observed
 from drivers.cia402.pdo_planner import PlanImpossible, mode_plan, plan_pdos
 from drivers.cia402.pdo_plans import (
     DEMAND,
+    MODE,
     STAMP,
     STANDARD,
     TORQUE,
@@ -95,6 +96,8 @@ class DriveSettings:
     host_heartbeat_ms: int = 50
     host_heartbeat_timeout_ms: int = 150
     """A drive that does not hear the host for this long stops by itself."""
+    bears_lapses: bool = False
+    """Go on with a drive that does not follow its commands."""
     unwatched: bool = False
     """Bear a drive that lacks 1016h or 1017h and is not to be guarded either: then one side does not notice
     that the other is gone."""
@@ -303,8 +306,8 @@ def _able(objects: RemoteObjects, settings: DriveSettings) -> Features:
     """What the drive may be able to tell: by its dictionary, if there is one, a plan is made anyway."""
     if settings.capability is not None:
         return Features()
-    stamp, demand = (objects.read_if_there(*key) is not None for key in (STAMP, DEMAND))
-    return Features(stamp, demand and _wish(settings).torque_mode)
+    stamp, demand, mode = (objects.read_if_there(*key) is not None for key in (STAMP, DEMAND, MODE))
+    return Features(stamp, demand and _wish(settings).torque_mode, mode=mode)
 
 
 def _planned(
@@ -313,7 +316,7 @@ def _planned(
     """A plan that uses no more than ``features``, and what it lacks."""
     node, wish = objects.node_id, replace(_wish(settings), features=features)
     result = plan_pdos(settings.capability or STANDARD, node, wish)
-    if settings.capability is None and settings.demand_changes and all(features):
+    if settings.capability is None and settings.demand_changes and all(features._replace(mode=True)):
         return mode_plan(node, wish, demand_changes=True), list(result.notes)
     return result.plan, list(result.notes)
 
@@ -325,6 +328,7 @@ def _wish(settings: DriveSettings) -> PlanWish:
         settings.position_every_cycles,
         status_timer_ms=status_timer_ms(settings.drive_heartbeat_timeout_ms),
         coherent=settings.coherent,
+        mode_apart=not settings.observed.entries,
     )
 
 

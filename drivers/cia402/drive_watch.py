@@ -5,19 +5,26 @@ from typing import Final
 
 from drivers.canopen.nmt import NodeStatus
 from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.pdo import PdoPlan
+from drivers.canopen.pdo import PdoMap, PdoPlan
+from drivers.canopen.polls import ObjectPoll, Polled
+from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.follow_watch import FollowWatch, Lapse
 from drivers.cia402.objects402 import INTERLOCK, Object
+from drivers.cia402.pdo_plans import MODE
 from drivers.cia402.profile import state_of
 from drivers.cia402.readings import LastStatusword
 from drivers.cia402.state_control import FAULTY, StateControl
 from drivers.errors import DriveInFault, NoAnswer, PeerFault, PowerLost
-from drivers.timebase import NS_PER_MS, Duration
+from drivers.timebase import NS_PER_MS, Duration, Instant
 
 _ENABLED_BITS: Final = 0x6F
 _ENABLED: Final = 0x27
 """OPERATION ENABLED, as :data:`drivers.cia402.profile.STATUS_PATTERNS` has it (CiA 402-2)."""
 _VOLTAGE: Final = 0x10
 """Bit 4 of the statusword, voltage enabled."""
+MODE_EVERY: Final = Duration(50 * NS_PER_MS)
+"""Between two reads of 6061h by SDO: as often as a heartbeat. Two frames of at most 135 bits are 0.5 % of
+1 Mbit/s, 4 % of 125 kbit/s."""
 _UNWATCHED: Final = Duration(1 << 62)
 """No silence is as long."""
 
@@ -25,8 +32,14 @@ _UNWATCHED: Final = Duration(1 << 62)
 class DriveWatch:
     """Of one drive. ``active``: it was enabled, and since then nothing was seen or done that ended it."""
 
-    def __init__(self, control: StateControl, status: NodeStatus, told: LastStatusword) -> None:
+    def __init__(
+        self, control: StateControl, status: NodeStatus, told: LastStatusword, follow: FollowWatch
+    ) -> None:
         self.active = False
+        self._follow = follow
+        self._mode_pdo: PdoMap | None = None
+        self._poll: ObjectPoll | None = None
+        self._bears_lapses = False
         self._control = control
         self._status = status
         self._told = told
@@ -37,26 +50,68 @@ class DriveWatch:
         self._wanted = _ENABLED
         self._silence_ns = _UNWATCHED
 
-    def configure(self, beats: bool, plan: PdoPlan, silence_ms: int) -> None:
-        """``beats``: it sends a heartbeat. ``silence_ms``: longest silence that is borne of a statusword."""
+    def configure(self, beats: bool, plan: PdoPlan, settings: DriveSettings) -> None:
+        """``beats``: it sends a heartbeat. A statusword is borne to be silent for as long as that may be."""
         self._beats = beats
-        self._silence_ns = _silence_borne(plan, silence_ms)
+        self._bears_lapses = settings.bears_lapses
+        self._mode_pdo = plan.tpdo_with(*MODE)
+        self._silence_ns = _silence_borne(plan, settings.drive_heartbeat_timeout_ms)
 
     def begin(self) -> None:
         """The drive is enabled now."""
+        control = self._control
         self._boot_ups = self._status.boot_ups
-        self._control.emergency_came = False
+        control.emergency_came = False
         # Some drives never set the bit "voltage enabled": it can be lost only where it was.
         voltage = max(self._told.statusword, 0) & _VOLTAGE
         self._bits, self._wanted = _ENABLED_BITS | voltage, _ENABLED | voltage
         self.active = True
+        self._follow.begin()
+        objects = control.objects
+        if self._mode_pdo is None and self._poll is None and objects.read_if_there(*MODE, "b") is not None:
+            polled = Polled(objects.node_id, *MODE, MODE_EVERY, self._mode_read)
+            self._poll = control.network.poll(polled)
 
-    def check(self) -> None:
+    def end(self) -> None:
+        """The drive is told to stop."""
+        self.active = False
+        self._follow.end()
+        if self._poll is not None:
+            self._control.network.polls.end(self._poll)
+            self._poll = None
+
+    @property
+    def sees_mode(self) -> bool:
+        """6061h is told, or read."""
+        return self._poll is not None or self._follow.mode_shown
+
+    @property
+    def mode_watch(self) -> str:
+        """In words, by what is noticed that the drive does not follow; of an enabled drive."""
+        follow = self._follow
+        way = f"in {self._mode_pdo.name}" if self._mode_pdo else f"by SDO every {MODE_EVERY // NS_PER_MS} ms"
+        if self._mode_pdo is None and self._poll is None:
+            mode = "nothing, as it has no 6061h that can be read"
+        elif self._mode_pdo is not None and not follow.mode_shown:
+            mode = f"nothing, as 6061h {way} does not show it"
+        else:
+            mode = f"6061h {way}"
+        if not follow.has_bit:
+            return mode
+        bit = "bit 12 of 6041h" if follow.bit_watched else "bit 12 of 6041h once it is set: it is 0"
+        return f"{mode}; {bit}"
+
+    def _mode_read(self, data: bytes, at: Instant) -> None:
+        self._follow.mode_told(int.from_bytes(data[:1], "little", signed=True), at)
+
+    def check(self, commanded: bool) -> None:
         """Raise if the drive is not what it should be; waits only if it raises, or if an EMCY has come.
 
         NoAnswer: its heartbeat is lost, or its statusword was not told for too long. DriveInFault: it was
         enabled and reports a fault, has left OPERATION ENABLED or the NMT state OPERATIONAL (which silences
-        its PDOs), or was restarted. PowerLost: its statusword says that there is no voltage any more.
+        its PDOs), was restarted, or does not follow its commands: by its mode and its statusword, or, where
+        ``commanded`` is False, by its demand. PowerLost: its statusword says that there is no voltage any
+        more.
         """
         status, control = self._status, self._control
         if status.lost_at is not None:
@@ -92,6 +147,28 @@ class DriveWatch:
                 f"{control.title}: the statusword has not been told for {silence_ms:.0f} ms",
                 remedy="check the cable, and what else is on the bus",
             )
+        if not commanded:
+            self.active = False
+            raise DriveInFault(f"{control.title} follows no command any more", control.evidence())
+        lapse = self._follow.lapse
+        if lapse is not None:
+            lapse.cycles += 1
+            if not self._bears_lapses:
+                self.active = False
+                raise self._unfollowed(lapse)
+
+    def _unfollowed(self, lapse: Lapse) -> DriveInFault:
+        """The bit may have come before the mode that explains it: the drive is asked."""
+        control = self._control
+        with suppress(PeerFault):
+            shown = control.objects.read_if_there(Object.MODES_OF_OPERATION_DISPLAY, 0, "b")
+            lapse.shown = lapse.shown if shown is None or lapse.shown != lapse.mode else shown
+        return DriveInFault(
+            f"{control.title} {lapse}",
+            f"{lapse.evidence}, {control.evidence()}",
+            "find who or what changed its mode, or bars its way",
+            lapse.began_at,
+        )
 
     def _out_of_operation(self) -> DriveInFault | PowerLost:
         control, word = self._control, self._told.statusword

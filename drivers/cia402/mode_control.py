@@ -7,6 +7,7 @@ the drive is enabled in it.
 """
 
 from drivers.canopen.objects import RemoteObjects, SettingRefused
+from drivers.cia402.follow_watch import FollowWatch
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import TARGETS
 from drivers.cia402.profile import FOLLOW_BITS, Control, Mode, State, run_words, supported_mode_bit
@@ -27,12 +28,13 @@ MODE_BITS = Control.MODE_4 | Control.MODE_5 | Control.MODE_6
 class ModeControl:
     """The mode of one drive. Every method pumps the network."""
 
-    def __init__(self, control: StateControl) -> None:
+    def __init__(self, control: StateControl, follow: FollowWatch) -> None:
         self.mode = Mode.NONE
         """What the drive confirmed last; NONE before the first change."""
         self.primed_position: int | None = None
         """607Ah as it was written last for a position mode to begin with; None in any other mode."""
         self._control = control
+        self._follow = follow
         self._objects: RemoteObjects = control.objects
 
     def change(self, mode: Mode, deadline: Instant) -> None:
@@ -44,6 +46,7 @@ class ModeControl:
         """
         self.require(mode)
         self.mode = Mode.NONE
+        self._follow.aim(Mode.NONE)
         self._control.clear_bits(MODE_BITS)
         try:
             self.prime(mode)
@@ -54,6 +57,7 @@ class ModeControl:
             ) from error
         self._await_display(mode, deadline)
         self.mode = mode
+        self._follow.aim(mode)
         if mode in FOLLOW_BITS and self._turns():
             self.follow()
 

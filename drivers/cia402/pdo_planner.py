@@ -6,8 +6,8 @@
 
 A drive without a dictionary is taken for one whose four PDOs each way take whatever CiA 402-2 has.
 
-The loop needs velocity, position, statusword and, if the drive tells it, torque; and to send the controlword
-and the set-point of a mode. PDOs that fit no layout tell all of it with every SYNC.
+The loop needs velocity, position, statusword and, if there is one, torque; and to send controlword and
+set-point of a mode. PDOs that fit no layout tell all of it with every SYNC.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,6 +31,7 @@ from drivers.cia402.pdo_plans import (
     CONTROL,
     CURRENT,
     DEMAND,
+    MODE,
     POSITION,
     STAMP,
     STANDARD,
@@ -79,11 +80,8 @@ class _Bin:
 def mode_plan(node_id: int, wish: PlanWish, *, demand_changes: bool = False) -> PdoPlan:
     """The plan for one mode, for a drive that can map what is asked for.
 
-    TPDO1: velocity and the drive's own stamp 1013h. TPDO2: torque, position and, in a torque mode, the torque
-    demand 6074h; with every so many SYNCs, above 1 so that three drives at 1 kHz fit 1 Mbit/s. TPDO3: the
-    statusword on change, and by its event timer. RPDO1: controlword and the set-point of the mode.
-    :mod:`drivers.cia402.pdo_plans` has what becomes of it by ``wish.features`` and ``wish.coherent``.
-    ``demand_changes``: a TPDO4 with 6074h and 1013h, sent whenever they change: when a command began to act.
+    TPDO1 to TPDO3 as :mod:`drivers.cia402.pdo_plans` lays them out by ``wish``; RPDO1: controlword and the
+    set-point of the mode. ``demand_changes``: a TPDO4 tells with 6074h and 1013h when a command began to act.
     """
     plan = plan_pdos(STANDARD, node_id, wish).plan
     if not demand_changes:
@@ -95,10 +93,8 @@ def mode_plan(node_id: int, wish: PlanWish, *, demand_changes: bool = False) -> 
 
 
 def all_modes_plan(node_id: int, *, synchronous_command: bool = False) -> PdoPlan:
-    """The plan for a drive that changes between the cyclic modes: an RPDO for each set-point.
-
-    Each carries the controlword as well, so one frame a cycle does in every mode.
-    """
+    """The plan for a drive that changes between the cyclic modes: an RPDO for each set-point, with the
+    controlword, so one frame a cycle does in every mode."""
     modes = (
         Mode.CYCLIC_SYNCHRONOUS_TORQUE,
         Mode.CYCLIC_SYNCHRONOUS_POSITION,
@@ -139,6 +135,8 @@ def _plan(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult
     laid_out = planner.laid_out(wish, torque)
     needed = [STATUS, VELOCITY, *([] if torque is None else [torque]), POSITION]
     sent = planner.wanted(needed, PdoDirection.TRANSMIT) if laid_out is None else laid_out
+    if laid_out is None and wish.features.mode:
+        planner.add_mode(sent)
     target = TARGETS.get(wish.mode)
     commanded = [CONTROL] if target is None else [CONTROL, (target.index, target.sub)]
     received = planner.wanted(commanded, PdoDirection.RECEIVE)
@@ -200,15 +198,14 @@ class _Planner:
 
     def laid_out(self, wish: PlanWish, torque: Key | None) -> list[_Bin] | None:
         """PDOs for the best layout that fits the flexible ones; None if none does."""
-        every = wish.position_every_cycles
         able = wish.features._replace(
             stamp=wish.features.stamp and self._flexible(STAMP),
             demand=wish.features.demand and wish.torque_mode and self._flexible(DEMAND),
+            mode=wish.features.mode and self._flexible(MODE),
         )
         for coherent in (True, False) if wish.coherent else (False,):
-            for features in choices(able, every):
-                groups = layout(features, torque, every, wish.status_timer_ms, coherent=coherent)
-                bins = self._lay_out(groups)
+            for features in choices(able, wish.position_every_cycles):
+                bins = self._lay_out(layout(features, torque, wish, coherent=coherent))
                 if bins is not None:
                     return bins
         return None
@@ -253,6 +250,16 @@ class _Planner:
                 bins, lacks = other_bins, other_lacks
         self.lacks += [self._lack(key, direction) for key in lacks]
         return sorted(bins, key=lambda made: made.slot.number)
+
+    def add_mode(self, bins: list[_Bin]) -> None:
+        """6061h in a flexible TPDO that has room left; else in one that carries it anyway."""
+        able = self._capability.flexible_object(MODE, PdoDirection.TRANSMIT)
+        flexible = [made for made in bins if made.slot.mapping_writable]
+        carried = any((entry.index, entry.sub) == MODE for made in bins for entry in made.entries)
+        if carried or (able and _first_fit(PdoEntry(*MODE, able.code), flexible, [])):
+            return
+        if slot := self._fixed_slot(MODE, [MODE], PdoDirection.TRANSMIT):
+            bins.append(_Bin(slot, self._entries(slot)))
 
     def _cover(
         self, keys: Sequence[Key], flexible: Mapping[Key, MappedObject], direction: PdoDirection
@@ -342,7 +349,8 @@ class _Planner:
                 continue
             keys = {(entry.index, entry.sub) for entry in each.entries}
             alone = POSITION in keys and not keys & {STATUS, VELOCITY}
-            kind = wish.position_every_cycles if alone else EVERY_SYNC
+            apart = not keys & {STATUS, VELOCITY, POSITION, TORQUE, CURRENT}  # the mode alone
+            kind = wish.position_every_cycles if alone else EVENT_DRIVEN if apart else EVERY_SYNC
             kind = self._type(each.slot, kind)
             if kind > SYNCHRONOUS_MAX and each.slot.inhibit_time:
                 named = f"{each.slot.name} is not synchronous and has an inhibit time"
@@ -377,7 +385,7 @@ class _Planner:
         if each.group is not None:
             inhibit = each.group.inhibit_time_100us if slot.inhibit_writable else 0
             timer = each.group.event_timer_ms
-            if timer and not inhibit:
+            if timer and not inhibit and STATUS in each.group.keys:
                 self._notes.append(
                     f"{slot.name} has no inhibit time: a statusword that chatters fills the bus"
                 )

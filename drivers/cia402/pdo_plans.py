@@ -1,14 +1,17 @@
 """The PDO plans that the bench gives to drives: which actual values travel together, and how often.
 
 The speed travels with the drive's stamp of that very sample, first on the bus and with every SYNC; torque,
-position and the torque demand follow, less often if the bus is full; the statusword is told when it changes.
-The layouts of the TPDOs, the best first:
+position and the torque demand follow, less often if the bus is full; statusword and mode are told when they
+change. The layouts of the TPDOs, the best first:
 
-                                                606Ch 1013h    6077h 6064h 6074h    6041h
+                                                606Ch 1013h    6077h 6064h 6074h    6041h 6061h
     all that the bench can use                  every SYNC     every n-th SYNC      on change
     6041h not on change, n = 1                  every SYNC     every SYNC, with 6041h in place of 6074h
     6041h not on change, no stamp or n > 1      every SYNC, with 6041h in place of 1013h, the rest as above
     coherent                                    every SYNC, behind 6041h 6077h 6064h with every SYNC
+
+With every SYNC 6061h travels beside 6041h if 8 bits are free there. In the coherent layout it has a TPDO of
+its own else, on change, if the drive has one left.
 """
 
 from dataclasses import dataclass
@@ -35,6 +38,7 @@ CURRENT: Final[Key] = (Object.CURRENT_ACTUAL_VALUE, 0)
 POSITION: Final[Key] = (Object.POSITION_ACTUAL_VALUE, 0)
 DEMAND: Final[Key] = (Object.TORQUE_DEMAND, 0)
 CONTROL: Final[Key] = (Object.CONTROLWORD, 0)
+MODE: Final[Key] = (Object.MODES_OF_OPERATION_DISPLAY, 0)
 STAMP: Final[Key] = (Cia301.HIGH_RESOLUTION_TIME_STAMP, 0)
 
 STATUS_INHIBIT_100US: Final = 10
@@ -55,6 +59,8 @@ class Features(NamedTuple):
     """6074h in the frame of the position."""
     status_on_change: bool = True
     """6041h when it changes; else with every SYNC."""
+    mode: bool = True
+    """6061h: the drive is still in the mode of its commands."""
 
     def within(self, other: "Features") -> bool:
         """Nothing is used that ``other`` has not."""
@@ -71,7 +77,8 @@ _PREFERENCE: Final = (
     Features(stamp=False, status_on_change=False),
     Features(stamp=False, demand=False, status_on_change=False),
 )
-"""The stamp is worth most: by it readings are attributed whatever the bus does to them."""
+"""The stamp is worth most: by it readings are attributed whatever the bus does to them. The mode is worth
+least, because it can be asked for by SDO."""
 
 
 class Group(NamedTuple):
@@ -89,42 +96,45 @@ def choices(able: Features, position_every_cycles: int) -> list[Features]:
     A statusword with every SYNC has its place beside the position only if that comes with every SYNC too.
     """
     return [
-        each
+        each._replace(mode=mode)
         for each in _PREFERENCE
-        if each.within(able) and (each.status_on_change or not each.stamp or position_every_cycles == 1)
+        for mode in ((True, False) if able.mode else (False,))
+        if each._replace(mode=mode).within(able)
+        and (each.status_on_change or not each.stamp or position_every_cycles == 1)
     ]
 
 
 def layout(
-    features: Features,
-    torque: Key | None,
-    position_every_cycles: int,
-    timer_ms: int,
-    *,
-    coherent: bool = False,
+    features: Features, torque: Key | None, wish: "PlanWish", *, coherent: bool = False
 ) -> tuple[Group, ...]:
     """What travels together, first the frame that is to have the lowest identifier.
 
-    ``torque``: what stands for the torque, if anything does. ``timer_ms``: how often the statusword is told
-    without a change. ``coherent``: torque, position and statusword are of the same SYNC as the speed, which
-    comes last. Raises ValueError for a ``position_every_cycles`` that is no transmission type.
+    ``torque``: what stands for the torque, if anything does. ``coherent``: torque, position and statusword
+    are of the same SYNC as the speed, which comes last. Raises ValueError for a ``position_every_cycles``
+    that is no transmission type.
     """
+    position_every_cycles, timer_ms = wish.position_every_cycles, wish.status_timer_ms
     if not 1 <= position_every_cycles <= SYNCHRONOUS_MAX:
         raise ValueError(f"position_every_cycles {position_every_cycles} is not in 1..{SYNCHRONOUS_MAX}")
     speed = (VELOCITY, STAMP) if features.stamp else (VELOCITY,)
     actual = (POSITION,) if torque is None else (torque, POSITION)
+    mode = (MODE,) if features.mode else ()
+    room = mode if torque is None else ()  # beside 6041h and 6064h
     if coherent:
-        return Group((STATUS, *actual), EVERY_SYNC), Group(speed, EVERY_SYNC)
+        groups = Group((STATUS, *actual, *room), EVERY_SYNC), Group(speed, EVERY_SYNC)
+        if room or not (mode and wish.mode_apart and features.status_on_change):
+            return groups
+        return (*groups, Group(mode, EVENT_DRIVEN, STATUS_INHIBIT_100US, timer_ms))
     if not features.status_on_change and features.stamp:
-        return Group(speed, EVERY_SYNC), Group((*actual, STATUS), EVERY_SYNC)
+        return Group(speed, EVERY_SYNC), Group((*actual, STATUS, *room), EVERY_SYNC)
     if features.demand:
         actual = (*actual, DEMAND)
     if not features.status_on_change:
-        return Group((VELOCITY, STATUS), EVERY_SYNC), Group(actual, position_every_cycles)
+        return Group((VELOCITY, STATUS, *mode), EVERY_SYNC), Group(actual, position_every_cycles)
     return (
         Group(speed, EVERY_SYNC),
         Group(actual, position_every_cycles),
-        Group((STATUS,), EVENT_DRIVEN, STATUS_INHIBIT_100US, timer_ms),
+        Group((STATUS, *mode), EVENT_DRIVEN, STATUS_INHIBIT_100US, timer_ms),
     )
 
 
@@ -143,6 +153,8 @@ def limits_of(features: Features, *, torque_mode: bool) -> list[str]:
         limits.append("no 6074h beside the position: which command acts is not measured")
     if not features.status_on_change:
         limits.append("6041h is not told on change: it is told with the SYNC")
+    if not features.mode:
+        limits.append("no 6061h in a TPDO: the mode is asked for by SDO")
     return limits
 
 
@@ -171,6 +183,7 @@ STANDARD_CODES: dict[Key, str] = {
     **dict.fromkeys((VELOCITY, POSITION), "i"),
     **dict.fromkeys((TORQUE, DEMAND), "h"),
     STAMP: "I",
+    MODE: "b",
     **{(target.index, target.sub): target.code for target in TARGETS.values()},
 }
 """Types of CiA 402-2 and CiA 301."""
@@ -203,6 +216,8 @@ class PlanWish:
     status_timer_ms: int = STATUS_TIMER_MS
     coherent: bool = False
     """All values of one SYNC in a reading; see :func:`layout`."""
+    mode_apart: bool = True
+    """6061h may have a TPDO of its own."""
 
     @property
     def torque_mode(self) -> bool:
@@ -218,4 +233,5 @@ def features_of(plan: PdoPlan) -> Features:
         stamp=speed is not None and speed.place_of(*STAMP) is not None,
         demand=any(pdo.synchronous and pdo.place_of(*DEMAND) is not None for pdo in plan.tpdos),
         status_on_change=status is not None and not status.synchronous,
+        mode=plan.tpdo_with(*MODE) is not None,
     )

@@ -6,6 +6,7 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.objects301 import Cia301
 from drivers.canopen.pdo import PdoMap, PdoPlan
 from drivers.cia402.command_watch import CommandWatch
+from drivers.cia402.follow_watch import FollowWatch
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Status
 from drivers.cia402.scaling import Scaling
@@ -66,8 +67,10 @@ class ReadingAssembler:
         scaling: Scaling,
         period_ns: Duration,
         told: LastStatusword,
+        follow: FollowWatch,
     ) -> None:
-        """Raises ValueError if the plan lacks speed, position or statusword."""
+        """``told`` and ``follow`` take in what the frames tell of state and mode. Raises ValueError if the
+        plan lacks speed, position or statusword."""
         needed = (Object.STATUSWORD, Object.POSITION_ACTUAL_VALUE, Object.VELOCITY_ACTUAL_VALUE)
         missing = [f"{index:04X}h" for index in needed if plan.tpdo_with(index) is None]
         if missing:
@@ -101,7 +104,7 @@ class ReadingAssembler:
         self._last_us = 0
         self._stamp_raw: int | None = None
         self._inlets: dict[int, _Inlet] = {}
-        self._subscribe(network, plan)
+        self._subscribe(network, plan, follow)
 
     def frames_taken(self, cob_id: int) -> int:
         """How many frames of a TPDO came, malformed ones among them."""
@@ -230,7 +233,7 @@ class ReadingAssembler:
             self._position += ((raw - self._position_raw + _HALF_WORD) % _WORD) - _HALF_WORD
         self._position_raw = raw
 
-    def _subscribe(self, network: CanopenNetwork, plan: PdoPlan) -> None:
+    def _subscribe(self, network: CanopenNetwork, plan: PdoPlan, follow: FollowWatch) -> None:
         speed = plan.tpdo_with(Object.VELOCITY_ACTUAL_VALUE)
         position = plan.tpdo_with(Object.POSITION_ACTUAL_VALUE)
         assert speed is not None
@@ -243,21 +246,30 @@ class ReadingAssembler:
             else Object.TORQUE_ACTUAL_VALUE
         )
         for pdo in plan.tpdos:
-            self._inlets[pdo.cob_id] = inlet = _Inlet(self, pdo, self._told, watched)
+            self._inlets[pdo.cob_id] = inlet = _Inlet(self, pdo, self._told, follow, watched)
             network.listen(pdo.cob_id, inlet.take)
 
 
 class _Inlet:
     """Takes the frames of one TPDO apart for an assembler; objects that nobody asks for are passed over."""
 
-    def __init__(self, assembler: ReadingAssembler, pdo: PdoMap, told: LastStatusword, watched: int) -> None:
+    def __init__(
+        self,
+        assembler: ReadingAssembler,
+        pdo: PdoMap,
+        told: LastStatusword,
+        follow: FollowWatch,
+        watched: int,
+    ) -> None:
         codec = pdo.codec()
         self.frames = 0
         self._assembler = assembler
         self._told = told
+        self._follow = follow
         self._unpack = codec.unpack
         self._size = codec.size
         self._status = _place(pdo, Object.STATUSWORD)
+        self._mode = _place(pdo, Object.MODES_OF_OPERATION_DISPLAY)
         self._torque = _place(pdo, Object.TORQUE_ACTUAL_VALUE, Object.CURRENT_ACTUAL_VALUE)
         self._position = _place(pdo, Object.POSITION_ACTUAL_VALUE)
         self._velocity = _place(pdo, Object.VELOCITY_ACTUAL_VALUE)
@@ -276,9 +288,12 @@ class _Inlet:
         if self._on_change:
             assembler.demand_changed(fields[self._demand], fields[self._stamp], at)
             return
+        if self._mode >= 0:
+            self._follow.mode_told(fields[self._mode], at)
         if self._status >= 0:
             self._told.take(fields[self._status], at)
             self._told.by_pdo = fields[self._status]
+            self._follow.status_told(fields[self._status], at)
         if self._torque >= 0:
             assembler.torque_told(fields[self._torque], at)
         if self._position >= 0:

@@ -18,6 +18,7 @@ from drivers.cia402.drive_setup import (
     write_reactions,
 )
 from drivers.cia402.drive_watch import DriveWatch
+from drivers.cia402.follow_watch import FollowWatch
 from drivers.cia402.mode_control import MODE_BITS, ModeControl
 from drivers.cia402.motion import KEEP_HOMING, KEEP_PROFILE, HomingSetup, Motion, MoveProfile
 from drivers.cia402.objects402 import Object
@@ -26,10 +27,10 @@ from drivers.cia402.profile import DriveCommand, Mode, State, state_of
 from drivers.cia402.readings import LastStatusword, ReadingAssembler
 from drivers.cia402.rest import resting_since, slow
 from drivers.cia402.setpoint import SetPointFrames
-from drivers.cia402.state_control import FAULTY, StateControl
+from drivers.cia402.state_control import FAULTY, NONE_SENT, StateControl
 from drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
 from drivers.cia402.velocity_mode import write_velocity_mode_ramps
-from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
+from drivers.errors import BusDown, NoAnswer, PeerFault
 from drivers.exchange import (
     Command,
     DemandChange,
@@ -58,9 +59,8 @@ class ServoDrive(Drive):
         each cycle: network.send_sync(), network.pump_one(until), drive.take_readings(), drive.write(command)
         at last: drive.release()
 
-    Nothing runs by itself. Methods with a ``deadline`` pump the network until the drive has done what it was
-    asked, and raise NoAnswer or DriveInFault if it has not by then. ``take_readings``, ``write`` and
-    ``check`` never wait. A fault is reset only by ``reset_fault``.
+    Nothing runs by itself. Methods with a ``deadline`` pump the network until the drive has done as it was
+    asked; else they raise NoAnswer or DriveInFault. ``take_readings``, ``write`` and ``check`` never wait.
     """
 
     def __init__(self, network: CanopenNetwork, node_id: int, name: str = "") -> None:
@@ -72,21 +72,21 @@ class ServoDrive(Drive):
         self.status = network.status(node_id)
         self.identity: Identity | None = None
         self.notes: list[str] = []
-        """What the drive lacks, refused or holds otherwise, in words; of the last ``configure``."""
+        """What the drive lacks or holds otherwise, in words; of the last ``configure``."""
         self.unsent_commands = 0
         """Commands that had expired when ``write`` was called."""
         self.plan: PdoPlan | None = None
         """What was mapped; None before ``configure``."""
         self._told = LastStatusword()
         self.control = StateControl(self.objects, self.name, self._told)
-        self.modes = ModeControl(self.control)
+        self.follow = FollowWatch()
+        self.modes = ModeControl(self.control, self.follow)
         self.motion: Motion | None = None
         self._assembler: ReadingAssembler | None = None
         self.error_control = ErrorControl(self.objects)
-        self._watch = DriveWatch(self.control, self.status, self._told)
+        self.watch = DriveWatch(self.control, self.status, self._told, self.follow)
         self.supervision = CommandSupervision(self.objects)
-        """Ended by whatever stops the drive. Where several are let go one after the other, end that of all
-        first: the timers of the last run out meanwhile."""
+        """Ended by what stops the drive. Of several, end all first: the last's timers run out meanwhile."""
 
     # ---- set-up ---------------------------------------------------------------------------------------
 
@@ -121,13 +121,16 @@ class ServoDrive(Drive):
         notes += write_velocity_mode_ramps(self.objects, settings)
         plan, pdo_notes = map_pdos(self.objects, settings)
         plan, observed_notes = map_observed(self.objects, plan, settings.observed)
-        self._assembler = ReadingAssembler(network, plan, scaling, settings.sync_period_ns, self._told)
+        period_ns = settings.sync_period_ns
+        self._assembler = ReadingAssembler(network, plan, scaling, period_ns, self._told, self.follow)
         position = self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
         self._assembler.anchor_position(position, network.clock.now())
-        limits = settings.torque_max_nm, settings.speed_max_rad_s
-        self.control.carry(SetPointFrames(network, plan, scaling, *limits), plan, settings.mode)
+        self.control.set_point = SetPointFrames(
+            network, plan, scaling, settings.torque_max_nm, settings.speed_max_rad_s
+        )
+        self.control.controlword = NONE_SENT
         self.plan = plan
-        self._watch.configure(self.error_control.told, plan, settings.drive_heartbeat_timeout_ms)
+        self.watch.configure(self.error_control.told, plan, settings)
         self.supervision.configure(settings, plan, self._assembler)
         self.motion = Motion(self.control, self.modes, scaling)
         network.refuse_two(self.node_id)
@@ -146,7 +149,7 @@ class ServoDrive(Drive):
         self.control.walk(State.OPERATION_ENABLED, deadline)
         self.modes.follow()
         self.control.await_older_words(self.plan, deadline)
-        self._watch.begin()
+        self.watch.begin()
 
     def disable(self, deadline: Instant) -> None:
         """Leave OPERATION ENABLED by the drive's own ramp (0x605C) and end in SWITCH ON DISABLED."""
@@ -264,11 +267,12 @@ class ServoDrive(Drive):
         return self.assembler.position_rad(self.modes.primed_position)
 
     def check(self) -> None:
-        """As :meth:`.drive_watch.DriveWatch.check`; DriveInFault too if it follows no command."""
-        self._watch.check()
-        if not self.supervision.follows:
-            self._watch.active = False
-            raise DriveInFault(f"{self.control.title} follows no command any more", self.control.evidence())
+        """As :meth:`.drive_watch.DriveWatch.check`."""
+        self.watch.check(self.supervision.follows)
+
+    def follows(self) -> bool:
+        """As far as it tells by 6061h and bit 12 of its statusword."""
+        return self.follow.lapse is None
 
     def supervise_commands(self) -> str:
         """As :meth:`.supervision.CommandSupervision.begin`, called right before the first cycle."""
@@ -277,7 +281,7 @@ class ServoDrive(Drive):
     @property
     def enabled(self) -> bool:
         """``enable`` succeeded, and since then nothing was seen or done that ended it."""
-        return self._watch.active
+        return self.watch.active
 
     @property
     def reading_bytes(self) -> int:
@@ -390,6 +394,6 @@ class ServoDrive(Drive):
 
     def _stop_following(self) -> None:
         """Frames carry no torque nor speed from now on, and ``check`` asks for OPERATION ENABLED no more."""
-        self._watch.active = False
+        self.watch.end()
         if self.control.set_point is not None:
             self.control.set_point.hold_rest()

@@ -127,7 +127,8 @@ def _plan_with_current(session: Session) -> PdoPlan:
     assert mode is not None
     node = session.request.node
     stamped = session.objects.read_if_there(Cia301.HIGH_RESOLUTION_TIME_STAMP) is not None
-    base = mode_plan(node, PlanWish(mode, coherent=True, features=Features(stamp=stamped)))
+    wish = PlanWish(mode, coherent=True, features=Features(stamp=stamped), mode_apart=False)
+    base = mode_plan(node, wish)
     actual, speed = base.tpdos
     status, *rest = actual.entries
     current = PdoEntry(Object.CURRENT_ACTUAL_VALUE, 0, "h")

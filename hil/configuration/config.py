@@ -210,8 +210,11 @@ class RecordingConfig(Section):
 
 
 class Guard(Section):
-    """``[guard]``: what others do on the bus is told; ``stop`` ends the run as well."""
+    """``[guard]``: what a drive and others on the bus do unasked is told; ``stop`` ends the run as well."""
 
+    on_mode: Rule = "stop"
+    """A drive does not follow its commands: it leaves the mode that it was given (6061h), or says that it
+    ignores its target (bit 12 of 6041h)."""
     on_foreign: Rule = "tell"
     """Another sends as the bench or as one of its drives: NMT, SYNC, the bench's heartbeat, SDO requests or
     commands to its drives, more readings than SYNCs, more SDO answers than requests."""

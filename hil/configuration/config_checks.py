@@ -150,6 +150,7 @@ def standard_plan(config: BenchConfig, axis: str) -> PdoPlan:
         BENCH_MODES[drive.mode],
         position_every_cycles=config.loop.position_every_cycles,
         coherent=config.coherent(axis),
+        mode_apart=not drive.observed.entries,
     )
     plan = mode_plan(drive.node, wish, demand_changes=config.loop.command_readback == "event")
     return with_observed(plan, drive.node, drive.observed) or plan

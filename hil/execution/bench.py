@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.pdo import DONE
+from drivers.cia402.follow_watch import Lapse
 from drivers.cia402.servo import ServoDrive
 from drivers.cia402.state_control import FAULTY
 from drivers.errors import BadInput, BenchError, PeerFault
@@ -340,6 +341,19 @@ class _Run:
         guard = drive.supervise_commands()
         active = drive.supervision.active
         self._say(f"{drive.name}: its commands are watched by {guard}", "INFO" if active else "WARN")
+        watch = drive.watch.mode_watch
+        self._say(
+            f"{drive.name}: its mode is watched by {watch}", "INFO" if drive.watch.sees_mode else "WARN"
+        )
+        drive.follow.on_change = partial(self._tell_lapse, drive)
+        self.conclusion.watched(drive, watch)
+
+    def _tell_lapse(self, drive: ServoDrive, lapse: Lapse) -> None:
+        """A drive does not follow its commands, or does so again."""
+        at, level, text = lapse.began_at, "ERROR", f"{lapse}: {lapse.evidence}"
+        if lapse.ended_at is not None:
+            at, level, text = lapse.ended_at, "WARN", f"follows {lapse.mode.title} again"
+        self.recorder.event(at, level, f"{drive.name} {text}")
 
     def _teller(self, drive: ServoDrive) -> Callable[[str], None]:
         return lambda text: self._say(f"{drive.name}: {text}", "WARN")

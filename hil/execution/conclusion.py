@@ -116,10 +116,16 @@ class Conclusion:
         )
 
     def told(self, drive: ServoDrive, since: Instant, zero: Instant | None) -> None:
-        """Take in the EMCYs of a drive ``since`` an instant; ``zero``: when the run began, if it did."""
+        """Take in the EMCYs of a drive ``since`` an instant, and when it did not follow its commands;
+        ``zero``: when the run began, if it did."""
+        self._note(drive.name, lapses=tuple(lapse.told(zero) for lapse in drive.follow.lapses))
         for emergency in drive.network.emergencies:
             if emergency.node_id == drive.node_id and emergency.at >= since:
                 self._take(drive, emergency, zero)
+
+    def watched(self, drive: ServoDrive, mode_watch: str) -> None:
+        """By what it is noticed that a drive does not follow, in words."""
+        self._note(drive.name, mode_watch=mode_watch)
 
     def _take(self, drive: ServoDrive, emergency: Emergency, zero: Instant | None) -> None:
         if emergency.code == NO_ERROR:

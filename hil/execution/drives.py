@@ -59,6 +59,7 @@ def drive_settings(
         quick_stop_deceleration_rad_s2=limits.quick_stop_deceleration_rad_s2,
         quick_stop_option=QuickStopOption(2 if commissioned is None else commissioned.stop.option),
         capability=None if sheet is None else capability_of(sheet),
+        bears_lapses=config.guard.on_mode == "tell",
         unwatched=drive.unwatched,
         scale=ScaleOverride() if commissioned is None else commissioned.override,
     )

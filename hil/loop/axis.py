@@ -17,7 +17,7 @@ from hil.loop.decision import Decision, Tick
 from hil.loop.delay import DelayMeter, Fate
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import SafetyGuard
-from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sending
+from hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Sending
 from hil.loop.scenario import Quantity, ReferenceProfile
 from hil.loop.stamp_attribution import REVOKED, StampAttribution
 from hil.loop.syncs import SyncLog, SyncMark
@@ -223,6 +223,7 @@ class Axis:
             context.reference_rad = decision.reference_rad
         if decision.reference_nm is not None:
             context.reference_nm = decision.reference_nm
+        context.follows = decision.follows = follows = self._drive.follows()
         began = self._host.now()
         context.estimate = estimate = self._compensator.estimate(context)
         demand = guard.demand(self._controller.output(context))
@@ -234,10 +235,11 @@ class Axis:
         if sent is not None:
             self.commands.sent(sent)
             context.sent = command
+        acting = command if follows else guard.in_place_of(command, context.newest)
         began = self._host.now()
         if sent is not None:
-            self._compensator.sent(command)
-        self._controller.update(context, command)
+            self._compensator.sent(acting)
+        self._controller.update(context, acting)
         decision.channels = self._controller.telemetry()
         decision.compute_ns = took + self._host.now() - began
         context.samples.clear()
@@ -341,6 +343,10 @@ class Axis:
     def _finish(self, decision: Decision, sending: Sending | None) -> None:
         tick, fate, mark = decision.tick, decision.fate, decision.mark
         assert fate is not None
+        if sending is not None and not decision.follows:
+            sending = Sending(
+                sending.raw, sending.handed_at, sending.on_bus_at, CommandFate.NOT_FOLLOWED, None, None
+            )
         clock = self.by_stamp.clock
         observation = self.by_order.question.applied(self.by_stamp.question.applied(fate.observation))
         by_others = isinstance(observation, Dropout) and observation.cause in _SHOWN_BY_OTHERS

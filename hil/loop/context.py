@@ -62,6 +62,7 @@ class Context:
         "dropouts",
         "due_at",
         "estimate",
+        "follows",
         "newest",
         "now",
         "period",
@@ -94,6 +95,9 @@ class Context:
         """The last of all of them; None before the first."""
         self.dropouts = 0
         """Cycles in a row, up to this one, in which no usable reading has come."""
+        self.follows = True
+        """Whether the drive follows its commands, as far as it tells. While it does not, ``update`` and
+        ``sent`` are given what acts in place of the command."""
         self.sent: Command | None = None
         """The last command that was handed to the bus, after all limits; None before the first."""
         self.reference_rad_s = 0.0

@@ -34,5 +34,7 @@ class Decision:
         self.command: Command | None = None
         self.sent: SentCommand | None = None
         self.fate: Fate | None = None
+        self.follows = True
+        """The drive followed its commands."""
         self.compute_ns: int | None = None
         self.channels: Sequence[float] = ()

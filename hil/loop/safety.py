@@ -12,7 +12,7 @@ from drivers.exchange import Command, PositionCommand, SpeedCommand
 from drivers.timebase import Instant
 from hil.loop.context import PositionSetPoint, SetPoint, SpeedSetPoint, TorqueSetPoint, WrongSetPoint
 from hil.loop.position_path import PositionPath
-from hil.loop.samples import StateEstimate
+from hil.loop.samples import Sample, StateEstimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +113,26 @@ class SafetyGuard:
         high = min(self._set_point_max, self._set_point + self._step_max)
         self._set_point = min(max(demand, low), high)
         return self._set_point
+
+    def in_place_of(self, command: Command, newest: Sample | None) -> Command:
+        """What acts while the drive does not follow: torque, speed or position as the drive told it last.
+
+        Set-points are limited in their change from there on, so that the first that is followed again makes
+        no jump. Without a reading, or a torque in it, 0 N m is taken.
+        """
+        reading = None if newest is None else newest.reading
+        sequence, effective_at, expires_at = command.sequence, command.effective_at, command.expires_at
+        if isinstance(command, PositionCommand):
+            if reading is None:
+                return command
+            self.start_from(reading.position_rad)
+            return PositionCommand(sequence, reading.position_rad, effective_at, expires_at)
+        if isinstance(command, SpeedCommand):
+            self._set_point = 0.0 if reading is None else reading.velocity_rad_s
+            return SpeedCommand(sequence, self._set_point, effective_at, expires_at)
+        torque_nm = 0.0 if reading is None or math.isnan(reading.torque_nm) else reading.torque_nm
+        self._set_point = min(max(torque_nm, -self._set_point_max), self._set_point_max)
+        return Command(sequence, torque_nm, effective_at, expires_at)
 
     def check_speed(self, velocity_rad_s: float) -> str | None:
         """Why the run must stop after a reading of this speed, or None."""

@@ -92,6 +92,8 @@ class CommandFate(Enum):
     """The drive never followed it while that could be seen."""
     NOT_IDENTIFIABLE = "not identifiable"
     """It equals a neighbour, or was replaced before the drive told."""
+    NOT_FOLLOWED = "not followed"
+    """The drive was in another mode, or said that it ignores its target."""
 
 
 class Sending(Record):

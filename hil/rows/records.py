@@ -44,6 +44,7 @@ COMMAND_FATES: tuple[CommandFate, ...] = (
     CommandFate.ACTING,
     CommandFate.LOST,
     CommandFate.NOT_IDENTIFIABLE,
+    CommandFate.NOT_FOLLOWED,
 )
 """``command_fate`` is the fate's place here; :data:`NOTHING` for a command that was not sent."""
 
@@ -292,4 +293,6 @@ def _place_of(fate: CommandFate) -> int:
         return 1
     if fate is CommandFate.NOT_IDENTIFIABLE:
         return 3
+    if fate is CommandFate.NOT_FOLLOWED:
+        return 4
     return 2 if fate is CommandFate.LOST else 0

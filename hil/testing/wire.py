@@ -263,6 +263,7 @@ def _plan_by_sheet(config: BenchConfig, axis: str, sheet: LoadedDictionary) -> P
         loop.actuation == "on_sync",
         loop.position_every_cycles,
         coherent=config.coherent(axis),
+        mode_apart=not drive.observed.entries,
     )
     plan = plan_pdos(capability_of(sheet), drive.node, wish).plan
     return with_observed(plan, drive.node, drive.observed) or plan

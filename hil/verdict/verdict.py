@@ -122,6 +122,10 @@ class DriveEnd:
     """What went wrong while it was stopped."""
     unwatched: str = ""
     """If its 1016h held something else at the end than was written into it, what."""
+    mode_watch: str = ""
+    """By what it was noticed whether it follows its commands; empty if it was not enabled."""
+    lapses: tuple[str, ...] = ()
+    """When it did not follow them, each in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,6 +307,8 @@ def _doubted(outcome: RunOutcome, recording_lacks: str) -> Iterator[Finding]:
             yield Finding(VerdictKind.PEER_FAULT, text)
         if drive.unwatched:
             yield Finding(VerdictKind.PEER_FAULT, f"{drive.name}: {drive.unwatched}")
+        for lapse in drive.lapses:
+            yield Finding(VerdictKind.PEER_FAULT, f"{drive.name} {lapse}")
     for emergency in outcome.emergencies:
         yield Finding(VerdictKind.PEER_FAULT, emergency)
     for doubt in outcome.distrust:

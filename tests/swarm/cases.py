@@ -17,7 +17,7 @@ DURATION_S: Final = (0.15, 0.6)
 FAULTS_MAX: Final = 3
 FAILURES: Final = ("over_current", "over_temperature", "following_error", "encoder_loss", "under_voltage")
 CLASSES: Final = ("pdo", "sync", "nmt", "heartbeat", "sdo", "emcy")
-RULES: Final = ("on_foreign", "on_boot", "on_bus_errors")
+RULES: Final = ("on_mode", "on_foreign", "on_boot", "on_bus_errors")
 WAYS: Final = ("both", "host_to_drive", "drive_to_host")
 
 Table = dict[str, Any]

@@ -95,7 +95,7 @@ def test_check_names_a_drive_that_lost_its_power(
     _, servo, _, drive = bench
     enabled(bench)
     drive._told.take(0x0237, drive._now())
-    drive._watch.begin()
+    drive.watch.begin()
     if inputs is not None:
         servo.types[0x60FD, 0], servo.values[0x60FD, 0] = "I", inputs
     drive._told.take(word, drive._now())
@@ -107,7 +107,7 @@ def test_a_drive_that_never_tells_of_its_voltage_is_not_said_to_have_lost_it(ben
     _, _, _, drive = bench
     enabled(bench)
     drive._told.take(0x0227, drive._now())
-    drive._watch.begin()
+    drive.watch.begin()
     drive.check()
 
 
@@ -225,10 +225,10 @@ def test_a_statusword_that_nothing_repeats_may_be_silent(bench: Bench) -> None:
     unrepeated, synchronous = replace(told, event_timer_ms=0), replace(told, transmission_type=1)
     servo.lost_tpdos.add(3)
     for tpdos in ((), (unrepeated,), (synchronous,)):
-        drive._watch.configure(True, PdoPlan(tpdos, ()), 150)
+        drive.watch.configure(True, PdoPlan(tpdos, ()), SETTINGS)
         run_cycles(bench, 200)
     assert drive.enabled
-    drive._watch.configure(True, PdoPlan((told,), ()), 150)
+    drive.watch.configure(True, PdoPlan((told,), ()), SETTINGS)
     with pytest.raises(NoAnswer, match="the statusword has not been told"):
         drive.check()
 
@@ -242,7 +242,8 @@ def test_two_event_timers_at_least_are_borne(
     assert drive.plan is not None
     told = drive.plan.tpdo_with(Object.STATUSWORD)
     assert told is not None
-    drive._watch.configure(True, PdoPlan((replace(told, event_timer_ms=timer_ms),), ()), silence_ms)
+    plan = PdoPlan((replace(told, event_timer_ms=timer_ms),), ())
+    drive.watch.configure(True, plan, replace(SETTINGS, drive_heartbeat_timeout_ms=silence_ms))
     servo.lost_tpdos.add(3)
     began = network.clock.now()
     with pytest.raises(NoAnswer, match=f"has not been told for {borne_ms} ms"):
@@ -274,6 +275,6 @@ def test_a_drive_is_missed_only_once(bench: Bench) -> None:
 def test_a_statusword_of_zero_is_a_state_too(bench: Bench) -> None:
     _, _, network, drive = bench
     enabled(bench)
-    drive._watch._told.take(0, network.clock.now())
+    drive.watch._told.take(0, network.clock.now())
     with pytest.raises(DriveInFault, match="fell out of operation into 'not ready to switch on'"):
         drive.check()

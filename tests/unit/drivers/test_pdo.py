@@ -36,7 +36,7 @@ def test_the_torque_plan_is_the_predefined_connection_set() -> None:
     assert [(pdo.name, pdo.cob_id, pdo.bits) for pdo in PLAN.tpdos] == [
         ("TPDO1", 0x181, 64),
         ("TPDO2", 0x281, 64),
-        ("TPDO3", 0x381, 16),
+        ("TPDO3", 0x381, 24),
     ]
     (command,) = PLAN.rpdos
     assert (command.cob_id, command.transmission_type, command.synchronous) == (0x201, 255, False)
@@ -56,9 +56,9 @@ def test_a_seldom_position_leaves_room_on_the_bus() -> None:
     assert [entry.index for entry in position.entries] == [0x6077, 0x6064, 0x6074]
     assert position.transmission_type == 10
     assert (status.transmission_type, status.inhibit_time_100us, status.event_timer_ms) == (255, 10, 25)
-    # SYNC 55, and three times 135 + 135 / 10 + 75 / 25 + 95 bits a millisecond.
+    # SYNC 55, and three times 135 + 135 / 10 + 85 / 25 + 95 bits a millisecond.
     load = budget_of(plans, Duration(NS_PER_MS), 1_000_000).load_percent
-    assert load == pytest.approx((55 + 3 * (135 + 13.5 + 3 + 95)) / 10)
+    assert load == pytest.approx((55 + 3 * (135 + 13.5 + 3.4 + 95)) / 10)
     whole = [mode_plan(node, PlanWish()) for node in (1, 2, 3)]
     assert budget_of(whole, Duration(NS_PER_MS), 1_000_000).load_percent > 100.0
 
@@ -76,22 +76,26 @@ def indices(plan: PdoPlan) -> list[list[int]]:
 def test_what_a_drive_cannot_tell_makes_another_plan() -> None:
     mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
     plan = mode_plan(1, PlanWish(mode, features=Features(stamp=False)))
-    assert indices(plan) == [[0x606C], [0x6077, 0x6064, 0x6074], [0x6041]]
+    assert indices(plan) == [[0x606C], [0x6077, 0x6064, 0x6074], [0x6041, 0x6061]]
     plan = mode_plan(1, PlanWish(mode, features=Features(demand=False)))
-    assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041]]
+    assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041, 0x6061]]
     plan = mode_plan(1, PlanWish(mode, features=Features(status_on_change=False)))
     assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064, 0x6041]]
     plan = mode_plan(1, PlanWish(mode, position_every_cycles=10, features=Features(status_on_change=False)))
-    assert indices(plan) == [[0x606C, 0x6041], [0x6077, 0x6064, 0x6074]], "the statusword with every SYNC"
+    assert indices(plan) == [[0x606C, 0x6041, 0x6061], [0x6077, 0x6064, 0x6074]], (
+        "the statusword with every SYNC"
+    )
     assert [pdo.transmission_type for pdo in plan.tpdos] == [1, 10]
     plan = mode_plan(1, PlanWish(Mode.CYCLIC_SYNCHRONOUS_VELOCITY))
-    assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041]], "no torque is commanded"
+    assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041, 0x6061]], "no torque is commanded"
 
 
 def test_a_coherent_plan_has_the_speed_behind_everything_else() -> None:
     plan = mode_plan(1, PlanWish(coherent=True))
-    assert indices(plan) == [[0x6041, 0x6077, 0x6064], [0x606C, 0x1013]]
-    assert {pdo.transmission_type for pdo in plan.tpdos} == {1}
+    assert indices(plan) == [[0x6041, 0x6077, 0x6064], [0x606C, 0x1013], [0x6061]]
+    assert [pdo.transmission_type for pdo in plan.tpdos] == [1, 1, 255]
+    whole = mode_plan(1, PlanWish(coherent=True, mode_apart=False))
+    assert indices(whole) == [[0x6041, 0x6077, 0x6064], [0x606C, 0x1013]], "the mode is asked for by SDO"
 
 
 def test_demand_changes_have_a_pdo_of_their_own() -> None:
@@ -113,9 +117,9 @@ def test_longest_frame(length: int, bits: int) -> None:
 def test_bus_load_of_one_and_three_axes() -> None:
     period = Duration(NS_PER_MS)
     one = budget_of([PLAN], period, 1_000_000).load_percent
-    assert one == pytest.approx((55 + 135 + 135 + 3 + 95) / 10)
+    assert one == pytest.approx((55 + 135 + 135 + 3.4 + 95) / 10)
     three = [mode_plan(node_id, PlanWish()) for node_id in (1, 2, 3)]
-    assert budget_of(three, period, 1_000_000).load_percent == pytest.approx((55 + 3 * 368) / 10)
+    assert budget_of(three, period, 1_000_000).load_percent == pytest.approx((55 + 3 * 368.4) / 10)
 
 
 def test_a_pdo_of_more_than_eight_bytes_is_no_pdo() -> None:

@@ -46,7 +46,8 @@ def test_what_is_lost_is_told() -> None:
     assert plan(four_pdos(), also=CLOCK).notes == (unmeasured,)
     assert plan(four_pdos(), PlanWish(Mode.PROFILE_VELOCITY), also=CLOCK).notes == ()
     with_sync = "6041h is not told on change: it is told with the SYNC"
-    assert plan(four_pdos(timers=False), also=CLOCK + DEMAND).notes == (unmeasured, with_sync)
+    asked = "no 6061h in a TPDO: the mode is asked for by SDO"
+    assert plan(four_pdos(timers=False), also=CLOCK + DEMAND).notes == (unmeasured, with_sync, asked)
 
 
 def test_a_statusword_that_cannot_be_told_on_change_comes_with_every_sync() -> None:
@@ -57,7 +58,7 @@ def test_a_statusword_that_cannot_be_told_on_change_comes_with_every_sync() -> N
     ]
     wish = PlanWish(position_every_cycles=10)
     assert shown(plan(four_pdos(timers=False), wish, also=both))[:2] == [
-        "TPDO1 185h 1: 606Ch:00/32 6041h:00/16",
+        "TPDO1 185h 1: 606Ch:00/32 6041h:00/16 6061h:00/8",
         "TPDO2 285h 10: 6077h:00/16 6064h:00/32 6074h:00/16",
     ]
 
@@ -118,7 +119,7 @@ def test_wishes_for_synchronous_commands_and_seldom_positions() -> None:
     wish = PlanWish(synchronous_command=True, position_every_cycles=4)
     lines = shown(plan(four_pdos(), wish, also=CLOCK))
     assert lines[1] == "TPDO2 285h 4: 6077h:00/16 6064h:00/32"
-    assert lines[2] == "TPDO3 385h 255: 6041h:00/16"
+    assert lines[2] == "TPDO3 385h 255: 6041h:00/16 6061h:00/8"
     assert lines[3].startswith("RPDO1 205h 1:")
 
 
@@ -147,7 +148,7 @@ def test_a_file_that_defines_too_few_entries_is_helped_by_its_limit() -> None:
         plan_pdos(capability_of(parse_dictionary(text.encode(), "x", NODE)), NODE, PlanWish())
     allowed = text.replace("[1A00sub0]\n", "[1A00sub0]\nHighLimit=64\n").encode()
     result = plan_pdos(capability_of(parse_dictionary(allowed, "x", NODE)), NODE, PlanWish())
-    assert shown(result)[0] == "TPDO1 185h 1: 6041h:00/16 606Ch:00/16 6064h:00/16"
+    assert shown(result)[0] == "TPDO1 185h 1: 6041h:00/16 606Ch:00/16 6064h:00/16 6061h:00/8"
     assert any("sub-index 0 allows" in note for note in result.notes)
 
 
@@ -279,15 +280,15 @@ def test_the_budget_is_that_of_the_longest_frames() -> None:
         ("SYNC", 55, 110_000),
         ("TPDO1", 135, 270_000),
         ("TPDO2", 115, 230_000),
-        ("TPDO3", 75, 150_000),
+        ("TPDO3", 85, 170_000),
         ("RPDO1", 95, 190_000),
     ]
-    assert budget.load_percent == pytest.approx(11 + 27 + 23 + 15 / 25 + 19)
-    assert budget.shortest_period_ns == 1_187_501
+    assert budget.load_percent == pytest.approx(11 + 27 + 23 + 17 / 25 + 19)
+    assert budget.shortest_period_ns == 1_212_501
 
 
 def test_a_seldom_pdo_costs_its_share() -> None:
     result = plan(four_pdos(), PlanWish(position_every_cycles=4))
     budget = budget_of([result.plan], Duration(NS_PER_MS), 1_000_000)
-    assert budget.load_percent == pytest.approx(5.5 + 9.5 + 11.5 / 4 + 7.5 / 25 + 9.5)
-    assert budget.fullest_cycle_percent == pytest.approx(5.5 + 9.5 + 11.5 + 7.5 + 9.5)
+    assert budget.load_percent == pytest.approx(5.5 + 9.5 + 11.5 / 4 + 8.5 / 25 + 9.5)
+    assert budget.fullest_cycle_percent == pytest.approx(5.5 + 9.5 + 11.5 + 8.5 + 9.5)

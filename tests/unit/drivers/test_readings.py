@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.pdo import PdoPlan
+from drivers.cia402.follow_watch import FollowWatch
 from drivers.cia402.pdo_planner import mode_plan
 from drivers.cia402.pdo_plans import Features, PlanWish
 from drivers.cia402.profile import Mode
@@ -35,7 +36,7 @@ class Rig:
         self.bus, self.network = make_network()
         self.plan = plan
         self.told = LastStatusword()
-        self.assembler = ReadingAssembler(self.network, plan, scaling, PERIOD, self.told)
+        self.assembler = ReadingAssembler(self.network, plan, scaling, PERIOD, self.told, FollowWatch())
 
     def deliver(self, can_id: int, *fields: int, after_us: int) -> None:
         pdo = next(pdo for pdo in self.plan.tpdos if pdo.cob_id == can_id)
@@ -83,7 +84,7 @@ def test_a_reading_is_complete_with_the_frame_of_the_speed() -> None:
     assert (first.position_rad, first.position_told_at) == (5.0, 7)
     assert (first.statusword, first.status_told_at) == (0x0237, 9)
     assert math.isnan(first.torque_nm)
-    rig.deliver(STATUS, 0x0218, after_us=0)
+    rig.deliver(STATUS, 0x0218, 10, after_us=0)
     (second,) = rig.cycle((3, 1_001_000))
     assert (second.torque_nm, second.torque_told_at) == (250.0, 260 * NS_PER_US)
     assert (second.statusword, second.status_told_at) == (0x0218, 10**6)
@@ -152,7 +153,7 @@ def test_a_plan_without_speed_position_or_statusword_is_refused(lacking: int) ->
     plan = mode_plan(1, PlanWish())
     short = PdoPlan(tuple(pdo for place, pdo in enumerate(plan.tpdos) if place != lacking), plan.rpdos)
     with pytest.raises(ValueError, match=("606Ch", "6064h", "6041h")[lacking]):
-        ReadingAssembler(network, short, SCALING, PERIOD, LastStatusword())
+        ReadingAssembler(network, short, SCALING, PERIOD, LastStatusword(), FollowWatch())
     bus.shutdown()
 
 

@@ -100,7 +100,7 @@ def test_a_drive_that_keeps_its_mappings_is_served_by_them(bench: Bench) -> None
     assert reading.velocity_rad_s == pytest.approx(2 * math.pi / 60)
 
 
-STAMP, DEMAND = 0x10130020, 0x60740010
+STAMP, DEMAND, MODE = 0x10130020, 0x60740010, 0x60610008
 NOT_MAPPABLE, LENGTH = 0x06040041, 0x06090030
 
 
@@ -124,19 +124,20 @@ class Choosy(FakeServo):
 @pytest.mark.parametrize(
     ("unmapped", "events", "mapped", "lost"),
     [
-        (set(), True, [[0x606C, 0x1013], [0x6077, 0x6064, 0x6074], [0x6041]], []),
-        ({DEMAND}, True, [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041]], ["no 6074h"]),
-        ({STAMP}, True, [[0x606C], [0x6077, 0x6064, 0x6074], [0x6041]], ["no 1013h"]),
+        (set(), True, [[0x606C, 0x1013], [0x6077, 0x6064, 0x6074], [0x6041, 0x6061]], []),
+        ({DEMAND}, True, [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041, 0x6061]], ["no 6074h"]),
+        ({STAMP}, True, [[0x606C], [0x6077, 0x6064, 0x6074], [0x6041, 0x6061]], ["no 1013h"]),
+        ({MODE}, True, [[0x606C, 0x1013], [0x6077, 0x6064, 0x6074], [0x6041]], ["no 6061h"]),
         (
             set(),
             False,
             [[0x606C, 0x1013], [0x6077, 0x6064, 0x6041]],
-            ["no 6074h", "6041h is not told on change"],
+            ["no 6074h", "6041h is not told on change", "no 6061h"],
         ),
         (
             {STAMP, DEMAND},
             False,
-            [[0x606C, 0x6041], [0x6077, 0x6064]],
+            [[0x606C, 0x6041, 0x6061], [0x6077, 0x6064]],
             ["no 1013h", "no 6074h", "6041h is not told on change"],
         ),
     ],
@@ -153,7 +154,7 @@ def test_a_drive_that_refuses_part_of_the_plan_is_served_by_the_next_best(
     notes = drive.configure(SETTINGS)
     assert drive.plan is not None
     assert [[entry.index for entry in pdo.entries] for pdo in drive.plan.tpdos] == mapped
-    told = [note for note in notes if note.startswith(("no 6074h", "no 1013h", "6041h is not"))]
+    told = [note for note in notes if note.startswith(("no 6074h", "no 1013h", "6041h is not", "no 6061h"))]
     assert [note[: len(text)] for note, text in zip(told, lost, strict=True)] == lost
     assert any("a PDO plan that tells more was not taken: abort code" in note for note in notes) == bool(lost)
     drive.enable(soon(network))
@@ -263,7 +264,7 @@ def test_a_plan_is_made_for_what_the_dictionary_says(bench: Bench) -> None:
     drive.connect(soon(network))
     drive.configure(replace(SETTINGS, capability=capability))
     assert drive.plan is not None
-    assert [len(pdo.entries) for pdo in drive.plan.tpdos] == [1, 2, 1]
+    assert [len(pdo.entries) for pdo in drive.plan.tpdos] == [1, 2, 2]
     assert servo.values[0x1A01, 0] == 2
     drive.configure(replace(SETTINGS, capability=capability_of(sheet(four_pdos(), without=(0x6077,)))))
     drive.enable(soon(network))

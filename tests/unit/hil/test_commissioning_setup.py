@@ -61,6 +61,7 @@ def test_what_is_set_up_is_told_and_each_pdo() -> None:
         *missing,
         "TPDO1 185h type 1: 6041h/16 6077h/16 6064h/32",
         "TPDO2 285h type 1: 606Ch/32 1013h/32",
+        "TPDO3 385h type 255: 6061h/8",
         "RPDO1 205h type 255: 6040h/16 6071h/16",
         f"mode cyclic synchronous torque; at most {load:.0f} % bus load; all read back",
     ]

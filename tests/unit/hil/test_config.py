@@ -257,7 +257,7 @@ def test_an_unknown_kind_lists_the_known(kind: Any) -> None:
         (("loop", "decide_after_us"), 1000, "less than loop.period_us = 1000"),
         (("loop", "deadline_us"), 20_001, "at most horizon_periods * period_us = 20000"),
         (("host", "heartbeat_timeout_ms"), 50, "more than host.heartbeat_ms = 50"),
-        (("bus", "bitrate_bit_s"), 250_000, "at least 1701"),
+        (("bus", "bitrate_bit_s"), 250_000, "at least 1704"),
         (("bus", "spec"), "socketcn:can0", "INTERFACE[:CHANNEL]"),
         (("load", "axis1", 0, "torque_nm"), -5.1, "torque_max_nm = 5"),
         (("load", "axis1", 0, "at_s"), 2.0, "less than bench.duration_s = 2.0"),

@@ -1,0 +1,71 @@
+"""Objects of nodes that are read by SDO again and again, without anybody waiting for them."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from drivers.canopen.sdo import PostedUpload, PumpedSdoClient, TransferPost
+from drivers.timebase import NEVER, Duration, Instant
+
+
+class Polled(NamedTuple):
+    """What is read, how often, and who is told its bytes and the instant of their frame."""
+
+    node_id: int
+    index: int
+    sub: int
+    every: Duration
+    told: Callable[[bytes, Instant], None]
+
+
+class ObjectPoll:
+    """One object while it is read."""
+
+    def __init__(self, polled: Polled, client: PumpedSdoClient, post: TransferPost, now: Instant) -> None:
+        self.due = now
+        self._polled = polled
+        self._client = client
+        self._post = post
+        self._upload: PostedUpload | None = None
+
+    def keep(self, now: Instant) -> None:
+        """Post the next read if it is due, the one before has ended, and nobody waits for an answer."""
+        if now < self.due:
+            return
+        node_id, index, sub, every, told = self._polled
+        self.due = Instant(now + every)
+        if not self._client.busy and (self._upload is None or self._upload.done_at is not None):
+            self._upload = PostedUpload(node_id, index, sub, told)
+            self._post.post(self._upload)
+
+
+class ObjectPolls:
+    """Of one network, whose pump looks after them."""
+
+    def __init__(
+        self, client_of: Callable[[int], PumpedSdoClient], post_of: Callable[[int], TransferPost]
+    ) -> None:
+        self._client_of = client_of
+        self._post_of = post_of
+        self._polls: list[ObjectPoll] = []
+
+    @property
+    def due(self) -> Instant:
+        """When the next one is to be read."""
+        return min((poll.due for poll in self._polls), default=NEVER)
+
+    def begin(self, polled: Polled, now: Instant) -> ObjectPoll:
+        """Read an object from now on, until :meth:`end`."""
+        node_id = polled.node_id
+        poll = ObjectPoll(polled, self._client_of(node_id), self._post_of(node_id), now)
+        self._polls.append(poll)
+        return poll
+
+    def end(self, poll: ObjectPoll) -> None:
+        """Read it no more; a read that is under way comes to its end."""
+        if poll in self._polls:
+            self._polls.remove(poll)
+
+    def keep(self, now: Instant) -> None:
+        """Post the reads that are due."""
+        for poll in self._polls:
+            poll.keep(now)

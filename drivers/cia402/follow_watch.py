@@ -1,0 +1,151 @@
+"""Whether an enabled drive follows its commands, by the mode that it shows and by its statusword.
+
+    6061h    another mode than the one of the commands    it follows nothing that is sent
+    bit 12   0 in a mode of FOLLOWS_BIT                    it ignores the target value (CiA 402-2)
+
+Bit 12 counts from when it was first seen set: some drives never set it. At 0 beside bit 11, internal limit
+active, the drive follows a command that it has cut (Synapticon Somanet clears bit 12 while 6072h or 607Dh
+cuts the target), and no lapse begins. 6061h counts from when it first showed the mode of the commands.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+from drivers.cia402.profile import STATE_BITS, STATUS_PATTERNS, Mode, State, Status
+from drivers.timebase import NS_PER_S, Instant
+
+FOLLOWS_BIT: Final[dict[Mode, int]] = {
+    Mode.CYCLIC_SYNCHRONOUS_POSITION: Status.FOLLOWS_COMMAND,
+    Mode.CYCLIC_SYNCHRONOUS_VELOCITY: Status.FOLLOWS_COMMAND,
+    Mode.CYCLIC_SYNCHRONOUS_TORQUE: Status.FOLLOWS_COMMAND,
+    Mode.INTERPOLATED_POSITION: Status.MODE_12,
+}
+"""The bit of the statusword that a mode clears while the drive ignores its target; in IP it is "interpolation
+is active". In the modes that are left out bit 12 means something else: set-point acknowledge in PP, speed is
+0 in PV, homing attained in HM; in VL and TQ it is reserved."""
+_ENABLED: Final = STATUS_PATTERNS[State.OPERATION_ENABLED].value
+_LIMITED: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
+_STATE_BITS: Final = int(STATE_BITS)
+
+
+class Lapse:
+    """A time in which a drive did not follow its commands."""
+
+    def __init__(self, began_at: Instant, mode: Mode, shown: int) -> None:
+        self.began_at: Final = began_at
+        """The instant of the frame that told it."""
+        self.ended_at: Instant | None = None
+        """That of the frame by which it follows again; None while it does not."""
+        self.mode: Final = mode
+        """Of the commands."""
+        self.shown = shown
+        """6061h."""
+        self.cycles = 0
+        """Of the loop, that began meanwhile."""
+
+    def __str__(self) -> str:
+        if self.shown != self.mode:
+            return f"left {self.mode.title} for {mode_title(self.shown)}"
+        return f"ignores the commands of {self.mode.title}"
+
+    def told(self, zero: Instant | None) -> str:
+        """With its time since ``zero``, if there was such an instant."""
+        cycles = f"{self.cycles} cycle{'' if self.cycles == 1 else 's'}"
+        at = "" if zero is None else f" at {(self.began_at - zero) / NS_PER_S:.4f} s"
+        return f"{self}{at} and did not follow for {cycles}"
+
+    @property
+    def evidence(self) -> str:
+        """What the drive told."""
+        if self.shown != self.mode:
+            return f"6061h is {self.shown}, {self.mode.value} was commanded"
+        return "bit 12 of its statusword is 0"
+
+
+def mode_title(shown: int) -> str:
+    """A value of 6061h in words."""
+    if shown < 0:
+        return f"mode {shown} of its maker"
+    try:
+        return Mode(shown).title if shown else "no mode"
+    except ValueError:
+        return f"mode {shown}, which CiA 402-2 does not define"
+
+
+class FollowWatch:
+    """Of one drive. :meth:`aim` whenever a mode is commanded; active from :meth:`begin` to :meth:`end`."""
+
+    def __init__(self) -> None:
+        self.lapse: Lapse | None = None
+        """The present one; None while the drive follows, as far as it tells."""
+        self.lapses: list[Lapse] = []
+        """All since the last :meth:`begin`."""
+        self.mode_shown = False
+        """6061h was told, and has shown the mode of the commands."""
+        self.bit_watched = False
+        """Bit 12 was seen set."""
+        self.on_change: Callable[[Lapse], None] | None = None
+        """Told of each lapse when it begins, and when the drive follows again."""
+        self._active = False
+        self._mode = Mode.NONE
+        self._commanded = 0
+        self._shown = 0
+        self._bit = 0
+        self._ignores = False
+
+    @property
+    def has_bit(self) -> bool:
+        """In the commanded mode the statusword tells whether the drive follows."""
+        return self._bit != 0
+
+    def aim(self, mode: Mode) -> None:
+        """The drive confirmed ``mode`` by SDO, or with NONE is about to be given another one."""
+        self._mode, self._commanded, self._bit = mode, mode.value, FOLLOWS_BIT.get(mode, 0)
+        self._shown, self._ignores = self._commanded, False
+        self.mode_shown = self.bit_watched = False
+        self.lapse = None
+
+    def begin(self) -> None:
+        """The drive is enabled now."""
+        self._active = True
+        self.lapses = []
+
+    def end(self) -> None:
+        """The drive is not to follow any more."""
+        self._active = self._ignores = self.bit_watched = False
+        self.lapse = None
+
+    def mode_told(self, shown: int, at: Instant) -> None:
+        """6061h arrived."""
+        if shown == self._commanded:
+            self.mode_shown = True
+        elif not self.mode_shown:
+            return
+        if shown != self._shown:
+            self._shown = shown
+            self._judge(at)
+
+    def status_told(self, statusword: int, at: Instant) -> None:
+        """6041h arrived."""
+        bit = self._bit
+        if not bit or self._shown != self._commanded or statusword & _STATE_BITS != _ENABLED:
+            return
+        if statusword & bit:
+            self.bit_watched = True
+            ignores = False
+        else:
+            ignores = self.bit_watched and not statusword & _LIMITED
+        if ignores is not self._ignores:
+            self._ignores = ignores
+            self._judge(at)
+
+    def _judge(self, at: Instant) -> None:
+        """What was told has changed."""
+        changed, self.lapse = self.lapse, None
+        if changed is not None:
+            changed.ended_at = at
+        if self._active and (self._ignores or self._shown != self._commanded):
+            self.lapse = changed = Lapse(at, self._mode, self._shown)
+            self.lapses.append(changed)
+        if changed is not None and self.on_change is not None:
+            self.on_change(changed)
