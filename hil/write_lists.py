@@ -61,6 +61,7 @@ RESTORE: Final = (
             listed(Object.MAX_CURRENT, "current limit of the bench", _LIMITS),
             listed(Object.SOFTWARE_POSITION_LIMIT, "travel of the limits", _LIMITS, (1, 2)),
             listed(Object.POLARITY, "signs that contradict each other", "Direction and polarity"),
+            listed(Object.PROFILE_VELOCITY, "speed of a motion", f"{_LIMITS}; in profile position"),
             listed(Object.PROFILE_ACCELERATION, "ramp of a motion", "steps that turn the shaft"),
             listed(
                 Object.PROFILE_DECELERATION, "ramp of a motion and of a stop", "steps that turn the shaft"

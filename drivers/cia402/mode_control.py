@@ -10,7 +10,17 @@ from drivers.canopen.objects import RemoteObjects, SettingRefused
 from drivers.cia402.follow_watch import FollowWatch
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import TARGETS
-from drivers.cia402.profile import FOLLOW_BITS, Control, Mode, State, run_words, supported_mode_bit
+from drivers.cia402.profile import (
+    CHANGE_AT_ONCE,
+    FOLLOW_BITS,
+    NEW_SET_POINT,
+    Control,
+    Mode,
+    State,
+    Status,
+    run_words,
+    supported_mode_bit,
+)
 from drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
 from drivers.cia402.velocity_mode import velocity_mode_unit
 from drivers.errors import TransferAborted
@@ -94,6 +104,19 @@ class ModeControl:
         if frames is not None:
             unit = velocity_mode_unit(self._objects) if mode is Mode.VELOCITY else RAD_S_PER_RPM
             frames.aim(mode, unit)
+
+    def shake_hands(self, statusword: int) -> None:
+        """Have the next RPDO hand over its set-point in profile position, whatever move is under way; nothing
+        in another mode. Bit 4 of the controlword rises while bit 12 of the statusword is 0, and falls again
+        once that acknowledges it: two cycles and more to a set-point."""
+        if self.mode is not Mode.PROFILE_POSITION or self._control.set_point is None:
+            return
+        acknowledged = statusword & Status.MODE_12
+        word = (
+            self._control.controlword & ~MODE_BITS | CHANGE_AT_ONCE | (0 if acknowledged else NEW_SET_POINT)
+        )
+        self._control.controlword = word
+        self._control.set_point.hold(Object.CONTROLWORD, word)
 
     def _turns(self) -> bool:
         return self._control.read_state() is State.OPERATION_ENABLED

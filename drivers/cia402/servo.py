@@ -257,6 +257,7 @@ class ServoDrive(Drive):
         if isinstance(command, SpeedCommand):
             return frames.send_speed(command.speed_rad_s, command.sequence)
         if isinstance(command, PositionCommand):
+            self.modes.shake_hands(self._told.statusword)
             return frames.send_position(command.position_rad, command.sequence)
         sent = frames.send_torque(command.torque_nm, command.sequence)
         self.supervision.sent(sent.raw)

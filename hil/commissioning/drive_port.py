@@ -1,8 +1,13 @@
 """A drive as the exercises of commissioning see it: one way to write a set-point, in whatever mode.
 
 A drive without a torque mode is given speeds, by a :class:`.SpeedCommand`; no other command is taken then.
+In a mode of positions they are summed up. In profile position, where the drive plans a move to each set-point
+and brakes for it, a set-point leads the sum by the way that braking takes, so that the drive goes on:
+
+    set-point = sum of speed times period + v |v| / (2 6084h)
 """
 
+import math
 from collections.abc import Callable
 from typing import Final
 
@@ -30,7 +35,10 @@ QUANTITY_OF_MODE: Final = {
     Mode.PROFILE_TORQUE: Quantity.TORQUE,
     Mode.CYCLIC_SYNCHRONOUS_VELOCITY: Quantity.SPEED,
     Mode.PROFILE_VELOCITY: Quantity.SPEED,
+    Mode.VELOCITY: Quantity.SPEED,
     Mode.CYCLIC_SYNCHRONOUS_POSITION: Quantity.POSITION,
+    Mode.INTERPOLATED_POSITION: Quantity.POSITION,
+    Mode.PROFILE_POSITION: Quantity.POSITION,
 }
 """Modes in which an exercise can command a motion, the one to be preferred first. For one of positions the
 exercise asks for speeds, which are summed up."""
@@ -39,7 +47,10 @@ exercise asks for speeds, which are summed up."""
 class DrivePort(Drive):
     """What an axis of the loop needs of a drive."""
 
-    def __init__(self, drive: ServoDrive, mode: Mode, period_s: float) -> None:
+    def __init__(
+        self, drive: ServoDrive, mode: Mode, period_s: float, braking_rad_s2: float = math.inf
+    ) -> None:
+        """``braking_rad_s2``: with which the drive brakes for a set-point, 6084h in profile position."""
         self.drive = drive
         self.mode = mode
         self.quantity = QUANTITY_OF_MODE[mode]
@@ -50,6 +61,7 @@ class DrivePort(Drive):
         unit may be wrong by a hundred."""
         self._told_at = NEVER_TOLD
         self._period_s = period_s
+        self._braking_rad_s2 = braking_rad_s2
         self._position_rad: float | None = None
         self._last: Instant | None = None
 
@@ -109,9 +121,11 @@ class DrivePort(Drive):
             raise PeerFault("no position to count from")
         passed_s = self._period_s if self._last is None else (command.effective_at - self._last) / NS_PER_S
         self._last = command.effective_at
-        self._position_rad += command.speed_rad_s * passed_s
+        speed = command.speed_rad_s
+        self._position_rad += speed * passed_s
+        ahead = self._position_rad + speed * abs(speed) / (2.0 * self._braking_rad_s2)
         return self.drive.write(
-            PositionCommand(command.sequence, self._position_rad, command.effective_at, command.expires_at)
+            PositionCommand(command.sequence, ahead, command.effective_at, command.expires_at)
         )
 
 

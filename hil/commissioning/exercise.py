@@ -167,9 +167,14 @@ def speed_limits(limits: MotionLimits, period_s: float, guard_speed: bool) -> Sp
     return SpeedLimits(
         set_point_max_rad_s=limits.speed_rad_s,
         speed_max_rad_s=_shaft_speed_max(limits, guard_speed),
-        acceleration_max_rad_s2=limits.speed_rad_s / _RUN_UP_S,
+        acceleration_max_rad_s2=steepest_rad_s2(limits),
         dropouts_consecutive_max=_dropouts_max(period_s),
     )
+
+
+def steepest_rad_s2(limits: MotionLimits) -> float:
+    """The steepest change of a set-point of speed."""
+    return limits.speed_rad_s / _RUN_UP_S
 
 
 def _shaft_speed_max(limits: MotionLimits, guard_speed: bool) -> float:

@@ -1,5 +1,6 @@
 """What the steps of one commissioning share: the drive, the limits, and what was found so far."""
 
+import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -26,10 +27,11 @@ from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, duration_s
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort
-from hil.commissioning.exercise import EnergyMeter, Exerciser
+from hil.commissioning.exercise import EnergyMeter, Exerciser, steepest_rad_s2
 from hil.commissioning.findings import Findings
 from hil.commissioning.host_gaps import HostGaps
 from hil.commissioning.identify import Mechanics
+from hil.commissioning.moves import write_moves
 from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.recording import SessionLog
 from hil.commissioning.request import CommissionRequest, MotionLimits, cautious
@@ -252,6 +254,7 @@ class Session:
             unwatched=request.unwatched,
             torque_max_nm=self.limits.torque_nm,
             speed_max_rad_s=self.limits.speed_rad_s * 1.3,
+            set_acceleration_rad_s2=steepest_rad_s2(self.limits),
             quick_stop_deceleration_rad_s2=findings.quick_stop_rad_s2,
             quick_stop_option=findings.quick_stop_option,
             scale=findings.override,
@@ -261,7 +264,11 @@ class Session:
         first, self.configured = not self.configured, True
         if first and self.unwatched:
             return self.configure(mode, plan)  # with the limits of such a drive
-        self._port = DrivePort(self.drive, mode, findings.period / NS_PER_S)
+        braking_rad_s2 = math.inf
+        if mode is Mode.PROFILE_POSITION:
+            braking_rad_s2, refused = write_moves(self.objects, self.limits, self.drive.assembler.scaling)
+            notes += refused
+        self._port = DrivePort(self.drive, mode, findings.period / NS_PER_S, braking_rad_s2)
         self.guard.arm({}, own_sync=True)
         return notes
 

@@ -5,7 +5,8 @@ from typing import Final, NamedTuple
 
 from drivers.cia402.drive_setup import write_optional
 from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import QuickStopOption, State, state_of
+from drivers.cia402.profile import Mode, QuickStopOption, State, state_of
+from drivers.cia402.velocity_mode import velocity_mode_ramp
 from drivers.exchange import Reading
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Instant
@@ -34,6 +35,9 @@ _REST_UNITS: Final = 2
 """Of position: an encoder that stands between two counts flickers by one."""
 _REST_READINGS: Final = 5
 """So many in a row within :data:`_REST_UNITS`; a shaft that turns round stands for less."""
+_UNIT_OFF: Final = 1.3
+"""A speed that is not reached by so much, or overshot, is of another unit: set-points of 5 r/min and more are
+rounded by less."""
 _FIT_READINGS: Final = 10
 """The speed out of positions, over so many: a count is a tenth of the error then."""
 
@@ -56,14 +60,17 @@ class StopSettings(Step):
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
         why = ""
+        quick = _quick_stop_object(session)
         for index, option in (
-            (Object.QUICK_STOP_DECELERATION, QuickStopOption.QUICK_STOP_RAMP),
+            (quick, QuickStopOption.QUICK_STOP_RAMP),
             (None, QuickStopOption.CURRENT_LIMIT),
             (Object.PROFILE_DECELERATION, QuickStopOption.SLOW_DOWN_RAMP),
         ):
             refused = _option_refused(session, option)
             time_s = None
-            if not refused and index is not None:
+            if not refused and index is Object.VL_VELOCITY_QUICK_STOP:
+                time_s, refused = _velocity_mode_ramp(session)
+            elif not refused and index is not None:
                 time_s, refused = _ramp(session, index)
             if not refused:
                 session.found.quick_stop_option = option
@@ -76,8 +83,31 @@ class StopSettings(Step):
         raise StepFailed(
             "the drive cannot be made to stop, and nothing was turned",
             why,
-            "set 6085h with the maker's tool, or lower limits.speed_max_rpm in the nameplate",
+            f"set {quick:04X}h with the maker's tool, or lower limits.speed_max_rpm in the nameplate",
         )
+
+
+def _quick_stop_object(session: Session) -> Object:
+    """The ramp of a quick stop in the mode of the exercises: velocity mode has one of its own."""
+    velocity_mode = session.port.mode is Mode.VELOCITY
+    return Object.VL_VELOCITY_QUICK_STOP if velocity_mode else Object.QUICK_STOP_DECELERATION
+
+
+def _velocity_mode_ramp(session: Session) -> tuple[float | None, str]:
+    """As :func:`_ramp`, for 604Ah."""
+    speed, index = session.limits.speed_rad_s, Object.VL_VELOCITY_QUICK_STOP
+    held = velocity_mode_ramp(session.objects, index)
+    if held is None:
+        return None, ""
+    if speed / held <= _STOP_MAX_S:
+        return speed / held, ""
+    session.found.quick_stop_rad_s2 = speed / _STOP_S
+    notes = session.configure()
+    held = velocity_mode_ramp(session.objects, index) or held
+    if speed / held <= _STOP_MAX_S:
+        return speed / held, ""
+    told = "; ".join(note for note in notes if "604Ah" in note)
+    return None, f"604Ah makes {held:.3g} rad/s^2, {speed / held:.3g} s from the limit; {told}"
 
 
 def _option_refused(session: Session, option: QuickStopOption) -> str:
@@ -127,6 +157,8 @@ def _tell(session: Session, outcome: StepOutcome, time_s: float | None, option: 
         return
     raw = session.objects.read_if_there(Object.QUICK_STOP_DECELERATION, 0, "I")
     held = "" if raw is None else f", 6085h = {raw} of {session.acceleration_rad_s2:.4g} rad/s^2"
+    if _quick_stop_object(session) is Object.VL_VELOCITY_QUICK_STOP:
+        held = f", 604Ah makes {session.limits.speed_rad_s / time_s:.4g} rad/s^2"
     least = "; less than any motor takes, so the torque decides" if time_s < _SHORTEST_S else ""
     outcome.say(
         f"605Ah = {int(option)}{held}: a stop from {rpm:.0f} r/min takes {1e3 * time_s:.0f} ms{least}"
@@ -181,12 +213,22 @@ class StopProof(Step):
             if not slower and at_limit_s <= _STOP_MAX_S + _lag_s(session) * 10:
                 return
             if attempt == 1 and computed_s is not None:
-                self._believe(session, measured, outcome)
+                if _quick_stop_object(session) is Object.VL_VELOCITY_QUICK_STOP:
+                    self._set_both(session, outcome)
+                else:
+                    self._believe(session, measured, outcome)
+        ramp = _quick_stop_object(session)
         raise StepFailed(
             "the drive does not stop as it should",
             outcome.lines[-1],
-            "set 6085h with the maker's tool; nothing was turned faster than this",
+            f"set {ramp:04X}h with the maker's tool; nothing was turned faster than this",
         )
+
+    def _set_both(self, session: Session, outcome: StepOutcome) -> None:
+        """The drive may stop by 6085h in velocity mode too."""
+        outcome.faults.append("the quick stop of velocity mode does not go by 604Ah: 6085h is set as well")
+        session.found.quick_stop_rad_s2 = session.limits.speed_rad_s / _STOP_S
+        session.configure()
 
     def _believe(self, session: Session, measured: SlowStop, outcome: StepOutcome) -> None:
         """Take the unit of 6085h from the measured stop, and write what is needed for a quick one."""
@@ -208,6 +250,10 @@ def _lag_s(session: Session) -> float:
 
 def _computed_s(session: Session, speed_rad_s: float) -> float | None:
     """None of a stop that no ramp makes, or of a drive that does not tell."""
+    quick = session.found.quick_stop_option is QuickStopOption.QUICK_STOP_RAMP
+    if quick and _quick_stop_object(session) is Object.VL_VELOCITY_QUICK_STOP:
+        rate = velocity_mode_ramp(session.objects, Object.VL_VELOCITY_QUICK_STOP)
+        return speed_rad_s / rate if rate else None
     index = {
         QuickStopOption.QUICK_STOP_RAMP: Object.QUICK_STOP_DECELERATION,
         QuickStopOption.SLOW_DOWN_RAMP: Object.PROFILE_DECELERATION,
@@ -231,6 +277,13 @@ def _stop_slowly(session: Session) -> SlowStop:
     turned = before.position[-1] - before.position[-_FIT_READINGS]
     passed_s = before.time[-1] - before.time[-_FIT_READINGS]
     began = abs(float(turned / passed_s))
+    if session.port.mode is Mode.VELOCITY and not 1.0 / _UNIT_OFF < began / speed < _UNIT_OFF:
+        raise StepFailed(
+            f"a set-point of {speed / RAD_S_PER_RPM:.0f} r/min turns the shaft at "
+            f"{began / RAD_S_PER_RPM:.3g} r/min",
+            "604Ch says what a unit of 6042h is in r/min",
+            "set 604Ch with the maker's tool",
+        )
     if began < 0.3 * speed:
         raise StepFailed("the shaft does not come up to a low speed", f"{began:.3g} of {speed:.3g} rad/s")
     return _measured(session, began, readings)

@@ -73,6 +73,12 @@ def _identity_in_device_info(sheet: MadeSheet) -> None:
         sheet.set(0x1018, sub, default=" ")
 
 
+def _frequency_converter(sheet: MadeSheet) -> None:
+    """pp, vl and ip, without homing."""
+    _modes(Mode.PROFILE_POSITION, Mode.VELOCITY, Mode.INTERPOLATED_POSITION)(sheet)
+    sheet.set(0x6060, default=7)
+
+
 def _told_as_one(sheet: MadeSheet) -> None:
     sheet.drop(0x60A8, 0x60A9, 0x60AA, 0x6092, 0x6096)
     sheet.set(0x608F, 1, default=1)
@@ -136,8 +142,14 @@ TRAITS: Final[dict[str, Trait]] = {
     "6502h without cyclic modes": Trait(
         _modes(Mode.PROFILE_POSITION, Mode.PROFILE_TORQUE, Mode.HOMING), without=_SLOPED
     ),
-    "6502h with positions only": Trait(
-        _modes(Mode.PROFILE_POSITION, Mode.HOMING), "none of the modes in which the bench could move it"
+    "6502h with positions only": Trait(_modes(Mode.PROFILE_POSITION, Mode.HOMING), without=_NO_TORQUE),
+    "6502h with velocity mode only": Trait(_modes(Mode.VELOCITY, Mode.HOMING), without=_NO_TORQUE),
+    "6502h with interpolated position only": Trait(
+        _modes(Mode.INTERPOLATED_POSITION, Mode.HOMING), without=_NO_TORQUE
+    ),
+    "6502h is 43h, 6060h 7": Trait(_frequency_converter, without=_NO_TORQUE),
+    "6502h with homing only": Trait(
+        _modes(Mode.HOMING), "none of the modes in which the bench could move it"
     ),
     "6060h refuses a mode of 6502h": Trait(
         lambda sheet: sheet.set(0x6060, default=8, HighLimit=9), without=_SLOPED

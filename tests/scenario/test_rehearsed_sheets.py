@@ -7,13 +7,15 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli import app
+from tests.motors import LING
 from tests.rehearsals.__main__ import complaints
 from tests.rehearsals.rehearsal import made_sheet, rehearsed
 from tests.rehearsals.traits import TRAITS
+from virtual_bus.drive.servo import SimulatedServo
 
 REFUSED = [
     "no 1016h",
-    "6502h with positions only",
+    "6502h with homing only",
     "mappings fixed, no values",
     "no 606Ch",
     "no 606Ch+mappings fixed for speed",
@@ -56,6 +58,38 @@ def test_an_encoder_that_nobody_set_is_disbelieved_in_every_unit(case: str, tmp_
     result = rehearsed(made_sheet(names, tmp_path), tmp_path, last_step="stop_proof")
     assert complaints(names, result) == [], "no unit of the velocity or the acceleration is found wrong"
     assert result.moved
+
+
+MODES = {
+    "6502h is 43h, 6060h 7": "velocity",
+    "6502h with interpolated position only": "interpolated_position",
+    "6502h with positions only": "profile_position",
+}
+
+
+@pytest.mark.parametrize("case", MODES)
+def test_the_inertia_is_found_in_a_mode_of_speeds_or_positions(case: str, tmp_path: Path) -> None:
+    """Against that of the simulated motor."""
+    result = rehearsed(made_sheet([case], tmp_path), tmp_path, last_step="mechanics")
+    assert complaints((case,), result) == []
+    steps = json.loads((tmp_path / "out" / "figures.json").read_text())["steps"]
+    figures = {step["name"]: step["figures"] for step in steps}
+    assert figures["setup"]["mode"] == MODES[case]
+    assert figures["mechanics"]["inertia_kg_m2"] == pytest.approx(LING.inertia_kg_m2, rel=0.01)
+
+
+def test_a_unit_of_velocity_mode_that_is_another_is_found_before_anything_turns_fast(tmp_path: Path) -> None:
+    """As of drives whose 604Ch means turns per second, and says 1/1."""
+
+    def coarse(servo: SimulatedServo) -> None:
+        servo.dictionary.variable(0x604C, 2).value = servo.dictionary.variable(0x604C, 2).default = 3
+        servo.dictionary.variable(0x604C, 2).show_instead(1)
+
+    case = "6502h with velocity mode only"
+    result = rehearsed(made_sheet([case], tmp_path), tmp_path, last_step="mechanics", change=coarse)
+    assert result.ended_in == "stop_proof"
+    assert "604Ch says what a unit of 6042h is" in result.reason
+    assert result.is_safe()
 
 
 def test_a_whole_commissioning_by_a_data_sheet(tmp_path: Path) -> None:

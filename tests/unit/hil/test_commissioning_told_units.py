@@ -96,7 +96,7 @@ def test_without_polarity_and_modes_that_is_said_and_no_period_chosen(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     units = Units(monkeypatch)
-    units.held[Object.SUPPORTED_DRIVE_MODES, 0] = 1
+    units.held[Object.SUPPORTED_DRIVE_MODES, 0] = 0x20  # homing
     outcome = units.run()
     assert outcome.lines[4:6] == ["no polarity object 607Eh", "modes: none of use here"]
     assert outcome.lines[-1].startswith("host limits")
@@ -178,7 +178,10 @@ def test_modes_that_are_not_told_are_tried_by_their_set_points(
         Mode.PROFILE_TORQUE,
         Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
         PV,
+        Mode.VELOCITY,
         Mode.CYCLIC_SYNCHRONOUS_POSITION,
+        Mode.INTERPOLATED_POSITION,
+        Mode.PROFILE_POSITION,
     )
     assert _modes(units.session) == (every, False)
     cast(Any, units.session).dictionary = {int(Object.TARGET_VELOCITY): 1}
