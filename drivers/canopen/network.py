@@ -86,6 +86,8 @@ class CanopenNetwork(canopen.Network):
         """See :meth:`FramePump.send_sync`."""
         self.life_signs = LifeSigns(link, clock, node_id)
         """What the nodes watch of this master; ended by :meth:`fall_silent`."""
+        self.on_written: dict[int, Callable[[int, int, bytes], None]] = {}
+        """By node, told of each download that was confirmed: index, sub-index and data."""
         self._emergency_listeners: tuple[Callable[[Emergency], None], ...] = ()
         self.on_surplus_answer: Callable[[int, Instant], None] | None = None
         """Told of an SDO answer that nobody has asked for: which node's, and when."""
@@ -260,6 +262,9 @@ class CanopenNetwork(canopen.Network):
             client.download(index, sub, data)
         except SdoError as error:
             raise self._sdo_failure(error, node_id, "write", index, sub) from error
+        written = self.on_written.get(node_id)
+        if written is not None:
+            written(index, sub, data)
 
     def post_download(self, node_id: int, index: int, sub: int, data: bytes) -> PostedDownload:
         """Write 1 to 4 bytes by SDO without waiting; the pump looks after confirmation and repetition.

@@ -83,6 +83,13 @@ class PdoEntry:
     def bits(self) -> int:
         return 8 * calcsize("<" + self.code)
 
+    def value(self, data: bytes) -> int | bytes:
+        """What a frame carries of an object that holds ``data``, as :meth:`PdoMap.codec` packs it."""
+        octets = data[: self.bits // 8]
+        return (
+            octets if self.code[-1] == "s" else int.from_bytes(octets, "little", signed=self.code.islower())
+        )
+
     @property
     def mapping_word(self) -> int:
         """The UNSIGNED32 of the mapping parameter: index, sub-index, length."""

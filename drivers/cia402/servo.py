@@ -27,7 +27,7 @@ from drivers.cia402.profile import DriveCommand, Mode, State, state_of
 from drivers.cia402.readings import LastStatusword, ReadingAssembler
 from drivers.cia402.rest import resting_since, slow
 from drivers.cia402.setpoint import SetPointFrames
-from drivers.cia402.state_control import FAULTY, NONE_SENT, StateControl
+from drivers.cia402.state_control import FAULTY, StateControl
 from drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
 from drivers.cia402.velocity_mode import write_velocity_mode_ramps
 from drivers.errors import BusDown, NoAnswer, PeerFault
@@ -125,10 +125,8 @@ class ServoDrive(Drive):
         self._assembler = ReadingAssembler(network, plan, scaling, period_ns, self._told, self.follow)
         position = self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
         self._assembler.anchor_position(position, network.clock.now())
-        self.control.set_point = SetPointFrames(
-            network, plan, scaling, settings.torque_max_nm, settings.speed_max_rad_s
-        )
-        self.control.controlword = NONE_SENT
+        limits = settings.torque_max_nm, settings.speed_max_rad_s
+        self.control.carry(SetPointFrames(network, plan, scaling, *limits), plan, settings.mode)
         self.plan = plan
         self.watch.configure(self.error_control.told, plan, settings)
         self.supervision.configure(settings, plan, self._assembler)

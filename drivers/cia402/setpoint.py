@@ -139,7 +139,7 @@ class SetPointFrames:
 
     # ---- any object -----------------------------------------------------------------------------------
 
-    def hold(self, index: int, raw: int, sub: int = 0) -> None:
+    def hold(self, index: int, raw: int | bytes, sub: int = 0) -> None:
         """Put a value in force without sending it: the next frame that maps the object carries it."""
         for place in self._places.get((index, sub), ()):
             place.carrier.values[place.place] = raw

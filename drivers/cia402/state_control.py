@@ -3,23 +3,27 @@
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Final
 
 from drivers.canopen.error_codes import fault_text, register_text
 from drivers.canopen.nmt import Emergency
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.objects301 import Cia301
+from drivers.canopen.objects import RemoteObjects, SettingRefused
+from drivers.canopen.objects301 import FIRST_OBJECT, Cia301
 from drivers.canopen.pdo import PdoPlan
+from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_plans import TARGETS
 from drivers.cia402.profile import (
     CONTROLWORDS,
     DriveCommand,
+    Mode,
     State,
     command_path,
     state_of,
 )
 from drivers.cia402.readings import NEVER_TOLD, LastStatusword
 from drivers.cia402.setpoint import SetPointFrames
-from drivers.errors import DriveInFault, PeerFault
+from drivers.errors import DriveInFault, PeerFault, TransferAborted
 from drivers.timebase import NS_PER_MS, Duration, Instant
 
 NONE_SENT = -1
@@ -27,6 +31,17 @@ NONE_SENT = -1
 FAULTY = (State.FAULT, State.FAULT_REACTION)
 POLL_NS = NS_PER_MS
 """Between two requests for a statusword by SDO: two frames of at most 135 bits, a quarter of 1 Mbit/s."""
+_GIVEN: Final = frozenset(
+    (int(each), 0)
+    for each in (
+        Object.CONTROLWORD,
+        Object.MODES_OF_OPERATION,
+        Object.TARGET_TORQUE,
+        Object.TARGET_VELOCITY,
+        Object.VL_TARGET_VELOCITY,
+    )
+)
+"""What the bench gives a value to before an RPDO is sent; a torque or speed of another mode is 0."""
 _RESEND_NS = 50 * NS_PER_MS
 """A controlword that shows no effect for so long is sent again."""
 _ASK_S = 0.01
@@ -92,6 +107,38 @@ class StateControl:
     def command(self, command: DriveCommand) -> None:
         """Put a controlword in force: by RPDO, so that none that waits for a SYNC undoes it, and by SDO."""
         self._put_in_force(CONTROLWORDS[command])
+
+    def carry(self, frames: SetPointFrames, plan: PdoPlan, mode: Mode) -> None:
+        """Have the RPDOs of ``plan`` carry controlword and set-points from now on; none is sent yet.
+
+        A further object that they map is held as the drive has it, and as it is written by SDO later, so that
+        no frame changes it. Raises SettingRefused for one that the drive does not let be read.
+        """
+        self.set_point, self.controlword = frames, NONE_SENT
+        target = TARGETS.get(mode)
+        given = _GIVEN if target is None else _GIVEN | {(target.index, target.sub)}
+        further = {
+            key: entry
+            for pdo in plan.rpdos
+            for entry in pdo.entries
+            if (key := (entry.index, entry.sub)) not in given and entry.index >= FIRST_OBJECT
+        }
+
+        def hold(index: int, sub: int, data: bytes) -> None:
+            entry = further.get((index, sub))
+            if entry is not None:
+                frames.hold(index, entry.value(data), sub)
+
+        self.network.on_written[self.objects.node_id] = hold
+        for key in further:
+            try:
+                hold(*key, self.network.upload(self.objects.node_id, *key))
+            except TransferAborted as error:
+                raise SettingRefused(
+                    f"{self.title} maps {object_name(*key)} into an RPDO that the bench has to send",
+                    f"what it holds cannot be read: {error.evidence}",
+                    "take it out of the mapping with the maker's tool",
+                ) from error
 
     def command_by_pdo(self, command: DriveCommand) -> None:
         """Put a controlword in force without waiting for anything; nothing happens before the mapping."""

@@ -13,7 +13,10 @@ from drivers.canopen.bus_scan import BusScan
 from drivers.canopen.data_types import DataType
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects import SettingRefused
 from drivers.canopen.write_list import NOTHING, WriteList
+from drivers.cia402.motion import MoveProfile
+from drivers.cia402.profile import Mode
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, Duration
 from drivers.wire.adapters import parse_bus_spec
@@ -24,6 +27,8 @@ from hil.inspecting.drive_fault import look_at_fault
 from hil.inspecting.stopping import stop_drives
 from hil.restoring.journal import DriveMark, JournalContents, JournalHead, ObjectKey, ObjectWrite
 from hil.restoring.restore import restore
+from hil.testing.drive_rig import drive_rig
+from hil.testing.hosted import DriveHost, DriveWish
 from hil.write_lists import FAULT, RESTORE, STOP, writes_of
 from tests.motors import LING
 from tests.rehearsals.made_sheet import MadeSheet
@@ -106,6 +111,54 @@ def test_a_load_for_a_drive_of_another_make_is_refused_with_the_reason(tmp_path:
     assert caught.value.key == "load.axis1"
     assert "product 00000B22h" in caught.value.value
     assert "the only drive with a load machine" in caught.value.expected
+
+
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        ("cst", [0x60400010, 0x60710010, 0x60810020]),
+        ("cst", [0x60400010, 0x23000110, 0x60710010]),
+        ("csv", [0x60400010, 0x60FF0020, 0x23000110]),
+        ("csp", [0x60400010, 0x607A0020, 0x23000110]),
+    ],
+)
+def test_a_fixed_rpdo_leaves_the_further_objects_that_it_carries_as_they_are(
+    mode: str, words: list[int], tmp_path: Path
+) -> None:
+    _, drive = ran(mode, **{"drive.axis1.simulation.eds": str(fixed_sheet(words, tmp_path))})
+    assert drive.dictionary.upload(0x2300, 1) == b"\7\0"
+    assert drive.dictionary.upload(0x6081, 0) == (1234).to_bytes(4, "little")
+
+
+def fixed_sheet(words: list[int], folder: Path, access: str = "rw") -> Path:
+    """Of a drive whose RPDO1 is mapped for good, and which has an object of its maker at 2300h:01."""
+    sheet = MadeSheet()
+    sheet.add(0x2300, {1: DataType.UNSIGNED16})
+    sheet.set(0x2300, 1, default=7, PDOMapping=1, AccessType=access)
+    sheet.set(0x6081, default=1234)
+    sheet.map(0x1600, words, "ro")
+    path = folder / "fixed.eds"
+    path.write_text(sheet.text())
+    return path
+
+
+def test_an_object_that_cannot_be_read_is_carried_by_no_rpdo(tmp_path: Path) -> None:
+    sheet = fixed_sheet([0x60400010, 0x23000110, 0x60710010], tmp_path, "wo")
+    with pytest.raises(SettingRefused, match="maps 2300h:01 into an RPDO that the bench has to send"):
+        ran("cst", **{"drive.axis1.simulation.eds": str(sheet)})
+
+
+def test_an_rpdo_carries_what_was_written_last_by_sdo(tmp_path: Path) -> None:
+    sheet = fixed_sheet([0x60400010, 0x60870020, 0x60710010], tmp_path)
+    host = DriveHost("simulated", tmp_path)
+    with drive_rig("simulated", host, DriveWish(eds=sheet)) as rig:
+        rig.enable(mode=Mode.PROFILE_TORQUE)
+        before = rig.client.objects.read(0x6087)
+        rig.client.apply_torque(0.1, rig.deadline(5.0), MoveProfile(torque_slope_nm_s=20.0))
+        slope = rig.client.objects.read(0x6087)
+        assert slope != before
+        rig.client.quick_stop(rig.deadline(5.0))
+        assert rig.client.objects.read(0x6087) == slope
 
 
 # ---- other commands ---------------------------------------------------------------------------------------
