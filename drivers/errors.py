@@ -94,8 +94,12 @@ class PowerLost(PeerFault):
     """The power stage of an enabled drive has no voltage any more: safe torque off, or its supply is gone."""
 
 
+@dataclass(eq=False)
 class TransferAborted(PeerFault):
     """A device refused an SDO transfer; ``evidence`` holds the abort code and its text."""
+
+    code: int = 0
+    """The abort code (CiA 301 table 22)."""
 
 
 class LimitExceeded(PeerFault):

@@ -346,7 +346,7 @@ class CanopenNetwork(canopen.Network):
         name = object_name(index, sub)
         if isinstance(error, SdoAbortedError):
             summary = f"node {node_id} on {self.link.name} refused to {action} {name}"
-            return TransferAborted(summary, abort_text(error.code))
+            return TransferAborted(summary, abort_text(error.code), code=error.code)
         client = self._clients[node_id]
         if client.answers.surplus > SURPLUS_BORNE:
             return self._answers_twice(client, node_id)

@@ -266,9 +266,9 @@ class TransferPost:
             return False
         if data[0] == _ABORTED:
             name = object_name(transfer.index, transfer.sub)
-            evidence = abort_text(int.from_bytes(data[4:8], "little"))
+            code = int.from_bytes(data[4:8], "little")
             summary = f"node {self._node_id} refused to {transfer.action} {name}"
-            self._finish(at, TransferAborted(summary, evidence))
+            self._finish(at, TransferAborted(summary, abort_text(code), code=code))
             return True
         if not transfer.confirmed(data, at):
             return False

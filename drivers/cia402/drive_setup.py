@@ -9,6 +9,7 @@ from itertools import product
 from typing import NamedTuple
 
 from drivers.canopen.error_control import WatchTimes
+from drivers.canopen.greatest import write_greatest
 from drivers.canopen.objects import RemoteObjects, SettingRefused
 from drivers.canopen.objects301 import Cia301
 from drivers.canopen.pdo import PdoDirection, PdoPlan, write_plan
@@ -217,13 +218,14 @@ def write_limits(objects: RemoteObjects, settings: DriveSettings, scaling: Scali
     notes: list[str] = []
     if settings.torque_max_nm is not None:
         raw = min(round(settings.torque_max_nm / scaling.torque_nm), 0xFFFF)
-        notes += write_optional(objects, Object.MAX_TORQUE, "H", raw, "torque limit")
+        notes += write_greatest(objects, Object.MAX_TORQUE, "H", raw, "torque limit").notes
     if settings.speed_max_rad_s is not None:
         raw = round(settings.speed_max_rad_s / RAD_S_PER_RPM)
-        notes += write_optional(objects, Object.MAX_MOTOR_SPEED, "I", raw, "speed limit, rev/min")
+        notes += write_greatest(objects, Object.MAX_MOTOR_SPEED, "I", raw, "speed limit, rev/min").notes
     if settings.quick_stop_deceleration_rad_s2 is not None:
         raw = max(1, round(settings.quick_stop_deceleration_rad_s2 / scaling.acceleration_rad_s2))
-        notes += write_optional(objects, Object.QUICK_STOP_DECELERATION, "I", raw, "quick stop deceleration")
+        text = "quick stop deceleration"
+        notes += write_greatest(objects, Object.QUICK_STOP_DECELERATION, "I", raw, text).notes
     period_us = settings.sync_period_ns // NS_PER_US
     notes += write_optional(objects, Cia301.CYCLE_PERIOD, "I", period_us, "SYNC period, us")
     return notes + _write_interpolation_time(objects, settings.sync_period_ns)

@@ -11,7 +11,7 @@ from hil.commissioning.identify import Array, Mechanics
 from hil.loop.axis_roles import Controller
 from hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
 
-_BANDWIDTH_RAD_S: Final = 40.0
+GUIDE_RAD_S: Final = 40.0
 """Of the speed loop that only guides an exercise: slow enough for any delay that a bench has."""
 _INTEGRAL_PART: Final = 0.2
 """Of the bandwidth, where the integral takes over: it costs 11 degrees of phase at the crossing."""
@@ -106,7 +106,7 @@ class SpeedGuide(Controller):
         period_s: float,
         free: Callable[[float], bool] = lambda _time: False,
         added: Callable[[float], float] = lambda _time: 0.0,
-        bandwidth_rad_s: float = _BANDWIDTH_RAD_S,
+        bandwidth_rad_s: float = GUIDE_RAD_S,
     ) -> None:
         self._mechanics = mechanics
         self._period_s = period_s

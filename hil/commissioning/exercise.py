@@ -35,8 +35,6 @@ _HORIZON: Final = 20
 """Cycles after which a reading or a command is lost, as of a bench."""
 _OVERSPEED: Final = 1.3
 """The shaft may overshoot the speed that it is given before the host stops it."""
-_RUN_UP_S: Final = 0.1
-"""From rest to the limit of speed: a set-point of speed rises no faster."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,14 +165,9 @@ def speed_limits(limits: MotionLimits, period_s: float, guard_speed: bool) -> Sp
     return SpeedLimits(
         set_point_max_rad_s=limits.speed_rad_s,
         speed_max_rad_s=_shaft_speed_max(limits, guard_speed),
-        acceleration_max_rad_s2=steepest_rad_s2(limits),
+        acceleration_max_rad_s2=limits.acceleration_rad_s2,
         dropouts_consecutive_max=_dropouts_max(period_s),
     )
-
-
-def steepest_rad_s2(limits: MotionLimits) -> float:
-    """The steepest change of a set-point of speed."""
-    return limits.speed_rad_s / _RUN_UP_S
 
 
 def _shaft_speed_max(limits: MotionLimits, guard_speed: bool) -> float:

@@ -5,6 +5,7 @@ from typing import Any, Final, NamedTuple
 
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.drive_setup import Identity
+from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, QuickStopOption
 from drivers.cia402.scaling import ScaleOverride, Scaling
 from drivers.cia402.told_motor import ToldMotor
@@ -60,6 +61,10 @@ class Findings:
     """N m per A rms, as the drive's own figures have it."""
     velocity_ratio: SpeedRatio | None = None
     """Velocity over position derivative, both as told."""
+    ramps: dict[Object, int] = field(default_factory=dict)
+    """Raw values of those that the drive obeys in the mode that is set: 6083h, 6087h and so on."""
+    ramp_factor: float = 1.0
+    """Above 1: so much more than the drive's own unit makes necessary is asked of its ramps."""
     quick_stop_rad_s2: float | None = None
     """6085h as it was found to be needed; None: the drive's own."""
     quick_stop_option: QuickStopOption = QuickStopOption.QUICK_STOP_RAMP
@@ -78,6 +83,13 @@ class Findings:
     """What every object held before it was changed; known at the end."""
     versions: dict[str, str] = field(default_factory=dict)
     """1009h and 100Ah, as far as the drive tells them."""
+
+    @property
+    def scaling(self) -> Scaling:
+        """The units as far as they are known by now: what was found against the drive's objects is
+        disbelieved in all that follows from it too."""
+        assert self.told is not None, "the step 'units' comes first"
+        return self.units or self.told
 
     def value(self, quantity: str) -> float | None:
         """Of what is stated; None if nobody did."""

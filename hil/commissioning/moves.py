@@ -2,13 +2,13 @@
 
 from typing import Final
 
+from drivers.canopen.greatest import write_greatest
 from drivers.canopen.objects import RemoteObjects
-from drivers.cia402.drive_setup import write_optional
 from drivers.cia402.objects402 import Object
 from drivers.cia402.scaling import Scaling
 from hil.commissioning.request import MotionLimits
 
-_RUN_UP_S: Final = 0.5
+MOVE_RUN_UP_S: Final = 0.5
 """From rest to the limit of speed. A drive that is given set-points one after the other speeds up and brakes
 from one to the next, so that its speed swings by this acceleration times the cycles of a hand-shake: at 4 ms
 by 0.4 % of the limit. No exercise asks for more than the limit in 2 s."""
@@ -18,7 +18,7 @@ _CATCH_UP: Final = 1.3
 
 def write_moves(objects: RemoteObjects, limits: MotionLimits, scaling: Scaling) -> tuple[float, list[str]]:
     """Write them; with which deceleration the drive brakes, rad/s^2, and notes on what it does not take."""
-    rate = limits.speed_rad_s / _RUN_UP_S
+    rate = limits.speed_rad_s / MOVE_RUN_UP_S
     notes: list[str] = []
     for index, value, unit, text in (
         (Object.PROFILE_VELOCITY, _CATCH_UP * limits.speed_rad_s, scaling.velocity_rad_s, "speed"),
@@ -26,6 +26,6 @@ def write_moves(objects: RemoteObjects, limits: MotionLimits, scaling: Scaling) 
         (Object.PROFILE_DECELERATION, rate, scaling.acceleration_rad_s2, "deceleration"),
     ):
         raw = min(max(1, round(value / unit)), 0xFFFF_FFFF)
-        notes += write_optional(objects, index, "I", raw, f"{text} of a move")
+        notes += write_greatest(objects, index, "I", raw, f"{text} of a move").notes
     held = objects.read_if_there(Object.PROFILE_DECELERATION)
     return (held * scaling.acceleration_rad_s2 if held else rate), notes

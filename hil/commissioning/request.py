@@ -84,6 +84,8 @@ def load_nameplate(path: Path) -> Nameplate:
     return load_file(Nameplate, path, "nameplate file", NamedBy("--motor", "", str(path)))
 
 
+_RUN_UP_S: Final = 0.1
+"""From rest to the limit of speed: a set-point of speed rises no faster."""
 _UNWATCHED_SPEED: Final = 0.2
 """A shaft that is left alone has 4 % of the energy that it had at the limit."""
 _UNWATCHED_TORQUE: Final = 0.5
@@ -151,6 +153,8 @@ class MotionLimits:
     speed_rad_s: float
     power_w: float
     energy_j: float
+    acceleration_rad_s2: float
+    """No faster does a set-point of speed rise or fall."""
     travel_rad: float
     """To either side of where the shaft stood; infinite: without end."""
     following_rad: float
@@ -169,6 +173,7 @@ def motion_limits(plate: Nameplate, rated_torque_nm: float, drive_speed_rpm: flo
         speed_rad_s=speed,
         power_w=power,
         energy_j=given.energy_max_j or 3.0 * power,
+        acceleration_rad_s2=speed / _RUN_UP_S,
         travel_rad=math.inf if given.turns_max is None else given.turns_max * math.tau,
         following_rad=given.following_error_max_turns * math.tau,
     )
@@ -181,5 +186,6 @@ def cautious(limits: MotionLimits) -> MotionLimits:
         limits,
         torque_nm=_UNWATCHED_TORQUE * limits.torque_nm,
         speed_rad_s=_UNWATCHED_SPEED * limits.speed_rad_s,
+        acceleration_rad_s2=_UNWATCHED_SPEED * limits.acceleration_rad_s2,
         travel_rad=min(_UNWATCHED_TURNS * math.tau, limits.travel_rad),
     )

@@ -27,12 +27,13 @@ from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, duration_s
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort
-from hil.commissioning.exercise import EnergyMeter, Exerciser, steepest_rad_s2
+from hil.commissioning.exercise import EnergyMeter, Exerciser
 from hil.commissioning.findings import Findings
 from hil.commissioning.host_gaps import HostGaps
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.moves import write_moves
 from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.ramps import set_ramps, within_ramps
 from hil.commissioning.recording import SessionLog
 from hil.commissioning.request import CommissionRequest, MotionLimits, cautious
 from hil.configuration.config import Guard
@@ -170,9 +171,11 @@ class Session:
 
     @property
     def limits(self) -> MotionLimits:
-        """What the host allows; less of a drive that does not notice that its host is gone."""
+        """What the host allows; less of a drive that does not notice that its host is gone, or whose own
+        ramps are slow."""
         assert self.found.limits is not None, "the step 'limits' comes first"
-        return cautious(self.found.limits) if self.unwatched else self.found.limits
+        limits = cautious(self.found.limits) if self.unwatched else self.found.limits
+        return within_ramps(self.found, limits)
 
     @property
     def unwatched(self) -> bool:
@@ -187,9 +190,8 @@ class Session:
 
     @property
     def units(self) -> Scaling:
-        """The units as far as they are known by now: what was found against the drive's objects is
-        disbelieved in all that follows from it too."""
-        return self.found.units or self.told
+        """The units as far as they are known by now."""
+        return self.found.scaling
 
     @property
     def position_rad(self) -> float:
@@ -254,7 +256,7 @@ class Session:
             unwatched=request.unwatched,
             torque_max_nm=self.limits.torque_nm,
             speed_max_rad_s=self.limits.speed_rad_s * 1.3,
-            set_acceleration_rad_s2=steepest_rad_s2(self.limits),
+            set_acceleration_rad_s2=self.limits.acceleration_rad_s2,
             quick_stop_deceleration_rad_s2=findings.quick_stop_rad_s2,
             quick_stop_option=findings.quick_stop_option,
             scale=findings.override,
@@ -268,9 +270,15 @@ class Session:
         if mode is Mode.PROFILE_POSITION:
             braking_rad_s2, refused = write_moves(self.objects, self.limits, self.drive.assembler.scaling)
             notes += refused
+        notes += set_ramps(self.objects, findings, mode, self.most_told)
         self._port = DrivePort(self.drive, mode, findings.period / NS_PER_S, braking_rad_s2)
         self.guard.arm({}, own_sync=True)
         return notes
+
+    def most_told(self, index: int) -> int | None:
+        """The greatest value of an object by the data sheet; None if it tells none."""
+        entry = None if self.dictionary is None else self.dictionary.get(index)
+        return getattr(entry, "max", None)
 
     def choose_period(self, mode: Mode) -> tuple[Duration, float]:
         """The shortest period that the bus bears, ns, and its load in percent."""

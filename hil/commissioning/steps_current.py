@@ -25,6 +25,10 @@ from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
 from hil.commissioning.steps_mechanics import guide_mechanics, tells_torque
 
+_SLOWEST_RAD_S: Final = 2.0 * math.tau
+"""Of the swing: three of them in its time."""
+_SLEW_SHARE: Final = 0.8
+"""Of the steepest torque, that the swing has where it is steepest."""
 _CURRENT_S: Final = 1.5
 """Three swings at the slowest, of 2 Hz."""
 
@@ -145,8 +149,11 @@ def _swing(session: Session) -> list[tuple[Instant, float]]:
     """Swing the shaft; the torques with the instants of the frames that told them."""
     known = guide_mechanics(session)
     limits = session.limits
-    amplitude = 0.6 * limits.torque_nm
-    omega = max(math.tau * 2.0, amplitude / (known.inertia_kg_m2 * 0.4 * limits.speed_rad_s))
+    speed_change = known.inertia_kg_m2 * 0.4 * limits.speed_rad_s
+    # A torque that 6087h held back would have a mean, and the shaft would gain speed by it.
+    steepest = _SLEW_SHARE * limits.torque_slew_nm_s
+    amplitude = min(0.6 * limits.torque_nm, steepest / _SLOWEST_RAD_S, math.sqrt(steepest * speed_change))
+    omega = max(_SLOWEST_RAD_S, amplitude / speed_change)
     readings: list[tuple[Instant, float]] = []
     port = session.port
     sign = session.found.override.torque_sign  # as the drive counts: 6078h beside it is taken raw

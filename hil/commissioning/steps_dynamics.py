@@ -21,10 +21,11 @@ from hil.commissioning.frequency import (
 from hil.commissioning.identify import Array
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.plots import draw_delays, draw_response
+from hil.commissioning.ramps import ramps_told
 from hil.commissioning.request import MotionLimits
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
-from hil.commissioning.steps_mechanics import tells_torque
+from hil.commissioning.steps_mechanics import ramp_time, tells_torque
 from hil.configuration.network_file import DelayFigures, Network
 from hil.loop.scenario import Ramp
 from hil.reviewing.network_meter import runs_of
@@ -38,6 +39,11 @@ _LINES: Final = 28
 torque."""
 _LOWEST_HZ: Final = 2.0
 """A rigid shaft answers to a torque by 1/f: lower ones need much speed, and say no more."""
+_SPAN: Final = 5.0
+"""From the lowest line to the highest, at the least: a decade nearly shows the slope of an inertia."""
+_SMALL_SHARE: Final = 0.05
+"""Of the rated torque: sines of so little are steep at as high a frequency as 6087h allows, and each is still
+above a thousandth of the rated torque, the unit of 6077h."""
 _NYQUIST_PART: Final = 0.4
 """The highest line, of the sampling rate: below a half, or what is faster would be folded back onto it."""
 _BASE_SHARE: Final = 0.4
@@ -75,6 +81,8 @@ class Response(Step):
             return "the drive has no torque mode"
         if session.limits.travel_rad < math.inf:
             return "the shaft would have to turn one way for seconds"
+        if _sines(session)[1] < _SPAN * _LOWEST_HZ:
+            return f"the drive lets no torque swing fast enough: {ramps_told(session.found)}"
         return None
 
     def plan(self, session: Session, /) -> str:
@@ -90,11 +98,14 @@ class Response(Step):
         base = _BASE_SHARE * limits.speed_rad_s
         with session.exercising(_roomy(limits)) as exerciser:
             period = exerciser.period_s
-            lines = lines_hz(_LOWEST_HZ, _NYQUIST_PART / period, _LINES, _BLOCK_S)
+            share_nm, highest_hz = _sines(session)
+            lines = lines_hz(_LOWEST_HZ, highest_hz, _LINES, _BLOCK_S)
             room = mechanics.inertia_kg_m2 * math.tau * _LOWEST_HZ * 0.3 * base
-            amplitude = min(0.4 * limits.torque_nm, 3.0 * room)
+            amplitude = min(share_nm, 3.0 * room)
             added = multisine(lines, amplitude, seed=session.request.node)
-            over = max(0.3, mechanics.inertia_kg_m2 * base / (0.3 * limits.torque_nm))
+            over = max(
+                0.3, ramp_time(session, base), mechanics.inertia_kg_m2 * base / (0.3 * limits.torque_nm)
+            )
             start = over + 0.7
             guide = SpeedGuide(
                 mechanics,
@@ -116,6 +127,16 @@ class Response(Step):
         )
         _judge_response(response, model, outcome)
         session.picture(outcome, "response", draw_response, response, model)
+
+
+def _sines(session: Session) -> tuple[float, float]:
+    """N m of all sines at most, and Hz of the highest: less where 6087h lets no torque rise as steeply."""
+    limits, host, period_s = session.limits, session.found.limits, session.found.period / NS_PER_S
+    nyquist_hz = _NYQUIST_PART / period_s
+    if host is None or limits.torque_slew_nm_s >= host.torque_slew_nm_s:
+        return 0.4 * limits.torque_nm, nyquist_hz
+    small_nm = min(0.4 * limits.torque_nm, _SMALL_SHARE * session.rated_torque_nm)
+    return small_nm, min(nyquist_hz, limits.torque_slew_nm_s / (0.4 * math.tau * small_nm))
 
 
 def _roomy(limits: MotionLimits) -> MotionLimits:
@@ -192,7 +213,7 @@ class Delays(Step):
             raise StepFailed(
                 "the torque slope 6087h hides when a command acts",
                 f"{slope.told}; {error}",
-                "cyclic synchronous torque has no slope; in profile torque set 6087h steeper",
+                "cyclic synchronous torque has no slope; the steepest that the drive takes is set",
             ) from error
         findings = session.found
         findings.current_bandwidth_hz = _bandwidth_hz(session, lag)

@@ -7,12 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from drivers.cia402.drive_setup import write_optional
+from drivers.canopen.greatest import write_greatest
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S
-from hil.commissioning.excitation import SpeedGuide
+from hil.commissioning.excitation import GUIDE_RAD_S, SpeedGuide
 from hil.commissioning.exercise import Exerciser, Recording
 from hil.commissioning.identify import COVERAGE_FACTOR, Mechanics, NotIdentifiable, identify_mechanics
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
@@ -28,6 +28,12 @@ _TORQUE_SHARE: Final = 0.6
 """Of the torque limit, for a ramp: the guide's feedback and friction that is not known yet need the rest."""
 _RAMP_S: Final = 0.25
 """The shortest ramp: two windows of the identification and more."""
+_RATE_SHARE: Final = 0.8
+"""Of the drive's own acceleration: a speed that lags behind its ramp can catch up."""
+_RISE_SHARE: Final = 0.1
+"""Of a ramp, for the torque to rise in, where 6087h bounds it: the speed then lags by 5 % of the change."""
+_ERROR_SHARE: Final = 0.05
+"""Of the limit of speed: that error."""
 _SLOWER: Final = 2.5
 """A drive in a speed mode follows a ramp by its own loop, whose lag has to be short against it."""
 _PLATEAU_S: Final = 0.4
@@ -168,16 +174,38 @@ def guide_mechanics(session: Session) -> Mechanics:
 def follow(session: Session, exerciser: Exerciser, duration: float, reference: list[Segment]) -> Recording:
     """Have the shaft follow speeds for ``duration`` s: by the torque of a guide, or by a drive's own loop."""
     if exerciser.port.quantity is Quantity.TORQUE:
-        return exerciser.run(SpeedGuide(guide_mechanics(session), exerciser.period_s), duration, reference)
+        guide = SpeedGuide(
+            guide_mechanics(session), exerciser.period_s, bandwidth_rad_s=guide_bandwidth_rad_s(session)
+        )
+        return exerciser.run(guide, duration, reference)
     return exerciser.run_speeds(duration, reference)
 
 
-def _ramp_time(session: Session, change: float) -> float:
-    """How long a ramp has to take for its torque to stay well below the limit."""
-    known = session.found.mechanics or session.found.rough
+def ramp_time(session: Session, change: float) -> float:
+    """How long a ramp of the speed has to take: its torque stays well below the limit, and neither it nor the
+    ramp is held up by ramps of the drive's own."""
+    known, limits = session.found.mechanics or session.found.rough, session.limits
+    least_s = max(_RAMP_S, abs(change) / (_RATE_SHARE * limits.acceleration_rad_s2))
     if known is None:
-        return _RAMP_S
-    return max(_RAMP_S, known.inertia_kg_m2 * abs(change) / (_TORQUE_SHARE * session.limits.torque_nm))
+        return least_s
+    angular_momentum = known.inertia_kg_m2 * abs(change)
+    return max(
+        least_s,
+        angular_momentum / (_TORQUE_SHARE * limits.torque_nm),
+        math.sqrt(angular_momentum / (_RISE_SHARE * limits.torque_slew_nm_s)),
+    )
+
+
+def guide_bandwidth_rad_s(session: Session) -> float:
+    """Of a guide: the torque that corrects an error of :data:`_ERROR_SHARE` follows within its response time.
+
+    A loop of bandwidth w answers to an error e by J w e of torque, and by J w^2 e of it in a second; one
+    whose torque is slower than that swings ever farther.
+    """
+    limits = session.limits
+    error = _ERROR_SHARE * limits.speed_rad_s
+    fastest = math.sqrt(limits.torque_slew_nm_s / (guide_mechanics(session).inertia_kg_m2 * error))
+    return min(GUIDE_RAD_S, fastest)
 
 
 def _ramps(session: Session, speed: float) -> list[Recording]:
@@ -189,13 +217,13 @@ def _ramps(session: Session, speed: float) -> list[Recording]:
     own_ramps = port.mode is Mode.PROFILE_VELOCITY
     slower = _slower(session)
     if own_ramps:
-        _write_ramps(session, speed / (slower * _RAMP_S))
+        _write_ramps(session, min(speed / (slower * _RAMP_S), session.limits.acceleration_rad_s2))
     recordings = []
     for direction in (1.0, -1.0):
         reference: list[Segment] = []
         time, last = 0.05, 0.0
         for share in (*_PLATEAUS, 0.0):
-            over = slower * _ramp_time(session, (share - last) * speed)
+            over = slower * ramp_time(session, (share - last) * speed)
             target = direction * share * speed
             reference.append(LevelStep(time, target) if own_ramps else Ramp(time, target, over))
             time += over + slower * _PLATEAU_S
@@ -208,7 +236,7 @@ def _ramps(session: Session, speed: float) -> list[Recording]:
 def _write_ramps(session: Session, acceleration_rad_s2: float) -> None:
     raw = max(1, round(acceleration_rad_s2 / session.acceleration_rad_s2))
     for index in (Object.PROFILE_ACCELERATION, Object.PROFILE_DECELERATION):
-        write_optional(session.objects, index, "I", raw, "ramp")
+        write_greatest(session.objects, index, "I", raw, "ramp", most=session.most_told(index))
 
 
 def _coasts(session: Session, speed: float) -> list[Recording]:
@@ -219,12 +247,17 @@ def _coasts(session: Session, speed: float) -> list[Recording]:
     coast_s = min(_COAST_S_MAX, 0.8 * speed / slowing, 0.5 * limits.travel_rad / speed)
     recordings = []
     for direction in (1.0, -1.0):
-        over = _ramp_time(session, speed)
+        over = ramp_time(session, speed)
         start = 0.05 + over + 0.1
         end = start + coast_s
         reference: list[Segment] = [Ramp(0.05, direction * speed, over), Ramp(end - 1e-6, 0.0, 1e-6)]
         with session.exercising() as exerciser:
-            guide = SpeedGuide(known, exerciser.period_s, free=_between(start, end))
+            guide = SpeedGuide(
+                known,
+                exerciser.period_s,
+                free=_between(start, end),
+                bandwidth_rad_s=guide_bandwidth_rad_s(session),
+            )
             recordings.append(exerciser.run(guide, end + 0.3, reference))
     return recordings
 

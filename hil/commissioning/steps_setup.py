@@ -3,6 +3,7 @@
 import math
 from typing import Final
 
+from drivers.canopen.greatest import write_greatest
 from drivers.canopen.pdo_budget import budget_of
 from drivers.cia402.drive_setup import write_optional
 from drivers.cia402.mode_control import ModeRefused
@@ -13,6 +14,7 @@ from drivers.errors import PeerFault
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, Instant
 from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.ramps import RampTooSlow, ramps_told
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
 
@@ -42,6 +44,7 @@ class SetUp(Step):
         limits = session.limits
         return (
             "write heartbeats (1016h, 1017h), reactions (6007h, 605Ah to 605Eh), "
+            "ramps that are too slow (6083h, 6084h, 6087h, 60C5h, 60C6h), "
             "limits (6072h, 6073h, 6080h, 607Dh, 6065h) to "
             f"{limits.torque_nm:.4g} N m and {limits.speed_rad_s:.4g} rad/s, and the PDOs"
         )
@@ -55,6 +58,8 @@ class SetUp(Step):
         for pdo in plan:
             mapped = " ".join(f"{entry.index:04X}h/{entry.bits}" for entry in pdo.entries)
             outcome.say(f"{pdo.name} {pdo.cob_id:03X}h type {pdo.transmission_type}: {mapped}")
+        if ramps := ramps_told(session.found):
+            outcome.say(f"the drive's own ramps: {ramps}")
         load = budget_of([plan], session.found.period, session.request.bitrate_bit_s).load_percent
         outcome.say(
             f"mode {mode.name.lower().replace('_', ' ')}; at most {load:.0f} % bus load; all read back"
@@ -85,7 +90,9 @@ class SetUp(Step):
 
 def _of_the_mode(error: PeerFault) -> bool:
     """Another mode may be taken, or be served by the PDOs."""
-    return isinstance(error, ModeRefused | PlanImpossible) or isinstance(error.__cause__, PlanImpossible)
+    return isinstance(error, ModeRefused | PlanImpossible | RampTooSlow) or isinstance(
+        error.__cause__, PlanImpossible
+    )
 
 
 def _extra_limits(session: Session) -> list[str]:
@@ -95,10 +102,7 @@ def _extra_limits(session: Session) -> list[str]:
     held = objects.read_if_there(Object.MAX_CURRENT, 0, "H")
     notes = []
     if held is not None and share < held:
-        notes += write_optional(objects, Object.MAX_CURRENT, "H", share, "current limit")
-    if session.torque_mode() is Mode.PROFILE_TORQUE:
-        slope = round(1000.0 * limits.torque_slew_nm_s / rated)
-        notes += write_optional(objects, Object.TORQUE_SLOPE, "I", slope, "torque slope of the host's")
+        notes += write_greatest(objects, Object.MAX_CURRENT, "H", share, "current limit").notes
     option = HaltOption.QUICK_STOP_RAMP
     notes += write_optional(objects, Object.HALT_OPTION, "h", int(option), "halt by quick stop ramp")
     window = max(1, round(limits.following_rad / session.position_rad))

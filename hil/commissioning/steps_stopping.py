@@ -11,9 +11,10 @@ from drivers.exchange import Reading
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Instant
 from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.ramps import ramps_told
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
-from hil.commissioning.steps_mechanics import follow
+from hil.commissioning.steps_mechanics import follow, ramp_time
 from hil.loop.scenario import Ramp
 
 _STOP_MAX_S: Final = 2.0
@@ -269,8 +270,9 @@ def _proof_speed(session: Session) -> float:
 
 def _stop_slowly(session: Session) -> SlowStop:
     speed = _proof_speed(session)
+    run_up_s = max(_RUN_UP_S, ramp_time(session, speed))
     with session.exercising() as exerciser:
-        before = follow(session, exerciser, _RUN_UP_S + _HOLD_S, [Ramp(0.0, speed, _RUN_UP_S)])
+        before = follow(session, exerciser, run_up_s + _HOLD_S, [Ramp(0.0, speed, run_up_s)])
         if len(before.position) < _FIT_READINGS:
             raise StepFailed("too few readings came")
         readings = _until_rest(session)
@@ -285,7 +287,12 @@ def _stop_slowly(session: Session) -> SlowStop:
             "set 604Ch with the maker's tool",
         )
     if began < 0.3 * speed:
-        raise StepFailed("the shaft does not come up to a low speed", f"{began:.3g} of {speed:.3g} rad/s")
+        ramps = ramps_told(session.found)
+        raise StepFailed(
+            "the shaft does not come up to a low speed",
+            f"{began:.3g} of {speed:.3g} rad/s in {run_up_s + _HOLD_S:.3g} s{f'; {ramps}' if ramps else ''}",
+            "a brake, a load, or limits.torque_max_percent of the nameplate?",
+        )
     return _measured(session, began, readings)
 
 

@@ -16,6 +16,7 @@ from hil.commissioning.exercise import Exerciser, Recording
 from hil.commissioning.identify import SpeedRatio, plain_ratio, ratio_of
 from hil.commissioning.nameplate import nameplate_wins
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
+from hil.commissioning.ramps import ramps_told, steepen
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
 from hil.commissioning.steps_mechanics import identified
@@ -35,8 +36,12 @@ _LONG_PULSE_TURNS: Final = 0.25
 """Enough to compare velocity and path to a percent."""
 _NUDGES: Final = 4
 """Each three times as fast as the one before, 27 times at last: velocity units are wrong by as much."""
-_PULSE_S: Final = 6.0
-"""The torque rises by the rated one in a second, and the rest is for the shaft to come to a stop."""
+_PULSE_S: Final = 5.5
+"""Beside the rise of the torque: for the shaft to come to a stop."""
+_RATED_S: Final = 1.0
+"""In which the torque of a pulse rises by the rated one: slowly, as nobody knows yet what it moves."""
+_RISE_SHARE: Final = 0.25
+"""Of the steepest torque: a pulse falls four times as fast as it rises."""
 _SIGN_ERROR: Final = 0.5
 """Relative, of what has only to show a sign."""
 _RATIO_ERROR: Final = 0.01
@@ -147,8 +152,27 @@ def _compared(session: Session, turns: float, error: float) -> tuple[list[Record
 
 def pulses(session: Session, far_turns: float) -> list[Recording]:
     """A pulse forwards and one backwards, each from rest to rest. Raises StepFailed if nothing moves."""
+    far = min(far_turns * math.tau, 0.4 * session.limits.travel_rad)
+    near = max(_NEAR_TURNS * math.tau, _NEAR_UNITS * session.position_rad)
+    recordings = _both_ways(session, near, far)
+    paths = [abs(float(each.position[-1] - each.position[0])) for each in recordings]
+    if session.torque_mode() is None and min(paths) < 0.5 * far and steepen(session.found):
+        session.configure()
+        recordings = _both_ways(session, near, far)
+        paths = [abs(float(each.position[-1] - each.position[0])) for each in recordings]
+    if session.torque_mode() is None and min(paths) < near:
+        ramps = ramps_told(session.found)
+        raise StepFailed(
+            f"the shaft does not turn at {0.5 * session.limits.speed_rad_s:.3g} rad/s and below",
+            f"{min(paths) / math.tau:.5f} turns{f'; {ramps}' if ramps else ''}",
+            "a brake, or a blocked shaft? limits.torque_max_percent in the nameplate allows more",
+        )
+    return recordings
+
+
+def _both_ways(session: Session, near: float, far: float) -> list[Recording]:
     limits = session.limits
-    far = min(far_turns * math.tau, 0.4 * limits.travel_rad)
+    rise = min(session.rated_torque_nm / _RATED_S, _RISE_SHARE * limits.torque_slew_nm_s)
     recordings = []
     with session.exercising() as exerciser:
         for direction in (1.0, -1.0):
@@ -156,10 +180,9 @@ def pulses(session: Session, far_turns: float) -> list[Recording]:
                 recordings.append(_nudges(exerciser, direction, far))
                 refuse_losses(recordings[-1].lost, recordings[-1].cycles)
                 continue
-            near = max(_NEAR_TURNS * math.tau, _NEAR_UNITS * session.position_rad)
-            rise = limits.torque_slew_nm_s * 0.02  # the rated torque in a second
             pulse = Pulse(direction * limits.torque_nm, rise, near, max(far, 2.0 * near), exerciser.period_s)
-            recording = exerciser.run(pulse, _PULSE_S, done=pulse.done, guard_speed=False)
+            longest_s = _PULSE_S + limits.torque_nm / rise
+            recording = exerciser.run(pulse, longest_s, done=pulse.done, guard_speed=False)
             refuse_losses(recording.lost, recording.cycles)
             if not pulse.moved:
                 raise StepFailed(
@@ -184,7 +207,7 @@ def _nudges(exerciser: Exerciser, direction: float, far: float) -> Recording:
 
 
 def _nudge(exerciser: Exerciser, speed: float, far: float) -> Recording:
-    over = 0.1
+    over = max(0.1, abs(speed) / exerciser.limits.acceleration_rad_s2)
     hold = max(0.3, abs(far / speed))
     reference: list[Segment] = [Ramp(0.0, speed, over), Ramp(over + hold, 0.0, over)]
     return exerciser.run_speeds(hold + 2.0 * over + 0.3, reference, guard_speed=False)

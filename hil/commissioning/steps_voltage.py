@@ -32,6 +32,8 @@ _SPEED_SHARE: Final = 0.95
 """Of the speed limit."""
 _PUSH_SHARE: Final = 0.3
 """Of the torque limit, beside what friction takes: a run-up of a second or two."""
+_RISE_SHARE: Final = 0.2
+"""Of the steepest torque, that the push rises with."""
 _LOOK_S: Final = 0.15
 """Between two looks at the speed: long enough for the shaft to show whether it still gains."""
 _END_S: Final = 0.02
@@ -77,12 +79,15 @@ class VoltageConstant(Step):
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
         dc_v = dc_link_v(session)
-        push_nm, top = _push_nm(session), _SPEED_SHARE * session.limits.speed_rad_s
+        push_nm = _push_nm(session)
+        rise_nm_s = _RISE_SHARE * session.limits.torque_slew_nm_s
+        # Behind its end the torque falls by the drive's slope, and the speed goes on rising meanwhile.
+        behind = push_nm**2 / (2.0 * session.limits.torque_slew_nm_s * session.mechanics.inertia_kg_m2)
+        top = max(_SPEED_SHARE * session.limits.speed_rad_s - behind, 0.5 * session.limits.speed_rad_s)
         with session.exercising() as exerciser:
-            up = RunUp(
-                push_nm, session.limits.torque_slew_nm_s * 0.2, top, exerciser.period_s, _slow(session)
-            )
-            recording = exerciser.run(up, 3.0 * _run_up_s(session) + 4.0 * _LOOK_S, done=up.done)
+            up = RunUp(push_nm, rise_nm_s, top, exerciser.period_s, _slow(session))
+            longest_s = push_nm / rise_nm_s + 3.0 * _run_up_s(session) + 4.0 * _LOOK_S
+            recording = exerciser.run(up, longest_s, done=up.done)
         refuse_losses(recording.lost, recording.cycles)
         if not len(recording.time):
             raise StepFailed("no reading came")

@@ -98,6 +98,16 @@ def _told_as_one_beside_factors(factors: Mapping[int, tuple[int, int]]) -> Calla
     return change
 
 
+def _ramp_in(mode: Mode, index: int, **options: object) -> Callable[[MadeSheet], None]:
+    """One mode beside homing, and options of the object of a ramp that it needs."""
+
+    def change(sheet: MadeSheet) -> None:
+        _modes(mode, Mode.HOMING)(sheet)
+        sheet.set(index, **options)  # type: ignore[arg-type]
+
+    return change
+
+
 def _encoder_of_2000(sheet: MadeSheet) -> None:
     sheet.drop(0x60A8, 0x60A9, 0x60AA, 0x6092, 0x6096)
     sheet.set(0x608F, 1, default=2000)
@@ -185,6 +195,26 @@ TRAITS: Final[dict[str, Trait]] = {
     "6085h is 0": Trait(lambda sheet: sheet.set(0x6085, default=0, LowLimit=0), "6085h", mendable=True),
     "6085h is tiny": Trait(lambda sheet: sheet.set(0x6085, default=1), "6085h", mendable=True),
     "no 6072h, 6073h, 6080h": Trait(_lacks(0x6072, 0x6073, 0x6080)),
+    "6083h is 0": Trait(_ramp_in(Mode.PROFILE_VELOCITY, 0x6083, default=0, LowLimit=0), without=_NO_TORQUE),
+    "6083h is tiny": Trait(_ramp_in(Mode.PROFILE_VELOCITY, 0x6083, default=1), without=_NO_TORQUE),
+    "6083h is limited": Trait(
+        _ramp_in(Mode.PROFILE_VELOCITY, 0x6083, default=10, HighLimit=2000), without=_NO_TORQUE
+    ),
+    "6083h is 1 at most": Trait(
+        _ramp_in(Mode.PROFILE_VELOCITY, 0x6083, default=1, HighLimit=1),
+        "too slow.*6083h = 1 ",
+        _NO_TORQUE,
+        mendable=True,
+    ),
+    "6084h is 0": Trait(_ramp_in(Mode.PROFILE_VELOCITY, 0x6084, default=0, LowLimit=0), without=_NO_TORQUE),
+    "60C5h is tiny": Trait(_ramp_in(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, 0x60C5, default=1), without=_NO_TORQUE),
+    "6087h is 0": Trait(_ramp_in(Mode.PROFILE_TORQUE, 0x6087, default=0, LowLimit=0), without=_SLOPED),
+    "6087h is 10000 at most": Trait(
+        _ramp_in(Mode.PROFILE_TORQUE, 0x6087, default=100, HighLimit=10000), without=_SLOPED
+    ),
+    "6087h is 1000 at most": Trait(
+        _ramp_in(Mode.PROFILE_TORQUE, 0x6087, default=100, HighLimit=1000), without=_SLOPED | {"response"}
+    ),
     "no 606Ch": Trait(_lacks(0x606C), "606Ch"),
     "no homing": Trait(_lacks(0x6098, 0x6099, 0x609A), without=frozenset({"turn"})),
     "motor by its maker's objects": Trait(

@@ -18,6 +18,7 @@ REFUSED = [
     "6502h with homing only",
     "mappings fixed, no values",
     "no 606Ch",
+    "6083h is 1 at most",
     "no 606Ch+mappings fixed for speed",
     "no 1018h+one TPDO",
 ]
@@ -57,6 +58,13 @@ def test_an_encoder_that_nobody_set_is_disbelieved_in_every_unit(case: str, tmp_
     names = tuple(case.split("+"))
     result = rehearsed(made_sheet(names, tmp_path), tmp_path, last_step="stop_proof")
     assert complaints(names, result) == [], "no unit of the velocity or the acceleration is found wrong"
+    assert result.moved
+
+
+@pytest.mark.parametrize("name", ["6083h is 0", "60C5h is tiny", "6087h is 1000 at most"])
+def test_a_ramp_that_is_too_slow_is_set_before_the_first_motion(name: str, tmp_path: Path) -> None:
+    result = rehearsed(made_sheet([name], tmp_path), tmp_path, last_step="stop_proof")
+    assert complaints((name,), result) == []
     assert result.moved
 
 

@@ -17,6 +17,13 @@ from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.device.vendor_dictionary import overlay
 from virtual_bus.drive.servo_parameters import current_per_rms
 
+_RAMPS: Final = (
+    Object.PROFILE_ACCELERATION,
+    Object.PROFILE_DECELERATION,
+    Object.QUICK_STOP_DECELERATION,
+    Object.TORQUE_SLOPE,
+    Object.HOMING_ACCELERATION,
+)
 _STANDARD_MODES: Final = 0x3FF
 """Of 6502h; the rest is reserved, and the maker's."""
 
@@ -31,20 +38,22 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
             the method of homing, is there; 6060h takes no other, and begins with the first
     608Fh   the sheet's, read-only or not; less than four increments a turn are no encoder: they are shown,
             and the position unit stays the simulated encoder's
-    6085h   a sheet's 0 is shown; the drive then has the weakest quick stop that there is, until it is written
+    ramps   a sheet's 0 in 6083h to 6085h, 6087h and 609Ah is shown; the drive then has the slowest ramp that
+            there is, until it is written
     """
     modes = dictionary.variable(Object.SUPPORTED_DRIVE_MODES)
-    quick_stop = dictionary.variable(Object.QUICK_STOP_DECELERATION)
+    ramps = [dictionary.variable(index) for index in _RAMPS]
     resolution = [dictionary.variable(Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
     counts = [variable.default for variable in resolution]
     overlay(dictionary, vendor)
     _take_modes(dictionary, modes, held_number(vendor, Object.SUPPORTED_DRIVE_MODES))
     file_resolution = [held_number(vendor, Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
     _take_resolution(resolution, counts, file_resolution)
-    if held_number(vendor, Object.QUICK_STOP_DECELERATION) == 0:
-        quick_stop.default = quick_stop.value = 1
-        quick_stop.low = 0
-        quick_stop.show_instead(0)
+    for ramp in ramps:
+        if held_number(vendor, ramp.index) == 0:
+            ramp.default = ramp.value = 1
+            ramp.low = 0
+            ramp.show_instead(0)
 
 
 def only_modes(dictionary: ObjectDictionary, bits: int, *further: Variable) -> None:

@@ -207,6 +207,7 @@ def session_of(shaft: Shaft, **more: Any) -> Session:
         meanwhile=lambda work, *arguments, **options: work(*arguments, **options),
         picture=lambda _outcome, name, *_arguments: pictures.append(name),
         pictures=pictures,
+        most_told=lambda _index: None,
     )
     for name, value in more.items():
         setattr(session, name, value)

@@ -24,7 +24,7 @@ from hil.commissioning.findings import Findings
 from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.request import CommissionRequest, cautious
 from hil.commissioning.session import PERIODS_US, Session
-from tests.unit.hil.simulated_shaft import LIMITS
+from tests.unit.hil.simulated_shaft import LIMITS, Objects
 
 CST = Mode.CYCLIC_SYNCHRONOUS_TORQUE
 LOST: Final = 0x8130
@@ -66,7 +66,8 @@ class Bench:
         mine.world = SimpleNamespace(real_time=False)
         mine.log = SimpleNamespace(write=lambda: self.notes.append(threading.current_thread().name))
         mine.stop = lambda: False
-        mine.capability = None
+        mine.capability = mine.dictionary = None
+        mine.objects = Objects()
         mine.configured = mine.disturbed = False
         self.session = session
 
@@ -187,6 +188,7 @@ def test_all_that_a_drive_is_set_up_with(monkeypatch: pytest.MonkeyPatch) -> Non
             unwatched=False,
             torque_max_nm=LIMITS.torque_nm,
             speed_max_rad_s=1.3 * LIMITS.speed_rad_s,
+            set_acceleration_rad_s2=LIMITS.acceleration_rad_s2,
             quick_stop_deceleration_rad_s2=70.0,
             quick_stop_option=QuickStopOption.SLOW_DOWN_RAMP,
             scale=ScaleOverride(rated_torque_nm=2.0),
@@ -342,7 +344,10 @@ def test_a_picture_is_drawn_into_the_folder_of_the_report(
 def test_a_drive_without_a_watch_is_given_a_fifth_of_the_speed_half_the_torque_and_few_turns() -> None:
     less = cautious(LIMITS)
     speed, torque = 0.2 * LIMITS.speed_rad_s, 0.5 * LIMITS.torque_nm
-    assert less == replace(LIMITS, speed_rad_s=speed, torque_nm=torque, travel_rad=3.0 * math.tau)
+    less_steep = 0.2 * LIMITS.acceleration_rad_s2
+    assert less == replace(
+        LIMITS, speed_rad_s=speed, torque_nm=torque, acceleration_rad_s2=less_steep, travel_rad=3.0 * math.tau
+    )
     near = cautious(replace(LIMITS, travel_rad=1.0))
     assert near == replace(less, travel_rad=1.0)
 

@@ -34,6 +34,7 @@ LIMITS = MotionLimits(
     speed_rad_s=100.0,
     power_w=50.0,
     energy_j=5.0,
+    acceleration_rad_s2=1000.0,
     travel_rad=10.0,
     following_rad=0.5,
 )

@@ -228,7 +228,7 @@ def test_a_slope_that_hides_the_command_is_told_with_its_time() -> None:
     assert summary == "20 thousandths a second, 1e+04 ms for 0.32 N m"
     assert why.startswith("the answer to the step does not pass")
     assert caught.value.remedy == (
-        "cyclic synchronous torque has no slope; in profile torque set 6087h steeper"
+        "cyclic synchronous torque has no slope; the steepest that the drive takes is set"
     )
 
 

@@ -73,7 +73,8 @@ def test_what_is_set_up_is_told_and_each_pdo() -> None:
 def test_the_plan_tells_the_limits() -> None:
     speed = LIMITS.speed_rad_s
     assert SetUp().plan(setting_up(CST)) == (
-        "write heartbeats (1016h, 1017h), reactions (6007h, 605Ah to 605Eh), limits (6072h, 6073h, 6080h, "
+        "write heartbeats (1016h, 1017h), reactions (6007h, 605Ah to 605Eh), ramps that are too slow (6083h, "
+        "6084h, 6087h, 60C5h, 60C6h), limits (6072h, 6073h, 6080h, "
         f"607Dh, 6065h) to {LIMITS.torque_nm:.4g} N m and {speed:.4g} rad/s, and the PDOs"
     )
 
@@ -145,12 +146,6 @@ def test_a_share_has_16_bits() -> None:
     assert limited(held_current=0x1_0000, torque_nm=1e6).held[CURRENT] == 0xFFFF
 
 
-def test_profile_torque_is_given_the_hosts_slope() -> None:
-    """The rated torque in 20 ms."""
-    assert limited(PT).held[SLOPE] == 50_000
-    assert limited(CST).held[SLOPE] == 0
-
-
 @pytest.mark.parametrize(
     ("following_rad", "units"), [(POSITION_RAD / 10.0, 1), (3.0 * POSITION_RAD, 3), (1e9, 0xFFFF_FFFE)]
 )
@@ -162,7 +157,6 @@ def test_a_window_is_never_none_and_never_off(following_rad: float, units: int) 
 def test_what_a_drive_does_not_have_is_told() -> None:
     notes = _extra_limits(session_of(Shaft(TRUTH, mode=PT)))
     assert notes == [
-        "6087h:00 is missing: torque slope of the host's left to the drive",
         "605Dh:00 is missing: halt by quick stop ramp left to the drive",
         "6065h:00 is missing: following error left to the drive",
     ]

@@ -13,7 +13,7 @@ import pytest
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
 from drivers.record import values_of
-from drivers.timebase import NS_PER_S, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from hil.commissioning.excitation import SpeedReference
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.outcome import StepFailed
@@ -116,6 +116,8 @@ def session_of(
         found=SimpleNamespace(
             mechanics=mechanics,
             rough=None,
+            limits=LIMITS,
+            period=NS_PER_MS,
         ),
         told=SimpleNamespace(position_rad=math.tau / 4096),
         position_rad=math.tau / 4096,
