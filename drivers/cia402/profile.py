@@ -277,12 +277,15 @@ BENCH_MODES: Final = {
     "cst": Mode.CYCLIC_SYNCHRONOUS_TORQUE,
     "csv": Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
     "csp": Mode.CYCLIC_SYNCHRONOUS_POSITION,
+    "ip": Mode.INTERPOLATED_POSITION,
+    "vl": Mode.VELOCITY,
 }
 """The modes in which a bench runs a drive, by ``drive.NAME.mode`` of a bench file."""
 
 BENCH_RULE: Final = (
-    '`hil run` needs cyclic synchronous torque (`mode = "cst"`), velocity (`"csv"`) or position (`"csp"`); a '
-    "drive with none of them can be commissioned, not run"
+    '`hil run` needs cyclic synchronous torque (`mode = "cst"`), velocity (`"csv"`) or position (`"csp"`), '
+    'interpolated position (`"ip"`) or velocity mode (`"vl"`); a drive with none of them can be '
+    "commissioned, not run"
 )
 """In one set of words for every command and for the README."""
 

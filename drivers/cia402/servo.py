@@ -300,8 +300,7 @@ class ServoDrive(Drive):
     @property
     def torque_shown(self) -> tuple[float, Instant]:
         """The torque that the drive told last, N m, and when; NaN and -1 before the first."""
-        assembler = self.assembler
-        return assembler.torque_nm, assembler.torque_told_at
+        return self.assembler.torque_nm, self.assembler.torque_told_at
 
     @property
     def rated_torque_nm(self) -> float:

@@ -41,7 +41,18 @@ def write_velocity_mode_ramps(objects: RemoteObjects, settings: DriveSettings) -
     ):
         if rate_rad_s2 is not None:
             notes += _write_ramp(objects, index, rate_rad_s2 / unit_rad_s, text)
-    return notes
+    return [*notes, _told(objects, unit_rad_s)]
+
+
+def _told(objects: RemoteObjects, unit_rad_s: float) -> str:
+    """What the drive makes of set-points beside following them."""
+    ramps = []
+    for index in (Object.VL_VELOCITY_ACCELERATION, Object.VL_VELOCITY_DECELERATION):
+        rate_rad_s2 = velocity_mode_ramp(objects, index)
+        if rate_rad_s2 is not None:
+            ramps.append(f"{index:04X}h = {rate_rad_s2 / RAD_S_PER_RPM:.4g} r/min per second")
+    by_ramps = f", and ramped by {' and '.join(ramps)}" if ramps else ""
+    return f"velocity mode: set-points are rounded to {unit_rad_s / RAD_S_PER_RPM:.4g} r/min{by_ramps}"
 
 
 def _write_ramp(objects: RemoteObjects, index: int, units_s: float, text: str) -> list[str]:

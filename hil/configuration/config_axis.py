@@ -77,10 +77,11 @@ class Limits(Section):
     torque_slew_max_nm_s: SlewRate | None = None
     """Of the set-points in ``mode = "cst"``."""
     set_speed_max_rpm: Speed | None = None
-    """The largest speed set-point in csv, and the largest rate of position set-points in csp; 80 % of
-    ``speed_max_rpm`` if absent, as the drive's own loop overshoots."""
+    """The largest speed set-point in csv and vl, and the largest rate of position set-points in csp and ip;
+    80 % of ``speed_max_rpm`` if absent, as the drive's own loop overshoots."""
     set_acceleration_max_rpm_s: SlewRate | None = None
-    """Of the speed set-points in csv and along the position set-points in csp."""
+    """Of the speed set-points in csv and vl, where the drive's own ramps (6048h, 6049h) are set to it, and
+    along the position set-points in csp and ip."""
     dropouts_consecutive_max: DropoutsInARow = 100
     """With more cycles in a row without a reading the bench stops the drive."""
     quick_stop_deceleration_rpm_s: SlewRate | None = None
@@ -110,7 +111,7 @@ class Limits(Section):
         return None if deceleration is None else deceleration * RAD_S_PER_RPM
 
 
-DriveMode = Literal["cst", "csv", "csp"]
+DriveMode = Literal["cst", "csv", "csp", "ip", "vl"]
 
 
 class DriveConfig(Section):
@@ -120,8 +121,8 @@ class DriveConfig(Section):
     segment: str | None = None
     """Name of the ``[[bus.segment]]`` that the drive is on; None: the first one."""
     mode: DriveMode = "cst"
-    """In which mode the drive is run: cyclic synchronous torque, velocity or position. What it is given is
-    torques, speeds or positions."""
+    """In which mode the drive is run: cyclic synchronous torque, velocity or position, interpolated position,
+    or velocity mode. What it is given is torques, speeds or positions."""
     motor: MotorFile = Field(description="the path of a motor file, or its tables inline")
     eds: str | None = None
     """Data sheet (EDS, DCF, XDD, XDC) of the drive, relative to the bench file: it plans its PDOs."""

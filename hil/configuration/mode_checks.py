@@ -14,7 +14,13 @@ from hil.loop.scenario import Quantity
 Fault = tuple[str, object, str, str]
 """key, value found, what was expected, remedy."""
 
-GIVEN: Final = {"cst": Quantity.TORQUE, "csv": Quantity.SPEED, "csp": Quantity.POSITION}
+GIVEN: Final = {
+    "cst": Quantity.TORQUE,
+    "csv": Quantity.SPEED,
+    "csp": Quantity.POSITION,
+    "ip": Quantity.POSITION,
+    "vl": Quantity.SPEED,
+}
 """What a drive takes in its mode."""
 _OF_SPEEDS: Final = ("speed_error_peak_percent_max", "after_load_percent_max", "speed_error_rms_rad_s_max")
 _OF_POSITIONS: Final = ("position_error_peak_rad_max", "position_error_rms_rad_max")
@@ -65,12 +71,12 @@ def _limits_of_mode(key: str, drive: DriveConfig) -> Iterator[Fault]:
 
 def _verdict_of_modes(config: BenchConfig) -> Iterator[Fault]:
     quantities = {quantity_of(config, axis) for axis in config.axes}
-    modes = {drive.mode for drive in config.drive.values()}
+    given = {GIVEN[drive.mode] for drive in config.drive.values()}
     applies = (
         (_OF_SPEEDS, Quantity.SPEED in quantities, "an axis with a speed reference"),
         (_OF_POSITIONS, Quantity.POSITION in quantities, "an axis with a position reference"),
-        (("following_error_peak_rad_max",), "csp" in modes, 'an axis with mode = "csp"'),
-        (("torque_rms_nm_max",), "cst" in modes, 'an axis with mode = "cst"'),
+        (("following_error_peak_rad_max",), Quantity.POSITION in given, 'an axis with mode = "csp" or "ip"'),
+        (("torque_rms_nm_max",), Quantity.TORQUE in given, 'an axis with mode = "cst"'),
     )
     for keys, there, expected in applies:
         for key in keys:

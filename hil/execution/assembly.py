@@ -3,12 +3,13 @@
 from collections.abc import Callable
 
 from drivers.canopen.cob_ids import SYNC
+from drivers.cia402.pdo_plans import TARGETS
 from drivers.cia402.profile import BENCH_MODES
 from drivers.cia402.servo import ServoDrive
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Duration
 from hil.configuration.config import BenchConfig
-from hil.configuration.mode_checks import quantity_of
+from hil.configuration.mode_checks import GIVEN, quantity_of
 from hil.execution.axis_code import AxisCode
 from hil.loop.axis import Axis, AxisParts
 from hil.loop.axis_roles import LoadMachine
@@ -22,9 +23,13 @@ from virtual_bus.frame import Frame
 
 FRAME_BITS_BARE = 44
 """Of a data frame with an 11-bit identifier, beside its data and stuff bits, from start to end of frame."""
-COMMAND_FRAMES = {mode: Frame(0x201, bytes(4 if mode == "cst" else 6)) for mode in BENCH_MODES}
-"""By mode; as long as a command can be told to be before its data are known: 6071h has 16 bits, 60FFh and
-607Ah have 32."""
+_CONTROLWORD_BYTES = 2
+COMMAND_FRAMES = {
+    key: Frame(0x201, bytes(_CONTROLWORD_BYTES + TARGETS[mode].bits // 8))
+    for key, mode in BENCH_MODES.items()
+}
+"""By mode; as long as a command can be told to be before its data are known: 6071h and 6042h have 16 bits,
+60FFh, 607Ah and 60C1h:1 have 32."""
 
 
 def loop_timing(config: BenchConfig) -> LoopTiming:
@@ -79,7 +84,7 @@ def _guard(config: BenchConfig, axis: str) -> SafetyGuard:
             dropouts_consecutive_max=limits.dropouts_consecutive_max,
         )
     else:
-        kind = SpeedLimits if drive.mode == "csv" else PositionLimits
+        kind = SpeedLimits if GIVEN[drive.mode] is Quantity.SPEED else PositionLimits
         guarded = kind(
             limits.set_speed_rpm * RAD_S_PER_RPM,
             limits.speed_max_rad_s,

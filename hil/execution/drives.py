@@ -56,6 +56,7 @@ def drive_settings(
         host_heartbeat_timeout_ms=host.heartbeat_timeout_ms,
         torque_max_nm=limits.torque_max_nm,
         speed_max_rad_s=limits.speed_max_rad_s,
+        set_acceleration_rad_s2=limits.set_acceleration_max_rad_s2,
         quick_stop_deceleration_rad_s2=limits.quick_stop_deceleration_rad_s2,
         quick_stop_option=QuickStopOption(2 if commissioned is None else commissioned.stop.option),
         capability=None if sheet is None else capability_of(sheet),

@@ -5,14 +5,16 @@
 
 theta* is carried from the cycle's tick to t_s by its rate. It counts for an axis with a position reference,
 where a reading came and no step of the reference was less than the settling time ago. A set-point of a drive
-in csp is reached one period, 60C2h, after it acts; between two the way is straight. A following error counts
-from the second set-point on, lost set-points included.
+in csp or ip is reached one period, 60C2h, after it acts; between two the way is straight. A following error
+counts from the second set-point on, lost set-points included.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import NEVER, Duration
+from hil.configuration.mode_checks import GIVEN
+from hil.loop.scenario import Quantity
 from hil.reviewing.speed_error import ROUNDING, CountedErrors, note_settling
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, NOTHING, Rows
@@ -32,7 +34,7 @@ class PositionErrorMeter:
         self._settling_ns = settling_ns
         self._period = period
         self._asked = axis.quantity == "position"
-        self._follows = axis.mode == "csp"
+        self._follows = GIVEN.get(axis.mode) is Quantity.POSITION
         self._last: tuple[float, float, int] | None = None
         self._step_at = -NEVER
         self._reached_at = np.empty(0, np.int64)

@@ -34,12 +34,16 @@ LEVELS: Final = {
     "cst": [{"kind": "ramp", "at_s": 0.02, "speed_rpm": 400.0, "over_s": 0.1}],
     "csv": [{"kind": "ramp", "at_s": 0.02, "position_rad": 40.0, "over_s": 1.0}],
     "csp": [{"kind": "ramp", "at_s": 0.02, "position_rad": 40.0, "over_s": 1.0}],
+    "ip": [{"kind": "ramp", "at_s": 0.02, "position_rad": 40.0, "over_s": 1.0}],
+    "vl": [{"kind": "ramp", "at_s": 0.02, "speed_rpm": 350.0, "over_s": 0.1}],
 }
 CONTROLLERS: Final = {
     "cst": {"kind": "pid", "proportional_nm_s_rad": 0.05, "integral_nm_rad": 0.5, "derivative_nm_s2_rad": 0.0}
     | {"derivative_filter_s": 0.02, "feedforward_nm_s_rad": 0.00185},
     "csv": {"kind": "position", "made_for": {"delay_us": 1000, "speed_bandwidth_hz": 30}},
     "csp": {"kind": "stream"},
+    "ip": {"kind": "stream"},
+    "vl": {"kind": "stream"},
 }
 OWN: Final = """
 from hil import Controller, PositionSetPoint, SpeedSetPoint, TorqueSetPoint
@@ -54,7 +58,7 @@ class Failing(Controller):
         speed = min(40.0, 0.4 * context.sequence)
         if self.mode == "cst":
             return TorqueSetPoint(0.05 * (speed - context.estimate.velocity_rad_s))
-        if self.mode == "csv":
+        if self.mode in ("csv", "vl"):
             return SpeedSetPoint(speed)
         return PositionSetPoint(context.estimate.position_rad + 0.05)
 """

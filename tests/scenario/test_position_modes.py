@@ -1,4 +1,4 @@
-"""Benches in cyclic synchronous velocity and position: by the frames on the bus, with delay and losses, and
+"""Benches without torque mode, in csv, csp, ip and vl: by the frames on the bus, with delay and losses, and
 at rest after every way out."""
 
 import math
@@ -18,6 +18,7 @@ from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
 
 CSV, CSP = EXAMPLES / "position_csv.toml", EXAMPLES / "position_csp.toml"
+IP, VL = EXAMPLES / "position_ip.toml", EXAMPLES / "speed_vl.toml"
 COUNT_RAD = math.tau / 65536
 NETWORK = {
     "delay": [
@@ -35,7 +36,7 @@ def frames_of(run: Run, cob_id: str) -> tuple[np.ndarray, list[bytes]]:
 
 
 def reference_of_the_examples(time_s: np.ndarray) -> np.ndarray:
-    """Of both examples, written down once more."""
+    """Of the three examples, written down once more."""
     ramp = 0.5 + 6.0 * np.clip((time_s - 0.5) / 0.25, 0.0, 1.0)
     sine = 0.5 * np.sin(math.tau * 3.0 * np.maximum(time_s - 0.8, 0.0))
     return np.where(time_s < 0.1, 0.0, np.where(time_s < 0.5, 0.5, ramp + sine))
@@ -51,7 +52,7 @@ def shaft_error(run: Run, from_s: float, until_s: float) -> float:
     return float(np.abs(position - reference_of_the_examples(sampled))[inside].max())
 
 
-@pytest.mark.parametrize("bench", [CSV, CSP])
+@pytest.mark.parametrize("bench", [CSV, CSP, IP])
 def test_step_ramp_and_sine_are_followed_by_the_frames_on_the_bus(
     servo_bench: BenchRunner, bench: Path
 ) -> None:
@@ -85,6 +86,28 @@ def test_the_position_set_points_on_the_bus_keep_their_limits_and_the_period_is_
     assert bytes.fromhex("2fc26002fd000000") in asked
     assert bytes.fromhex("4fc2600101000000") in answered, "and read back"
     assert bytes.fromhex("4fc26002fd000000") in answered
+
+
+def test_a_ramp_of_speeds_is_followed_in_whole_units_by_the_frames_on_the_bus(
+    servo_bench: BenchRunner,
+) -> None:
+    run = servo_bench(VL)
+    assert run.summary.verdict.passed, run.summary.verdict.reason
+    at, data = frames_of(run, "201")
+    words, targets = zip(*(unpack("<Hh", each) for each in data if len(each) == 4), strict=True)
+    cycles = [each for each, when in zip(targets, at, strict=True) if 0.0 < when < 1.2]
+    assert set(words[-len(cycles) :]) <= {0x7F, 0x02, 0x00}, "enable ramp, unlock ramp, reference ramp"
+    assert max(cycles) == 600, "an INTEGER16 in r/min"
+    assert min(cycles) == -200
+    told, speeds = frames_of(run, "281")
+    velocity = np.array([unpack("<iI", each)[0] / 1000.0 for each in speeds if len(each) == 8])
+    held = velocity[(told[: len(velocity)] > 0.5) & (told[: len(velocity)] < 0.7)]
+    assert held == pytest.approx(600.0, abs=12.0)
+    _, asked = frames_of(run, "601")
+    assert bytes.fromhex("2348600188130000") in asked, "6048h:01 = 5000 r/min"
+    assert bytes.fromhex("2b48600201000000") in asked, "and :02 = 1 s"
+    (said,) = (each["text"] for each in run.events if "velocity mode" in each.get("text", ""))
+    assert "rounded to 1 r/min" in said
 
 
 @pytest.mark.parametrize("bench", [CSV, CSP])

@@ -235,7 +235,7 @@ def test_the_review_knows_limits_and_motor_of_each_axis() -> None:
         ),
     )
     assert (plan.settling, plan.band_percent, plan.period) == (120 * NS_PER_MS, 5.0, config.loop.period)
-    assert list(BENCH_MODES) == ["cst", "csv", "csp"]
+    assert list(BENCH_MODES) == ["cst", "csv", "csp", "ip", "vl"]
 
 
 @pytest.mark.parametrize(
