@@ -6,8 +6,11 @@ are there and contradict each other by far, it is asked which.
 """
 
 import math
+from dataclasses import replace
 from typing import Final
 
+from design.flux_constants import figure
+from design.sheet_figures import Contradiction
 from drivers.cia402.objects402 import Object
 from drivers.cia402.told_motor import ToldFigure, ToldMotor, read_told_motor
 from drivers.cia402.unit_factors import WINDING_SLIPS, likely_slip
@@ -15,12 +18,17 @@ from drivers.vendors.families import motor_objects_for
 from drivers.vendors.motor_objects import POLE_PAIRS_MAX, QUANTITIES
 from hil.commissioning.findings import BY_NAMEPLATE, Stated
 from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.request import ImpossiblePlate, Nameplate, in_which_they_agree, refuse_impossible
 from hil.commissioning.session import Session
 
 _RATING_TOLERANCE: Final = 0.03
 """Plates are printed with three digits, and 6075h and 6076h hold whole mA and mN m."""
 _RATING_SLIP: Final = 1.5
 """Between two words for one rating, as stall and continuous torque: more is a slip of plate or drive."""
+_DC_RATIO: Final = 1.2
+"""A mains voltage may be a tenth off, and so may the ripple's mean; AC volts for DC are 1.41 off."""
+_DC_LINK_MIN_V: Final = 5.0
+"""Less is a link that is not charged: no drive runs a motor from it."""
 _CONSTANT: Final = "torque_constant_nm_a"
 CONSTANT_TOLERANCE: Final = 0.1
 """Between the torque constant that was told and the measured one: ratings are rounded, and magnets differ by
@@ -44,7 +52,7 @@ def nameplate_wins(session: Session, key: str, plate: str, drive: str) -> bool:
         raise StepFailed(
             contradiction,
             "nothing measured tells which is right",
-            "mend the nameplate file or the drive's setting, or give --trust-nameplate",
+            "look at the motor's plate: mend the file if it says something else, or give --trust-nameplate",
         )
     question = f"    {contradiction}. Which is right? [n = nameplate, d = drive]"
     answer = session.dialog.line(question, session.idle).lower()
@@ -53,31 +61,108 @@ def nameplate_wins(session: Session, key: str, plate: str, drive: str) -> bool:
     return answer == "n"
 
 
+def doubt_plate(session: Session, outcome: StepOutcome) -> None:
+    """Hold the nameplate against itself and against the DC link.
+
+    Raises StepFailed if its figures cannot be those of one motor, whoever is to be trusted; what is possible
+    and seldom meant is a finding.
+    """
+    plate = session.request.nameplate
+    try:
+        refuse_impossible(plate, "nameplate")
+    except ImpossiblePlate as error:
+        raise StepFailed("the nameplate contradicts itself", str(error.value), error.expected) from error
+    for doubt in plate.figures.doubts():
+        outcome.faults.append(f"nameplate: {doubt}; {in_which_they_agree(plate.figures)}")
+    printed, link_v = plate.rating.dc_bus_voltage_v, _dc_link_v(session)
+    if printed and link_v and not 1.0 / _DC_RATIO <= link_v / printed <= _DC_RATIO:
+        mains = abs(link_v / printed / math.sqrt(2.0) - 1.0) < 1.0 - 1.0 / _DC_RATIO
+        outcome.faults.append(
+            f"nameplate: rating.dc_bus_voltage_v {printed:g} V, while 6079h tells {link_v:.4g} V"
+            + ("; an AC voltage taken for that of the DC bus?" if mains else "")
+        )
+
+
+def _dc_link_v(session: Session) -> float | None:
+    """6079h; None without it, or while the link is not charged."""
+    link_v = (session.objects.read_if_there(Object.DC_LINK_CIRCUIT_VOLTAGE) or 0) / 1000.0
+    return link_v if link_v >= _DC_LINK_MIN_V else None
+
+
 def compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) -> None:
-    """6076h and 6075h against the nameplate; the nameplate is believed for the torque, unless one of the two
-    must be a slip: then it is asked which."""
+    """6076h and 6075h against the nameplate.
+
+    Where they differ, the one is taken that volts, amperes and torque constant allow; if they allow both, the
+    drive's for another rated point of the same motor, else the nameplate's. Where one of the two must be a
+    slip it is asked which. Raises StepFailed for a torque of the nameplate that cannot be.
+    """
     rating = session.request.nameplate.rating
+    current_a, source = rated_current(session)
     if rating.torque_nm is None:
         outcome.say("no nameplate: the rated torque 6076h cannot be checked, and every torque rests on it")
-    elif _is_slip(torque_nm, rating.torque_nm) and not nameplate_wins(
-        session, "rated torque", f"{rating.torque_nm:g} N m", f"{torque_nm:g} N m (6076h)"
-    ):
-        outcome.faults.append(
-            f"nameplate: rating.torque_nm {rating.torque_nm:g} is not believed, 6076h says {torque_nm:g} N m"
-        )
     elif abs(torque_nm / rating.torque_nm - 1.0) > _RATING_TOLERANCE:
-        outcome.faults.append(
-            f"torque unit: 6076h says {torque_nm:g} N m, the nameplate {rating.torque_nm:g} N m; "
-            "the nameplate is taken"
-        )
-        session.overridden(rated_torque_nm=rating.torque_nm)
-        outcome.figures["torque_fault"] = torque_nm / rating.torque_nm
-    current_a, source = rated_current(session)
+        if (
+            rating.current_a
+            and current_a
+            and _same_motor(rating.torque_nm / torque_nm, rating.current_a / current_a)
+        ):
+            outcome.say(
+                f"6076h and {source} say {torque_nm:g} N m at {current_a:g} A, the nameplate "
+                f"{rating.torque_nm:g} N m at {rating.current_a:g} A: two rated points of one motor; "
+                "torque is in units of 6076h"
+            )
+            return
+        _settle_torque(session, outcome, torque_nm, rating.torque_nm)
     if rating.current_a and current_a and not _is_rated(session, current_a / rating.current_a):
         outcome.faults.append(
             f"current unit: {source} says {current_a:g} A, the nameplate {rating.current_a:g} A rms"
         )
         outcome.figures["current_fault"] = current_a / rating.current_a
+
+
+def _same_motor(torques: float, currents: float) -> bool:
+    """Ratings that differ in torque and current alike, as stall and rated ones do."""
+    return abs(torques / currents - 1.0) <= CONSTANT_TOLERANCE
+
+
+def _settle_torque(session: Session, outcome: StepOutcome, told_nm: float, printed_nm: float) -> None:
+    """Take one of two rated torques that differ."""
+    told_cannot, printed_cannot = (_impossible(session, each) for each in (told_nm, printed_nm))
+    printed, told = f"{printed_nm:g} N m", f"{told_nm:g} N m (6076h)"
+    if printed_cannot:
+        raise StepFailed(
+            f"rated torque: the nameplate says {printed}, the drive {told}",
+            f"the nameplate's cannot be: {printed_cannot}",
+            "look at the motor's plate, and mend the nameplate file; with rating.current_a and "
+            "rating.dc_bus_voltage_v in it, 6075h and 6079h are not asked",
+        )
+    slip = not told_cannot and _is_slip(told_nm, printed_nm)
+    if slip and not nameplate_wins(session, "rated torque", printed, told):
+        outcome.faults.append(
+            f"nameplate: rating.torque_nm {printed_nm:g} is not believed, 6076h says {told_nm:g} N m"
+        )
+        return
+    because = f", for 6076h cannot be: {told_cannot}" if told_cannot else ""
+    outcome.faults.append(
+        f"torque unit: 6076h says {told_nm:g} N m, the nameplate {printed}; the nameplate is taken{because}"
+    )
+    session.overridden(rated_torque_nm=printed_nm)
+    outcome.figures["torque_fault"] = told_nm / printed_nm
+
+
+def _impossible(session: Session, torque_nm: float) -> Contradiction | None:
+    """What a rated torque contradicts: the nameplate's other figures, or the drive's where it has none."""
+    figures = session.request.nameplate.figures
+    current_a, _ = rated_current(session)
+    constant = session.found.motor.figures.get(_CONSTANT)
+    told = session.found.motor.figures.get("rated_current_a")
+    if figures.rated_current_a is None and current_a and (told is None or told.convention != "own"):
+        figures = replace(figures, rated_current_a=math.sqrt(2.0) * current_a)
+    if not figures.flux and constant is not None and constant.convention != "own":
+        figures = replace(figures, flux={"kt_nm_arms": constant.value})
+    if figures.dc_bus_voltage_v is None:
+        figures = replace(figures, dc_bus_voltage_v=_dc_link_v(session))
+    return next(replace(figures, rated_torque_nm=torque_nm).contradictions(), None)
 
 
 def _is_rated(session: Session, ratio: float) -> bool:
@@ -164,13 +249,12 @@ def settle_winding(session: Session, outcome: StepOutcome) -> None:
     other by far, and nobody says which is right."""
     session.found.stated.clear()  # of an attempt that failed
     plate, motor = session.request.nameplate, session.found.motor
-    rating, winding = plate.rating, plate.motor
-    constant = rating.torque_nm / rating.current_a if rating.torque_nm and rating.current_a else None
+    winding = plate.motor
     for name, printed in (
         ("resistance_ohm", winding.resistance_ohm),
         ("inductance_d_h", winding.inductance_d_h),
         ("inductance_q_h", winding.inductance_q_h),
-        (_CONSTANT, constant),
+        (_CONSTANT, plate_constant(plate)),
     ):
         _settle(session, outcome, name, printed)
     current, poles = motor.figures.get("rated_current_a"), motor.figures.get("pole_pairs")
@@ -181,6 +265,12 @@ def settle_winding(session: Session, outcome: StepOutcome) -> None:
         confirm_pole_pairs(session, outcome)
     else:
         _settle_pole_pairs(session, outcome, poles)
+
+
+def plate_constant(plate: Nameplate) -> float | None:
+    """N m per A rms by a constant of the flux, else by the ratings; None without either."""
+    flux = plate.figures.flux_v_s
+    return None if flux is None else figure("kt_nm_arms", flux)
 
 
 def _settle(session: Session, outcome: StepOutcome, name: str, printed: float | None) -> None:

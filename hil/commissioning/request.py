@@ -7,23 +7,43 @@ from typing import Final
 
 from pydantic import Field
 
+from design.flux_constants import CONVENTIONS
+from design.sheet_figures import Contradiction, SheetFigures
+from design.sheet_readings import readings
 from drivers.bounded_file import NamedBy
 from drivers.canopen.objects301 import FIRST_OBJECT
+from drivers.errors import BadInput
+from drivers.printable import printable
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from hil.configuration.config_files import Section, load_file
 from hil.configuration.motor_file import LING2012, MotorFile
-from hil.configuration.quantities import Current, Inductance, Resistance, Speed, Torque, Voltage
+from hil.configuration.quantities import Current, Inductance, Inertia, Resistance, Speed, Torque, Voltage
 
 
 class PlateMotor(Section):
-    """``[motor]``: what is known of the winding; all optional."""
+    """``[motor]``: what is known of the motor itself; all optional.
+
+    Resistance and inductances are of one phase of a star. The constants of the flux are named as in
+    :data:`design.flux_constants.CONVENTIONS`; with one of them the torque has a witness beside the ratings.
+    """
 
     name: str = "motor"
     resistance_ohm: Resistance | None = None
     inductance_d_h: Inductance | None = None
     inductance_q_h: Inductance | None = None
     pole_pairs: int | None = Field(default=None, gt=0, le=POLE_PAIRS_MAX)
+    inertia_kg_m2: Inertia | None = None
+    """Of the rotor, without load."""
+    kt_nm_arms: float | None = Field(default=None, gt=0)
+    kt_nm_apk: float | None = Field(default=None, gt=0)
+    kt_nm_adc: float | None = Field(default=None, gt=0)
+    ke_line_vrms_krpm: float | None = Field(default=None, gt=0)
+    ke_line_vpk_krpm: float | None = Field(default=None, gt=0)
+    ke_phase_vrms_krpm: float | None = Field(default=None, gt=0)
+    ke_phase_vpk_krpm: float | None = Field(default=None, gt=0)
+    kv_rpm_vdc: float | None = Field(default=None, gt=0)
+    kv_rpm_vpk: float | None = Field(default=None, gt=0)
 
 
 class PlateRating(Section):
@@ -78,10 +98,83 @@ class Nameplate(Section):
     limits: PlateLimits = PlateLimits()
     temperature: PlateTemperature | None = None
 
+    @property
+    def figures(self) -> SheetFigures:
+        """What it says of the motor, to be held against itself."""
+        motor, rating = self.motor, self.rating
+        return SheetFigures(
+            rated_torque_nm=rating.torque_nm,
+            rated_speed_rad_s=_times(rating.speed_rpm, RAD_S_PER_RPM),
+            rated_current_a=_times(rating.current_a, math.sqrt(2.0)),
+            peak_current_a=_times(rating.current_max_a, math.sqrt(2.0)),
+            dc_bus_voltage_v=rating.dc_bus_voltage_v,
+            pole_pairs=motor.pole_pairs,
+            resistance_ohm=motor.resistance_ohm,
+            inductance_d_h=motor.inductance_d_h,
+            inductance_q_h=motor.inductance_q_h,
+            flux={name: value for name in CONVENTIONS if (value := getattr(motor, name)) is not None},
+            inertia_kg_m2=motor.inertia_kg_m2,
+        )
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+_KEYS: Final = {
+    "rated_torque_nm": "rating.torque_nm",
+    "rated_speed_rad_s": "rating.speed_rpm",
+    "rated_current_a": "rating.current_a",
+    "peak_current_a": "rating.current_max_a",
+    "dc_bus_voltage_v": "rating.dc_bus_voltage_v",
+}
+"""In a nameplate file, of the fields of SheetFigures; of the others it is ``motor`` and the name."""
+_READINGS_SHOWN: Final = 3
+"""More would not help to find the right one."""
+
+
+@dataclass(eq=False)
+class ImpossiblePlate(BadInput):
+    """A nameplate whose figures cannot be those of one motor: no drive's word can make them so."""
+
+    def __str__(self) -> str:
+        return printable(f"{self.source}: {self.key}: {self.value}; {self.expected}")
+
 
 def load_nameplate(path: Path) -> Nameplate:
-    """The nameplate in the file at ``path``. Raises BadInput or BadInputs."""
-    return load_file(Nameplate, path, "nameplate file", NamedBy("--motor", "", str(path)))
+    """The nameplate in the file at ``path``. Raises BadInput or BadInputs; ImpossiblePlate for one that
+    contradicts itself."""
+    plate = load_file(Nameplate, path, "nameplate file", NamedBy("--motor", "", str(path)))
+    refuse_impossible(plate, str(path))
+    return plate
+
+
+def refuse_impossible(plate: Nameplate, source: str) -> None:
+    """Raise ImpossiblePlate for figures that cannot be those of one motor."""
+    figures = plate.figures
+    contradiction = next(figures.contradictions(), None)  # the others follow from it most often
+    if contradiction is not None:
+        keys = ", ".join(plate_keys(contradiction, figures))
+        raise ImpossiblePlate(source, keys, str(contradiction), in_which_they_agree(figures))
+
+
+def plate_keys(contradiction: Contradiction, figures: SheetFigures) -> list[str]:
+    """The keys of the file that a contradiction is of, as far as they are given."""
+    keys = []
+    for name in contradiction.fields:
+        if name == "flux":
+            keys += [f"motor.{each}" for each in figures.flux]
+        elif getattr(figures, name) is not None:
+            keys.append(_KEYS.get(name, f"motor.{name}"))
+    return keys
+
+
+def in_which_they_agree(figures: SheetFigures) -> str:
+    """The slips of the pen that would explain figures that contradict each other."""
+    agreeing = readings(figures)[:_READINGS_SHOWN]
+    if not agreeing:
+        return "no usual slip of one figure explains it: look at the motor's plate"
+    return f"they agree if it is {', or '.join(agreeing)}: look at the motor's plate"
 
 
 _RUN_UP_S: Final = 0.1

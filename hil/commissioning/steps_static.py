@@ -15,7 +15,7 @@ from drivers.rotation import RAD_S_PER_RPM
 from drivers.sheets.identity import told_identity
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.commissioning.known_objects import differing, dump, missing
-from hil.commissioning.nameplate import compare_ratings, keeps_motor, read_motor, settle_winding
+from hil.commissioning.nameplate import compare_ratings, doubt_plate, keeps_motor, read_motor, settle_winding
 from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.request import motion_limits
 from hil.commissioning.sequence import Step
@@ -174,6 +174,7 @@ class UnitsTold(Step):
     def run(self, session: Session, outcome: StepOutcome) -> None:
         findings, plate, objects = session.found, session.request.nameplate, session.objects
         findings.told, findings.override = told, _ = _units(session, outcome)
+        doubt_plate(session, outcome)
         read_motor(session, outcome)
         compare_ratings(session, outcome, told.rated_torque_nm)
         settle_winding(session, outcome)

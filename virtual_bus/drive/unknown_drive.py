@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from design.motor import PmsmParameters, Transform
+from design.motor_figures import motor_figures
 from drivers.cia402.objects402 import Object, Unit, unit_word
 from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.object_dictionary import Variable
@@ -62,6 +63,7 @@ def nameplate_of(motor: PmsmParameters) -> dict[str, Any]:
             "inductance_d_h": motor.inductance_d_h,
             "inductance_q_h": motor.inductance_q_h,
             "pole_pairs": motor.pole_pairs,
+            "ke_line_vrms_krpm": float(f"{motor_figures(motor)['ke_line_vrms_krpm']:.4g}"),
         },
         "rating": {
             "torque_nm": round(motor.rated_torque_nm, 3),

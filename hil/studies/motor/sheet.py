@@ -4,7 +4,8 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from design.data_sheet import CONVENTIONS, DataSheet, InconsistentSheet, at_temperature, of_phase
+from design.data_sheet import DataSheet, InconsistentSheet, at_temperature, of_phase
+from design.flux_constants import CONVENTIONS
 from drivers.errors import MISSING, BadInput
 from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.config_errors import BadInputs

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from design.data_sheet import CONVENTIONS, DataSheet, at_temperature, emf_constant, figure, of_phase
+from design.data_sheet import DataSheet, at_temperature, of_phase
+from design.flux_constants import CONVENTIONS, emf_constant, figure
 from design.motor import PmsmParameters, Transform
 from design.motor_figures import motor_figures, phase_emf_constant, speed_limit, torque_limit
 

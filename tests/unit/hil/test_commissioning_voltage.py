@@ -49,9 +49,10 @@ def test_where_the_voltage_gives_out_it_is_measured(tmp_path: Path) -> None:
 
 
 def test_a_plate_whose_torque_is_ten_times_too_large_is_contradicted_by_the_voltage(tmp_path: Path) -> None:
-    """It was trusted, and torque constant and nameplate agree: both have the same slip."""
+    """It was trusted, and says neither a speed nor a constant of the flux that would contradict it before."""
     _, truth = unknown_drive(SEED)
-    step = step_of(tmp_path, plate(torque_nm=10.0 * truth.rated_torque_nm))
+    rating = {key: value for key, value in truth.nameplate["rating"].items() if key != "speed_rpm"}
+    step = step_of(tmp_path, {"rating": rating | {"torque_nm": 10.0 * truth.rated_torque_nm}})
     assert step.verdict is StepVerdict.FAILED
     assert step.reason.startswith("torque constant and DC link contradict each other by")
     assert "torque_nm" in step.reason

@@ -1,0 +1,81 @@
+"""A nameplate that contradicts itself is refused before anything is sent, whoever is to be trusted."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from design.flux_constants import CONVENTIONS
+from hil.cli import app
+from hil.commissioning.request import PlateMotor
+from hil.configuration.toml_text import toml_text
+from tests.commissioning import unknown_world
+from virtual_bus.drive.unknown_drive import unknown_drive
+
+SEED = 7
+"""Its drive tells twice its rated torque, so a plate that is mended by the drive has twice the torque."""
+
+
+def plate(**rating: float) -> dict[str, Any]:
+    """The seed's own without the constant of the flux, with ratings changed."""
+    _, truth = unknown_drive(SEED)
+    own = truth.nameplate
+    motor = {key: value for key, value in own["motor"].items() if key not in CONVENTIONS}
+    return {"motor": motor, "rating": own["rating"] | rating}
+
+
+def commissioned(tables: dict[str, Any], folder: Path, *options: str) -> tuple[int, str]:
+    file = folder / "plate.toml"
+    file.write_text(toml_text(tables), encoding="utf-8")
+    asked = ["commission", "--bus", "simulated", "--node", "1", "--rehearse", str(SEED), "--yes"]
+    done = CliRunner().invoke(app, [*asked, "--motor", str(file), "--out", str(folder / "out"), *options])
+    return done.exit_code, done.output
+
+
+@pytest.mark.parametrize("options", [(), ("--trust-nameplate",)])
+@pytest.mark.parametrize(
+    ("torque_nm", "told"),
+    [
+        (3.684, "torque and speed make 655.8 W, volts and amperes 642.6 VA at most"),
+        (1842.0, "rated torque 1.842 N m (N mm taken for N m)"),
+    ],
+)
+def test_twice_the_torque_and_newton_millimetres_are_refused(
+    torque_nm: float, told: str, options: tuple[str, ...], tmp_path: Path
+) -> None:
+    status, said = commissioned(plate(torque_nm=torque_nm), tmp_path, *options)
+    assert status == 2
+    assert f"{tmp_path / 'plate.toml'}: rating.torque_nm, rating.speed_rpm" in said
+    assert told in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_plate_of_a_program_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    _, result, _ = unknown_world(SEED, tmp_path, plate=plate(torque_nm=3.684))
+    assert result.records[-1].name == "units"
+    assert "the nameplate contradicts itself" in result.records[-1].reason
+    assert result.error is not None
+
+
+def test_a_torque_alone_that_the_drives_current_and_voltage_cannot_make_is_refused_though_trusted(
+    tmp_path: Path,
+) -> None:
+    """The plate has no current: the drive's 6075h and 6079h make 643 VA, not 328 kW."""
+    tables = {"rating": {"torque_nm": 1842.0, "speed_rpm": 1700.0}}
+    _, result, _ = unknown_world(SEED, tmp_path, plate=tables, trust_nameplate=True, last_step="units")
+    assert result.records[-1].name == "units"
+    assert "the nameplate's cannot be" in result.records[-1].reason
+
+
+def test_a_drive_whose_torque_cannot_be_is_not_believed_and_nobody_is_asked(tmp_path: Path) -> None:
+    """6076h tells 3.684 N m, which the plate's volts and amperes do not make."""
+    _, result, _ = unknown_world(SEED, tmp_path, plate=plate(), trust_nameplate=False, last_step="units")
+    (units,) = [record for record in result.records if record.name == "units"]
+    assert units.reason == ""
+    assert any("6076h cannot be: " in fault for fault in units.outcome.faults)
+    assert result.findings.override.rated_torque_nm == 1.842
+
+
+def test_a_plate_takes_every_constant_of_the_flux() -> None:
+    assert set(CONVENTIONS) <= set(PlateMotor.model_fields)
