@@ -13,6 +13,7 @@
 #                    files against their loaders, for at most SECONDS each
 #   make rehearsals  commission simulated drives by made-up data sheets, each with what vendors' sheets lack or
 #                    have oddly, alone and in pairs, for at most SECONDS
+#   make mistakes    commission drawn drives by nameplates with the mistakes that people make, for at most SECONDS
 #   make mutate      put defects into the product: all in its safety limits and fault reactions, and for at
 #                    most SECONDS drawn ones anywhere; the tests must see them
 #   make pictures    draw every page of runs of every kind, for at most SECONDS, into build/pictures, and look in
@@ -40,7 +41,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit test-dask test-vcan truth swarm rehearsals mutate pictures exits bench docs lock clean
+.PHONY: help setup compile pure wheel demo check format test unit test-dask test-vcan truth swarm rehearsals mistakes mutate pictures exits bench docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -129,6 +130,9 @@ swarm: $(TOOLS) compile
 
 rehearsals: $(TOOLS) compile
 	@$(BIN)/python -m tests.rehearsals --seconds $(SECONDS)
+
+mistakes: $(TOOLS) compile
+	@$(BIN)/python -m tests.mistakes --seconds $(SECONDS)
 
 # Interpreted, in a copy of its own: the checkout and its compiled modules are left alone.
 mutate: $(TOOLS) compile

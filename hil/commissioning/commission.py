@@ -18,11 +18,10 @@ from drivers.wire.adapters import parse_bus_spec
 from hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
 from hil.commissioning.drive_left import DriveLeft
 from hil.commissioning.files import set_objects, write_files
-from hil.commissioning.outcome import StepVerdict
 from hil.commissioning.recording import SessionLog
 from hil.commissioning.rehearsal import rehearsed_drive
 from hil.commissioning.rehearsed_files import ways_to_run
-from hil.commissioning.report import HTML_FILE, Commissioned, as_json, write_report
+from hil.commissioning.report import Commissioned, as_json, summary_of, write_report
 from hil.commissioning.request import CommissionRequest, Nameplate, Rehearsal
 from hil.commissioning.sequence import Step, run_sequence
 from hil.commissioning.session import Session
@@ -82,9 +81,8 @@ def run_command(
         stop = EmergencyStop(signals, sys.stdin)
         with timing_conditions(world.real_time):
             result = commission(request, world, dialog, stop, sheet)
-    done = sum(record.verdict is StepVerdict.DONE for record in result.records)
-    faults = sum(len(record.outcome.faults) for record in result.records)
-    say(f"{done} of {len(result.records)} steps done, {faults} faults found; see {request.out / HTML_FILE}")
+    for line in summary_of(request, result):
+        say(line)
     if (request.out / BENCH_FILE).exists():
         for line in ways_to_run(request, request.out):
             say(line)

@@ -18,6 +18,7 @@ from hil.commissioning.outcome import LOSSES_MAX
 from hil.commissioning.rehearsed_files import copied_files, sheet_name, simulation_table, ways_to_run
 from hil.commissioning.session import Session
 from hil.commissioning.steps_design import rounded, suggested_limits
+from hil.commissioning.torque_scale import torque_scale
 from hil.configuration.network_file import NETWORK_FILE, network_text
 from hil.configuration.toml_text import toml_text
 from hil.restoring.journal import SET_POINTS, ObjectKey
@@ -46,7 +47,8 @@ def write_files(session: Session) -> None:
     texts: dict[str, str] = {}
     findings = session.found
     if findings.identity is not None and findings.told is not None:
-        texts[COMMISSIONED_FILE] = _headed("The drive as commissioning found it.", drive_tables(session))
+        text = f"The drive as commissioning found it.{_rests(session)}"
+        texts[COMMISSIONED_FILE] = _headed(text, drive_tables(session))
     if findings.mechanics is not None:
         texts[MOTOR_FILE] = _motor_text(session)
     if findings.network is not None:
@@ -66,7 +68,7 @@ def write_files(session: Session) -> None:
         )
     if findings.controller and MOTOR_FILE in texts:
         lines = [
-            "A bench for this drive, with the suggested controller and limits.",
+            f"A bench for this drive, with the suggested controller and limits.{_rests(session)}",
             *ways_to_run(session.request, Path()),
         ]
         texts[BENCH_FILE] = _headed("\n# ".join(lines), _bench_tables(session))
@@ -185,10 +187,16 @@ def _motor_text(session: Session) -> str:
     measured = (
         "Inertia, friction and torque constant" if findings.torque_constant_nm_a else "Inertia and friction"
     )
-    notes = [f"{measured} are measured; they include the load on the shaft."]
+    notes = [f"{measured} are measured; they include the load on the shaft.{_rests(session)}"]
     notes += _by_word(findings)
     notes += [f"Not known: {guess}." for guess in guesses]
     return _headed(" ".join(notes), tables)
+
+
+def _rests(session: Session) -> str:
+    """What every figure in N m and kg m^2 rests on, as a sentence behind another."""
+    scale = torque_scale(session.found, session.request.nameplate)
+    return "" if scale is None else f" Each figure in N m or kg m^2 {scale.sentence}."
 
 
 def _by_word(findings: Findings) -> list[str]:

@@ -57,6 +57,10 @@ class Findings:
     """What is taken for pole pairs, winding and torque constant, by quantity: nothing here is measured."""
     speed_noise_rad_s: float = 0.0
     """Rms of the velocity 606Ch about the derivative of the position."""
+    rated_current_a: float | None = None
+    """A rms, as the drive tells it."""
+    voltage_constant: tuple[float, float] | None = None
+    """V s/rad, a phase's peak, with its expanded uncertainty, k = 2; None unless the voltage gave out."""
     torque_constant_nm_a: float | None = None
     """N m per A rms, as the drive's own figures have it."""
     velocity_ratio: SpeedRatio | None = None

@@ -29,7 +29,7 @@ _DC_RATIO: Final = 1.2
 """A mains voltage may be a tenth off, and so may the ripple's mean; AC volts for DC are 1.41 off."""
 _DC_LINK_MIN_V: Final = 5.0
 """Less is a link that is not charged: no drive runs a motor from it."""
-_CONSTANT: Final = "torque_constant_nm_a"
+CONSTANT_QUANTITY: Final = "torque_constant_nm_a"
 CONSTANT_TOLERANCE: Final = 0.1
 """Between the torque constant that was told and the measured one: ratings are rounded, and magnets differ by
 percents."""
@@ -98,6 +98,7 @@ def compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) ->
     """
     rating = session.request.nameplate.rating
     current_a, source = rated_current(session)
+    session.found.rated_current_a = current_a
     if rating.torque_nm is None:
         outcome.say("no nameplate: the rated torque 6076h cannot be checked, and every torque rests on it")
     elif abs(torque_nm / rating.torque_nm - 1.0) > _RATING_TOLERANCE:
@@ -154,7 +155,7 @@ def _impossible(session: Session, torque_nm: float) -> Contradiction | None:
     """What a rated torque contradicts: the nameplate's other figures, or the drive's where it has none."""
     figures = session.request.nameplate.figures
     current_a, _ = rated_current(session)
-    constant = session.found.motor.figures.get(_CONSTANT)
+    constant = session.found.motor.figures.get(CONSTANT_QUANTITY)
     told = session.found.motor.figures.get("rated_current_a")
     if figures.rated_current_a is None and current_a and (told is None or told.convention != "own"):
         figures = replace(figures, rated_current_a=math.sqrt(2.0) * current_a)
@@ -254,7 +255,7 @@ def settle_winding(session: Session, outcome: StepOutcome) -> None:
         ("resistance_ohm", winding.resistance_ohm),
         ("inductance_d_h", winding.inductance_d_h),
         ("inductance_q_h", winding.inductance_q_h),
-        (_CONSTANT, plate_constant(plate)),
+        (CONSTANT_QUANTITY, plate_constant(plate)),
     ):
         _settle(session, outcome, name, printed)
     current, poles = motor.figures.get("rated_current_a"), motor.figures.get("pole_pairs")
@@ -328,7 +329,7 @@ def _by_drive(figure: ToldFigure, value: str, printed: float) -> str:
 
 def compare_constant(told: ToldMotor, measured: float, outcome: StepOutcome) -> None:
     """The torque constant that was told against the measured one, N m/A."""
-    figure = told.figures.get(_CONSTANT)
+    figure = told.figures.get(CONSTANT_QUANTITY)
     if figure is None:
         return
     ratio = measured / figure.value
@@ -345,3 +346,13 @@ def _named(figure: ToldFigure) -> tuple[str, str]:
     quantity = QUANTITIES[figure.quantity]
     own = figure.convention == "own"
     return quantity.title, quantity.unit.replace("A rms", "A of the drive") if own else quantity.unit
+
+
+def compare_inertia(session: Session, outcome: StepOutcome, inertia_kg_m2: float) -> None:
+    """The shaft with its load cannot have less than the rotor alone has by the nameplate."""
+    rotor = session.request.nameplate.motor.inertia_kg_m2
+    if rotor is not None and inertia_kg_m2 < rotor * (1.0 - CONSTANT_TOLERANCE):
+        outcome.faults.append(
+            f"inertia {inertia_kg_m2:.4g} kg m^2 is less than that of the rotor alone by the nameplate, "
+            f"{rotor:.4g}: the rated torque, on which it rests, is too small, or motor.inertia_kg_m2 is wrong"
+        )

@@ -10,12 +10,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
+from drivers.cia402.objects402 import Object
 from drivers.errors import BenchError
 from drivers.vendors.motor_objects import QUANTITIES
 from hil.commissioning.drive_left import DriveLeft
-from hil.commissioning.findings import Findings
-from hil.commissioning.outcome import StepRecord, StepVerdict
+from hil.commissioning.findings import BY_NAMEPLATE, Findings
+from hil.commissioning.outcome import StatedFigure, StepRecord, StepVerdict
 from hil.commissioning.request import CommissionRequest
+from hil.commissioning.torque_scale import TorqueScale, is_proportional, torque_scale
 from hil.rows.run_files import COMMISSIONING_FIGURES
 
 REPORT_FILE = "report.md"
@@ -85,8 +87,55 @@ def header_of(request: CommissionRequest, result: Commissioned) -> dict[str, Any
         "nameplate": request.nameplate.model_dump(exclude_none=True, exclude={"limits"}),
         "limits": request.nameplate.limits.model_dump(exclude_none=True),
         "not measurable over CiA 402": _stated(result.findings),
-        "uncertainties": "expanded, k = 2; figures in N m are in proportion to the rated torque 6076h",
+        "by the nameplate alone": ", ".join(_by_plate_alone(request, result)),
+        "uncertainties": "expanded, k = 2, by the scatter of the fit, without that of the torque scale",
+        "torque scale": None if (scale := _scale(request, result)) is None else scale.sentence,
     }
+
+
+def _scale(request: CommissionRequest, result: Commissioned) -> TorqueScale | None:
+    return torque_scale(result.findings, request.nameplate)
+
+
+def _by_plate_alone(request: CommissionRequest, result: Commissioned) -> list[str]:
+    """Keys of the nameplate that were held against each other, in wide bands, and against nothing else."""
+    plate, findings, scale = request.nameplate, result.findings, _scale(request, result)
+    motor, rating = plate.motor, plate.rating
+    alone = {
+        "rating.torque_nm": rating.torque_nm and scale is not None and scale.ratio is None,
+        "rating.speed_rpm": rating.speed_rpm,
+        "rating.current_a": rating.current_a and findings.rated_current_a is None,
+        "rating.current_max_a": rating.current_max_a,
+        "rating.dc_bus_voltage_v": rating.dc_bus_voltage_v
+        and Object.DC_LINK_CIRCUIT_VOLTAGE not in _read(findings),
+        "motor.inertia_kg_m2": motor.inertia_kg_m2,
+        **{
+            f"motor.{name}": getattr(motor, name) and name not in findings.motor.figures
+            for name in ("resistance_ohm", "inductance_d_h", "inductance_q_h")
+        },
+        "motor.pole_pairs": "pole_pairs" in findings.stated
+        and findings.stated["pole_pairs"].by == BY_NAMEPLATE,
+    }
+    return [key for key, is_alone in alone.items() if is_alone]
+
+
+def _read(findings: Findings) -> set[int]:
+    """Indices of the objects that the drive has."""
+    return {index for index, _ in findings.dump}
+
+
+def summary_of(request: CommissionRequest, result: Commissioned) -> list[str]:
+    """What came of it, in a line; what its torques rest on, in another."""
+    done = sum(record.verdict is StepVerdict.DONE for record in result.records)
+    faults = sum(len(record.outcome.faults) for record in result.records)
+    scale = _scale(request, result) if result.findings.mechanics is not None else None
+    found = f"{faults} faults found"
+    if scale is not None and scale.ratio is None:
+        found = f"{faults or 'no'} faults found with a torque scale that nothing measured"
+    lines = [f"{done} of {len(result.records)} steps done, {found}; see {request.out / HTML_FILE}"]
+    if scale is not None:
+        lines.append(f"each of inertia, friction and gains {scale.sentence}")
+    return lines
 
 
 def _stated(findings: Findings) -> str | dict[str, str]:
@@ -116,6 +165,7 @@ def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
     """The same for programs."""
     left, findings = result.left, result.findings
     restoration = left.restoration
+    scale = _scale(request, result)
     return {
         "header": header_of(request, result),
         "bus": request.bus,
@@ -131,6 +181,7 @@ def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
             for key, value in sorted(findings.settings.items(), key=lambda item: str(item[0]))
         ],
         "undo": request.restore_command,
+        "torque_scale": None if scale is None else scale.as_json(),
         "steps": [
             {
                 "name": record.name,
@@ -140,7 +191,7 @@ def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
                 "headline": record.outcome.headline or next(iter(record.outcome.lines), ""),
                 "lines": record.outcome.lines,
                 "pictures": record.outcome.pictures,
-                "quantities": [asdict(each) for each in record.outcome.quantities],
+                "quantities": [_quantity(each, scale) for each in record.outcome.quantities],
                 "verdict": record.verdict.value,
                 "reason": record.reason,
                 "faults": record.outcome.faults,
@@ -149,6 +200,19 @@ def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
             for record in result.records
         ],
     }
+
+
+def _quantity(figure: StatedFigure, scale: TorqueScale | None) -> dict[str, Any]:
+    """With what it rests on and the relative uncertainty of that, if it is in proportion to the torque."""
+    if scale is None or not is_proportional(figure.unit):
+        return asdict(figure)
+    return {**asdict(figure), "scale_uncertainty": scale.uncertainty, "rests_on": scale.sentence}
+
+
+def _rests_on(step: Mapping[str, Any]) -> str:
+    """What figures of a step rest on; empty if none is in proportion to the torque."""
+    sentences = [(each["name"], each["rests_on"]) for each in step["quantities"] if "rests_on" in each]
+    return f"{', '.join(name for name, _ in sentences)}: {sentences[0][1]}" if sentences else ""
 
 
 def _title(figures: Mapping[str, Any]) -> str:
@@ -201,6 +265,8 @@ def _markdown_step(number: int, step: Mapping[str, Any]) -> list[str]:
     if step["verdict"] != "done":
         lines += [f"**{step['verdict']}**: {step['reason']}", ""]
     said = [line if line.startswith("- ") else f"- {line}" for line in step["lines"]]
+    rests = _rests_on(step)
+    said += [f"- {rests}"] if rests and not any("rests on the" in line for line in said) else []
     said += [f"- **found**: {fault}" for fault in step["faults"]]
     lines += [*said, ""] if said else []
     for picture in step["pictures"]:
@@ -244,10 +310,20 @@ def _html_step(number: int, step: Mapping[str, Any], folder: Path) -> list[str]:
         lines.append(f"<p class='failed'>{_text(step['verdict'])}: {_text(step['reason'])}</p>")
     if step["quantities"]:
         rows = [
-            [each["name"], _figure(each["value"]), _figure(each["uncertainty"]), each["unit"]]
+            [
+                each["name"],
+                _figure(each["value"]),
+                _figure(each["uncertainty"]),
+                _of_scale(each),
+                each["unit"],
+            ]
             for each in step["quantities"]
         ]
-        lines.append(_table(["quantity", "value", "uncertainty, k = 2", "unit"], rows))
+        lines.append(
+            _table(["quantity", "value", "of the fit, k = 2", "of the torque scale, k = 2", "unit"], rows)
+        )
+        if _rests_on(step):
+            lines.append(f"<p>{_text(_rests_on(step))}.</p>")
     lines.append(_list([line.removeprefix("- ") for line in step["lines"]]))
     for picture in step["pictures"]:
         data = base64.b64encode((folder / picture).read_bytes()).decode("ascii")
@@ -275,6 +351,14 @@ def _list(lines: Sequence[str]) -> str:
 
 def _figure(value: float | None) -> str:
     return "" if value is None else f"{value:.4g}"
+
+
+def _of_scale(quantity: Mapping[str, Any]) -> str:
+    """Of a figure that is in proportion to the torque scale, the uncertainty of that."""
+    if "rests_on" not in quantity:
+        return ""
+    share = quantity["scale_uncertainty"]
+    return "unknown" if share is None else f"{100.0 * share:.2g} %"
 
 
 def _text(value: Any) -> str:

@@ -92,6 +92,8 @@ class Suggest(Step):
             f"PI: {proportional:.4g} N m s/rad and {integral:.4g} N m/rad, crossing at {crossing:.0f} rad/s; "
             f"a load of 1 N m moves the speed by at most {design.gain:.3g} rad/s as a sine"
         )
+        outcome.measured("proportional gain", proportional, "N m s/rad")
+        outcome.measured("integral gain", integral, "N m/rad")
         outcome.say(f"sampling period {period_us} us")
         outcome.figures = {
             "proportional_nm_s_rad": proportional,

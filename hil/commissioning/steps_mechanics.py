@@ -15,11 +15,13 @@ from drivers.timebase import NS_PER_S
 from hil.commissioning.excitation import GUIDE_RAD_S, SpeedGuide
 from hil.commissioning.exercise import Exerciser, Recording
 from hil.commissioning.identify import COVERAGE_FACTOR, Mechanics, NotIdentifiable, identify_mechanics
+from hil.commissioning.nameplate import compare_inertia
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.plots import draw_angle, draw_mechanics
 from hil.commissioning.ripple import torque_by_angle
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
+from hil.commissioning.torque_scale import torque_scale
 from hil.loop.scenario import LevelStep, Quantity, Ramp, Segment
 
 _SPEED_SHARE: Final = 0.9
@@ -103,7 +105,11 @@ class MechanicsStep(Step):
         if not tells_torque(session):
             mechanics = _by_command(session, mechanics, outcome)
         _judge(mechanics, outcome)
+        compare_inertia(session, outcome, mechanics.inertia_kg_m2)
         session.found.mechanics = mechanics
+        scale = torque_scale(session.found, session.request.nameplate)
+        if scale is not None:
+            outcome.say(f"each of them {scale.sentence}")
         session.found.speed_noise_rad_s = noise = _speed_noise(recordings)
         outcome.figures["speed_noise_rad_s"] = noise
         outcome.say(f"the velocity 606Ch scatters by {noise:.3g} rad/s rms")
@@ -321,7 +327,7 @@ def _judge(mechanics: Mechanics, outcome: StepOutcome) -> None:
         ("Coulomb friction", mechanics.coulomb_friction_nm, 4, "N m", mechanics.coulomb_error),
     ):
         outcome.measured(name, value, unit, error)
-        outcome.say(f"{name} {value:.{digits}g} {unit} +- {error:.2g} (k = 2)")
+        outcome.say(f"{name} {value:.{digits}g} {unit} +- {error:.2g} (k = 2, of the fit)")
     outcome.say(f"torque offset {mechanics.offset_nm:.3g} N m; {mechanics.equations} equations")
     bound = _UNCERTAIN + (COVERAGE_FACTOR * _COMMANDED if outcome.figures["by_command"] else 0.0)
     if mechanics.inertia_kg_m2 <= 0.0 or mechanics.inertia_error > bound * mechanics.inertia_kg_m2:

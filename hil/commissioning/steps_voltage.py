@@ -16,18 +16,19 @@ from typing import Final
 import numpy as np
 
 from drivers.cia402.objects402 import Object
+from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S
 from hil.commissioning.exercise import Recording
+from hil.commissioning.nameplate import CONSTANT_QUANTITY
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
+from hil.commissioning.torque_scale import TORQUE_PER_VOLTAGE
 from hil.loop.axis_roles import Controller
 from hil.loop.context import Context, SetPoint, TorqueSetPoint
 from hil.loop.samples import StateEstimate
 
-TORQUE_PER_VOLTAGE: Final = 1.5 * math.sqrt(2.0)
-"""N m per A rms over V s/rad, of three phases."""
 _SPEED_SHARE: Final = 0.95
 """Of the speed limit."""
 _PUSH_SHARE: Final = 0.3
@@ -50,6 +51,8 @@ _DROP: Final = 0.08
 """R i over the phase voltage at the rated current, at most, of a servo motor whose R nobody tells."""
 _CONTRADICTION: Final = 1.5
 """Sines without third harmonic use 0.866 of the DC link, and ratings are rounded."""
+_DOUBT: Final = 1.25
+"""From here on it is a finding, and the step goes on: sqrt(2) is more, sines without third harmonic less."""
 
 
 class VoltageConstant(Step):
@@ -95,10 +98,10 @@ class VoltageConstant(Step):
         speed = _ending_rad_s(recording, _LOOK_S if up.stalled else _END_S)
         outcome.figures = {"dc_link_v": dc_v, "speed_rad_s": speed, "limited": up.stalled}
         outcome.say(f"6079h tells {dc_v:.4g} V: at most {voltage_v:.4g} V a phase, peak")
-        by_torque = session.found.torque_constant_nm_a or session.found.motor.value("torque_constant_nm_a")
-        expected = None if by_torque is None else by_torque / TORQUE_PER_VOLTAGE
+        expected = _by_torque(session)
         if up.stalled:
             constant = _constant(session, voltage_v, speed, outcome)
+            session.found.voltage_constant = constant, outcome.figures["voltage_constant_error"]
             _judge(constant, constant, expected, outcome)
         else:
             bound = voltage_v / speed
@@ -228,6 +231,15 @@ def _constant(session: Session, voltage_v: float, speed: float, outcome: StepOut
     return constant
 
 
+def _by_torque(session: Session) -> float | None:
+    """V s/rad by the torque constant: measured, told, or of the ratings."""
+    findings = session.found
+    by_torque = findings.torque_constant_nm_a or findings.motor.value(CONSTANT_QUANTITY)
+    if by_torque is None and findings.rated_current_a:
+        by_torque = session.rated_torque_nm / findings.rated_current_a
+    return None if by_torque is None else by_torque / TORQUE_PER_VOLTAGE
+
+
 def _judge(least: float, most: float, expected: float | None, outcome: StepOutcome) -> None:
     """``expected``: by the torque constant, which rests on 6075h and 6076h."""
     if expected is None:
@@ -242,4 +254,10 @@ def _judge(least: float, most: float, expected: float | None, outcome: StepOutco
             "; ".join(outcome.lines),
             "6076h, 6075h, or torque_nm or current_a of the nameplate is wrong, on which every torque here "
             "rests (or the drive weakens the field)",
+        )
+    if ratio > _DOUBT:
+        slip = likely_slip(ratio, TORQUE_SLIPS, tolerance=_USED)
+        outcome.faults.append(
+            f"torque constant and DC link contradict each other by {ratio:.3g}{slip and f' ({slip})'}: "
+            "6076h, 6075h or the nameplate is wrong, and every torque with it"
         )

@@ -1,0 +1,1 @@
+"""Nameplates with the mistakes that people make, commissioned on drawn drives."""
