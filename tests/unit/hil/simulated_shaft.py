@@ -188,6 +188,7 @@ def session_of(shaft: Shaft, **more: Any) -> Session:
         found.override = replace(found.override, **changes)
 
     session = SimpleNamespace(
+        request=SimpleNamespace(nameplate=Nameplate()),
         limits=LIMITS,
         found=found,
         told=scaling,

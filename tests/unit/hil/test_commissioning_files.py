@@ -34,6 +34,7 @@ MECHANICS = Mechanics(1e-3, 2e-3, 0.05, 0.01, 0.0, 0.0, 0.0, 99, 0.001)
 CONTROLLER = {"kind": "pid", "proportional_nm_s_rad": 0.25, "integral_nm_rad": 4.0}
 PLATE: dict[str, Any] = {"motor": {"name": "M1"}}
 WORD = "by the nameplate"
+RESTS = "Each figure in N m or kg m^2 rests on the rated torque of 6076h, 1.6 N m, which nothing measured."
 
 
 def session(plate: dict[str, Any] | None = None, **more: Any) -> Session:
@@ -114,6 +115,7 @@ def test_a_motor_of_which_nothing_else_is_known_stands_in() -> None:
     flux = 1.0 / math.sqrt(2.0) / 1.5
     assert text.splitlines()[0] == (
         "# Inertia and friction are measured; they include the load on the shaft. "
+        f"{RESTS} "
         "Not known: the flux is that of 1 N m per A rms. "
         "Not known: resistance and inductance are stand-ins with the measured lag of the torque. "
         "Not known: the number of pole pairs is not known. "
@@ -162,6 +164,7 @@ def test_a_motor_of_which_all_is_known_is_that_one() -> None:
     text = _motor_text(made)
     assert text.splitlines()[0] == (
         "# Inertia, friction and torque constant are measured; they include the load on the shaft. "
+        f"{RESTS} "
         "Not measurable over CiA 402, by the nameplate: resistance, pole pairs. "
         "Not measured: inductance, told by the drive."
     )
@@ -275,13 +278,13 @@ def test_all_files_are_written_and_read_again(tmp_path: Path) -> None:
     found.dump, found.originals = {(0x1000, 0): b"\x92\1\2\0"}, {ObjectKey(0x1017, 0): b"\0\0"}
     texts = written(made, tmp_path)
     assert sorted(texts) == ["bench.toml", "drive.dcf", "drive.toml", "motor.toml", "network.toml"]
-    assert texts["drive.toml"].startswith("# The drive as commissioning found it.\n\n")
+    assert texts["drive.toml"].startswith(f"# The drive as commissioning found it. {RESTS}\n\n")
     assert tomllib.loads(texts["drive.toml"]) == drive_tables(made)
     assert texts["network.toml"].startswith("# What the bus does to readings and commands, measured.\n\n")
     assert load_network(tmp_path / "network.toml") == found.network
     assert texts["motor.toml"] == _motor_text(made)
     assert texts["bench.toml"].startswith(
-        "# A bench for this drive, with the suggested controller and limits.\n\n"
+        f"# A bench for this drive, with the suggested controller and limits. {RESTS}\n\n"
     )
     heartbeats = {"heartbeat_ms": 50, "heartbeat_timeout_ms": 150}
     rpm = float(round(0.4 * LIMITS.speed_rad_s / RAD_S_PER_RPM))

@@ -79,15 +79,18 @@ def test_by_torques_the_shaft_is_found(by_torques: Run) -> None:
 def test_what_it_finds_is_told_with_its_noise_of_speed(by_torques: Run) -> None:
     found, outcome = by_torques.found, by_torques.outcome
     noise = by_torques.session.found.speed_noise_rad_s
-    assert outcome.lines[:5] == [
-        f"inertia {found.inertia_kg_m2:.5g} kg m^2 +- {found.inertia_error:.2g} (k = 2)",
-        f"viscous friction {found.viscous_friction_nm_s:.4g} N m s/rad +- {found.viscous_error:.2g} (k = 2)",
-        f"Coulomb friction {found.coulomb_friction_nm:.4g} N m +- {found.coulomb_error:.2g} (k = 2)",
+    fit = "(k = 2, of the fit)"
+    viscous = found.viscous_friction_nm_s
+    assert outcome.lines[:6] == [
+        f"inertia {found.inertia_kg_m2:.5g} kg m^2 +- {found.inertia_error:.2g} {fit}",
+        f"viscous friction {viscous:.4g} N m s/rad +- {found.viscous_error:.2g} {fit}",
+        f"Coulomb friction {found.coulomb_friction_nm:.4g} N m +- {found.coulomb_error:.2g} {fit}",
         f"torque offset {found.offset_nm:.3g} N m; {found.equations} equations",
+        "each of them rests on the rated torque of 6076h, 1.6 N m, which nothing measured",
         f"the velocity 606Ch scatters by {noise:.3g} rad/s rms",
     ]
     ripple_nm = outcome.figures["torque_ripple_nm"]
-    assert outcome.lines[5].startswith(f"over a turn the torque varies by +-{ripple_nm:.3g} N m; a point")
+    assert outcome.lines[6].startswith(f"over a turn the torque varies by +-{ripple_nm:.3g} N m; a point")
     assert [(each.name, each.unit) for each in outcome.quantities[3:]] == [
         ("torque over the angle, half of peak to peak", "N m")
     ]
@@ -218,9 +221,9 @@ def test_all_that_is_said_of_a_shaft() -> None:
     outcome = StepOutcome()
     _judge(FOUND, outcome)
     assert outcome.lines == [
-        "inertia 0.00081235 kg m^2 +- 1.2e-05 (k = 2)",
-        "viscous friction 0.002123 N m s/rad +- 4.6e-05 (k = 2)",
-        "Coulomb friction 0.05123 N m +- 0.00079 (k = 2)",
+        "inertia 0.00081235 kg m^2 +- 1.2e-05 (k = 2, of the fit)",
+        "viscous friction 0.002123 N m s/rad +- 4.6e-05 (k = 2, of the fit)",
+        "Coulomb friction 0.05123 N m +- 0.00079 (k = 2, of the fit)",
         "torque offset 0.0101 N m; 321 equations",
     ]
     assert outcome.quantities == [

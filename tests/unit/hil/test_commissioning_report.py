@@ -174,9 +174,10 @@ def test_each_step_has_its_part_in_one_html_file(tmp_path: Path) -> None:
     steps = page[page.index("<h2>1.") :]
     assert steps == (
         "<h2>1. Step | one</h2><p><em>listen to it</em></p><p>It fails if it is silent.</p>"
-        "<table><tr><th>quantity</th><th>value</th><th>uncertainty, k = 2</th><th>unit</th></tr>"
-        "<tr><td>inertia</td><td>0.001235</td><td>2e-05</td><td>kg m^2</td></tr>"
-        "<tr><td>lag</td><td>7</td><td></td><td>us</td></tr></table>"
+        "<table><tr><th>quantity</th><th>value</th><th>of the fit, k = 2</th>"
+        "<th>of the torque scale, k = 2</th><th>unit</th></tr>"
+        "<tr><td>inertia</td><td>0.001235</td><td>2e-05</td><td></td><td>kg m^2</td></tr>"
+        "<tr><td>lag</td><td>7</td><td></td><td></td><td>us</td></tr></table>"
         "<ul><li>it said a</li><li>and b &lt; c</li></ul>"
         f"<p><img alt='Step | one' src='data:image/png;base64,{picture}'></p>"
         "<h2>2. Two</h2><p class='failed'>failed: it went wrong</p></body></html>\n"
