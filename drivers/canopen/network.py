@@ -15,7 +15,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoError
 from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST
 from drivers.canopen.frame_pump import FramePump, Handler
 from drivers.canopen.life_signs import LifeSigns
-from drivers.canopen.nmt import Emergency, NodeStatus, parse_emergency
+from drivers.canopen.nmt import EMERGENCIES_KEPT, Emergency, NodeStatus, parse_emergency
 from drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand, NmtState
 from drivers.canopen.polls import ObjectPoll, ObjectPolls, Polled
 from drivers.canopen.sdo import (
@@ -46,7 +46,7 @@ request, and a dozen are needed to connect."""
 class CanopenNetwork(canopen.Network):
     """One bus with its nodes, as the master sees it.
 
-    ``sync_count`` counts the SYNCs sent; ``emergencies`` keeps the last 1000 EMCYs as values.
+    ``sync_count`` counts the SYNCs sent; ``emergencies`` keeps the last 10 000 EMCYs as values.
     Every method that sends or lets time pass raises BusDown if the bus is gone.
     """
 
@@ -64,7 +64,7 @@ class CanopenNetwork(canopen.Network):
         self.clock = clock
         self.node_id = node_id
         """The master's own, for its heartbeat."""
-        self.emergencies: deque[Emergency] = deque(maxlen=1000)
+        self.emergencies: deque[Emergency] = deque(maxlen=EMERGENCIES_KEPT)
         self.emergencies_seen = 0
         self.sdo_timeout_s = 0.2
         """Wait for one answer."""

@@ -1,5 +1,6 @@
 """What a master knows of a node: NMT state, heartbeat, emergencies (CiA 301 7.2.8, 7.2.7)."""
 
+from collections.abc import Iterable
 from struct import Struct
 from typing import NamedTuple
 
@@ -8,6 +9,8 @@ from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Duration, Instant
 
 _EMERGENCY = Struct("<HB5s")
+EMERGENCIES_KEPT = 10_000
+"""A drive that repeats one every 10 ms is seen from the first to the last in a run of 100 s; some 2 MB."""
 _TOGGLE = 0x80
 """Of an answer to node guarding."""
 
@@ -36,6 +39,24 @@ class Emergency(NamedTuple):
 
     def __str__(self) -> str:
         return self.told()
+
+
+class EmergencySeries(NamedTuple):
+    """EMCYs of one code and node."""
+
+    first: Emergency
+    last: Emergency
+    times: int
+
+
+def condensed(emergencies: Iterable[Emergency]) -> list[EmergencySeries]:
+    """Those of one code and node as one, in the order in which each came last."""
+    repeated: dict[tuple[int, int], EmergencySeries] = {}
+    for each in emergencies:
+        key = each.node_id, each.code
+        before = repeated.pop(key, EmergencySeries(each, each, 0))
+        repeated[key] = before._replace(last=each, times=before.times + 1)
+    return list(repeated.values())
 
 
 def parse_emergency(node_id: int, data: bytes, at: Instant) -> Emergency | None:

@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Final
 
 from drivers.canopen.error_codes import fault_text, register_text
-from drivers.canopen.nmt import Emergency
+from drivers.canopen.nmt import Emergency, condensed
 from drivers.canopen.objects import RemoteObjects, SettingRefused
 from drivers.canopen.objects301 import FIRST_OBJECT, Cia301
 from drivers.canopen.pdo import PdoPlan
@@ -51,9 +51,11 @@ _OLDER_WORDS_LIMIT = Duration(50 * NS_PER_MS)
 _FAULT_SPAN = Duration(100 * NS_PER_MS)
 """The EMCY of a fault is no longer before the statusword that tells of it: the event timer of such a TPDO, or
 the SDO that asks for it, takes less."""
-_EMERGENCIES_KEPT = 8
-"""The last ones, among which that of a fault is looked for; the network keeps all."""
+_EMERGENCIES_KEPT = 64
+"""The last ones, among which that of a fault is looked for: a warning that is repeated every 2 ms leaves it
+there for :data:`_FAULT_SPAN`."""
 _EMERGENCIES_SHOWN = 2
+"""Of different codes."""
 
 
 class StateControl:
@@ -215,8 +217,10 @@ class StateControl:
         except PeerFault as error:
             parts.append(str(error))
         now = self.network.clock.now()
-        last = list(self.emergencies)[-_EMERGENCIES_SHOWN:]
-        parts += [f"{each.told(*self.make)}, {(now - each.at) / NS_PER_MS:.0f} ms ago" for each in last]
+        for each in condensed(self.emergencies)[-_EMERGENCIES_SHOWN:]:
+            times = f", {each.times} times" if each.times > 1 else ""
+            ago_ms = (now - each.last.at) / NS_PER_MS
+            parts.append(f"{each.last.told(*self.make)}, {ago_ms:.0f} ms ago{times}")
         return ", ".join(parts)
 
     def _told_of_the_fault(self) -> list[str]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 from drivers.canopen.error_codes import NO_ERROR
-from drivers.canopen.nmt import Emergency
+from drivers.canopen.nmt import Emergency, condensed
 from drivers.cia402.profile import State
 from drivers.cia402.servo import ServoDrive
 from drivers.cia402.supervision import Release
@@ -33,6 +33,7 @@ class Conclusion:
         self._ends = {name: DriveEnd(name) for name in names}
         self._named = list(named_emergencies(faults))
         self._emergencies: list[str] = []
+        """One for each code of a drive."""
         self._outcome = RunOutcome(cycles_planned=cycles_planned)
         self._explained = False
 
@@ -119,24 +120,32 @@ class Conclusion:
         """Take in the EMCYs of a drive ``since`` an instant, and when it did not follow its commands;
         ``zero``: when the run began, if it did."""
         self._note(drive.name, lapses=tuple(lapse.told(zero) for lapse in drive.follow.lapses))
-        for emergency in drive.network.emergencies:
-            if emergency.node_id == drive.node_id and emergency.at >= since:
-                self._take(drive, emergency, zero)
+        unnamed = [
+            each
+            for each in drive.network.emergencies
+            if each.node_id == drive.node_id and each.at >= since and not self._explained_by_plan(each, zero)
+        ]
+        for series in condensed(unnamed):
+            first, last_s = series.first, (series.last.at - (zero or 0)) / NS_PER_S
+            text = f"{drive.name}: {first.told(*drive.control.make)}"
+            if zero is not None:
+                text += f" at {(first.at - zero) / NS_PER_S:.3f} s"
+            if series.times > 1:
+                text += f", {series.times} times" + (f" until {last_s:.3f} s" if zero is not None else "")
+            self._emergencies.append(text)
 
     def watched(self, drive: ServoDrive, mode_watch: str) -> None:
         """By what it is noticed that a drive does not follow, in words."""
         self._note(drive.name, mode_watch=mode_watch)
 
-    def _take(self, drive: ServoDrive, emergency: Emergency, zero: Instant | None) -> None:
+    def _explained_by_plan(self, emergency: Emergency, zero: Instant | None) -> bool:
+        """It is no error, or one that the plan names."""
         if emergency.code == NO_ERROR:
-            return
-        when = ""
-        if zero is not None:
-            elapsed = Duration(emergency.at - zero)
-            if any(named.explains(emergency, elapsed) for named in self._named):
-                return
-            when = f" at {elapsed / NS_PER_S:.3f} s"
-        self._emergencies.append(f"{drive.name}: {emergency.told(*drive.control.make)}{when}")
+            return True
+        if zero is None:
+            return False
+        elapsed = Duration(emergency.at - zero)
+        return any(named.explains(emergency, elapsed) for named in self._named)
 
     def _note(self, name: str, **notes: Any) -> None:
         self._ends[name] = replace(self._ends[name], **notes)

@@ -6,6 +6,7 @@ page, too, in the units that the drive tells.
 """
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -228,7 +229,13 @@ def _send_steps(stream: rr.RecordingStream, events: list[dict[str, Any]], figure
 def _send_bus(stream: rr.RecordingStream, bus: _Bus) -> None:
     times, labels = [at for at, _ in bus.states], [label for _, label in bus.states]
     _send_lane(stream, _DRIVE, times, labels, lane_colors("axis drive", ["axis"]))
-    _send_texts(stream, [(at, "WARN", text) for at, text in bus.emergencies])
+    counts = Counter(text for _, text in bus.emergencies)
+    firsts = {text: at for at, text in reversed(bus.emergencies)}
+    told = [
+        (at, "WARN", f"{text}, {counts[text]} times in all" if counts[text] > 1 else text)
+        for text, at in sorted(firsts.items(), key=lambda each: each[1])
+    ]
+    _send_texts(stream, told)
     for index, envelope in bus.signals.items():
         send_line(stream, _path(index), envelope.points(), _SIGNALS[index].name, _SIGNALS[index].color)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from drivers.canopen.nmt import Emergency
+from drivers.canopen.nmt import Emergency, EmergencySeries, condensed
 from drivers.timebase import NS_PER_MS, Instant
 from hil.rows.frame_names import frame_name
 from hil.rows.run_files import FRAMES_FILE
@@ -30,9 +30,9 @@ def write_fault_report(
     ``makes``: of the nodes that told theirs, so that their EMCYs are in their maker's words.
     """
     lines = ["What ended the run:", *(f"  {line}" for line in error.splitlines()), ""]
-    told = list(emergencies)[-EMERGENCIES_MAX:]
+    told = condensed(emergencies)[-EMERGENCIES_MAX:]
     lines += [
-        "EMCYs, the last ones, in ms before the end:",
+        "EMCYs, the last ones of each code, in ms before the end:",
         *(_emergency(each, makes, ended_at) for each in told),
     ]
     lines += [] if told else ["  none"]
@@ -42,9 +42,11 @@ def write_fault_report(
         (folder / FAULT_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _emergency(each: Emergency, makes: Mapping[int, Make], ended_at: Instant) -> str:
-    before_ms = (ended_at - each.at) / NS_PER_MS
-    return f"  {before_ms:10.3f}  node {each.node_id}: {each.told(*makes.get(each.node_id, (0, '')))}"
+def _emergency(each: EmergencySeries, makes: Mapping[int, Make], ended_at: Instant) -> str:
+    last = each.last
+    before_ms, first_ms = (ended_at - last.at) / NS_PER_MS, (ended_at - each.first.at) / NS_PER_MS
+    times = f", {each.times} times since {first_ms:.3f}" if each.times > 1 else ""
+    return f"  {before_ms:10.3f}  node {last.node_id}: {last.told(*makes.get(last.node_id, (0, '')))}{times}"
 
 
 def last_frames(path: Path, count: int = FRAMES_MAX) -> list[str]:

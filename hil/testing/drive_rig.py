@@ -203,8 +203,8 @@ class DriveRig:
         return self.client.plan
 
     def _emergencies(self) -> str:
-        codes = [emergency.code for emergency in self.network.emergencies if emergency.node_id == self.node]
-        told = ", ".join(f"{code:04X}h {error_text(code)}" for code in codes[-3:])
+        codes = dict.fromkeys(each.code for each in self.network.emergencies if each.node_id == self.node)
+        told = ", ".join(f"{code:04X}h {error_text(code)}" for code in list(codes)[-3:])
         return f"; EMCY: {told}" if told else ""
 
 

@@ -1,6 +1,7 @@
 """Fault plans from the user's side: each example runs, leaves what it injected, and replays to the same."""
 
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,18 @@ def _attempt(name: str, servo_bench: BenchRunner, faults: Path) -> Run:
     assert run.error.exit_status == 3
     assert not run.summary.verdict.passed
     return run
+
+
+def test_a_repeated_emergency_is_told_once_with_how_often_it_came(
+    servo_bench: BenchRunner, tmp_path: Path
+) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text("[[repeated_emergency]]\nat_s = 0.1\ncode = 0x2310\nperiod_ms = 5\nduration_s = 0.2\n")
+    run = servo_bench(BENCH, faults=plan)
+    sent = (run.folder / "frames.log").read_text().count(" 081#1023")
+    assert sent == pytest.approx(40, abs=2)
+    (finding,) = [each for each in run.summary.verdict.findings if "EMCY" in each.text]
+    assert re.search(rf"EMCY 2310h .* at 0\.10\d s, {sent} times until 0\.29\d s", finding.text)
 
 
 EVERYTHING = """
