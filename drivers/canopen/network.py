@@ -51,12 +51,7 @@ class CanopenNetwork(canopen.Network):
     """
 
     def __init__(
-        self,
-        link: BusLink,
-        clock: Clock,
-        node_id: int = MASTER_NODE_ID,
-        *,
-        writes: WriteList = NOTHING,
+        self, link: BusLink, clock: Clock, node_id: int = MASTER_NODE_ID, *, writes: WriteList = NOTHING
     ) -> None:
         """``node_id``: the master's own, for its heartbeat. ``writes``: all that it may write by SDO."""
         super().__init__(link.bus)
