@@ -20,6 +20,9 @@ from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
 from hil.configuration.bench_file import faults_from
 from hil.execution.world import WorldPlan, open_world
+from hil.write_lists import COMMISSION
+from tests.scenario.foreign_node import put_on_the_bus
+from tests.sdo_writes import SdoWrites
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.drive.data_sheet import only_modes
 from virtual_bus.drive.lacks import take_away
@@ -227,8 +230,11 @@ def unknown_world(
     fault_plan = None if faults is None else faults_from(faults, "faults")
     plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, fault_plan, seed)
     with open_world(plan, [cast(CanopenDevice, spy) if spied else servo]) as world:
+        heard = SdoWrites()
+        put_on_the_bus(world, heard)
         world.faults.start(world.clock.now())
         result = commission(request, world, Dialog(tell), EmergencyStop(), steps=steps)
+    assert heard.unlisted(COMMISSION) == []
     return truth, result, spy
 
 

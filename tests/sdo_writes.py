@@ -6,6 +6,7 @@ Source: CiA 301 7.2.4.3, the requests of the SDO protocols.
 from collections.abc import Sequence
 from typing import Final
 
+from drivers.canopen.write_list import WriteList
 from drivers.timebase import Instant
 from virtual_bus.frame import Frame
 
@@ -45,6 +46,12 @@ class SdoWrites:
         if key is not None or (frame.can_id in REQUESTS and 0x40 <= frame.data[0] < 0x60):
             self.asked.add((frame.data[1] + 256 * frame.data[2], frame.data[3]))
         return ()
+
+    def unlisted(self, allowed: WriteList) -> list[str]:
+        """What was written though no list allows it on a drive of any make. Error: AssertionError for a
+        bus on which nothing was written."""
+        assert self.objects, "no write was heard"
+        return [f"{index:04X}h:{sub:02X}" for index, sub in self.objects if (index, sub) not in allowed]
 
     def wake(self, now: Instant) -> Sequence[Frame]:
         del now

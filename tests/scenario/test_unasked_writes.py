@@ -1,6 +1,6 @@
 """A drive is written what the command's list names, by the word of a third device on its bus."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from runpy import run_path
@@ -46,18 +46,17 @@ SHORT: Final = {"bench.duration_s": 0.3, "reference": None, "verdict": None, "lo
 LOAD: Final = (LOAD_MACHINE, 1)
 
 
-def unlisted(heard: SdoWrites, command: str) -> list[str]:
-    """What a drive of any make was written, though the command's list does not have it."""
-    assert heard.objects, "the device heard nothing"
-    return [
-        f"{index:04X}h:{sub:02X}" for index, sub in heard.objects if (index, sub) not in writes_of(command)
-    ]
-
-
-def ran(bench: str, **changes: Any) -> tuple[SdoWrites, SimulatedServo]:
-    """An example without reference and load for 0.3 s, and its drive at the end."""
+def ran(
+    bench: str, seen: Callable[[SimulatedServo], None] = lambda _drive: None, **changes: Any
+) -> tuple[SdoWrites, SimulatedServo]:
+    """An example without reference and load for 0.3 s; its drive, of which ``seen`` was told at first."""
     heard, drives = SdoWrites(), list[SimulatedServo]()
-    with beside_the_bench(heard, seen=drives.append):
+
+    def keep(drive: SimulatedServo) -> None:
+        drives.append(drive)
+        seen(drive)
+
+    with beside_the_bench(heard, seen=keep):
         tables = Bench.load(EXAMPLES / BENCHES[bench]).changed({**SHORT, **changes})
         run_bench(tables.config, keep=False)
     return heard, drives[0]
@@ -80,7 +79,16 @@ def foreign_sheet(folder: Path, **options: Any) -> Path:
 @pytest.mark.parametrize("mode", BENCHES)
 def test_a_run_without_load_writes_no_object_of_a_maker(mode: str) -> None:
     heard, _ = ran(mode)
-    assert unlisted(heard, "run") == []
+    assert heard.unlisted(writes_of("run")) == []
+
+
+def test_a_load_that_an_earlier_run_has_left_is_taken_off() -> None:
+    def leave(drive: SimulatedServo) -> None:
+        drive.dictionary.download(*LOAD, (200).to_bytes(4, "little"))
+
+    heard, drive = ran("cst", seen=leave)
+    assert {key for key in heard.objects if key[0] in OF_MAKERS} == {LOAD, (LOAD_MACHINE, 3)}
+    assert drive.dictionary.upload(*LOAD) == bytes(4)
 
 
 def test_a_run_with_a_load_writes_its_torque_and_takes_it_off() -> None:
@@ -96,7 +104,7 @@ def test_another_makes_2100h_is_neither_written_nor_read(mode: str, access: str,
     """rw: as in maxon's EPOS2, where it is a brake's reaction time; ro: as the EPOS4's serial number."""
     sheet = foreign_sheet(tmp_path, AccessType=access)
     heard, drive = ran(mode, **{"drive.axis1.simulation.eds": str(sheet)})
-    assert unlisted(heard, "run") == []
+    assert heard.unlisted(writes_of("run")) == []
     assert [key for key in heard.asked if key[0] in OF_MAKERS] == []
     assert drive.dictionary.upload(*LOAD) == b"\7\0"
 
@@ -211,7 +219,7 @@ def test_a_measurement_writes_its_list_and_puts_it_back(tmp_path: Path) -> None:
     with measuring_rig(tmp_path) as rig:
         put_on_the_bus(rig.world, heard)
         rig.measure(enable=True, cycles=50)
-    assert unlisted(heard, "measure") == []
+    assert heard.unlisted(writes_of("measure")) == []
 
 
 def test_commissioning_a_drive_of_another_make_writes_its_list(tmp_path: Path) -> None:
@@ -227,7 +235,7 @@ def test_commissioning_a_drive_of_another_make_writes_its_list(tmp_path: Path) -
         result = rehearsed(foreign_sheet(tmp_path), tmp_path, last_step="enable")
     assert result.reason == ""
     assert result.restored
-    assert unlisted(heard, "commission") == []
+    assert heard.unlisted(writes_of("commission")) == []
 
 
 # ---- the page ---------------------------------------------------------------------------------------------
