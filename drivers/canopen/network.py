@@ -108,9 +108,7 @@ class CanopenNetwork(canopen.Network):
         if remote:
             raise ValueError("the only remote frames of this master are those of its guard()")
         if can_id in SDO_REQUESTS:
-            raise ValueError(
-                "SDO requests of this master are those of upload(), download() and send_request()"
-            )
+            raise ValueError("SDO requests of this master go through send_request()")
         self.link.send(can_id, bytes(data))
 
     def send_request(self, node_id: int, request: bytes) -> Instant:
