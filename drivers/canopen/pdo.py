@@ -299,7 +299,9 @@ def _write_pdo(objects: RemoteObjects, communication_index: int, wanted: _Held) 
     if tuple(_held_mapping(objects, mapping_index)) != wanted.mapping:
         objects.write(mapping_index, 0, "B", 0)
         for sub, word in enumerate(wanted.mapping, start=1):
-            objects.write(mapping_index, sub, "I", word)
+            # A drive that refuses a word may refuse it too where it has it already.
+            if objects.read_if_there(mapping_index, sub) != word:
+                objects.write(mapping_index, sub, "I", word)
         objects.write(mapping_index, 0, "B", len(wanted.mapping))
     if (objects.read(communication_index, 1) ^ wanted.cob_id) & (NOT_VALID | CAN_ID):
         objects.write(communication_index, 1, "I", wanted.cob_id)
