@@ -52,6 +52,11 @@ NO_CHANGE_OF_NMT_STATE = 1
 PDOs would be silent: the host could not see the statusword fall, nor the speed go down."""
 
 
+_SUB_MODE = Object.INTERPOLATION_SUB_MODE_SELECT
+_LINEAR = 0
+"""The one sub-mode of 60C0h that CiA 402-2 defines; a maker's own may be by polynomials, or from a buffer."""
+
+
 class Identity(NamedTuple):
     """Who answers: 0x1018, 0x1008 and 0x1000. 0 and empty text stand for what the device does not tell."""
 
@@ -228,7 +233,10 @@ def write_limits(objects: RemoteObjects, settings: DriveSettings, scaling: Scali
         notes += write_greatest(objects, Object.QUICK_STOP_DECELERATION, "I", raw, text).notes
     period_us = settings.sync_period_ns // NS_PER_US
     notes += write_optional(objects, Cia301.CYCLE_PERIOD, "I", period_us, "SYNC period, us")
-    return notes + _write_interpolation_time(objects, settings.sync_period_ns)
+    notes += _write_interpolation_time(objects, settings.sync_period_ns)
+    if settings.mode is Mode.INTERPOLATED_POSITION and objects.read_if_there(_SUB_MODE, 0, "h"):
+        notes += write_optional(objects, _SUB_MODE, "h", _LINEAR, "linear interpolation, without a buffer")
+    return notes
 
 
 def _write_interpolation_time(objects: RemoteObjects, period_ns: Duration) -> list[str]:

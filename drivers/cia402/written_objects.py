@@ -108,6 +108,11 @@ SET_UP = CONTROL | WriteList(
             )
         ),
         listed(
+            Object.INTERPOLATION_SUB_MODE_SELECT,
+            "linear interpolation, where a drive holds another",
+            "set-up, interpolated position",
+        ),
+        listed(
             Object.INTERPOLATION_DATA_RECORD,
             "interpolated position begins where the shaft is",
             "each change of mode, enabling",
