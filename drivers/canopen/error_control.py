@@ -179,11 +179,7 @@ class ErrorControl:
         return False
 
     def _refused(self) -> SettingRefused:
-        lacks, why = (
-            ("1017h", "the host does not notice that the drive is gone")
-            if self._host_watch
-            else ("1016h", "the drive does not notice that the host is gone")
-        )
+        lacks, why = _NOT_WATCHED[bool(self._host_watch)]
         return SettingRefused(
             f"node {self._node_id} has no {lacks}, and is not to be guarded by 100Ch and 100Dh",
             why,
@@ -200,6 +196,18 @@ class ErrorControl:
         if not self.told:
             texts.append("1017h is missing: the host does not notice that the drive is gone")
         return texts
+
+
+_NOT_WATCHED: Final = {
+    False: ("1016h", "the drive does not notice that the host is gone"),
+    True: ("1017h", "the host does not notice that the drive is gone"),
+}
+"""By whether the drive watches the host: which object is missed, and what that means."""
+
+
+def watch_lack(*, produced: bool, consumes: bool) -> tuple[str, str] | None:
+    """The object by whose lack one side does not watch the other by heartbeat, and what that means."""
+    return None if produced and consumes else _NOT_WATCHED[consumes]
 
 
 def consumer_entry(objects: RemoteObjects) -> int:

@@ -31,14 +31,13 @@ from drivers.cia402.pdo_plans import (
     status_timer_ms,
 )
 from drivers.cia402.profile import (
-    DRIVE_PROFILE,
     AbortConnectionOption,
     DisableOperationOption,
     FaultReactionOption,
     Mode,
     QuickStopOption,
     ShutdownOption,
-    other_profile,
+    no_drive,
 )
 from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
@@ -172,10 +171,11 @@ def read_identity(objects: RemoteObjects) -> Identity:
     From then on the network knows which product the node is.
     """
     device_type = objects.read(Cia301.DEVICE_TYPE)
-    if device_type & 0xFFFF != DRIVE_PROFILE:
+    why = no_drive(device_type, lambda: objects.read_if_there(Object.STATUSWORD, 0, "H") is not None)
+    if why:
         raise PeerFault(
             f"node {objects.node_id} on {objects.network.link.name} is no servo drive",
-            other_profile(device_type),
+            why,
             f"check the node id; hil scan --bus {objects.network.link.name} shows who is there",
         )
     vendor, product, revision, serial = (

@@ -18,8 +18,9 @@ from drivers.cia402.profile import (
     Mode,
     State,
     Status,
+    offers_mode,
     run_words,
-    supported_mode_bit,
+    tells_modes,
 )
 from drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
 from drivers.cia402.velocity_mode import velocity_mode_unit
@@ -124,11 +125,11 @@ class ModeControl:
     def require(self, mode: Mode) -> None:
         """Raises ModeRefused if 6502h says that the drive does not have ``mode``."""
         modes = self._objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
-        if modes and not modes & supported_mode_bit(mode):
+        if modes is not None and tells_modes(modes) and not offers_mode(modes, mode):
             raise ModeRefused(
                 f"{self._control.title} has no {mode.title} mode",
                 f"6502h is {modes:08X}h",
-                run_words([each for each in Mode if modes & supported_mode_bit(each)]),
+                run_words([each for each in Mode if offers_mode(modes, each)]),
             )
 
     def _await_display(self, mode: Mode, deadline: Instant) -> None:

@@ -10,7 +10,7 @@ Object indices are in :mod:`drivers.cia402.objects402`, error codes in :mod:`dri
 """
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from enum import Enum, IntEnum
 from typing import Final, NamedTuple
 
@@ -18,9 +18,14 @@ DRIVE_PROFILE: Final = 402
 """Low 16 bits of 1000h: the number of the device profile, CiA 402 (CiA 301, 7.5.2.1)."""
 
 
-def other_profile(device_type: int) -> str:
-    """Why a device with this 1000h is no drive."""
+def no_drive(device_type: int, has_statusword: Callable[[], bool]) -> str:
+    """Why a device with this 1000h is no drive; empty if it is one.
+
+    0 says that no standardised profile is followed (CiA 301 7.5.2.1): the statusword then tells.
+    """
     number = device_type & 0xFFFF
+    if number == DRIVE_PROFILE or (number == 0 and has_statusword()):
+        return ""
     return (
         f"1000h is {device_type:08X}h, whose low 16 bits say device profile {number} ({number:04X}h);"
         f" a drive's say {DRIVE_PROFILE} ({DRIVE_PROFILE:04X}h, CiA 402)"
@@ -272,6 +277,20 @@ FOLLOW_BITS: Final = {
 }
 """Bits of the controlword without which a mode does not follow its set-point: enable ramp, unlock ramp and
 reference ramp; enable interpolation. The cyclic synchronous and the other profile modes need none."""
+
+STANDARD_MODES: Final = 0x3FF
+"""Bits of 6502h for the modes of CiA 402-2; the others are reserved, or the maker's."""
+
+
+def tells_modes(word: int | None) -> bool:
+    """6502h names a mode of CiA 402-2: in many drives it is missing or 0, and the modes are there."""
+    return bool((word or 0) & STANDARD_MODES)
+
+
+def offers_mode(word: int | None, mode: Mode) -> bool:
+    """6502h names the mode."""
+    return bool((word or 0) & supported_mode_bit(mode))
+
 
 BENCH_MODES: Final = {
     "cst": Mode.CYCLIC_SYNCHRONOUS_TORQUE,

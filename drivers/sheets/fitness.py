@@ -4,7 +4,7 @@ An obstacle is what no bench can do without. Everything else degrades by itself,
 lost: of real dictionaries of drives one in four defines 603Fh, one in three 6091h.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,32 +13,21 @@ import canopen.objectdictionary as od
 from drivers.canopen.objects301 import FIRST_OBJECT, Cia301, is_mapping
 from drivers.canopen.pdo import BITS_MAX, key_of, mapping_text
 from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
-from drivers.canopen.sdo import object_name
+from drivers.cia402.judgement import Judgement, ModeFitness, ToldDrive, judge, offered
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
-from drivers.cia402.pdo_plans import NEEDED_OBJECTS, PlanWish
-from drivers.cia402.profile import DRIVE_PROFILE, Mode, other_profile, run_words, supported_mode_bit
+from drivers.cia402.profile import Mode, run_words
 from drivers.sheets.capability import capability_of
-from drivers.sheets.dictionary import LoadedDictionary, held, held_number
+from drivers.sheets.dictionary import LoadedDictionary, held, held_by, held_number
 from drivers.sheets.identity import told_identity
 
 _NAMED_MAX = 4
 """Contradictions of a kind that are named one by one; the others are counted."""
-INTERPOLATION_DATA = 0x60C1
 AXIS_STEP = 0x800
 """CiA 402-2: the objects of a second axis lie so much higher."""
-PREFERENCE = (
-    Mode.CYCLIC_SYNCHRONOUS_TORQUE,
-    Mode.PROFILE_TORQUE,
-    Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
-    Mode.PROFILE_VELOCITY,
-    Mode.CYCLIC_SYNCHRONOUS_POSITION,
-    Mode.PROFILE_POSITION,
-)
-"""Modes that a bench can use, the best first: torque closes the loop on the host."""
-_TORQUE_MODES = PREFERENCE[:2]
-_SUPPOSED_MODES = (Mode.PROFILE_POSITION, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE, Mode.HOMING)
-"""What the set-point objects alone are evidence of; the cyclic modes share them."""
+_TORQUE_MODES = (Mode.CYCLIC_SYNCHRONOUS_TORQUE, Mode.PROFILE_TORQUE)
+_READ_ONLY = ("ro", "const")
+MODES_TOLD = "6502h"
+"""What tells the modes, where they are not to be tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,17 +61,6 @@ class FileIdentity(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class ModeFitness:
-    """One mode that the drive has, or seems to have."""
-
-    mode: Mode
-    plan: PlanResult | None
-    """None if the bench has no PDO plan for it."""
-    reason: str = ""
-    """Why there is none."""
-
-
-@dataclass(frozen=True, slots=True)
 class Fitness:
     """What a dictionary offers a bench."""
 
@@ -94,10 +72,12 @@ class Fitness:
     modes_told_by: str
     """"6502h", or what they were concluded from."""
     usable: tuple[ModeFitness, ...]
-    """The modes that a bench could use, the best first."""
+    """The modes in which the bench could command it, the best first."""
     pdos: tuple[PdoSlot, ...]
     lacks: tuple[Lack, ...]
     obstacles: tuple[str, ...]
+    conditions: tuple[str, ...]
+    """What has to be allowed before it can be commissioned or run."""
     remarks: tuple[str, ...]
 
     @property
@@ -146,26 +126,43 @@ RECOMMENDED = (
 """Objects that a bench makes use of, and what is lost without."""
 
 
-def assess(loaded: LoadedDictionary, node_id: int) -> Fitness:
-    """Hold a dictionary, loaded for ``node_id``, against what a bench needs."""
-    dictionary = loaded.dictionary
-    identity = _identity(loaded)
-    capability = capability_of(loaded)
-    modes, told_by = _modes(dictionary)
-    usable = tuple(
-        _mode_fitness(mode, dictionary, capability, node_id) for mode in PREFERENCE if mode in modes
-    )
+def assess(loaded: LoadedDictionary, node_id: int, asked: Sequence[Mode]) -> Fitness:
+    """Judge a dictionary, loaded for ``node_id``; ``asked``: modes in which a bench can command a drive, the
+    best first."""
+    dictionary, identity, told = loaded.dictionary, _identity(loaded), told_by_sheet(loaded)
+    judgement = judge(told, node_id, asked)
+    by = MODES_TOLD if judgement.modes_told else "their set-point objects, to be tried (6502h gives no value)"
     return Fitness(
         identity=identity,
         profile=identity.profile,
         axes=_axes(dictionary),
-        modes=modes,
-        modes_told_by=told_by,
-        usable=usable,
-        pdos=capability.slots,
+        modes=tuple(mode for mode in Mode if mode and offered(told, mode)),
+        modes_told_by=by,
+        usable=judgement.modes,
+        pdos=told.capability.slots,
         lacks=tuple(Lack(*known) for known in RECOMMENDED if known[0] not in dictionary),
-        obstacles=_obstacles(dictionary, identity, modes, usable),
-        remarks=(*_remarks(dictionary, identity.profile, usable), *doubts(dictionary, capability)),
+        obstacles=judgement.obstacles,
+        conditions=judgement.conditions,
+        remarks=(*_remarks(dictionary, identity.profile, judgement), *doubts(dictionary, told.capability)),
+    )
+
+
+def told_by_sheet(loaded: LoadedDictionary) -> ToldDrive:
+    """What a data sheet tells of its drive."""
+    dictionary = loaded.dictionary
+    mode = dictionary.get(Object.MODES_OF_OPERATION)
+    limits: tuple[int | None, int | None] = (None, None)
+    held_mode = None
+    if isinstance(mode, od.ODVariable):
+        limits = (mode.min, mode.max)
+        held_mode = held_by(mode) if mode.access_type in _READ_ONLY else None
+    return ToldDrive(
+        held_number(dictionary, Cia301.DEVICE_TYPE),
+        held_number(dictionary, Object.SUPPORTED_DRIVE_MODES),
+        lambda index: index in dictionary,
+        limits,
+        held_mode,
+        capability_of(loaded),
     )
 
 
@@ -190,81 +187,16 @@ def _axes(dictionary: od.ObjectDictionary) -> int:
     return sum(Object.CONTROLWORD + AXIS_STEP * axis in dictionary for axis in range(8))
 
 
-def _modes(dictionary: od.ObjectDictionary) -> tuple[tuple[Mode, ...], str]:
-    """What 6502h tells; else what the set-point objects are evidence of."""
-    word = held_number(dictionary, Object.SUPPORTED_DRIVE_MODES)
-    if word and word & 0x3FF:
-        return tuple(mode for mode in Mode if word & supported_mode_bit(mode)), "6502h"
-    supposed = [*_SUPPOSED_MODES, *_cyclic_modes(dictionary)]
-    supposed = [mode for mode in supposed if NEEDED_OBJECTS[mode] in dictionary]
-    if INTERPOLATION_DATA in dictionary:
-        supposed.append(Mode.INTERPOLATED_POSITION)
-    return tuple(sorted(set(supposed))), "its set-point objects (6502h gives no value)"
-
-
-def _cyclic_modes(dictionary: od.ObjectDictionary) -> list[Mode]:
-    """Modes of which an object speaks that no other mode has: the offsets, and 60C2h without 60C1h."""
-    evidence = {
-        Mode.CYCLIC_SYNCHRONOUS_POSITION: Object.POSITION_OFFSET,
-        Mode.CYCLIC_SYNCHRONOUS_VELOCITY: Object.VELOCITY_OFFSET,
-        Mode.CYCLIC_SYNCHRONOUS_TORQUE: Object.TORQUE_OFFSET,
-    }
-    timed = Object.INTERPOLATION_TIME_PERIOD in dictionary and INTERPOLATION_DATA not in dictionary
-    return [mode for mode, index in evidence.items() if timed or index in dictionary]
-
-
-def _mode_fitness(
-    mode: Mode, dictionary: od.ObjectDictionary, capability: PdoCapability, node_id: int
-) -> ModeFitness:
-    needed = NEEDED_OBJECTS[mode]
-    if needed not in dictionary:
-        return ModeFitness(mode, None, f"{object_name(needed, 0)} is not in the dictionary")
-    try:
-        return ModeFitness(mode, plan_pdos(capability, node_id, PlanWish(mode)))
-    except PlanImpossible as error:
-        return ModeFitness(mode, None, error.evidence or error.summary)
-
-
-def _obstacles(
-    dictionary: od.ObjectDictionary,
-    identity: FileIdentity,
-    modes: tuple[Mode, ...],
-    usable: tuple[ModeFitness, ...],
-) -> tuple[str, ...]:
-    texts = []
-    if identity.profile not in (None, 0, DRIVE_PROFILE):
-        texts.append(other_profile(identity.device_type or 0))
-    missing = [index for index in (Object.CONTROLWORD, Object.STATUSWORD) if index not in dictionary]
-    if missing:
-        names = " and ".join(object_name(index, 0) for index in missing)
-        texts.append(f"{names} missing: it has no CiA 402 state machine")
-        return tuple(texts)
-    if Object.MODES_OF_OPERATION not in dictionary:
-        texts.append("6060h:00 missing: its mode cannot be chosen")
-    if not usable:
-        has = ", ".join(mode.title for mode in modes) or "none"
-        texts.append(f"it has no mode for torque, velocity or position set-points (modes: {has})")
-    elif not any(mode.plan is not None for mode in usable):
-        texts += [f"no PDO plan for {mode.mode.title}: {mode.reason}" for mode in usable]
-    return tuple(texts)
-
-
-def _remarks(
-    dictionary: od.ObjectDictionary, profile: int | None, usable: tuple[ModeFitness, ...]
-) -> tuple[str, ...]:
-    texts = []
+def _remarks(dictionary: od.ObjectDictionary, profile: int | None, judgement: Judgement) -> tuple[str, ...]:
+    texts = list(judgement.conditions)
     if profile in (None, 0):
         texts.append("1000h gives no device profile: that it is a servo drive is concluded from its objects")
-    served = [mode.mode for mode in usable if mode.plan is not None]
+    served = judgement.usable
     if served and not any(mode in _TORQUE_MODES for mode in served):
         texts.append(f"no torque mode; {run_words(served)}")
     guarded = Cia301.GUARD_TIME in dictionary and Cia301.LIFE_TIME_FACTOR in dictionary
-    if Cia301.CONSUMER_HEARTBEAT_TIME not in dictionary:
-        texts.append(
-            "without 1016h the drive watches its host by life guarding (100Ch, 100Dh)"
-            if guarded
-            else "without 1016h, 100Ch and 100Dh nothing stops the drive when the host is gone"
-        )
+    if Cia301.CONSUMER_HEARTBEAT_TIME not in dictionary and guarded:
+        texts.append("without 1016h the drive watches its host by life guarding (100Ch, 100Dh)")
     if _axes(dictionary) > 1:
         texts.append(f"it has {_axes(dictionary)} axes; the bench uses the first")
     return tuple(texts)

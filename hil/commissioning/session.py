@@ -22,8 +22,8 @@ from drivers.cia402.scaling import Scaling
 from drivers.cia402.servo import ServoDrive
 from drivers.cia402.state_control import FAULTY
 from drivers.errors import BusDown, PeerFault
-from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
+from drivers.sheets.fitness import told_by_sheet
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, duration_s
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort
@@ -88,7 +88,8 @@ class Session:
         self.dialog = dialog
         self.stop = stop
         self.dictionary: ObjectDictionary | None = None if sheet is None else sheet.dictionary
-        self.capability = None if sheet is None else capability_of(sheet)
+        self.sheet_told = None if sheet is None else told_by_sheet(sheet)
+        self.capability = None if self.sheet_told is None else self.sheet_told.capability
         self.drive = ServoDrive(network, request.node, "drive")
         self.objects = self.drive.objects
         self.guard = BusGuard({None: network}, [self.drive], Guard(), self._tell, world.error_frames)

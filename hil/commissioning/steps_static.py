@@ -7,9 +7,8 @@ import numpy as np
 
 from drivers.canopen.objects301 import Cia301
 from drivers.cia402.drive_setup import read_scaling
+from drivers.cia402.judgement import judge, told_by_drive
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_plans import TARGETS
-from drivers.cia402.profile import Mode, supported_mode_bit
 from drivers.cia402.scaling import ScaleOverride, Scaling, UnitNotTold
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.sheets.identity import told_identity
@@ -160,7 +159,7 @@ class UnitsTold(Step):
 
     name = "units"
     title = "Units as told"
-    limit = "a unit is not told, or nameplate and drive contradict each other by far"
+    limit = "a unit or a usable mode is not told, or nameplate and drive contradict each other by far"
     needs = ("identity",)
     essential = True
 
@@ -192,9 +191,7 @@ class UnitsTold(Step):
             "rated_torque_nm": told.rated_torque_nm,
             "polarity": polarity,
         }
-        findings.modes, told_by_drive = _modes(session)
-        named = ", ".join(mode.title for mode in findings.modes) or "none of use here"
-        outcome.say(f"modes{'' if told_by_drive else ' to be tried, as 6502h tells none'}: {named}")
+        _judge(session, outcome)
         rpm = objects.read_if_there(Object.MAX_MOTOR_SPEED)
         findings.limits = limits = motion_limits(plate, session.rated_torque_nm, rpm)
         outcome.say(
@@ -249,10 +246,17 @@ def _plausible(told: Scaling) -> Scaling:
     return told
 
 
-def _modes(session: Session) -> tuple[tuple[Mode, ...], bool]:
-    """By 6502h, and whether it says so; else every mode is tried later on whose set-point the sheet knows."""
-    bits, dictionary = session.objects.read_if_there(Object.SUPPORTED_DRIVE_MODES), session.dictionary
-    if bits:
-        return tuple(mode for mode in QUANTITY_OF_MODE if bits & supported_mode_bit(mode)), True
-    known = (mode for mode in QUANTITY_OF_MODE if dictionary is None or TARGETS[mode].index in dictionary)
-    return tuple(known), False
+def _judge(session: Session, outcome: StepOutcome) -> None:
+    """The modes that the drive can be commanded in. Raises StepFailed if there is none, or it is no drive."""
+    identity = session.found.identity
+    assert identity is not None, "the step 'identity' comes first"
+    told = told_by_drive(session.objects, identity.device_type, session.sheet_told)
+    judgement = judge(told, session.request.node, tuple(QUANTITY_OF_MODE))
+    session.found.modes = judgement.usable
+    named = ", ".join(mode.title for mode in judgement.usable) or "none of use here"
+    outcome.say(f"modes{'' if judgement.modes_told else ' to be tried, as 6502h tells none'}: {named}")
+    outcome.lines += [f"{each.mode.title}: {each.reason}" for each in judgement.modes if each.reason]
+    if judgement.obstacles:
+        raise StepFailed(
+            "the drive cannot be commissioned", "; ".join(judgement.obstacles), "hil eds tells it of a sheet"
+        )

@@ -49,8 +49,9 @@ class DeviceFiles(NamedTuple):
         return None if commissioning is None else commissioning.node_id
 
     def drive(self, parameters: DriveParameters) -> DriveParameters:
-        """``parameters`` with the encoder that the sheet tells of by an object of its maker's, if it does:
-        a master that knows the maker takes the units from there. Raises BadInput."""
+        """``parameters`` with the units of the sheet's maker, and the encoder that the sheet tells of by an
+        object of the maker's, if it does: a master that knows the maker takes the units from there. Raises
+        BadInput."""
         if self.eds is None:
             return parameters
         loaded = load_dictionary(self.eds, BASE_NODE_ID)
@@ -61,7 +62,10 @@ class DeviceFiles(NamedTuple):
             return value if isinstance(value, int) else None
 
         vendor, product = (next(iter(numbers), 0) for numbers in (told.vendor, told.product))
-        quirks = quirks_for(vendor, product, loaded.device.product_name)
+        name = held(loaded.dictionary, Cia301.DEVICE_NAME)
+        named = name if isinstance(name, str) and name else loaded.device.product_name
+        quirks = quirks_for(vendor, product, named)
+        parameters = replace(parameters, makers_units=quirks)
         known = apply_quirks(quirks, {key: read(*key) for key in FACTOR_OBJECTS}, ScaleOverride(), read)
         counts = known.values.get(resolution) or 0
         if read(*resolution) or counts < ENCODER_COUNTS_MIN:

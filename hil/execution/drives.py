@@ -1,7 +1,7 @@
 """The drives of a run: set up as bench, data sheets and commissioning have them; waited for, and stopped."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -9,12 +9,14 @@ from typing import Final
 from drivers.canopen.objects import SettingRefused
 from drivers.canopen.sdo import object_name
 from drivers.cia402.drive_setup import DriveSettings, Identity
+from drivers.cia402.judgement import refusal
 from drivers.cia402.profile import BENCH_MODES, QuickStopOption
 from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
-from drivers.errors import NoAnswer, PeerFault
+from drivers.errors import BadInput, NoAnswer, PeerFault
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
+from drivers.sheets.fitness import told_by_sheet
 from drivers.sheets.identity import told_identity
 from drivers.timebase import NS_PER_MS, duration_s
 from hil.configuration.config import BenchConfig, Host
@@ -33,6 +35,15 @@ def data_sheets(config: BenchConfig) -> dict[str, LoadedDictionary]:
         for name, drive in config.drive.items()
         if drive.eds is not None
     }
+
+
+def check_modes(config: BenchConfig, sheets: Mapping[str, LoadedDictionary]) -> None:
+    """Raises BadInput for an axis whose mode its drive's data sheet rules out."""
+    for name, sheet in sheets.items():
+        drive = config.drive[name]
+        if why := refusal(told_by_sheet(sheet), drive.node, BENCH_MODES[drive.mode]):
+            expected = f"a mode that the drive of {drive.eds} can be commanded in"
+            raise BadInput(config.source, f"drive.{name}.mode", drive.mode, expected, why)
 
 
 def drive_settings(

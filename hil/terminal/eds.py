@@ -34,6 +34,7 @@ def eds(
     """
     from drivers.sheets.dictionary import load_dictionary
     from drivers.sheets.fitness import assess
+    from hil.commissioning.drive_port import QUANTITY_OF_MODE
     from hil.terminal.eds_report import print_sheet
     from hil.terminal.eds_sheet import plan_for, sheet
 
@@ -41,7 +42,7 @@ def eds(
     if loaded.dictionary.node_id is None:
         loaded = load_dictionary(file, ANY_NODE)
     node_id = loaded.dictionary.node_id or ANY_NODE
-    fitness = assess(loaded, node_id)
+    fitness = assess(loaded, node_id, tuple(QUANTITY_OF_MODE))
     planned = None
     if plan or mode:
         planned = plan_for(loaded, fitness, node_id, mode, period_us, bitrate)

@@ -13,8 +13,8 @@ from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, Budget
 from drivers.cia402.profile import BENCH_MODES, run_words
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.repairs import Repair
-from drivers.sheets.fitness import FileIdentity, Fitness
-from hil.terminal.eds_sheet import Planned, unit_lines
+from drivers.sheets.fitness import MODES_TOLD, FileIdentity, Fitness
+from hil.terminal.eds_sheet import Planned, run_key, unit_lines
 from hil.terminal.output import columns, titled
 
 
@@ -27,6 +27,8 @@ def print_sheet(
     """Identity, profile, modes, PDOs, lacks, repairs, and at last the verdict."""
     console = Console(highlight=False)
     _say(console, _facts(file, loaded, fitness))
+    if fitness.modes:
+        _say(console, Text("What its modes serve for", style="bold"), _mode_table(fitness))
     _say(console, Text("PDOs as the device has them", style="bold"), _pdo_table(fitness))
     if planned is not None:
         _print_plan(console, planned)
@@ -101,6 +103,20 @@ def _commissioning(loaded: LoadedDictionary) -> str:
         f"serial {commissioning.serial_number:08X}h" if commissioning.serial_number is not None else "",
     ]
     return ", ".join(part for part in parts if part)
+
+
+def _mode_table(fitness: Fitness) -> Table:
+    """Each mode that it has: whether hil commission and hil run can command it, and why not."""
+    table = columns("mode", "hil commission", "hil run", "")
+    for each in fitness.usable:
+        key = run_key(each) if fitness.serves else None
+        commission = "yes" if fitness.serves and each.plan is not None else "no"
+        table.add_row(each.mode.title, commission, f'mode = "{key}"' if key else "no", Text(each.reason))
+    judged = {each.mode for each in fitness.usable}
+    for mode in fitness.modes:
+        if mode not in judged:
+            table.add_row(mode.title, "no", "no", "")
+    return table
 
 
 def _pdo_table(fitness: Fitness) -> Table | Text:
@@ -208,7 +224,8 @@ def _print_verdict(console: Console, fitness: Fitness) -> None:
         mode = f", best in {best.mode.title}" if best is not None else ""
         served = [each.mode for each in fitness.usable if each.plan is not None]
         style = "bold green" if set(served) & set(BENCH_MODES.values()) else "bold yellow"
-        words = f"It can serve a bench{mode}; {run_words(served)}."
+        if_taken = "" if fitness.modes_told_by == MODES_TOLD else ", if it takes it: 6502h tells no mode"
+        words = f"It can serve a bench{mode}{if_taken}; {run_words(served)}."
         console.print(Text(words, style=style), soft_wrap=True)
         return
     console.print(Text("It cannot serve a bench:", style="bold red"))

@@ -8,6 +8,7 @@ from drivers.canopen.objects301 import MANUFACTURER
 from drivers.canopen.pdo import PdoMap, mapping_text
 from drivers.canopen.pdo_budget import Budget, budget_of, content_of
 from drivers.canopen.pdo_capability import PdoSlot
+from drivers.cia402.judgement import ModeFitness
 from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
 from drivers.cia402.pdo_plans import PlanWish
 from drivers.cia402.profile import BENCH_MODES, Mode
@@ -26,6 +27,12 @@ MODES = BENCH_MODES | {
     "pv": Mode.PROFILE_VELOCITY,
     "pp": Mode.PROFILE_POSITION,
 }
+
+
+def run_key(fitness: ModeFitness) -> str | None:
+    """By which ``mode`` of a bench file `hil run` commands the drive in it; None if it cannot."""
+    keys = (key for key, mode in BENCH_MODES.items() if mode is fitness.mode)
+    return next(keys, None) if fitness.plan is not None else None
 
 
 class Planned(NamedTuple):
@@ -127,8 +134,15 @@ def sheet(file: Path, loaded: LoadedDictionary, fitness: Fitness, planned: Plann
         "axes": fitness.axes,
         "modes": [mode.title for mode in fitness.modes],
         "modes_told_by": fitness.modes_told_by,
+        "conditions": list(fitness.conditions),
         "usable_modes": [
-            {"mode": each.mode.title, "pdo_plan": each.plan is not None, "reason": each.reason}
+            {
+                "mode": each.mode.title,
+                "pdo_plan": each.plan is not None,
+                "commission": each.plan is not None and fitness.serves,
+                "run": run_key(each) if fitness.serves else None,
+                "reason": each.reason,
+            }
             for each in fitness.usable
         ],
         "pdos": [_pdo(pdo) for pdo in fitness.pdos],

@@ -4,7 +4,8 @@
     python -m tests.rehearsals --only "no 6077h"  some of them; two with a + between are a pair
     python -m tests.rehearsals --sheets FOLDER    every EDS, DCF, XDD and XDC there
 
-Leaves with 1 if a sheet ended otherwise than the trait says, or a drive was left moving, enabled or changed.
+Leaves with 1 if a sheet ended otherwise than the trait says, if hil eds said another thing of it, if hil run
+does not pass with the bench that was left, or if a drive was left moving, enabled or changed.
 """
 
 import argparse
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from drivers.timebase import NS_PER_S, MonotonicClock
-from tests.rehearsals.rehearsal import Rehearsal, made_sheet, rehearsed
+from tests.rehearsals.rehearsal import Rehearsal, contradictions, made_sheet, ran, rehearsed
 from tests.rehearsals.traits import TRAITS
 
 SEED: Final = 16
@@ -61,6 +62,9 @@ def _try(title: str, sheet: Path, folder: Path, names: tuple[str, ...] | None) -
     began = clock.now()
     result = rehearsed(sheet, folder)
     wrong = complaints(names, result) if names is not None else [] if result.is_safe() else ["left unsafe"]
+    wrong += contradictions(sheet, result)
+    if failure := ran(folder):
+        wrong.append(failure)
     took_s = (clock.now() - began) / NS_PER_S
     mark = f"  <-- {'; '.join(wrong)}" if wrong else ""
     print(f"{title:45} {took_s:5.1f} s  {result.row()}{mark}", flush=True)

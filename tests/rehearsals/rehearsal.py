@@ -17,6 +17,8 @@ from tests.rehearsals.traits import TRAITS
 from virtual_bus.drive.motor_kernel import S_COUNT, S_SPEED_MEASURED
 from virtual_bus.drive.servo import SimulatedServo
 
+JUDGING = frozenset({"bus", "identity", "units"})
+"""Steps in which a drive is refused for what it is; the next one finds out which settings it takes."""
 AT_REST_RAD_S = 0.1
 MOVED_COUNTS = 50
 """Of 65536 on a turn."""
@@ -38,6 +40,8 @@ class Rehearsal(NamedTuple):
     stands: bool
     enabled: bool
     restored: bool
+    mode: str
+    """In which it was set up, as a title; empty if it was not."""
 
     def row(self) -> str:
         """For a table."""
@@ -60,6 +64,34 @@ def made_sheet(names: Iterable[str], folder: Path) -> Path:
     path = folder / "made.eds"
     path.write_text(sheet.text())
     return path
+
+
+def contradictions(sheet: Path, result: Rehearsal) -> list[str]:
+    """Where hil eds says another thing of the sheet than hil commission did with its drive."""
+    judged = json.loads(CliRunner().invoke(app, ["eds", str(sheet), "--json"]).stdout)
+    refused = result.ended_in in JUDGING
+    commissionable = [each["mode"] for each in judged["usable_modes"] if each["commission"]]
+    wrong = []
+    if refused and judged["serves"] and not judged["conditions"]:
+        wrong.append(f"hil eds: it can serve; hil commission: {result.reason}")
+    if not refused and (not judged["serves"] or (judged["conditions"] and result.ended_in != "setup")):
+        wrong.append(f"hil commission did it; hil eds: {judged['obstacles'] or judged['conditions']}")
+    if result.mode and result.mode not in commissionable:
+        wrong.append(f"commissioned in {result.mode}; hil eds: {', '.join(commissionable)}")
+    return wrong
+
+
+def ran(folder: Path) -> str:
+    """What ``hil run`` says of the bench that a commissioning left; empty if it passes or there is none."""
+    bench = folder / "out" / "bench.toml"
+    if not bench.exists():
+        return ""
+    done = CliRunner().invoke(app, ["run", str(bench), "--no-record"])
+    return (
+        ""
+        if done.exit_code == 0
+        else f"hil run leaves with {done.exit_code}: {done.stderr.splitlines()[-1:]}"
+    )
 
 
 def rehearsed(
@@ -119,4 +151,7 @@ def rehearsed(
         stands=abs(float(state[S_SPEED_MEASURED])) < AT_REST_RAD_S,
         enabled=servo.drive.power.state is State.OPERATION_ENABLED,
         restored=figures["restored"] is not False,
+        mode=next((step["figures"].get("mode", "") for step in steps if step["name"] == "setup"), "").replace(
+            "_", " "
+        ),
     )

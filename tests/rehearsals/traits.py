@@ -186,7 +186,7 @@ TRAITS: Final[dict[str, Trait]] = {
     "mappings fixed, no values": Trait(
         _fixed(_STATE_PDO), "606Ch:00: the TPDOs have fixed mappings without it"
     ),
-    "one TPDO": Trait(_one_tpdo, "cannot carry"),
+    "one TPDO": Trait(_one_tpdo, "the TPDOs have no room left for it"),
     "COB-IDs fixed": Trait(
         lambda sheet: sheet.every(1, _COMMUNICATION, AccessType="ro"), without=_NO_CURRENT
     ),

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.pdo_planner import PlanImpossible
-from drivers.errors import BadInput, PeerFault
+from drivers.errors import BadInput
 from hil.testing.bench_runs import BenchRunner
 from tests.motors import LING
 from tests.scenario.processes import EXAMPLES
@@ -44,13 +43,12 @@ def test_a_run_by_the_drives_own_sheet(servo_bench: BenchRunner, tmp_path: Path)
     assert "data sheet" not in events(run.folder)
 
 
-def test_a_sheet_without_velocity_ends_the_run(servo_bench: BenchRunner, tmp_path: Path) -> None:
-    run = servo_bench(BENCH, changes(sheet(tmp_path, "[606C]", "[2FFF]")), ends_in=PlanImpossible)
-    assert isinstance(run.error, PeerFault)
-    assert "606Ch:00 is not in the dictionary" in str(run.error)
-    report = (run.folder / "fault.txt").read_text()
-    assert "606Ch:00 is not in the dictionary" in report
-    assert "SDO answer of node 1" in report
+def test_a_sheet_that_rules_the_mode_out_is_refused_before_the_drive_is_asked(
+    servo_bench: BenchRunner, tmp_path: Path
+) -> None:
+    with pytest.raises(BadInput, match=r"606Ch:00 is not in the dictionary") as caught:
+        servo_bench(BENCH, changes(sheet(tmp_path, "[606C]", "[2FFF]")))
+    assert (caught.value.key, caught.value.value) == ("drive.axis1.mode", "cst")
 
 
 def test_a_sheet_that_is_none_is_bad_input(servo_bench: BenchRunner, tmp_path: Path) -> None:

@@ -9,7 +9,8 @@ from typer.testing import CliRunner
 from hil.cli import app
 from tests.motors import LING
 from tests.rehearsals.__main__ import complaints
-from tests.rehearsals.rehearsal import made_sheet, rehearsed
+from tests.rehearsals.made_sheet import MadeSheet
+from tests.rehearsals.rehearsal import contradictions, made_sheet, rehearsed
 from tests.rehearsals.traits import TRAITS
 from virtual_bus.drive.servo import SimulatedServo
 
@@ -40,15 +41,20 @@ READY = [
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_drive_that_cannot_be_served_is_refused_before_it_moves(case: str, tmp_path: Path) -> None:
     names = tuple(case.split("+"))
-    assert complaints(names, rehearsed(made_sheet(names, tmp_path), tmp_path, last_step="enable")) == []
+    sheet = made_sheet(names, tmp_path)
+    result = rehearsed(sheet, tmp_path, last_step="enable")
+    assert complaints(names, result) == []
+    assert contradictions(sheet, result) == []
 
 
 @pytest.mark.parametrize("case", READY)
 def test_an_odd_drive_is_set_up_and_enabled(case: str, tmp_path: Path) -> None:
     names = tuple(case.split("+"))
     assert all(not TRAITS[name].ends or TRAITS[name].mendable for name in names)
-    result = rehearsed(made_sheet(names, tmp_path), tmp_path, last_step="enable")
+    sheet = made_sheet(names, tmp_path)
+    result = rehearsed(sheet, tmp_path, last_step="enable")
     assert (result.reason, result.not_done, result.is_safe()) == ("", {}, True)
+    assert contradictions(sheet, result) == []
 
 
 @pytest.mark.parametrize(
@@ -123,6 +129,19 @@ def test_all_that_neither_drive_nor_nameplate_tells_is_asked_for_at_once(tmp_pat
     assert "does not tell its torque unit; the drive does not tell its position unit" in result.reason
     assert "rating.torque_nm" in result.reason
     assert "encoder.counts_per_revolution" in result.reason
+
+
+def test_a_drive_with_units_of_its_maker_is_found_sound(tmp_path: Path) -> None:
+    sheet = MadeSheet()
+    sheet.by(0x1A3)
+    sheet.set(0x1008, default="iPOS")
+    sheet.drop(0x608F, 0x6090, 0x6092, 0x6096, 0x60A8, 0x60A9, 0x60AA)
+    path = tmp_path / "made.eds"
+    path.write_text(sheet.text())
+    result = rehearsed(path, tmp_path, last_step="motion_units")
+    (counts,) = result.faults
+    assert "the nameplate's 65536 counts per turn are taken" in counts
+    assert result.not_done == {}
 
 
 def test_the_sheet_of_another_drive_is_refused(tmp_path: Path) -> None:

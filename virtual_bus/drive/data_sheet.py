@@ -9,10 +9,10 @@ from design.motor import PmsmParameters
 from drivers.canopen.objects301 import Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import NEEDED_OBJECTS
-from drivers.cia402.profile import Mode, supported_mode_bit
+from drivers.cia402.profile import Mode, supported_mode_bit, tells_modes
 from drivers.cia402.scaling import ENCODER_COUNTS_MIN
 from drivers.sheets.dictionary import held_number
-from drivers.vendors.families import motor_objects_for
+from drivers.vendors.families import motor_objects_for, quirks_for
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.device.vendor_dictionary import overlay
 from virtual_bus.drive.servo_parameters import current_per_rms
@@ -24,8 +24,7 @@ _RAMPS: Final = (
     Object.TORQUE_SLOPE,
     Object.HOMING_ACCELERATION,
 )
-_STANDARD_MODES: Final = 0x3FF
-"""Of 6502h; the rest is reserved, and the maker's."""
+_RATINGS: Final = (Object.MOTOR_RATED_TORQUE, Object.MOTOR_RATED_CURRENT)
 
 
 def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
@@ -40,12 +39,17 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
             and the position unit stays the simulated encoder's
     ramps   a sheet's 0 in 6083h to 6085h, 6087h and 609Ah is shown; the drive then has the slowest ramp that
             there is, until it is written
+    rating  6075h and 6076h are those of the simulated motor: the sheet's are of another one, or of none
     """
     modes = dictionary.variable(Object.SUPPORTED_DRIVE_MODES)
     ramps = [dictionary.variable(index) for index in _RAMPS]
+    ratings = [dictionary.variable(index) for index in _RATINGS]
+    rated = [variable.default for variable in ratings]
     resolution = [dictionary.variable(Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
     counts = [variable.default for variable in resolution]
     overlay(dictionary, vendor)
+    for variable, own in zip(ratings, rated, strict=True):
+        variable.default = variable.value = own
     _take_modes(dictionary, modes, held_number(vendor, Object.SUPPORTED_DRIVE_MODES))
     file_resolution = [held_number(vendor, Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
     _take_resolution(resolution, counts, file_resolution)
@@ -70,7 +74,7 @@ def only_modes(dictionary: ObjectDictionary, bits: int, *further: Variable) -> N
 
 
 def _take_modes(dictionary: ObjectDictionary, own: Variable, told: int | None) -> None:
-    allowed = own.default if told is None or not told & _STANDARD_MODES else own.default & told
+    allowed = own.default & told if told and tells_modes(told) else own.default
     bits = sum(
         supported_mode_bit(mode)
         for mode, index in NEEDED_OBJECTS.items()
@@ -103,6 +107,10 @@ def tell_motor(dictionary: ObjectDictionary, motor: PmsmParameters) -> None:
     name = _held(dictionary, Cia301.DEVICE_NAME, 0)
     text = name.split(b"\0", 1)[0].decode("latin-1").strip() if isinstance(name, bytes) else ""
     figures = motor_figures(motor)
+    rated = dictionary.get(Object.MOTOR_RATED_TORQUE)
+    for _, quirk in quirks_for(int(vendor), int(product), text):
+        if rated is not None and quirk.rated_torque_nm is not None:
+            rated.show_instead(round(motor.rated_torque_nm / quirk.rated_torque_nm))
     for _, known in motor_objects_for(int(vendor), int(product), text):
         held = [dictionary.get(each.index, each.sub) for each in known.objects]
         if known.whole and None in held:

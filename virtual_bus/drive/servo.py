@@ -82,7 +82,8 @@ class ServoApplication(Application):
         self.power = PowerStateMachine(objects.option)
         self._failures = Failures(services, objects.error_code)
         counts = self.drive.encoder_counts_per_revolution
-        self.units = UserUnits(dictionary, counts, lambda: self._motion is MotorAction.OFF)
+        makers = self.drive.makers_units
+        self.units = UserUnits(dictionary, counts, lambda: self._motion is MotorAction.OFF, makers)
         self.machine = SimulatedMachine(dictionary, counts, self._encoder_count)
         self.axis = SimulatedAxis(
             self.firmware, objects, motion, self.units, self.machine, self._fail_following

@@ -11,6 +11,7 @@ from drivers.canopen.cob_ids import NO_RTR
 from drivers.canopen.objects301 import Cia301, mapping_word
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import AbortConnectionOption
+from drivers.vendors.families import Quirk
 from virtual_bus.device.device_options import (
     DeviceIdentity,
     DeviceOptions,
@@ -51,6 +52,8 @@ class DriveParameters(FirmwareParameters):
     """How much faster than the bench the drive's clock runs."""
     lacks: tuple[str, ...] = ()
     """What it does without, see :mod:`virtual_bus.drive.lacks`."""
+    makers_units: tuple[tuple[str, Quirk], ...] = ()
+    """Meanings of its maker's objects beside CiA 402-2, by :func:`drivers.vendors.families.quirks_for`."""
     load: LoadTable | None = None
     """What the shaft can be made to bear by 2100h:3; None: nothing over time."""
 

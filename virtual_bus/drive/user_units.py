@@ -11,13 +11,15 @@ that say different things the one written last rules: a factor that is written c
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object, Unit, unit_parts, unit_word
+from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault
+from drivers.vendors.families import Quirk
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
 from virtual_bus.device.sdo_abort import AbortCode
 
@@ -41,9 +43,15 @@ class UserUnits:
     """The factors in force, and the objects that set them."""
 
     def __init__(
-        self, dictionary: ObjectDictionary, counts_per_revolution: int, may_change: Callable[[], bool]
+        self,
+        dictionary: ObjectDictionary,
+        counts_per_revolution: int,
+        may_change: Callable[[], bool],
+        makers: Sequence[tuple[str, Quirk]] = (),
     ) -> None:
-        """``may_change``: false while the drive is enabled; units then stay as they are (08000022h)."""
+        """``may_change``: false while the drive is enabled; units then stay as they are (08000022h).
+        ``makers``: what objects of the drive mean beside CiA 402-2."""
+        self._makers = makers
         self._dictionary = dictionary
         self._may_change = may_change
         self._counts_per_rad = counts_per_revolution / math.tau
@@ -169,12 +177,16 @@ class UserUnits:
     def _scaling(self) -> Scaling:
         """From what is on the bus, as a master reads it; where a vendor's dictionary tells nothing of the
         position unit, encoder counts."""
-        values = {key: self._told(*key) for key in FACTOR_OBJECTS}
         try:
-            return scaling_from(values, ScaleOverride(rated_torque_nm=1.0))
+            return self._scaling_with(ScaleOverride(rated_torque_nm=1.0))
         except PeerFault:
             count_rad = 1.0 / self._counts_per_rad
-            return scaling_from(values, ScaleOverride(position_rad=count_rad, rated_torque_nm=1.0))
+            return self._scaling_with(ScaleOverride(position_rad=count_rad, rated_torque_nm=1.0))
+
+    def _scaling_with(self, override: ScaleOverride) -> Scaling:
+        values = {key: self._told(*key) for key in FACTOR_OBJECTS}
+        known = apply_quirks(self._makers, values, override, self._told)
+        return scaling_from(known.values, known.override)
 
     def _told(self, index: int, sub: int) -> int | None:
         variable: Variable | None = self._dictionary.get(index, sub)

@@ -4,11 +4,12 @@ import pytest
 
 from drivers.cia402.profile import Mode
 from drivers.sheets.fitness import Fitness, assess
-from tests.unit.drivers.eds_maker import NODE, U16, U32, Pdo, four_pdos, sheet, sub, variable
+from hil.commissioning.drive_port import QUANTITY_OF_MODE
+from tests.unit.drivers.eds_maker import I8, NODE, U8, U16, U32, Pdo, four_pdos, sheet, sub, variable
 
 
 def fitness(pdos: list[Pdo] | None = None, **how: object) -> Fitness:
-    return assess(sheet(four_pdos() if pdos is None else pdos, **how), NODE)
+    return assess(sheet(four_pdos() if pdos is None else pdos, **how), NODE, tuple(QUANTITY_OF_MODE))
 
 
 def test_a_complete_drive_serves_in_torque() -> None:
@@ -39,21 +40,11 @@ def test_modes_are_those_of_6502h() -> None:
 @pytest.mark.parametrize("modes", ["", "0"])
 def test_without_a_value_of_6502h_the_objects_tell(modes: str) -> None:
     found = fitness(modes=modes)
-    assert found.modes == (Mode.PROFILE_POSITION, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE)
-    assert "6502h gives no value" in found.modes_told_by
-
-
-def test_cyclic_modes_are_concluded_from_what_only_they_have() -> None:
-    period, data, offset = (
-        variable(0x60C2, U16, "rw"),
-        variable(0x60C1, U32, "rw"),
-        variable(0x60B0, U32, "rw"),
-    )
-    assert Mode.CYCLIC_SYNCHRONOUS_TORQUE in fitness(modes="", also=period).modes
-    interpolated = fitness(modes="", also=period + data).modes
-    assert Mode.INTERPOLATED_POSITION in interpolated
-    assert Mode.CYCLIC_SYNCHRONOUS_POSITION not in interpolated
-    assert Mode.CYCLIC_SYNCHRONOUS_POSITION in fitness(modes="", also=period + data + offset).modes
+    without_object = {Mode.VELOCITY, Mode.INTERPOLATED_POSITION}
+    asked = [mode for mode in QUANTITY_OF_MODE if mode not in without_object]
+    assert found.modes == tuple(sorted(asked))
+    assert "to be tried (6502h gives no value)" in found.modes_told_by
+    assert [each.mode for each in found.usable] == asked
 
 
 @pytest.mark.parametrize(
@@ -67,7 +58,7 @@ def test_cyclic_modes_are_concluded_from_what_only_they_have() -> None:
         ({"without": (0x6040,)}, "6040h:00 missing: it has no CiA 402 state machine"),
         ({"without": (0x6040, 0x6041)}, "6040h:00 and 6041h:00 missing"),
         ({"without": (0x6060,)}, "6060h:00 missing: its mode cannot be chosen"),
-        ({"modes": "0x20"}, "it has no mode for torque, velocity or position"),
+        ({"modes": "0x20"}, "it has none of the modes in which the bench could move it"),
         (
             {"without": (0x606C,)},
             "cyclic synchronous torque: 606Ch:00 is not in the dictionary",
@@ -93,6 +84,56 @@ def test_a_mode_without_its_object_is_told_and_the_next_one_serves() -> None:
     assert found.best is not None
     assert found.best.mode is Mode.CYCLIC_SYNCHRONOUS_VELOCITY
     assert found.serves
+
+
+def test_no_standardised_profile_is_a_drive_by_its_statusword() -> None:
+    found = fitness(device_type="0x00020000")
+    assert found.serves
+    assert any("no device profile" in remark for remark in found.remarks)
+    assert not fitness(device_type="0x00020000", without=(0x6041,)).serves
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        ("LowLimit=1\nHighLimit=9\n", "6060h takes 1 to 9 by its limits, the mode is 10"),
+        ("HighLimit=8\n", "6060h takes up to 8 by its limits, the mode is 10"),
+        ("HighLimit=10\n", ""),
+    ],
+)
+def test_a_mode_beyond_the_limits_of_6060h_is_none(limits: str, reason: str) -> None:
+    also = variable(0x6060, I8, "rww") + limits
+    torque = fitness(without=(0x6060,), also=also).usable[0]
+    assert (torque.mode, torque.reason, torque.plan is None) == (
+        Mode.CYCLIC_SYNCHRONOUS_TORQUE,
+        reason,
+        bool(reason),
+    )
+
+
+def test_a_mode_that_cannot_be_written_is_the_only_one() -> None:
+    found = fitness(without=(0x6060,), also=variable(0x6060, I8, "ro", "7"))
+    assert {each.reason for each in found.usable if each.mode is not Mode.INTERPOLATED_POSITION} == {
+        "6060h cannot be written, and holds 7"
+    }
+    assert not found.serves
+    held = fitness(without=(0x6060,), also=variable(0x6060, I8, "ro", "9"))
+    assert held.best is not None
+    assert held.best.mode is Mode.CYCLIC_SYNCHRONOUS_VELOCITY
+
+
+def test_a_watch_that_cannot_be_is_a_condition() -> None:
+    heartbeats = {index: variable(index, U16, "rw") for index in (0x1016, 0x1017)}
+    guarding = variable(0x100C, U16, "rw") + variable(0x100D, U8, "rw")
+    assert fitness(also="".join(heartbeats.values())).conditions == ()
+    assert fitness(also=guarding).conditions == ()
+    (host,) = fitness(also=heartbeats[0x1016]).conditions
+    assert host == (
+        "without 1017h, 100Ch and 100Dh the host does not notice that the drive is gone: it is refused "
+        "unless --unwatched (unwatched = true)"
+    )
+    assert fitness(also=heartbeats[0x1016]).remarks[0] == host
+    assert "without 1016h" in fitness(also=heartbeats[0x1017]).conditions[0]
 
 
 def test_no_device_type_is_a_remark() -> None:

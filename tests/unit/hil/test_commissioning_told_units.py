@@ -10,12 +10,16 @@ from drivers.cia402.drive_setup import Identity
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
 from drivers.cia402.scaling import ScaleOverride, Scaling, UnitNotTold
+from drivers.sheets.fitness import told_by_sheet
 from drivers.timebase import NS_PER_MS, Duration
 from hil.commissioning import steps_static as module
+from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.request import Nameplate
 from hil.commissioning.session import Session
-from hil.commissioning.steps_static import UnitsTold, _modes
+from hil.commissioning.steps_static import UnitsTold
+from tests.unit.drivers.eds_maker import four_pdos
+from tests.unit.drivers.eds_maker import sheet as sheet_of
 from tests.unit.hil.simulated_shaft import LIMITS, Shaft, session_of, shaft_of
 
 TRUTH = shaft_of(1e-3)
@@ -33,12 +37,13 @@ class Units:
         self.refusal = refusal
         monkeypatch.setattr(module, "read_scaling", self._read_scaling)
         shaft = Shaft(TRUTH)
-        request = SimpleNamespace(nameplate=Nameplate.model_validate(plate), trust_nameplate=True)
+        request = SimpleNamespace(node=5, nameplate=Nameplate.model_validate(plate), trust_nameplate=True)
         self.session: Session = session_of(
             shaft,
             request=request,
             dialog=SimpleNamespace(attended=False),
             dictionary=None,
+            sheet_told=None,
             motion_mode=lambda: self.session.found.modes[0] if self.session.found.modes else None,
             choose_period=lambda _mode: (Duration(2 * NS_PER_MS), 47.4),
         )
@@ -97,10 +102,12 @@ def test_without_polarity_and_modes_that_is_said_and_no_period_chosen(
 ) -> None:
     units = Units(monkeypatch)
     units.held[Object.SUPPORTED_DRIVE_MODES, 0] = 0x20  # homing
-    outcome = units.run()
-    assert outcome.lines[4:6] == ["no polarity object 607Eh", "modes: none of use here"]
-    assert outcome.lines[-1].startswith("host limits")
+    outcome = StepOutcome()
+    with pytest.raises(StepFailed) as caught:
+        UnitsTold().run(units.session, outcome)
+    assert outcome.lines[4:] == ["no polarity object 607Eh", "modes: none of use here"]
     assert outcome.figures["polarity"] is None
+    assert caught.value.evidence == "it has none of the modes in which the bench could move it"
 
 
 @pytest.mark.parametrize("raw", [0, None])
@@ -173,21 +180,13 @@ def test_modes_that_are_not_told_are_tried_by_their_set_points(
     del units.held[Object.SUPPORTED_DRIVE_MODES, 0]
     if bits is not None:
         units.held[Object.SUPPORTED_DRIVE_MODES, 0] = bits
-    every = (
-        CST,
-        Mode.PROFILE_TORQUE,
-        Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
-        PV,
-        Mode.VELOCITY,
-        Mode.CYCLIC_SYNCHRONOUS_POSITION,
-        Mode.INTERPOLATED_POSITION,
-        Mode.PROFILE_POSITION,
-    )
-    assert _modes(units.session) == (every, False)
-    cast(Any, units.session).dictionary = {int(Object.TARGET_VELOCITY): 1}
-    assert _modes(units.session) == ((Mode.CYCLIC_SYNCHRONOUS_VELOCITY, PV), False)
-    named = f"modes to be tried, as 6502h tells none: {Mode.CYCLIC_SYNCHRONOUS_VELOCITY.title}, {PV.title}"
-    assert units.run().lines[5] == named
+    outcome = units.run()
+    assert units.session.found.modes == tuple(QUANTITY_OF_MODE)
+    every = ", ".join(mode.title for mode in QUANTITY_OF_MODE)
+    assert outcome.lines[5] == f"modes to be tried, as 6502h tells none: {every}"
+    sheet = sheet_of(four_pdos(), modes="", without=(0x6071, 0x607A))
+    cast(Any, units.session).sheet_told = told_by_sheet(sheet)
+    assert units.run().lines[5].endswith(f"tells none: {Mode.CYCLIC_SYNCHRONOUS_VELOCITY.title}, {PV.title}")
 
 
 def test_the_plan_tells_whether_its_maker_keeps_the_motor(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,13 +9,15 @@ import pytest
 from drivers.canopen.pdo import PdoDirection, PdoPlan
 from drivers.canopen.pdo_budget import Budget, BudgetLine
 from drivers.canopen.pdo_capability import PdoSlot
+from drivers.cia402.judgement import ModeFitness
 from drivers.cia402.pdo_planner import PlanResult
 from drivers.cia402.profile import Mode
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.information import Commissioning, DeviceInformation, FileInformation
 from drivers.sheets.eds.repairs import Repair
-from drivers.sheets.fitness import FileIdentity, Fitness, Lack, ModeFitness, assess
+from drivers.sheets.fitness import FileIdentity, Fitness, Lack, assess
 from drivers.timebase import Duration
+from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.terminal.eds_report import print_sheet
 from hil.terminal.eds_sheet import Planned, plan_for, sheet, unit_lines
 from tests.unit.drivers.eds_maker import NODE, four_pdos
@@ -23,9 +25,10 @@ from tests.unit.drivers.eds_maker import sheet as made_sheet
 
 FILE = Path("made.eds")
 MADE = replace(made_sheet(four_pdos()), repairs=())
-ASSESSED = assess(MADE, NODE)
+ASSESSED = assess(MADE, NODE, tuple(QUANTITY_OF_MODE))
 NOBODY = FileIdentity("", "", "", None, None, None, "", None)
 PLAIN = replace(ASSESSED, identity=NOBODY, profile=None, modes=(), pdos=(), lacks=(), remarks=())
+MODES = "What its modes serve for"
 SIZE = "29 objects, 125 entries"
 
 
@@ -201,6 +204,34 @@ def test_units_lacks_repairs_and_remarks_are_told_each_in_a_line(printed: Any) -
     ]
 
 
+def test_each_mode_says_whether_it_can_be_commissioned_and_run(printed: Any) -> None:
+    plan = ASSESSED.usable[0].plan
+    usable = (
+        ModeFitness(Mode.CYCLIC_SYNCHRONOUS_TORQUE, None, "6071h:00 is [not] there"),
+        ModeFitness(Mode.PROFILE_TORQUE, plan),
+        ModeFitness(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, plan),
+    )
+    modes = (
+        Mode.PROFILE_TORQUE,
+        Mode.HOMING,
+        Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
+        Mode.CYCLIC_SYNCHRONOUS_TORQUE,
+    )
+    fitness = replace(PLAIN, modes=modes, usable=usable)
+    assert printed(fitness)[1] == [
+        MODES,
+        "mode hil commission hil run",
+        "cyclic synchronous torque no no 6071h:00 is [not] there",
+        "profile torque yes no",
+        'cyclic synchronous velocity yes mode = "csv"',
+        "homing no no",
+    ]
+    assert [line.split() for line in printed(replace(fitness, obstacles=("o",)))[1][3:5]] == [
+        ["profile", "torque", "no", "no"],
+        ["cyclic", "synchronous", "velocity", "no", "no"],
+    ]
+
+
 def test_a_drive_that_cannot_serve_has_its_obstacles_at_the_end(printed: Any) -> None:
     fitness = replace(PLAIN, obstacles=("no controlword", "no [plan]"))
     assert printed(fitness)[-1] == ["It cannot serve a bench:", "no controlword", "no [plan]"]
@@ -217,7 +248,13 @@ def test_the_sheet_of_a_bare_file_is_whole() -> None:
     one = Repair("6041sub0", "no type", "taken for 6", 17)
     usable = (ModeFitness(Mode.HOMING, None, "no plan"),)
     fitness = replace(
-        PLAIN, usable=usable, obstacles=("o",), remarks=("r",), lacks=(Lack(0x1003, "n", "c"),), pdos=(SLOT,)
+        PLAIN,
+        usable=usable,
+        obstacles=("o",),
+        conditions=("c",),
+        remarks=("r",),
+        lacks=(Lack(0x1003, "n", "c"),),
+        pdos=(SLOT,),
     )
     loaded = replace(MADE, repairs=(one,), commissioning=Commissioning(7))
     assert told(fitness, loaded) == {
@@ -228,7 +265,10 @@ def test_the_sheet_of_a_bare_file_is_whole() -> None:
             "product_code": None, "revision": None, "device_type": None,
         },
         "profile": None, "axes": 1, "modes": [], "modes_told_by": "6502h",
-        "usable_modes": [{"mode": "homing", "pdo_plan": False, "reason": "no plan"}],
+        "usable_modes": [
+            {"mode": "homing", "pdo_plan": False, "commission": False, "run": None, "reason": "no plan"}
+        ],
+        "conditions": ["c"],
         "pdos": [
             {
                 "name": "TPDO1", "cob_id": "0x185", "valid": True, "transmission_type": 255,

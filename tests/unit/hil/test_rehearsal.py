@@ -8,6 +8,7 @@ import pytest
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.pdo_plans import TARGETS
 from drivers.cia402.profile import Mode
 from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
@@ -54,7 +55,7 @@ def rehearse(path: Path) -> dict[Mode, int]:
 
 
 def _modes(loaded: LoadedDictionary) -> list[Mode]:
-    return [each.mode for each in assess(loaded, NODE).usable if each.plan is not None]
+    return [each.mode for each in assess(loaded, NODE, tuple(TARGETS)).usable if each.plan is not None]
 
 
 def _readings(network: CanopenNetwork, drive: ServoDrive, loaded: LoadedDictionary, mode: Mode) -> int:

@@ -58,6 +58,17 @@ def test_modes_that_the_sheet_denies_are_neither_told_nor_taken() -> None:
             drive.dictionary.download(0x6060, 0, bytes([mode]))
 
 
+def test_the_rating_is_that_of_the_simulated_motor() -> None:
+    sheet = MadeSheet()
+    sheet.set(0x6075, default=123)
+    sheet.set(0x6076, default=300)
+    drive, plain = drive_of(sheet), drive_of(MadeSheet())
+    for index in (0x6075, 0x6076):
+        assert number(drive, index) == number(plain, index)
+    assert number(drive, 0x6076) == round(1000 * LING.rated_torque_nm)
+    assert drive.drive.objects.torque_unit_nm == pytest.approx(LING.rated_torque_nm / 1000)
+
+
 def test_without_6502h_a_mode_needs_its_set_point() -> None:
     sheet = MadeSheet()
     sheet.drop(0x6502, 0x6071)

@@ -1,0 +1,148 @@
+"""One judgement of a drive: is it one, can it be watched, and in which modes can it be commanded.
+
+``hil eds`` makes it of a data sheet, ``hil commission`` of the drive that answers and its sheet if there is
+one, ``hil run`` of the sheet that a bench names: by the same rules, so that none contradicts another.
+
+    profile    1000h says 402; 0, no standardised profile, is taken where there is a statusword 6041h
+    modes      6502h; where it tells none, each mode whose set-point object is there is tried
+    a mode     6060h takes it, its set-point object is there, and the PDOs can carry what it needs
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from drivers.canopen.error_control import watch_lack
+from drivers.canopen.objects import RemoteObjects
+from drivers.canopen.objects301 import Cia301
+from drivers.canopen.pdo_capability import PdoCapability
+from drivers.canopen.sdo import object_name
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
+from drivers.cia402.pdo_plans import NEEDED_OBJECTS, STANDARD, PlanWish
+from drivers.cia402.profile import Mode, no_drive, offers_mode, tells_modes
+
+_UNWATCHED: Final = "it is refused unless --unwatched (unwatched = true)"
+
+
+@dataclass(frozen=True, slots=True)
+class ToldDrive:
+    """What a judgement rests on."""
+
+    device_type: int | None = None
+    """1000h; None if nobody tells it."""
+    mode_bits: int | None = None
+    """6502h."""
+    has: Callable[[int], bool] = lambda _index: True
+    """An object is there; without a data sheet it is asked for when it is needed."""
+    mode_range: tuple[int | None, int | None] = (None, None)
+    """The least and the greatest value that 6060h takes; None: its type's."""
+    mode_held: int | None = None
+    """What 6060h holds where it cannot be written."""
+    capability: PdoCapability = STANDARD
+
+
+@dataclass(frozen=True, slots=True)
+class ModeFitness:
+    """One mode."""
+
+    mode: Mode
+    plan: PlanResult | None
+    """None: it cannot be commanded."""
+    reason: str = ""
+    """Why not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What came of it."""
+
+    obstacles: tuple[str, ...]
+    """Nothing can be done with it; empty: it can be commissioned."""
+    conditions: tuple[str, ...]
+    """What has to be allowed for it."""
+    modes: tuple[ModeFitness, ...]
+    """Those of the asked that it has, or that may be tried; in the order in which they were asked for."""
+    modes_told: bool
+    """6502h says so."""
+
+    @property
+    def usable(self) -> tuple[Mode, ...]:
+        """The modes that can be commanded."""
+        return tuple(each.mode for each in self.modes if each.plan is not None)
+
+
+def told_by_drive(objects: RemoteObjects, device_type: int, sheet: ToldDrive | None) -> ToldDrive:
+    """What the drive that answers tells, with its data sheet for what a drive does not tell."""
+    told, bits = sheet or ToldDrive(), objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
+    return replace(told, device_type=device_type, mode_bits=bits or told.mode_bits)
+
+
+def judge(told: ToldDrive, node_id: int, asked: Sequence[Mode]) -> Judgement:
+    """Judge a drive for ``asked``, the modes in which somebody could command it."""
+    obstacles = _obstacles(told)
+    modes = tuple(judge_mode(told, node_id, mode) for mode in asked if offered(told, mode))
+    if not obstacles and not modes:
+        obstacles = ("it has none of the modes in which the bench could move it",)
+    elif not obstacles and all(each.plan is None for each in modes):
+        obstacles = tuple(f"{each.mode.title}: {each.reason}" for each in modes)
+    return Judgement(obstacles, _conditions(told), modes, tells_modes(told.mode_bits))
+
+
+def refusal(told: ToldDrive, node_id: int, mode: Mode) -> str:
+    """Why the drive cannot be commanded in ``mode``; empty if it can."""
+    if obstacles := _obstacles(told):
+        return "; ".join(obstacles)
+    if offered(told, mode):
+        return judge_mode(told, node_id, mode).reason
+    by = f"6502h is {told.mode_bits:08X}h" if tells_modes(told.mode_bits) else "no object for its set-point"
+    return f"it has no {mode.title} mode: {by}"
+
+
+def offered(told: ToldDrive, mode: Mode) -> bool:
+    """The drive has the mode, or may have it."""
+    if tells_modes(told.mode_bits):
+        return offers_mode(told.mode_bits, mode)
+    return mode in NEEDED_OBJECTS and told.has(NEEDED_OBJECTS[mode])
+
+
+def judge_mode(told: ToldDrive, node_id: int, mode: Mode) -> ModeFitness:
+    """Judge one mode, which is offered."""
+    needed, (low, high) = NEEDED_OBJECTS[mode], told.mode_range
+    if told.mode_held is not None and told.mode_held != mode:
+        return ModeFitness(mode, None, f"6060h cannot be written, and holds {told.mode_held}")
+    if (low is not None and mode < low) or (high is not None and mode > high):
+        return ModeFitness(mode, None, f"6060h takes {_range(low, high)} by its limits, the mode is {mode:d}")
+    if not told.has(needed):
+        return ModeFitness(mode, None, f"{object_name(needed, 0)} is not in the dictionary")
+    try:
+        return ModeFitness(mode, plan_pdos(told.capability, node_id, PlanWish(mode)))
+    except PlanImpossible as error:
+        return ModeFitness(mode, None, error.evidence or error.summary)
+
+
+def _range(low: int | None, high: int | None) -> str:
+    return f"{low} to {high}" if None not in (low, high) else f"up to {high}" if low is None else f"{low} on"
+
+
+def _obstacles(told: ToldDrive) -> tuple[str, ...]:
+    texts = [] if told.device_type is None else [
+        no_drive(told.device_type, lambda: told.has(Object.STATUSWORD))
+    ]  # fmt: skip
+    missing = [index for index in (Object.CONTROLWORD, Object.STATUSWORD) if not told.has(index)]
+    if missing:
+        names = " and ".join(object_name(index, 0) for index in missing)
+        texts.append(f"{names} missing: it has no CiA 402 state machine")
+    elif not told.has(Object.MODES_OF_OPERATION):
+        texts.append("6060h:00 missing: its mode cannot be chosen")
+    return tuple(filter(None, texts))
+
+
+def _conditions(told: ToldDrive) -> tuple[str, ...]:
+    guardable = all(map(told.has, (Cia301.GUARD_TIME, Cia301.LIFE_TIME_FACTOR)))
+    lack = watch_lack(
+        produced=told.has(Cia301.PRODUCER_HEARTBEAT_TIME), consumes=told.has(Cia301.CONSUMER_HEARTBEAT_TIME)
+    )
+    if lack is None or guardable:
+        return ()
+    return (f"without {lack[0]}, 100Ch and 100Dh {lack[1]}: {_UNWATCHED}",)
