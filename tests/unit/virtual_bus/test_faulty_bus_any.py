@@ -1,5 +1,6 @@
 """Faults in front of a bus that has no timeline: any of python-can's."""
 
+import struct
 from collections.abc import Iterator
 from typing import Any
 from uuid import uuid4
@@ -19,6 +20,8 @@ from virtual_bus.faults.faulty_bus import (
 from virtual_bus.faults.frame_fault import FrameFault
 from virtual_bus.faults.kinds.delay import Delay
 from virtual_bus.faults.kinds.loss import Loss
+from virtual_bus.faults.kinds.signal import SignalFault
+from virtual_bus.hosting.injection import Injection
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
 TPDO, RPDO = 0x181, 0x201
@@ -151,4 +154,37 @@ def test_a_bus_that_fails_says_so_through_the_faults(virtual: tuple[can.BusABC, 
     virtual[0].shutdown()
     with pytest.raises(can.CanOperationError):
         bus.recv(0.01)
+    bus.shutdown()
+
+
+def test_signals_are_altered_on_any_python_can_bus(virtual: tuple[can.BusABC, can.BusABC]) -> None:
+    """The peer is a drive whose mapping its master reads; each end hears what the other did not send."""
+    inner, peer = virtual
+    halved = SignalFault(object="target_torque", how="scale", factor=0.5)
+    turned = SignalFault(object="velocity_actual_value", how="sign")
+    fates = Injection(FaultPlan(signals=(halved, turned)), 3).fates
+    assert fates is not None
+    clock = MonotonicClock()
+    bus = FaultyBus(inner, fates, clock)
+    mapped = [
+        (0x1600, 0, "4F00160001000000"),
+        (0x1600, 1, "4300160110007160"),
+        (0x1A00, 0, "4F001A0001000000"),
+        (0x1A00, 1, "43001A0120006C60"),
+    ]
+    for index, sub, answer in mapped:
+        bus.send(message_of(0x601, struct.pack("<BHB4x", 0x40, index, sub)))
+        assert peer.recv(1.0) is not None
+        peer.send(message_of(0x581, bytes.fromhex(answer)))
+        assert bus.recv(1.0) is not None
+    bus.start(clock.now())
+    bus.send(message_of(RPDO, struct.pack("<h", -300)))
+    heard = peer.recv(1.0)
+    assert heard is not None
+    assert struct.unpack("<h", heard.data) == (-150,)
+    peer.send(message_of(TPDO, struct.pack("<i", 70_000)))
+    told = bus.recv(1.0)
+    assert told is not None
+    assert struct.unpack("<i", told.data) == (-70_000,)
+    assert bus.counts()["drive_to_host"]["signal_sign"] == 1
     bus.shutdown()
