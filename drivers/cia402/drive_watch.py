@@ -11,7 +11,7 @@ from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.follow_watch import FollowWatch, Lapse
 from drivers.cia402.objects402 import INTERLOCK, Object
 from drivers.cia402.pdo_plans import MODE
-from drivers.cia402.profile import state_of
+from drivers.cia402.profile import DriveCommand, state_of
 from drivers.cia402.readings import LastStatusword
 from drivers.cia402.state_control import FAULTY, StateControl
 from drivers.errors import DriveInFault, NoAnswer, PeerFault, PowerLost
@@ -148,14 +148,19 @@ class DriveWatch:
                 remedy="check the cable, and what else is on the bus",
             )
         if not commanded:
-            self.active = False
+            self._stop_first()
             raise DriveInFault(f"{control.title} follows no command any more", control.evidence())
         lapse = self._follow.lapse
         if lapse is not None:
             lapse.cycles += 1
             if not self._bears_lapses:
-                self.active = False
+                self._stop_first()
                 raise self._unfollowed(lapse)
+
+    def _stop_first(self) -> None:
+        """Have the enabled drive stop before anything is asked of it, as an answer may take its time."""
+        self.active = False
+        self._control.command_by_pdo(DriveCommand.QUICK_STOP)
 
     def _unfollowed(self, lapse: Lapse) -> DriveInFault:
         """The bit may have come before the mode that explains it: the drive is asked."""

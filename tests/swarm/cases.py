@@ -19,6 +19,28 @@ FAILURES: Final = ("over_current", "over_temperature", "following_error", "encod
 CLASSES: Final = ("pdo", "sync", "nmt", "heartbeat", "sdo", "emcy")
 RULES: Final = ("on_mode", "on_foreign", "on_boot", "on_bus_errors")
 WAYS: Final = ("both", "host_to_drive", "drive_to_host")
+BUS_PART: Final = 0.5
+"""Of the faults: those of the bus, of clocks and of hosts. The others are OTHERWISE."""
+MODES: Final = ("pp", "vl", "pv", "pt", "hm", "ip", "csp", "csv")
+LASTING_S: Final = (0.001, 0.004, 0.02, 0.1)
+SIGNALS: Final = (
+    "velocity_actual_value",
+    "velocity_actual_value",
+    "position_actual_value",
+    "torque_actual_value",
+    "target_torque",
+)
+BIT_SIGNALS: Final = ("statusword", "modes_of_operation_display", "velocity_actual_value")
+AMOUNTS: Final[dict[str, dict[str, tuple[float, ...]]]] = {
+    "stuck": {},
+    "offset": {"offset_raw": (3, -100, 20_000)},
+    "drift": {"drift_raw_per_s": (1000, -100_000)},
+    "noise": {"noise_raw_rms": (3, 1000)},
+    "scale": {"factor": (0.5, 0.95, 2, 0)},
+    "sign": {},
+    "bits": {"cleared_bits": (0x1000, 0x0004, 0x0001), "set_bits": (0, 0x0008)},
+}
+"""By the way in which a signal is wrong."""
 
 Table = dict[str, Any]
 
@@ -112,8 +134,9 @@ def _faults(draw: Random, duration_s: float) -> Table:
     """Some faults of some kinds; None of them in a quarter of the cases."""
     plan: dict[str, list[Table]] = {}
     for _ in range(draw.choice((0, 1, 2, FAULTS_MAX))):
-        kind = draw.choice(sorted(_KINDS))
-        plan.setdefault(kind, []).append(_KINDS[kind](draw, duration_s))
+        of = _KINDS if draw.random() < BUS_PART else OTHERWISE
+        kind = draw.choice(sorted(of))
+        plan.setdefault(kind, []).append(of[kind](draw, duration_s))
     return plan
 
 
@@ -180,10 +203,59 @@ def _host_stall(draw: Random, duration_s: float) -> Table:
     return _when(draw, duration_s, {"late_us": draw.choice((300, 1400, 30_000, 500_000))})
 
 
+def _mode_change(draw: Random, duration_s: float) -> Table:
+    return _for_a_while(draw, duration_s, {"mode": draw.choice(MODES)})
+
+
+def _ignored_commands(draw: Random, duration_s: float) -> Table:
+    table = {"holds": draw.choice(("last", "zero")), "bit_12_cleared": draw.random() < 0.6}
+    return _for_a_while(draw, duration_s, table)
+
+
+def _repeated_emergency(draw: Random, duration_s: float) -> Table:
+    table = {"code": draw.choice((0x2310, 0x4310, 0x5000, 0x8611, 0xFF01)), "period_ms": draw.choice((1, 10))}
+    return _for_a_while(draw, duration_s, table)
+
+
+def _refused_mapping(draw: Random, duration_s: float) -> Table:  # noqa: ARG001 - all kinds alike
+    where = draw.choice(
+        ({"mapped": "6061"}, {"mapped": "6074"}, {"parameter": "1A02:1"}, {"parameter": "1A01:0"})
+    )
+    return where | {"abort": draw.choice((0x06040041, 0x06040042, 0x08000022))}
+
+
+def _signal(draw: Random, duration_s: float) -> Table:
+    how = draw.choice(sorted(AMOUNTS))
+    name = draw.choice(BIT_SIGNALS if how == "bits" else SIGNALS)
+    table: Table = {"object": name, "how": how, "probability": draw.choice((1.0, 1.0, 0.1))}
+    for key, amounts in AMOUNTS[how].items():
+        table[key] = draw.choice(amounts)
+    table["from_s"] = round(draw.uniform(0.0, duration_s), 4)
+    if draw.random() < 0.5:
+        table["until_s"] = round(table["from_s"] + draw.choice(LASTING_S), 4)
+    if draw.random() < 0.3:
+        table["side"] = "drive"
+    return table
+
+
+def _for_a_while(draw: Random, duration_s: float, table: Table) -> Table:
+    if draw.random() < 0.7:
+        table["duration_s"] = draw.choice(LASTING_S)
+    return _when(draw, duration_s, table)
+
+
 def _slow_drive(draw: Random, duration_s: float) -> Table:  # noqa: ARG001 - all kinds alike
     return {"sdo_delay_us": draw.choice((2000, 20_000)), "tpdo_delay_min_us": 0, "tpdo_delay_max_us": 900}
 
 
+OTHERWISE: Final[dict[str, Callable[[Random, float], Table]]] = {
+    "mode_change": _mode_change,
+    "ignored_commands": _ignored_commands,
+    "repeated_emergency": _repeated_emergency,
+    "refused_mapping": _refused_mapping,
+    "signal": _signal,
+}
+"""Kinds by which a drive does, or seems to do, something else than it is asked for."""
 _KINDS: Final[dict[str, Callable[[Random, float], Table]]] = {
     "loss": _loss,
     "blackout": _blackout,

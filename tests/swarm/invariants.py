@@ -2,145 +2,27 @@
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from can.io.canutils import CanutilsLogReader
 
 from drivers.cia402.profile import State
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil import Run
+from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.configuration.config import BenchConfig
 from hil.loop.stamp_attribution import REVOKED
-from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
-from hil.rows.run_files import DIRECTIONS_FILE, FIRST_CYCLE, SUMMARY_FILE
-from hil.testing.wire import SeenFrame, Wire, read_wire
-from tests.swarm.mishaps import STRIKE, Circumstances, Mishap
-from tests.swarm.witness import EMCY_ID, Testimony
+from hil.rows.run_files import DIRECTIONS_FILE, SUMMARY_FILE
+from hil.testing.wire import SeenFrame
+from tests.swarm.following import OF_FOLLOWING
+from tests.swarm.mishaps import STRIKE, Mishap
+from tests.swarm.ran import TELLING_NS, Ran
+from tests.swarm.witness import EMCY_ID
 
-STATUSES: Final = (0, 1, 3, 4, 5, 6)
-"""docs/verdict.md; a drawn bench is never bad input, and nobody interrupts it."""
 REST_RAD_S: Final = 1.0
 EMCY_WITHIN_NS: Final = NS_PER_MS
-TELLING_NS: Final = NS_PER_MS
-"""What is told at the very end has no frame of its own."""
 COMMANDS: Final = range(0x200, 0x280)
 LEFTOVERS: Final = ("records.tail", "frames.tail", ".reserve", "summary.json.part", "records.arrow.part")
 RECORDER_STRUCK: Final = (Mishap.LOGGER_KILLED, Mishap.LOGGER_DIES, Mishap.DISK_FULL)
-
-
-class Told(NamedTuple):
-    """What a case has to say of itself."""
-
-    status: int | None
-    """None: it was killed."""
-    out: str
-    said: str
-    drives: list[Testimony]
-    killed_at: Instant | None = None
-    """On the bench's clock."""
-    logger_status: int | None = None
-    recovered: int | None = None
-    """Status of ``hil recover``."""
-
-
-@dataclass(frozen=True)
-class Ran:
-    """A case that was run, with its recording and its witnesses."""
-
-    config: BenchConfig
-    circumstances: Circumstances
-    folder: Path
-    case: Told
-    statuses: Sequence[int] = STATUSES
-    """With which it may have ended."""
-    telling_ns: int = TELLING_NS
-
-    @property
-    def survived(self) -> bool:
-        """The host has come to its end."""
-        return self.case.status is not None
-
-    @cached_property
-    def told(self) -> dict[str, Any]:
-        """The object of --json; of a host that was killed, that of summary.json."""
-        out = self.case.out if self.survived else (self.folder / SUMMARY_FILE).read_text(encoding="utf-8")
-        found: dict[str, Any] = json.loads(out)
-        return found
-
-    @property
-    def whole(self) -> bool:
-        """Nothing is known to be missing in the recording."""
-        return not self.told.get("recording_faults") and (self.folder / SUMMARY_FILE).exists()
-
-    @property
-    def has_all_rows(self) -> bool:
-        """None was lost with a disk; those that a logger has not taken lie in memory."""
-        return self.circumstances.mishap is not Mishap.DISK_FULL
-
-    @cached_property
-    def rows(self) -> Rows:
-        """(n,) of all axes; none where the run never began."""
-        if not (self.folder / RECORDS_FILE).exists():
-            return np.empty(0, ROW_DTYPE)
-        return np.concatenate([np.empty(0, ROW_DTYPE), *read_records(self.folder / RECORDS_FILE)])
-
-    @cached_property
-    def events(self) -> list[dict[str, Any]]:
-        """Of events.jsonl."""
-        lines = (self.folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
-        return [json.loads(line) for line in lines]
-
-    @cached_property
-    def wire(self) -> Wire:
-        """Of frames.log; none where it was cut off before its first cycle was known."""
-        return read_wire(self.folder) if read_metadata(self.folder / RECORDS_FILE) else Wire()
-
-    @cached_property
-    def first_cycle(self) -> int:
-        """On the clock of the bench, and so of the drives' witnesses, ns."""
-        return int(read_metadata(self.folder / RECORDS_FILE)[FIRST_CYCLE])
-
-    @property
-    def planned(self) -> int:
-        """Cycles of each axis."""
-        return -(-round(self.config.bench.duration_s * NS_PER_S) // self.config.loop.period)
-
-
-@dataclass(frozen=True)
-class Member(Ran):
-    """A run of the campaign: its recording or the memory of this process has it."""
-
-    run: Run = field(kw_only=True)
-
-    @property
-    def whole(self) -> bool:
-        """Nobody takes anything away from it."""
-        return True
-
-    @cached_property
-    def rows(self) -> Rows:
-        """(n,) of all axes."""
-        return self.run.rows
-
-    @property
-    def events(self) -> list[dict[str, Any]]:
-        """Of events.jsonl, if there is one."""
-        return self.run.events
-
-    @property
-    def wire(self) -> Wire:
-        """All frames."""
-        return self.run.wire
-
-    @property
-    def first_cycle(self) -> int:
-        """On the clock of the bench, and so of the drives' witnesses, ns."""
-        return int(self.run.table.schema.metadata[FIRST_CYCLE.encode()])
 
 
 def the_status_is_a_documented_one(ran: Ran) -> Iterator[str]:
@@ -319,6 +201,7 @@ OF_RUNS: Final[tuple[Invariant, ...]] = (
     passed_means_at_rest_and_without_emergency,
     nothing_is_told_that_has_not_happened,
     emergencies_are_told_when_they_were_sent,
+    *OF_FOLLOWING,
 )
 OF_RECORDINGS: Final[tuple[Invariant, ...]] = (
     summary_json_is_the_object,

@@ -15,8 +15,9 @@ from hil import Run
 from hil.rows.run_files import FRAMES_FILE
 from tests.scenario.foreign_node import beside_the_bench
 from tests.swarm.cases import EXAMPLES, tables
-from tests.swarm.invariants import OF_RECORDINGS, OF_RUNS, Member, Told, held_against
+from tests.swarm.invariants import OF_RECORDINGS, OF_RUNS, held_against
 from tests.swarm.mishaps import circumstances
+from tests.swarm.ran import Member, Told
 from tests.swarm.witness import DriveWitness, witnessed
 
 BASE: Final = dict.fromkeys(tomllib.loads((EXAMPLES / "ling2012.toml").read_text(encoding="utf-8")))

@@ -30,8 +30,9 @@ from hil.terminal import report  # noqa: F401 - the command imports it when it i
 from tests.motors import LING
 from tests.scenario.foreign_node import Act, beside_the_bench
 from tests.swarm.cases import bench_text, case
-from tests.swarm.invariants import Ran, Told, broken
+from tests.swarm.invariants import broken
 from tests.swarm.mishaps import STRIKE, Circumstances, Mishap, circumstances, disturbed
+from tests.swarm.ran import Ran, Told
 from tests.swarm.small_disk import small_disk
 from tests.swarm.warm import ForkedProcess, forked_loggers
 from tests.swarm.witness import DriveWitness, witnessed

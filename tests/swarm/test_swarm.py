@@ -14,7 +14,8 @@ from hil.testing.campaign_runs import CampaignRunner
 from hil.testing.wire import SeenFrame
 from tests.swarm import witness
 from tests.swarm.__main__ import CASES
-from tests.swarm.invariants import Ran, emergencies_are_told_when_they_were_sent
+from tests.swarm.invariants import emergencies_are_told_when_they_were_sent
+from tests.swarm.ran import Ran
 
 BATCH = CASES // 2
 SWEEP = Path(__file__).with_name("swarm.toml")

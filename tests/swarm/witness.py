@@ -6,11 +6,11 @@ of it.
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 from unittest.mock import patch
 
-from drivers.cia402.profile import State
+from drivers.cia402.profile import Mode, State, Status
 from drivers.timebase import Instant
 from hil.execution import bench
 from hil.execution.world import World, WorldPlan
@@ -21,6 +21,9 @@ EMCY_ID: Final = 0x080
 VELOCITY: Final = 0x606C
 VELOCITY_UNIT_RAD_S: Final = 2.0 * 3.141592653589793 / 60.0 * 1e-3
 """606Ch of the simulated drive counts 0.001 r/min."""
+FOLLOWS, OTHER_MODE, TARGET_IGNORED, OTHER_TORQUE = "", "another mode", "target ignored", "another torque"
+TORQUE_UNITS: Final = 2
+"""Thousandths of the rated torque: as much as rounding can make of a set-point."""
 
 
 @dataclass
@@ -32,8 +35,20 @@ class Testimony:
     """Each with the first instant at which it was seen."""
     emergencies: list[tuple[Instant, int]]
     """Error codes other than 0000h, each with when the drive sent it."""
+    otherwise: list[tuple[Instant, str]] = field(default_factory=list)
+    """Each change of what an enabled drive does instead of following; ``FOLLOWS``: nothing."""
     speed_rad_s: float = 0.0
     """Of the shaft when all is over, as the drive has it."""
+
+    def astray(self, first: Instant, last: Instant, *whys: str) -> list[tuple[Instant, Instant]]:
+        """When it did one of ``whys`` between two instants."""
+        ends = [at for at, _ in self.otherwise[1:]] + [last]
+        spans = [
+            (max(begin, first), min(end, last))
+            for (begin, why), end in zip(self.otherwise, ends, strict=False)
+            if why in whys
+        ]
+        return [(begin, end) for begin, end in spans if begin < end]
 
     def enabled_throughout(self, first: Instant, last: Instant) -> bool:
         """Whether it was in OPERATION ENABLED from one instant to another."""
@@ -78,12 +93,29 @@ class DriveWitness:
         state, seen = self._drive.drive.power.state, self._seen_so_far
         if not seen.states or seen.states[-1][1] is not state:
             seen.states.append((now, state))
+        otherwise = self._otherwise()
+        if not seen.otherwise or seen.otherwise[-1][1] != otherwise:
+            seen.otherwise.append((now, otherwise))
         for frame in frames:
             if frame.can_id == EMCY_ID + seen.node_id:
                 code = int.from_bytes(frame.data[:2], "little")
                 if code:
                     seen.emergencies.append((now, code))
         return frames
+
+    def _otherwise(self) -> str:
+        """By the drive's own state and by the torque that is in force in it."""
+        drive = self._drive.drive
+        objects, word = drive.objects, int(drive.objects.statusword.value)
+        if drive.power.state is not State.OPERATION_ENABLED:
+            return FOLLOWS
+        if objects.mode_display.value != Mode.CYCLIC_SYNCHRONOUS_TORQUE:
+            return OTHER_MODE
+        if not word & (Status.FOLLOWS_COMMAND | Status.INTERNAL_LIMIT_ACTIVE):
+            return TARGET_IGNORED
+        asked_nm = (objects.target_torque.value + objects.torque_offset.value) * objects.torque_unit_nm
+        wrong = abs(drive.firmware.torque_demand_nm - asked_nm) > TORQUE_UNITS * objects.torque_unit_nm
+        return OTHER_TORQUE if wrong and not word & Status.INTERNAL_LIMIT_ACTIVE else FOLLOWS
 
 
 @contextmanager

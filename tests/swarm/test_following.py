@@ -1,0 +1,86 @@
+"""The invariants of drives that do otherwise find runs that are made to break them."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.errors import DriveInFault
+from drivers.timebase import NS_PER_S, Instant
+from hil.testing.bench_runs import BenchRunner
+from hil.testing.run import Run
+from tests.scenario.processes import EXAMPLES
+from tests.swarm.following import OF_FOLLOWING
+from tests.swarm.invariants import held_against
+from tests.swarm.mishaps import Circumstances, Mishap
+from tests.swarm.ran import Member, Told
+from tests.swarm.witness import FOLLOWS, OTHER_MODE, TARGET_IGNORED, DriveWitness, witnessed
+
+LEFT: dict[str, Any] = {"mode_change": [{"at_s": 0.2, "mode": "pv"}]}
+DEAF: dict[str, Any] = {"ignored_commands": [{"at_s": 0.2, "duration_s": 0.1, "holds": "zero"}]}
+QUIET = Circumstances(Mishap.NONE, 0.0, 0, ())
+
+
+@pytest.fixture
+def swarm_member(servo_bench: BenchRunner) -> Callable[..., Member]:
+    def run_member(faults: dict[str, Any], on_mode: str, *, ends: bool) -> Member:
+        drives: list[DriveWitness] = []
+        changes = {"bench.duration_s": 0.5, "load": {}, "guard.on_mode": on_mode}
+        with witnessed(drives):
+            ran: Run = servo_bench(
+                EXAMPLES / "ling2012.toml", changes, faults=faults, ends_in=DriveInFault if ends else None
+            )
+        out = json.dumps(ran.summary.as_json())
+        told = Told(ran.verdict.exit_status, out, "", [drive.testimony() for drive in drives])
+        return Member(ran.config, QUIET, Path(ran.summary.recording), told, run=ran)
+
+    return run_member
+
+
+def found(member: Member) -> str:
+    return "; ".join(held_against(OF_FOLLOWING, member))
+
+
+def passed(member: Member) -> Member:
+    """As if the bench had noticed nothing."""
+    told = json.loads(member.case.out)
+    told["verdict"] |= {"passed": True, "completed": True}
+    return replace(member, case=member.case._replace(out=json.dumps(told)))
+
+
+def stopping(member: Member) -> Member:
+    """As if it had been asked to stop."""
+    guard = member.config.guard.model_copy(update={"on_mode": "stop"})
+    return replace(member, config=member.config.model_copy(update={"guard": guard}))
+
+
+@pytest.mark.parametrize(
+    ("faults", "why"), [(LEFT, OTHER_MODE), (DEAF, TARGET_IGNORED)], ids=["left", "deaf"]
+)
+def test_what_drives_that_do_otherwise_must_not_come_to(
+    swarm_member: Callable[..., Member], faults: dict[str, Any], why: str
+) -> None:
+    stopped = swarm_member(faults, "stop", ends=True)
+    went_on = swarm_member(faults, "tell", ends=False)
+    assert found(stopped) == found(went_on) == ""
+    drive = went_on.case.drives[0]
+    assert drive.astray(Instant(0), Instant(10 * NS_PER_S), why), "the witness has seen it"
+
+    assert "no_run_passes_whose_drive_did_not_follow: axis1" in found(passed(went_on))
+    assert "is_stopped_within_three_cycles: axis1: told at" in found(stopping(went_on))
+    unseen = [replace(each, otherwise=[(Instant(0), FOLLOWS)]) for each in stopped.case.drives]
+    blind = replace(stopped, case=stopped.case._replace(drives=unseen))
+    assert "no_run_is_ended_for_a_drive_that_follows: every drive followed" in found(blind)
+    turning = [replace(each, speed_rad_s=5.0) for each in stopped.case.drives]
+    ended = replace(stopped, case=stopped.case._replace(drives=turning))
+    assert "the_shafts_are_at_rest_at_the_end: axis1: at 5.0 rad/s" in found(ended)
+
+
+def test_a_drive_that_answers_late_is_stopped_as_soon(swarm_member: Callable[..., Member]) -> None:
+    """Its quick stop waits for no SDO."""
+    slow = {"slow_drive": [{"sdo_delay_us": 20_000}]}
+    for faults in (LEFT, DEAF):
+        assert found(swarm_member(faults | slow, "stop", ends=True)) == ""
