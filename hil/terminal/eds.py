@@ -21,7 +21,7 @@ def eds(
     ] = None,
     plan: Annotated[bool, flag("--plan", "Show the PDO plan and what it costs on the bus.")] = False,
     mode: Annotated[
-        Literal["cst", "csv", "csp", "pt", "pv", "pp"] | None,
+        Literal["cst", "csv", "csp", "ip", "vl", "pt", "pv", "pp"] | None,
         valued("--mode", None, "Mode to plan for; the best that it has if absent."),
     ] = None,
     period_us: Annotated[int, valued("--period-us", None, "Period of the loop, us.", min=100)] = 1000,

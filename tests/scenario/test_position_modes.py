@@ -11,10 +11,11 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from drivers.errors import LimitExceeded, PeerFault
+from drivers.errors import BadInput, LimitExceeded, PeerFault
 from drivers.rotation import RAD_S_PER_RPM
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
+from tests.rehearsals.rehearsal import made_sheet
 from tests.scenario.processes import EXAMPLES
 
 CSV, CSP = EXAMPLES / "position_csv.toml", EXAMPLES / "position_csp.toml"
@@ -108,6 +109,20 @@ def test_a_ramp_of_speeds_is_followed_in_whole_units_by_the_frames_on_the_bus(
     assert bytes.fromhex("2b48600201000000") in asked, "and :02 = 1 s"
     (said,) = (each["text"] for each in run.events if "velocity mode" in each.get("text", ""))
     assert "rounded to 1 r/min" in said
+
+
+@pytest.mark.parametrize(("bench", "other"), [(IP, VL), (VL, IP)])
+def test_a_drive_whose_sheet_has_one_of_these_modes_runs_in_it_alone(
+    servo_bench: BenchRunner, tmp_path: Path, bench: Path, other: Path
+) -> None:
+    only = "interpolated position" if bench == IP else "velocity mode"
+    sheet = {
+        "drive.axis1.eds": str(made_sheet([f"6502h with {only} only"], tmp_path)),
+        "bench.duration_s": 1.0,
+    }
+    assert servo_bench(bench, sheet).summary.verdict.passed
+    with pytest.raises(BadInput, match=r"drive\.axis1\.mode: .* 6502h is 000000[26]"):
+        servo_bench(other, sheet)
 
 
 @pytest.mark.parametrize("bench", [CSV, CSP])
