@@ -1,12 +1,14 @@
 """A drive is written what the command's list names, by the word of a third device on its bus."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from runpy import run_path
+from types import MappingProxyType
 from typing import Any, Final
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 
 from drivers.canopen.bus_scan import BusScan
@@ -29,6 +31,7 @@ from hil.restoring.journal import DriveMark, JournalContents, JournalHead, Objec
 from hil.restoring.restore import restore
 from hil.testing.drive_rig import drive_rig
 from hil.testing.hosted import DriveHost, DriveWish
+from hil.testing.one_run import run
 from hil.write_lists import FAULT, RESTORE, STOP, writes_of
 from tests.motors import LING
 from tests.rehearsals.made_sheet import MadeSheet
@@ -36,6 +39,7 @@ from tests.rehearsals.rehearsal import rehearsed
 from tests.scenario.foreign_node import beside_the_bench, put_on_the_bus
 from tests.scenario.measuring import measuring_rig
 from tests.sdo_writes import OF_MAKERS, SdoWrites
+from virtual_bus.device.eds_export import export_eds
 from virtual_bus.drive.load_object import LOAD_MACHINE, SIMULATED_DRIVE
 from virtual_bus.drive.servo import SimulatedServo
 
@@ -44,10 +48,14 @@ EXAMPLES: Final = ROOT / "examples"
 BENCHES: Final = {"cst": "ling2012.toml", "csv": "position_csv.toml", "csp": "position_csp.toml"}
 SHORT: Final = {"bench.duration_s": 0.3, "reference": None, "verdict": None, "load": None}
 LOAD: Final = (LOAD_MACHINE, 1)
+EDS: Final = "drive.axis1.simulation.eds"
+EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 def ran(
-    bench: str, seen: Callable[[SimulatedServo], None] = lambda _drive: None, **changes: Any
+    bench: str,
+    changes: Mapping[str, Any] = EMPTY,
+    seen: Callable[[SimulatedServo], None] = lambda _drive: None,
 ) -> tuple[SdoWrites, SimulatedServo]:
     """An example without reference and load for 0.3 s; its drive, of which ``seen`` was told at first."""
     heard, drives = SdoWrites(), list[SimulatedServo]()
@@ -92,7 +100,7 @@ def test_a_load_that_an_earlier_run_has_left_is_taken_off() -> None:
 
 
 def test_a_run_with_a_load_writes_its_torque_and_takes_it_off() -> None:
-    heard, drive = ran("cst", load={"axis1": [{"at_s": 0.1, "torque_nm": 0.2}]})
+    heard, drive = ran("cst", {"load": {"axis1": [{"at_s": 0.1, "torque_nm": 0.2}]}})
     assert {key for key in heard.objects if key[0] in OF_MAKERS} == {LOAD}
     assert [write.product for write in writes_of("run") if write.covers(*LOAD)] == [SIMULATED_DRIVE]
     assert drive.dictionary.upload(*LOAD) == bytes(4)
@@ -103,19 +111,16 @@ def test_a_run_with_a_load_writes_its_torque_and_takes_it_off() -> None:
 def test_another_makes_2100h_is_neither_written_nor_read(mode: str, access: str, tmp_path: Path) -> None:
     """rw: as in maxon's EPOS2, where it is a brake's reaction time; ro: as the EPOS4's serial number."""
     sheet = foreign_sheet(tmp_path, AccessType=access)
-    heard, drive = ran(mode, **{"drive.axis1.simulation.eds": str(sheet)})
+    heard, drive = ran(mode, {EDS: str(sheet)})
     assert heard.unlisted(writes_of("run")) == []
     assert [key for key in heard.asked if key[0] in OF_MAKERS] == []
     assert drive.dictionary.upload(*LOAD) == b"\7\0"
 
 
 def test_a_load_for_a_drive_of_another_make_is_refused_with_the_reason(tmp_path: Path) -> None:
-    sheet = foreign_sheet(tmp_path)
+    load = {"axis1": [{"at_s": 0.1, "torque_nm": 1.0}]}
     with pytest.raises(BadInput) as caught:
-        ran(
-            "cst",
-            **{"drive.axis1.simulation.eds": str(sheet), "load": {"axis1": [{"at_s": 0.1, "torque_nm": 1}]}},
-        )
+        ran("cst", {"load": load, EDS: str(foreign_sheet(tmp_path))})
     assert caught.value.key == "load.axis1"
     assert "product 00000B22h" in caught.value.value
     assert "the only drive with a load machine" in caught.value.expected
@@ -133,7 +138,7 @@ def test_a_load_for_a_drive_of_another_make_is_refused_with_the_reason(tmp_path:
 def test_a_fixed_rpdo_leaves_the_further_objects_that_it_carries_as_they_are(
     mode: str, words: list[int], tmp_path: Path
 ) -> None:
-    _, drive = ran(mode, **{"drive.axis1.simulation.eds": str(fixed_sheet(words, tmp_path))})
+    _, drive = ran(mode, {EDS: str(fixed_sheet(words, tmp_path))})
     assert drive.dictionary.upload(0x2300, 1) == b"\7\0"
     assert drive.dictionary.upload(0x6081, 0) == (1234).to_bytes(4, "little")
 
@@ -153,7 +158,7 @@ def fixed_sheet(words: list[int], folder: Path, access: str = "rw") -> Path:
 def test_an_object_that_cannot_be_read_is_carried_by_no_rpdo(tmp_path: Path) -> None:
     sheet = fixed_sheet([0x60400010, 0x23000110, 0x60710010], tmp_path, "wo")
     with pytest.raises(SettingRefused, match="maps 2300h:01 into an RPDO that the bench has to send"):
-        ran("cst", **{"drive.axis1.simulation.eds": str(sheet)})
+        ran("cst", {EDS: str(sheet)})
 
 
 def test_an_rpdo_carries_what_was_written_last_by_sdo(tmp_path: Path) -> None:
@@ -167,6 +172,16 @@ def test_an_rpdo_carries_what_was_written_last_by_sdo(tmp_path: Path) -> None:
         assert slope != before
         rig.client.quick_stop(rig.deadline(5.0))
         assert rig.client.objects.read(0x6087) == slope
+
+
+def test_a_drive_by_its_own_exported_sheet_runs_as_without_one_load_and_all(tmp_path: Path) -> None:
+    sheet = tmp_path / "own.eds"
+    sheet.write_text(export_eds(SimulatedServo(1, LING).dictionary))
+    loaded = {"bench.duration_s": 0.3, "verdict": None, "load": {"axis1": [{"at_s": 0.1, "torque_nm": 0.5}]}}
+    bench = Bench.load(EXAMPLES / BENCHES["cst"]).changed({**loaded, "reference": None})
+    plain, by_sheet = run(bench), run(bench.changed({EDS: str(sheet)}))
+    assert np.nanmin(plain.column("velocity_rad_s")) < -1.0, "the load turns the shaft"
+    assert by_sheet.digest == plain.digest
 
 
 # ---- other commands ---------------------------------------------------------------------------------------

@@ -4,7 +4,8 @@
                                           its own default where the file gives none
     in the file, not known                plain typed storage with access, range and length checks
     known, not in the file                not on the bus; the application still sees its own value
-    2000h..5FFFh                          always the file's: the same index means something else there
+    2000h..5FFFh                          the file's: the same index means something else there, unless it is
+                                          the device's own data sheet
 
 A variable of the device profile whose type is not the file's is the file's plain storage too. 1000h and
 1001h are mandatory (CiA 301, 7.5.2) and stay even if the file forgets them; 1018h was not in the first
@@ -39,8 +40,9 @@ _PROFILE = range(0x6000, 0x10000)
 def overlay(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     """Make ``dictionary`` what ``vendor``, loaded for BASE_NODE_ID, says."""
     entries: Mapping[int, Any] = {index: entry for index, entry in vendor.items() if index >= FIRST_OBJECT}
+    makers = range(0) if _is_of(vendor, dictionary) else MANUFACTURER
     for own in list(dictionary):
-        if own.index in MANUFACTURER or (own.index not in entries and own.index not in _MANDATORY):
+        if own.index in makers or (own.index not in entries and own.index not in _MANDATORY):
             dictionary.conceal(own.index)
     for index, entry in entries.items():
         theirs = _object(index, entry)
@@ -49,6 +51,21 @@ def overlay(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
                 _merge(dictionary.object(index), theirs, _silent(entry))
             dictionary.put(theirs)
     _identify(dictionary, vendor)
+
+
+def _is_of(vendor: od.ObjectDictionary, dictionary: ObjectDictionary) -> bool:
+    """The file is the device's own data sheet: what it has of 2000h to 5FFFh the device knows."""
+    told, name = told_identity(vendor), vendor.device_information.product_name or ""
+    return (
+        _held(dictionary, Cia301.DEVICE_NAME) == name.encode("latin-1", errors="replace")
+        and _held(dictionary, Cia301.IDENTITY, 1) in (told.vendor or (0,))
+        and _held(dictionary, Cia301.IDENTITY, 2) in (told.product or (0,))
+    )
+
+
+def _held(dictionary: ObjectDictionary, index: int, subindex: int = 0) -> Any:
+    variable = dictionary.get(index, subindex)
+    return None if variable is None else variable.default
 
 
 def _identify(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
