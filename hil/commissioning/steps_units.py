@@ -48,6 +48,8 @@ _RATIO_ERROR: Final = 0.01
 """Of what has to show a factor."""
 _RATIO_ERROR_MAX: Final = 0.1
 """Twice of it tells the nearest two factors that occur, 1.25 apart."""
+_UNITS_MIN: Final = 10.0
+"""A velocity that shows fewer units is not told to 10 % by any motion, however quiet it is."""
 _LOOKS: Final = 4
 """Each over a longer path, as far as the limits allow one."""
 _FARTHER: Final = 4.0
@@ -237,6 +239,14 @@ class MotionUnits(Step):
         outcome.say(
             f"velocity 606Ch is {ratio:.4g} of the slope of the position 6064h +- {percent:.2g} % (k = 2)"
         )
+        units = max(float(np.max(np.abs(each.velocity))) for each in recordings) / session.velocity_rad_s
+        if not measured.error <= _RATIO_ERROR_MAX and units < _UNITS_MIN:
+            raise StepFailed(
+                "the velocity 606Ch is too coarse for its unit to be told from this motion",
+                f"it shows {units:.0f} units at most, of {session.velocity_rad_s:.4g} rad/s "
+                f"({session.units.sources.get('velocity', 'told')})",
+                "see that this unit is right; allow more speed and travel ([limits] of the nameplate)",
+            )
         if not measured.error <= _RATIO_ERROR_MAX:
             raise StepFailed(
                 "the velocity 606Ch scatters too much for its unit to be told from this motion",

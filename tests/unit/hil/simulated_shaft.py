@@ -192,6 +192,7 @@ def session_of(shaft: Shaft, **more: Any) -> Session:
         limits=LIMITS,
         found=found,
         told=scaling,
+        units=scaling,
         position_rad=POSITION_RAD,
         velocity_rad_s=VELOCITY_RAD_S,
         acceleration_rad_s2=VELOCITY_RAD_S,

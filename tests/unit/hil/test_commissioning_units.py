@@ -255,11 +255,12 @@ def test_a_unit_that_was_put_right_before_is_no_part_of_the_ratio() -> None:
     assert session.found.velocity_ratio.value == pytest.approx(10.0, rel=0.01)
 
 
-def compared(monkeypatch: pytest.MonkeyPatch, ratio: SpeedRatio) -> Session:
-    """A session in which pulses show this ratio."""
+def compared(monkeypatch: pytest.MonkeyPatch, ratio: SpeedRatio, units: float = 100.0) -> Session:
+    """A session in which pulses show this ratio, and a velocity of so many units."""
     session = session_of(Shaft(TRUTH, quantity=Quantity.SPEED))
+    shown = replace(still_at(0.0), velocity=np.full(10, units * VELOCITY_RAD_S))
     monkeypatch.setattr(steps_units, "ratio_of", lambda _records: ratio)
-    monkeypatch.setattr(steps_units, "pulses", lambda _session, _turns: [still_at(0.0)])
+    monkeypatch.setattr(steps_units, "pulses", lambda _session, _turns: [shown])
     return session
 
 
@@ -311,6 +312,15 @@ def test_a_velocity_that_scatters_tells_no_unit(monkeypatch: pytest.MonkeyPatch,
         f"{100.0 * error:.2g} % (k = 2); 10 % is borne",
         "allow more speed and travel ([limits] of the nameplate), or smooth 606Ch in the drive",
     )
+
+
+def test_a_velocity_of_few_units_is_not_said_to_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(StepFailed) as caught:
+        run(MotionUnits(), compared(monkeypatch, SpeedRatio(1.0, 0.2), units=9.0))
+    assert caught.value.summary == "the velocity 606Ch is too coarse for its unit to be told from this motion"
+    assert caught.value.evidence == f"it shows 9 units at most, of {VELOCITY_RAD_S:.4g} rad/s (60A9h)"
+    with pytest.raises(StepFailed, match="scatters too much"):
+        run(MotionUnits(), compared(monkeypatch, SpeedRatio(1.0, 0.2), units=10.5))
 
 
 @pytest.mark.parametrize(
