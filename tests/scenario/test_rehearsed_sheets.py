@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from drivers.cia402.objects402 import Object, Unit, unit_word
 from hil.cli import app
 from tests.motors import LING
 from tests.rehearsals.__main__ import complaints
@@ -57,20 +58,28 @@ def test_an_odd_drive_is_set_up_and_enabled(case: str, tmp_path: Path) -> None:
     assert contradictions(sheet, result) == []
 
 
-@pytest.mark.parametrize(
-    "case", ["608Fh is 1/1, 6090h, 6096h", "608Fh is 1/1, 6094h, 6097h+6502h without torque"]
-)
-def test_an_encoder_that_nobody_set_is_disbelieved_in_every_unit(case: str, tmp_path: Path) -> None:
-    names = tuple(case.split("+"))
+def test_an_encoder_that_nobody_set_is_disbelieved_in_every_unit(tmp_path: Path) -> None:
+    names = ("608Fh is 1/1, 6094h, 6097h", "6502h without torque")
     result = rehearsed(made_sheet(names, tmp_path), tmp_path, last_step="stop_proof")
     assert complaints(names, result) == [], "no unit of the velocity or the acceleration is found wrong"
     assert result.moved
 
 
-@pytest.mark.parametrize("name", ["6083h is 0", "60C5h is tiny", "6087h is 1000 at most"])
-def test_a_ramp_that_is_too_slow_is_set_before_the_first_motion(name: str, tmp_path: Path) -> None:
-    result = rehearsed(made_sheet([name], tmp_path), tmp_path, last_step="stop_proof")
-    assert complaints((name,), result) == []
+def test_a_ramp_that_is_too_slow_is_set_before_the_first_motion(tmp_path: Path) -> None:
+    result = rehearsed(made_sheet(["6087h is 1000 at most"], tmp_path), tmp_path, last_step="stop_proof")
+    assert complaints(("6087h is 1000 at most",), result) == []
+    assert result.moved
+
+
+def test_a_ramp_is_made_steeper_where_the_shaft_does_not_move_by_its_unit(tmp_path: Path) -> None:
+    """60AAh tells a unit a thousand times too great: 6083h = 7 is 0.7 rad/s^2, not 730."""
+
+    def coarse(servo: SimulatedServo) -> None:
+        word = servo.dictionary.variable(Object.SI_UNIT_ACCELERATION)
+        word.show_instead(unit_word(3, Unit.REVOLUTION_PER_MINUTE, Unit.SECOND))
+
+    result = rehearsed(made_sheet(["6083h is 0"], tmp_path), tmp_path, last_step="stop_proof", change=coarse)
+    assert complaints(("6083h is 0",), result) == []
     assert result.moved
 
 
