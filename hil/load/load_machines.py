@@ -260,7 +260,7 @@ def _no_load_machine(source: str, axis: str, asked: str) -> BadInput:
         source,
         f"load.{axis}",
         asked,
-        f"a load on the shaft of a {SIMULATED_DRIVE.device_name}, the only drive with a load machine (2100h)",
+        f"a load for the {SIMULATED_DRIVE}, the only drive with a load machine (2100h)",
         f"take load.{axis} out of the file, or couple an instrument to the shaft: [load_machine]",
     )
 

@@ -1,5 +1,6 @@
 """What a list does not name is not written: no frame leaves, by whatever way it is tried."""
 
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -26,6 +27,7 @@ from hil.restoring.journal import ObjectWrite as Change
 from hil.write_lists import COMMANDS, RUN, writes_of
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo
 
+ROOT = Path(__file__).parents[3]
 LIMIT = (0x6072, 0)
 SPEED = (0x6080, 0)
 LIST = WriteList("a test", (listed(Object.MAX_TORQUE, "limit", "now"),))
@@ -104,6 +106,14 @@ def test_a_request_is_no_message_of_canopens(rig: Rig) -> None:
         with pytest.raises(ValueError, match="SDO requests"):
             network.send_message(SDO_REQUEST + node, initiate(0x2B, *LIMIT))
     assert bus.sent == []
+
+
+def test_no_other_module_sends_on_an_sdo_channel() -> None:
+    sends = re.compile(r"\bsend\w*\(\s*(SDO_REQUEST|0x6)")
+    files = [path for room in ("drivers", "hil") for path in (ROOT / room).rglob("*.py")]
+    assert len(files) > 300
+    sending = [path.name for path in files if sends.search(path.read_text(encoding="utf-8"))]
+    assert sending == ["network.py"]
 
 
 def test_a_network_without_a_list_reads_and_writes_nothing() -> None:

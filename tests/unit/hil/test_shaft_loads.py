@@ -310,9 +310,7 @@ def test_a_load_that_nothing_can_make_is_told_in_whole(tmp_path: Path, over_time
     error = caught.value
     assert (error.source, error.key) == ("bench.toml", "load.axis1")
     assert error.value == f"a load for {SIMULATED_DRIVE}, which was made without 2100h"
-    assert error.expected == (
-        f"a load on the shaft of a {SIMULATED_DRIVE.device_name}, the only drive with a load machine (2100h)"
-    )
+    assert error.expected == (f"a load for the {SIMULATED_DRIVE}, the only drive with a load machine (2100h)")
     assert error.remedy == (
         "take load.axis1 out of the file, or couple an instrument to the shaft: [load_machine]"
     )
