@@ -11,7 +11,7 @@ from drivers.canopen.data_types import SIGNED_BITS, DataType
 from drivers.canopen.objects301 import MANDATORY, MANUFACTURER
 from drivers.cia402.drive_setup import Identity
 from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import QuickStopOption
+from drivers.cia402.profile import Mode, QuickStopOption, run_words
 from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from hil.commissioning.findings import Findings
 from hil.commissioning.outcome import LOSSES_MAX
@@ -66,7 +66,7 @@ def write_files(session: Session) -> None:
             session.request.bitrate_bit_s,
             findings.identity,
         )
-    if findings.controller and MOTOR_FILE in texts:
+    if findings.controller and MOTOR_FILE in texts and _can_run(session):
         lines = [
             f"A bench for this drive, with the suggested controller and limits.{_rests(session)}",
             *ways_to_run(session.request, Path()),
@@ -75,6 +75,17 @@ def write_files(session: Session) -> None:
         texts |= copied_files(session.request)
     for name, text in texts.items():
         (out / name).write_text(text, encoding="utf-8")
+
+
+def _can_run(session: Session) -> bool:
+    """The drive has the mode that the suggested controller is for; without it that is said."""
+    modes = session.found.modes
+    if Mode.CYCLIC_SYNCHRONOUS_TORQUE in modes:
+        return True
+    session.dialog.tell(
+        f"no {BENCH_FILE}: the suggested controller needs cyclic synchronous torque mode; {run_words(modes)}"
+    )
+    return False
 
 
 def set_objects(session: Session) -> dict[ObjectKey, bytes]:

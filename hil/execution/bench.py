@@ -22,7 +22,6 @@ from hil.execution.axis_code import AxisCode, axis_code
 from hil.execution.bus_guard import BusGuard
 from hil.execution.conclusion import Conclusion
 from hil.execution.drives import (
-    check_modes,
     connect,
     data_sheets,
     drive_settings,
@@ -92,7 +91,6 @@ def run_bench(
     controllers = controllers or {}
     _check_axes(config, controllers)
     sheets = data_sheets(config)
-    check_modes(config, sheets)
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
     config = config.as_run(str(spec), seed)
     certificates = Certificates(config, controllers)

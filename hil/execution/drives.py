@@ -1,7 +1,7 @@
 """The drives of a run: set up as bench, data sheets and commissioning have them; waited for, and stopped."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -29,21 +29,17 @@ _SLICE_S = 0.3
 
 
 def data_sheets(config: BenchConfig) -> dict[str, LoadedDictionary]:
-    """The dictionaries of the axes that name one, by axis. Raises BadInput for a file that cannot be read."""
-    return {
-        name: load_dictionary(Path(drive.eds), drive.node)
-        for name, drive in config.drive.items()
-        if drive.eds is not None
-    }
-
-
-def check_modes(config: BenchConfig, sheets: Mapping[str, LoadedDictionary]) -> None:
-    """Raises BadInput for an axis whose mode its drive's data sheet rules out."""
-    for name, sheet in sheets.items():
-        drive = config.drive[name]
+    """The dictionaries of the axes that name one, by axis. Raises BadInput for a file that cannot be read,
+    and for one of a drive that cannot be commanded in the mode of its axis."""
+    sheets = {}
+    for name, drive in config.drive.items():
+        if drive.eds is None:
+            continue
+        sheets[name] = sheet = load_dictionary(Path(drive.eds), drive.node)
         if why := refusal(told_by_sheet(sheet), drive.node, BENCH_MODES[drive.mode]):
             expected = f"a mode that the drive of {drive.eds} can be commanded in"
             raise BadInput(config.source, f"drive.{name}.mode", drive.mode, expected, why)
+    return sheets
 
 
 def drive_settings(

@@ -180,7 +180,9 @@ TRAITS: Final[dict[str, Trait]] = {
         _told_as_one_beside_factors({0x6090: (65536, 1), 0x6096: (60, 65536), 0x6097: (60, 65536)})
     ),
     "608Fh is 2000": Trait(_encoder_of_2000),
-    "no position unit": Trait(_lacks(0x608F, 0x6090, 0x6092, 0x60A8, 0x60A9, 0x6096)),
+    "no position unit": Trait(
+        _lacks(0x608F, 0x6090, 0x6092, 0x60A8, 0x60A9, 0x6096), finds="does not tell its position unit"
+    ),
     "mappings fixed for torque": Trait(_fixed(_TORQUE_PDO), without=_NO_CURRENT),
     "mappings fixed for speed": Trait(_fixed(_SPEED_PDO), without=_NO_TORQUE),
     "mappings fixed, no values": Trait(

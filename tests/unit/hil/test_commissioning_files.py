@@ -10,7 +10,7 @@ import pytest
 
 from drivers.cia402.drive_setup import Identity
 from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import QuickStopOption
+from drivers.cia402.profile import Mode, QuickStopOption
 from drivers.cia402.scaling import ScaleOverride
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, Duration
@@ -54,6 +54,7 @@ def session(plate: dict[str, Any] | None = None, **more: Any) -> Session:
     cast(Any, made).unwatched = False
     made.found.identity = IDENTITY
     made.found.mechanics = MECHANICS
+    made.found.modes = (Mode.CYCLIC_SYNCHRONOUS_TORQUE,)
     return made
 
 
@@ -317,3 +318,20 @@ def test_all_files_are_written_and_read_again(tmp_path: Path) -> None:
     }
     held = {ObjectKey(0x1000, 0): b"\x92\1\2\0", ObjectKey(0x1017, 0): b"\0\0"}
     assert texts["drive.dcf"] == dcf_text(found.settings, held, None, 5, 500_000, IDENTITY)
+
+
+def test_without_the_mode_of_its_controller_there_is_no_bench(tmp_path: Path) -> None:
+    said: list[str] = []
+    journal = Journal((0x1017, 0, b"\0\0", b"\x32\0"))
+    made = session(
+        requested={"out": tmp_path},
+        network=SimpleNamespace(journal=journal),
+        dialog=SimpleNamespace(tell=said.append),
+    )
+    made.found.controller = dict(CONTROLLER)
+    made.found.modes = (Mode.PROFILE_TORQUE, Mode.CYCLIC_SYNCHRONOUS_VELOCITY)
+    assert "bench.toml" not in written(made, tmp_path)
+    assert said == [
+        "no bench.toml: the suggested controller needs cyclic synchronous torque mode; `hil run` can use it "
+        'with mode = "csv"'
+    ]
