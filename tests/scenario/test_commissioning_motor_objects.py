@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -146,3 +147,21 @@ def test_without_its_objects_the_words_are_those_for_any_drive(tmp_path: Path) -
     assert figures["header"]["not measurable over CiA 402"].startswith("resistance, inductance, pole pairs:")
     assert "told_by_drive" not in units(figures)["figures"]
     assert not done.reason
+
+
+def test_a_rated_torque_in_its_makers_unit_is_that_of_the_motor_which_turns(tmp_path: Path) -> None:
+    """maxon's 6076h is in uN m (maxon_epos4.toml); a sheet's own value is of the motor in its maker's DCF."""
+    sheet = MadeSheet()
+    sheet.by(0xFB)
+    sheet.set(0x1008, default="EPOS4")
+    sheet.set(0x6076, default=512_871)
+    (tmp_path / "made.eds").write_text(sheet.text())
+    (tmp_path / "plate.toml").write_text(toml_text(PLATE))
+    given = ["--motor", str(tmp_path / "plate.toml"), "--period-us", "4000"]
+    done = rehearsed(tmp_path / "made.eds", tmp_path, given, last_step="motion_units")
+    assert (done.reason, done.faults, done.not_done) == ("", [], {})
+    figures = json.loads((tmp_path / "out" / "figures.json").read_text())
+    pulses = next(step for step in figures["steps"] if step["name"] == "motion_units")
+    inertia = re.search(r"inertia ([0-9.e-]+) kg m", " ".join(pulses["lines"]))
+    assert inertia is not None
+    assert float(inertia[1]) == pytest.approx(MOTOR.inertia_kg_m2, rel=0.1), "of a few pulses"
