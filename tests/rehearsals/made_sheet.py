@@ -37,6 +37,10 @@ class MadeSheet:
                 words = [word for word in self.mapping(index) if word >> 16 not in indices]
                 self.map(index, words)
 
+    def drop_sub(self, index: int, sub: int) -> None:
+        """Take a sub-index out, if it is there."""
+        self._sections.remove_section(f"{index:04X}sub{sub:X}")
+
     def set(
         self, index: int, sub: int | None = None, *, default: int | str | None = None, **options: object
     ) -> None:
@@ -97,6 +101,16 @@ class MadeSheet:
             for index in range(base, base + 4):
                 if f"{index:04X}sub{sub:X}" in self._sections:
                     self.set(index, sub, **options)  # type: ignore[arg-type]
+
+    def touched(self, before: "MadeSheet") -> frozenset[int]:
+        """Objects of which something is otherwise than in ``before``."""
+        names = {name for name in (*self._sections, *before._sections) if name[:1].isdigit()}
+        return frozenset(
+            int(name[:4], 16)
+            for name in names
+            if dict(self._sections.items(name) if name in self._sections else ())
+            != dict(before._sections.items(name) if name in before._sections else ())
+        )
 
     def text(self) -> str:
         """The file."""

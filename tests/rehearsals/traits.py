@@ -117,6 +117,57 @@ def _one_tpdo(sheet: MadeSheet) -> None:
     sheet.drop(0x1801, 0x1802, 0x1803, 0x1A01, 0x1A02, 0x1A03)
 
 
+def _as_the_maker_has_it(index: int, data_type: DataType, **options: object) -> Callable[[MadeSheet], None]:
+    """Sub-index 1 of an object of the maker's is what the options say."""
+
+    def change(sheet: MadeSheet) -> None:
+        sheet.drop(index)
+        sheet.add(index, {1: data_type})
+        sheet.set(index, 1, **options)  # type: ignore[arg-type]
+
+    return change
+
+
+def _no_units(sheet: MadeSheet) -> None:
+    sheet.drop(0x608F, 0x6090, 0x6091, 0x6092, 0x6096, 0x60A8, 0x60A9, 0x60AA, 0x6075, 0x6076)
+
+
+def _not_mappable(*indices: int) -> Callable[[MadeSheet], None]:
+    def change(sheet: MadeSheet) -> None:
+        for base in _MAPPINGS:
+            for index in range(base, base + 4):
+                sheet.map(index, [word for word in sheet.mapping(index) if word >> 16 not in indices])
+        for index in indices:
+            sheet.set(index, PDOMapping=0)
+
+    return change
+
+
+def _makers_object_in_rpdo(sheet: MadeSheet) -> None:
+    sheet.add(0x2200, {0: DataType.UNSIGNED16})
+    sheet.set(0x2200, default=0x0155, PDOMapping=1)
+    _fixed({**_TORQUE_PDO, 0x1600: (0x60400010, 0x22000010, 0x60710010)})(sheet)
+
+
+def _no_event_timers(sheet: MadeSheet) -> None:
+    for base in _COMMUNICATION:
+        for index in range(base, base + 4):
+            sheet.drop_sub(index, 5)
+
+
+def _second_axis(sheet: MadeSheet) -> None:
+    for index, data_type in (
+        (0x6840, 6),
+        (0x6841, 6),
+        (0x6860, 2),
+        (0x6861, 2),
+        (0x6864, 4),
+        (0x686C, 4),
+        (0x6871, 3),
+    ):
+        sheet.add(index, {0: DataType(data_type)})
+
+
 def _node_32(sheet: MadeSheet) -> None:
     for number, base in enumerate((0x200, 0x300, 0x400, 0x500)):
         sheet.set(0x1400 + number, 1, default=hex(base + 32))
@@ -226,4 +277,18 @@ TRAITS: Final[dict[str, Trait]] = {
     ),
     "motor by some of its maker's": Trait(_keeps_motor(0x22D2, {0x2003: {1: DataType.UNSIGNED8}})),
     "no 607Eh, 6065h, 607Dh": Trait(_lacks(0x607E, 0x6065, 0x607D)),
+    "profile 0 in 1000h": Trait(lambda sheet: sheet.set(0x1000, default=0)),
+    "2100h:01 a serial number": Trait(
+        _as_the_maker_has_it(0x2100, DataType.UNSIGNED32, default=0x12345678, AccessType="ro")
+    ),
+    "2100h:01 a brake's time": Trait(_as_the_maker_has_it(0x2100, DataType.UNSIGNED16, default=100)),
+    "no units": Trait(_no_units),
+    "606Ch not mappable": Trait(_not_mappable(0x606C), "606Ch"),
+    "6077h not mappable": Trait(_not_mappable(0x6077), without=_NO_CURRENT),
+    "6061h not mappable": Trait(_not_mappable(0x6061)),
+    "a maker's object in a fixed RPDO": Trait(
+        _makers_object_in_rpdo, "2200h", without=_NO_CURRENT, mendable=True
+    ),
+    "no event timers": Trait(_no_event_timers),
+    "a second axis": Trait(_second_axis),
 }
