@@ -1,13 +1,14 @@
 """Objects of nodes that are read by SDO again and again, without anybody waiting for them."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from drivers.canopen.sdo import PostedUpload, PumpedSdoClient, TransferPost
 from drivers.timebase import NEVER, Duration, Instant
 
 
-class Polled(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Polled:
     """What is read, how often, and who is told its bytes and the instant of their frame."""
 
     node_id: int
@@ -31,10 +32,10 @@ class ObjectPoll:
         """Post the next read if it is due, the one before has ended, and nobody waits for an answer."""
         if now < self.due:
             return
-        node_id, index, sub, every, told = self._polled
-        self.due = Instant(now + every)
+        polled = self._polled
+        self.due = Instant(now + polled.every)
         if not self._client.busy and (self._upload is None or self._upload.done_at is not None):
-            self._upload = PostedUpload(node_id, index, sub, told)
+            self._upload = PostedUpload(polled.node_id, polled.index, polled.sub, polled.told)
             self._post.post(self._upload)
 
 
