@@ -14,6 +14,8 @@
 #   make rehearsals  commission simulated drives by made-up data sheets, each with what vendors' sheets lack or
 #                    have oddly, alone and in pairs, for at most SECONDS
 #   make mistakes    commission drawn drives by nameplates with the mistakes that people make, for at most SECONDS
+#   make sheets      have hil eds, hil commission and hil run at each of 40 made-up data sheets, and before them at
+#                    vendors' own (SHEETS=FOLDER), on the hub, with a third party that writes every frame down
 #   make mutate      put defects into the product: all in its safety limits and fault reactions, and for at
 #                    most SECONDS drawn ones anywhere; the tests must see them
 #   make pictures    draw every page of runs of every kind, for at most SECONDS, into build/pictures, and look in
@@ -41,7 +43,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit test-dask test-vcan truth swarm rehearsals mistakes mutate pictures exits bench docs lock clean
+.PHONY: help setup compile pure wheel demo check format test unit test-dask test-vcan truth swarm rehearsals sheets mistakes mutate pictures exits bench docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -133,6 +135,12 @@ rehearsals: $(TOOLS) compile
 
 mistakes: $(TOOLS) compile
 	@$(BIN)/python -m tests.mistakes --seconds $(SECONDS)
+
+# Vendors' files are not in the repository: where the folder is missing they are left out, and the table says so.
+SHEETS ?= ../shared/eds
+
+sheets: $(TOOLS) compile
+	@$(BIN)/python -m tests.witness --sheets $(SHEETS)
 
 # Interpreted, in a copy of its own: the checkout and its compiled modules are left alone.
 mutate: $(TOOLS) compile

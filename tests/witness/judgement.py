@@ -1,0 +1,206 @@
+"""What is wrong with what came of a sheet: unasked writes, contradictions between commands, false reasons.
+
+No judgement asks the commands' own code: it rests on the frames, on the sheet's text, and on what the traits
+of a made-up sheet changed in it.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from tests.witness.allowed import MAKERS, Documented
+from tests.witness.case import Case, mode_to_run
+from tests.witness.frames import Access
+
+_NAMED: Final = re.compile(r"\b([0-9A-F]{4})h(?::([0-9A-F]{2}))?")
+_ABSENT: Final = re.compile(
+    r"(?:\bno (?:[a-z ]*[a-z] )?|\bwithout |\blacks )([0-9A-F]{4})h(?!:|\s*=)"
+    r"|\b([0-9A-F]{4})h(?::00)?(?: [a-z ,]*)? (?:is|are) (?:missing|not in the dictionary)"
+)
+"""Statements that a drive has no such object."""
+_ABORT: Final = re.compile(r"\b(0[568][0-9A-F]{6})h")
+_SHOWN: Final = 5
+"""Accesses of a command that are named."""
+_BUSY: Final = re.compile(
+    r"readings were lost|no usable reading for|more often than it is asked|no heartbeat for|EMCY 8130h"
+    r"|without SYNC|dropouts_percent_max"
+)
+"""The machine had no time: true, and nothing that a drive or a sheet can help."""
+WORDS: Final[dict[int, str]] = {
+    0x1000: r"profile|servo drive|device type",
+    0x6040: r"controlword|axis|axes",
+    0x6041: r"statusword",
+    0x6060: r"\bmodes?\b",
+    0x6061: r"\bmodes?\b",
+    0x6502: r"\bmodes?\b",
+    0x6071: r"torque",
+    0x6076: r"torque",
+    0x608F: r"position unit|counts",
+    0x1600: r"RPDO",
+    0x1A00: r"TPDO",
+    0x1800: r"TPDO",
+    0x1400: r"RPDO",
+}
+"""What a reason may say instead of an object's index, by CiA 301 and CiA 402-2."""
+
+
+@dataclass
+class Judged:
+    """What is wrong with one case; all empty: nothing."""
+
+    unasked: list[str] = field(default_factory=list)
+    contradictions: list[str] = field(default_factory=list)
+    false_reasons: list[str] = field(default_factory=list)
+    unsafe: list[str] = field(default_factory=list)
+    busy: list[str] = field(default_factory=list)
+    """Steps that the machine had no time for: they say nothing of the drive."""
+
+    @property
+    def wrong(self) -> list[str]:
+        """All of it, in words."""
+        return [*self.unasked, *self.contradictions, *self.false_reasons, *self.unsafe]
+
+
+def judged(case: Case, changed: frozenset[int] | None, sound: bool, documented: Documented) -> Judged:
+    """``changed``: objects that the sheet's traits touch; None: nobody knows what is odd in it.
+    ``sound``: nothing in the sheet keeps a bench from commissioning the drive.
+    """
+    result = Judged(unsafe=[*case.changed, *case.left])
+    result.unasked += _unasked(case, documented)
+    result.busy += _busy(case)
+    if result.busy:
+        return result
+    result.contradictions += _contradictions(case)
+    result.false_reasons += _absences(case)
+    result.false_reasons += _aborts(case)
+    if sound and (error := case.commission.figures.get("error")):
+        result.false_reasons.append(f"was to be commissioned, and ended: {error}")
+    if changed is not None:
+        result.false_reasons += _besides(case, changed)
+    return result
+
+
+def _unasked(case: Case, documented: Documented) -> Iterator[str]:
+    for command, accesses in case.accesses.items():
+        wrong = {str(access) for access in accesses if not _is_asked(access, command, case, documented)}
+        yield from (f"{command}: {text}" for text in sorted(wrong)[:_SHOWN])
+    yield from (f"identifier {each:03X}h on the bus" for each in sorted(case.unexplained))
+
+
+def _is_asked(access: Access, command: str, case: Case, documented: Documented) -> bool:
+    """A commissioning reads all that the sheet has; a fixed RPDO may carry what the drive held before."""
+    key = (access.index, access.sub)
+    if not access.writes:
+        listed = access.index in documented.maker_reads or (command == "commission" and key in case.variables)
+        return access.index not in MAKERS or listed
+    if access.way == "rpdo" and case.held.get(key) == access.data:
+        return True
+    return key in documented.writes[command]
+
+
+def _busy(case: Case) -> list[str]:
+    ended = [each.reason for each in (*case.commissions, case.run) if each is not None]
+    steps = [step["reason"] for step in case.commission.figures.get("steps", ())]
+    return [reason for reason in (*ended, *steps) if _BUSY.search(reason)]
+
+
+# ---- contradictions -------------------------------------------------------------------------------------
+
+
+def _contradictions(case: Case) -> Iterator[str]:
+    commission, run = case.commission, case.run
+    serves = case.eds.status == 0
+    if case.eds.status not in (0, 1):
+        yield f"hil eds leaves with {case.eds.status}: {case.eds.reason}"
+    if not commission.figures.get("steps"):
+        yield f"hil commission leaves with {commission.status} and tells no steps: {commission.reason}"
+        return
+    commissioned = not commission.figures.get("error")
+    if serves and not commissioned:
+        yield f"hil eds: it can serve a bench; hil commission: {commission.reason}"
+    if not serves and commissioned:
+        why = "; ".join(case.eds.figures["obstacles"])
+        yield f"hil eds: it cannot serve a bench ({why}); it was commissioned"
+    if commissioned:
+        yield from _other_modes(case)
+    if run is None:
+        return
+    runs = run.status == 0
+    if commissioned and mode_to_run(case.eds) and not runs:
+        yield f"commissioned, hil run leaves with {run.status}: {run.reason}"
+    if runs and not mode_to_run(case.eds):
+        yield "hil eds gives no mode for hil run, and it ran"
+    if not serves and runs:
+        yield "hil eds: it cannot serve a bench; hil run ran it"
+
+
+def _other_modes(case: Case) -> Iterator[str]:
+    """The mode in which the shaft was turned, if it is none that hil eds gave for it."""
+    given = {each["mode"] for each in case.eds.figures.get("usable_modes", ()) if each["commission"]}
+    lines = [line for step in case.commission.figures["steps"] for line in step["lines"]]
+    used = [match[1] for line in lines if (match := re.match(r"mode ([a-z ]+(?: \([a-z]+\))?);", line))]
+    yield from (f"commissioned in {mode}, which hil eds does not give" for mode in used if mode not in given)
+
+
+# ---- reasons --------------------------------------------------------------------------------------------
+
+
+def _texts(case: Case) -> Iterator[str]:
+    """All that the commands said about the drive."""
+    yield from case.eds.figures.get("obstacles", ())
+    yield from case.eds.figures.get("remarks", ())
+    for ended in (*case.commissions, case.run):
+        if ended is None:
+            continue
+        yield ended.reason
+        for step in ended.figures.get("steps", ()):
+            yield from (step["reason"], *step["lines"], *step["faults"])
+
+
+def _absences(case: Case) -> Iterator[str]:
+    there = {index for index, _ in case.variables}
+    for text in sorted(set(_texts(case))):
+        for match in _ABSENT.finditer(text):
+            index = int(match[1] or match[2], 16)
+            if index in there:
+                yield f"{index:04X}h is in the sheet: {text!r}"
+
+
+def _aborts(case: Case) -> Iterator[str]:
+    seen = {access.abort for accesses in case.accesses.values() for access in accesses}
+    for text in sorted(set(_texts(case))):
+        for match in _ABORT.finditer(text):
+            if int(match[1], 16) not in seen:
+                yield f"no transfer was aborted with {match[1]}h: {text!r}"
+
+
+def _besides(case: Case, changed: frozenset[int]) -> Iterator[str]:
+    """Reasons for what was not done that have nothing to do with what is odd in the sheet."""
+    steps = {step["name"]: step for step in case.commission.figures.get("steps", ())}
+    for each in (
+        *case.eds.figures.get("obstacles", ()),
+        case.commission.figures.get("error"),
+    ):
+        if each and not _about(each, changed):
+            yield f"not what is odd in the sheet: {each!r}"
+    for name, step in steps.items():
+        if step["verdict"] == "done":
+            continue
+        if step["reason"] and not _about(step["reason"], changed) and not _rests(step["reason"], steps):
+            yield f"step {name} {step['verdict']}, not by what is odd in the sheet: {step['reason']!r}"
+
+
+def _rests(reason: str, steps: dict[str, dict[str, str]]) -> bool:
+    match = re.fullmatch(r"it rests on ([a-z_ ,]+)", reason)
+    return match is not None and any(
+        steps.get(name, {}).get("verdict") != "done" for name in match[1].split(", ")
+    )
+
+
+def _about(text: str, changed: frozenset[int]) -> bool:
+    named = {int(match[1], 16) for match in _NAMED.finditer(text)}
+    bases = {index & ~0x1FF if 0x1400 <= index < 0x1C00 else index for index in changed}
+    return bool(named & changed) or any(
+        re.search(WORDS[index], text) for index in (changed | bases) & WORDS.keys()
+    )
