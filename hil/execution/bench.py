@@ -294,10 +294,8 @@ class _Run:
             self.stop.check()
         self._enter("configuring")
         for drive in self._drives:
-            sheet = self.sheets.get(drive.name)
-            settings = drive_settings(self.config, drive.name, timing, sheet)
-            commissioned = self.config.drive[drive.name].commissioned
-            if commissioned is not None:
+            settings = drive_settings(self.config, drive.name, timing, self.sheets.get(drive.name))
+            if (commissioned := self.config.drive[drive.name].commissioned) is not None:
                 write_commissioned(drive, commissioned, simulated=self.config.simulated)
             for note in drive.configure(settings):
                 self._say(f"{drive.name}: {note}", "INFO" if note.endswith(DONE) else "WARN")
