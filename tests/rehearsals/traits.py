@@ -128,6 +128,15 @@ def _as_the_maker_has_it(index: int, data_type: DataType, **options: object) -> 
     return change
 
 
+def _slows_by_its_acceleration(sheet: MadeSheet) -> None:
+    """Technosoft's iPOS: 6084h is not there, and a speed comes in increments per sample, 16.16."""
+    sheet.by(0x1A3)
+    sheet.set(0x1008, default="iPOS")
+    _no_units(sheet)
+    sheet.drop(0x6084)
+    _modes(Mode.PROFILE_VELOCITY)(sheet)
+
+
 def _no_units(sheet: MadeSheet) -> None:
     sheet.drop(0x608F, 0x6090, 0x6091, 0x6092, 0x6096, 0x60A8, 0x60A9, 0x60AA, 0x6075, 0x6076)
 
@@ -180,6 +189,7 @@ _NO_CURRENT: Final = frozenset({"torque_constant"})
 """6078h finds no place beside the rest."""
 _SLOPED: Final = frozenset({"delays", "suggest", "verify"})
 """In profile torque 6087h bounds the rise: no switch of the torque shows the delay of a command."""
+_UNTOLD: Final = "does not tell its position unit; the nameplate's 65536 counts"
 _UNSET: Final = "one position unit would be 6.283 rad; the nameplate's 65536 counts"
 TRAITS: Final[dict[str, Trait]] = {
     "no 1018h": Trait(_lacks(0x1018)),
@@ -260,6 +270,7 @@ TRAITS: Final[dict[str, Trait]] = {
         mendable=True,
     ),
     "6084h is 0": Trait(_ramp_in(Mode.PROFILE_VELOCITY, 0x6084, default=0, LowLimit=0), without=_NO_TORQUE),
+    "no 6084h": Trait(_slows_by_its_acceleration, without=_NO_TORQUE, finds=_UNTOLD),
     "60C5h is tiny": Trait(_ramp_in(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, 0x60C5, default=1), without=_NO_TORQUE),
     "6087h is 0": Trait(_ramp_in(Mode.PROFILE_TORQUE, 0x6087, default=0, LowLimit=0), without=_SLOPED),
     "6087h is 10000 at most": Trait(
@@ -282,7 +293,7 @@ TRAITS: Final[dict[str, Trait]] = {
         _as_the_maker_has_it(0x2100, DataType.UNSIGNED32, default=0x12345678, AccessType="ro")
     ),
     "2100h:01 a brake's time": Trait(_as_the_maker_has_it(0x2100, DataType.UNSIGNED16, default=100)),
-    "no units": Trait(_no_units),
+    "no units": Trait(_no_units, finds=_UNTOLD),
     "606Ch not mappable": Trait(_not_mappable(0x606C), "606Ch"),
     "6077h not mappable": Trait(_not_mappable(0x6077), without=_NO_CURRENT),
     "6061h not mappable": Trait(_not_mappable(0x6061)),

@@ -115,6 +115,13 @@ def test_a_unit_of_velocity_mode_that_is_another_is_found_before_anything_turns_
     assert result.is_safe()
 
 
+def test_a_drive_without_6084h_slows_down_by_6083h(tmp_path: Path) -> None:
+    """CiA 402-2; a ramp of its own that nobody can see kept the shaft turning one way for both signs."""
+    names = ("no 6084h",)
+    result = rehearsed(made_sheet(names, tmp_path), tmp_path, last_step="polarity")
+    assert complaints(names, result) == []
+
+
 def test_a_whole_commissioning_by_a_data_sheet(tmp_path: Path) -> None:
     result = rehearsed(made_sheet(["608Fh is 2000"], tmp_path), tmp_path)
     assert complaints(("608Fh is 2000",), result) == []

@@ -300,7 +300,7 @@ class SimulatedAxis:
     @property
     def deceleration_rad_s2(self) -> float:
         """6084h inside 60C6h."""
-        return self._limited_rate(self.motion.deceleration.value, self.motion.max_deceleration.value)
+        return self._limited_rate(self.motion.slowing.value, self.motion.max_deceleration.value)
 
     @property
     def quick_stop_rad_s2(self) -> float:

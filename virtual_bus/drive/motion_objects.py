@@ -89,6 +89,11 @@ class MotionObjects:
         self.period_value = period.add(1, "Interpolation time period value", _U8, default=1, low=1)
         self.period_index = period.add(2, "Interpolation time index", _I8, default=-3, low=-6, high=0)
 
+    @property
+    def slowing(self) -> Variable:
+        """6084h; 6083h in a drive that does not have it (CiA 402-2, profile deceleration)."""
+        return self.deceleration if Object.PROFILE_DECELERATION in self._dictionary else self.acceleration
+
     def _add_profile(self, motor: PmsmParameters, drive: DriveParameters) -> None:
         slow_down = max(1, round(drive.slow_down_rad_s2(motor) / RAD_S_PER_RPM))
         quick = max(1, round(drive.quick_stop_rad_s2(motor) / RAD_S_PER_RPM))
