@@ -40,6 +40,7 @@ SINGLES: Final = (
     "6083h is 1 at most",
     "6084h is 0",
     "6085h is 0",
+    "no 6084h",
     "60C5h is tiny",
     "6087h is 0",
     "6087h is 10000 at most",

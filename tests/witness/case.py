@@ -134,9 +134,9 @@ def mode_to_run(eds: Ended) -> str:
 
 def _scale(out: Path) -> str:
     """Units and motor that a commissioning found, for a bench by hand."""
-    if not (out / "drive.toml").exists():
-        return f'motor = "{_MOTOR}"'
-    return f'motor = "{out}/motor.toml"\ncommissioned = "{out}/drive.toml"'
+    motor, drive = out / "motor.toml", out / "drive.toml"
+    commissioned = f'commissioned = "{drive}"' if drive.exists() else ""
+    return f'motor = "{motor if motor.exists() else _MOTOR}"\n{commissioned}'
 
 
 def _own_bench(folder: Path, sheet: Path, hub: str, mode: str, scale: str) -> Path:

@@ -15,8 +15,8 @@ from tests.witness.frames import Access
 
 _NAMED: Final = re.compile(r"\b([0-9A-F]{4})h(?::([0-9A-F]{2}))?")
 _ABSENT: Final = re.compile(
-    r"(?:\bno (?:[a-z ]*[a-z] )?|\bwithout |\blacks )([0-9A-F]{4})h(?!:|\s*=)"
-    r"|\b([0-9A-F]{4})h(?::00)?(?: [a-z ,]*)? (?:is|are) (?:missing|not in the dictionary)"
+    r"(?:\bno (?:[a-z ]*[a-z] )?|\bwithout |\blacks )([0-9A-F]{4})h(?!:|\s*=| in a | beside )"
+    r"|(?<!or )\b([0-9A-F]{4})h(?::00)?(?: [a-z ,]*)? (?:is|are) (?:missing|not in the dictionary)"
 )
 """Statements that a drive has no such object."""
 _ABORT: Final = re.compile(r"\b(0[568][0-9A-F]{6})h")
@@ -62,16 +62,20 @@ class Judged:
         return [*self.unasked, *self.contradictions, *self.false_reasons, *self.unsafe]
 
 
-def judged(case: Case, changed: frozenset[int] | None, sound: bool, documented: Documented) -> Judged:
+def judged(
+    case: Case, changed: frozenset[int] | None, sound: bool, documented: Documented, *, by_plate: bool = False
+) -> Judged:
     """``changed``: objects that the sheet's traits touch; None: nobody knows what is odd in it.
     ``sound``: nothing in the sheet keeps a bench from commissioning the drive.
+    ``by_plate``: a value of the drive's is too little for what the nameplate asks, unknown to hil eds.
     """
     result = Judged(unsafe=[*case.changed, *case.left])
     result.unasked += _unasked(case, documented)
     result.busy += _busy(case)
     if result.busy:
         return result
-    result.contradictions += _contradictions(case)
+    if not (by_plate and case.commission.reason):
+        result.contradictions += _contradictions(case)
     result.false_reasons += _absences(case)
     result.false_reasons += _aborts(case)
     if sound and (error := case.commission.figures.get("error")):
