@@ -1,5 +1,6 @@
 """A nameplate that contradicts itself is refused before anything is sent, whoever is to be trusted."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,8 @@ from typer.testing import CliRunner
 
 from design.flux_constants import CONVENTIONS
 from hil.cli import app
+from hil.commissioning.outcome import StepRecord, StepVerdict
+from hil.commissioning.report import Commissioned
 from hil.commissioning.request import PlateMotor
 from hil.configuration.toml_text import toml_text
 from tests.commissioning import unknown_world
@@ -15,6 +18,8 @@ from virtual_bus.drive.unknown_drive import unknown_drive
 
 SEED = 7
 """Its drive tells twice its rated torque, so a plate that is mended by the drive has twice the torque."""
+TRUE_SEED = 5
+"""It tells everything truly."""
 
 
 def plate(**rating: float) -> dict[str, Any]:
@@ -70,11 +75,47 @@ def test_a_torque_alone_that_the_drives_current_and_voltage_cannot_make_is_refus
 
 def test_a_drive_whose_torque_cannot_be_is_not_believed_and_nobody_is_asked(tmp_path: Path) -> None:
     """6076h tells 3.684 N m, which the plate's volts and amperes do not make."""
-    _, result, _ = unknown_world(SEED, tmp_path, plate=plate(), trust_nameplate=False, last_step="units")
-    (units,) = [record for record in result.records if record.name == "units"]
+    result, units = units_step(plate(), tmp_path)
     assert units.reason == ""
     assert any("6076h cannot be: " in fault for fault in units.outcome.faults)
     assert result.findings.override.rated_torque_nm == 1.842
+
+
+def units_step(tables: dict[str, Any], folder: Path, seed: int = SEED) -> tuple[Commissioned, StepRecord]:
+    """A commissioning that ends with the step in which nameplate and drive meet; nobody is trusted."""
+    _, result, _ = unknown_world(seed, folder, plate=tables, trust_nameplate=False, last_step="units")
+    return result, next(record for record in result.records if record.name == "units")
+
+
+def test_stall_torque_and_current_beside_the_drives_rated_ones_are_of_one_motor(tmp_path: Path) -> None:
+    """The unit of 6077h is 6076h, whichever point the plate is of."""
+    own = unknown_drive(TRUE_SEED)[1].nameplate
+    rating = own["rating"]
+    stall = {"torque_nm": 1.4 * rating["torque_nm"], "current_a": 1.4 * rating["current_a"]}
+    result, units = units_step({**own, "rating": rating | stall}, tmp_path, TRUE_SEED)
+    assert units.verdict is StepVerdict.DONE
+    assert any("two rated points of one motor" in line for line in units.outcome.lines)
+    assert result.findings.override.rated_torque_nm is None
+    assert units.outcome.faults == []
+
+
+def test_ac_volts_for_those_of_the_dc_bus_are_a_finding(tmp_path: Path) -> None:
+    own = unknown_drive(TRUE_SEED)[1].nameplate
+    rating = own["rating"]
+    ac_v = rating["dc_bus_voltage_v"] / math.sqrt(2.0)
+    result, units = units_step({**own, "rating": rating | {"dc_bus_voltage_v": ac_v}}, tmp_path, TRUE_SEED)
+    assert result.error is None
+    (fault,) = units.outcome.faults
+    assert "rating.dc_bus_voltage_v" in fault
+    assert "an AC voltage taken for that of the DC bus?" in fault
+
+
+def test_a_speed_in_rad_s_is_a_finding_with_its_reading(tmp_path: Path) -> None:
+    own = unknown_drive(TRUE_SEED)[1].nameplate
+    slow = own["rating"]["speed_rpm"] * math.pi / 30.0
+    result, units = units_step({**own, "rating": own["rating"] | {"speed_rpm": slow}}, tmp_path, TRUE_SEED)
+    assert result.error is None
+    assert any("(rad/s taken for r/min)" in fault for fault in units.outcome.faults)
 
 
 def test_a_plate_takes_every_constant_of_the_flux() -> None:
