@@ -23,7 +23,7 @@ from typing import Final
 
 from drivers.timebase import NS_PER_S, MonotonicClock
 from tests.mistakes.drawn import Mistake, drawn_mistake, own_plate
-from tests.mistakes.outcome import Outcome, outcome_of, right_faults
+from tests.mistakes.outcome import Outcome, RightPlate, outcome_of
 
 DRIVES: Final = 100
 GOOD: Final = ("refused", "named", "unproven", "harmless")
@@ -44,8 +44,7 @@ def main() -> None:
     first, end = map(int, given.drives.split("-"))
     drives = [1000 * given.seed + number for number in range(first, end)]
     tally: collections.Counter[str] = collections.Counter()
-    refused_right = 0
-    known: dict[int, frozenset[str]] = {}
+    known: dict[int, RightPlate] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for number in range(given.count):
@@ -54,18 +53,18 @@ def main() -> None:
             if clock.now() > ends_at:
                 break
             if seed not in known:
-                known[seed], refusal = right_faults(seed, folder)
-                if refusal:
-                    refused_right += 1
-                    print(f"drive {seed}: its own plate {own_plate(seed)} is refused: {refusal}", flush=True)
+                known[seed] = RightPlate(seed, folder)
             result = outcome_of(seed, mistake, trust, known[seed], folder)
             tally[result.verdict] += 1
             _tell(number, seed, trust, mistake, result)
+    refused = {seed: right.refusal for seed, right in known.items() if right.refusal}
+    for seed, refusal in refused.items():
+        print(f"drive {seed}: its own plate {own_plate(seed)} is refused: {refusal}")
     done = sum(tally.values())
     good = sum(tally[each] for each in GOOD)
     print(f"{done} mistakes on {len(known)} drives: {_table(tally)}")
-    print(f"{len(known)} commissionings with the right plate, {refused_right} refused")
-    raise SystemExit(tally["WRONG"] > 0 or good < WANTED * done or refused_right > 0)
+    print(f"{len(known)} right plates, {len(refused)} refused")
+    raise SystemExit(tally["WRONG"] > 0 or good < WANTED * done or bool(refused))
 
 
 def _table(tally: collections.Counter[str]) -> str:

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from functools import cached_property
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -19,6 +20,8 @@ STILL: Final = frozenset({"bus", "identity", "dump", "units", "setup", "stop", "
 OFF: Final = 0.05
 PERIOD_US: Final = 4000
 """Fewer cycles to simulate; inertia and friction are within a percent by it."""
+UNITS: Final = "units"
+"""The step in which nameplate and drive meet."""
 LAST: Final = "voltage_constant"
 """The last step that holds a figure against another."""
 
@@ -30,16 +33,46 @@ class Outcome(NamedTuple):
     why: str
 
 
-def outcome_of(seed: int, mistake: Mistake, trust: bool, right: frozenset[str], folder: Path) -> Outcome:
-    """``right``: what is found with the drive's own plate."""
+class RightPlate:
+    """What is found with the drive's own plate, as far as it was asked for."""
+
+    def __init__(self, seed: int, folder: Path) -> None:
+        """A plate that cannot tell which is right, itself or the drive, is one that somebody vouches for."""
+        self._seed, self._folder = seed, folder
+        self._trust = False
+        refusal, self.at_rest = self._faults(UNITS)
+        if "nothing measured tells which is right" in refusal:
+            self._trust = True
+            refusal, self.at_rest = self._faults(UNITS)
+        self.refusal = refusal
+        """Why it is refused; empty if it is not."""
+
+    @cached_property
+    def in_motion(self) -> frozenset[str]:
+        """Findings of the whole commissioning; it may be refused there, too."""
+        self.refusal, found = self._faults(LAST)
+        return found
+
+    def _faults(self, last_step: str) -> tuple[str, frozenset[str]]:
+        _, result = _commissioned(self._seed, own_plate(self._seed), self._trust, self._folder, last_step)
+        return "" if result.error is None else str(result.error), faults_of(result)
+
+
+def outcome_of(seed: int, mistake: Mistake, trust: bool, right: RightPlate, folder: Path) -> Outcome:
+    """A plate that is refused or named at rest is not tried in motion."""
     try:
-        truth, result = _commissioned(seed, mistake.plate, trust, folder)
+        _, result = _commissioned(seed, mistake.plate, trust, folder, UNITS)
     except ValidationError as error:
         return Outcome("refused", str(error))
     if result.error is not None:
-        still = result.records[-1].name in STILL
-        return Outcome("refused" if still else "named", str(result.error))
-    told = faults_of(result) - right
+        return Outcome("refused", str(result.error))
+    told = faults_of(result) - right.at_rest
+    if not told:
+        truth, result = _commissioned(seed, mistake.plate, trust, folder, LAST)
+        if result.error is not None:
+            still = result.records[-1].name in STILL
+            return Outcome("refused" if still else "named", str(result.error))
+        told = faults_of(result) - right.in_motion
     if told:
         return Outcome("named", "; ".join(sorted(told)))
     summary = summary_of(_request(mistake.plate, folder), result)
@@ -52,19 +85,6 @@ def outcome_of(seed: int, mistake: Mistake, trust: bool, right: frozenset[str], 
     if changed <= set(alone):
         return Outcome("harmless", ", ".join(sorted(changed)))
     return Outcome("right", f"{', '.join(sorted(changed))}; {summary[0]}")
-
-
-def right_faults(seed: int, folder: Path) -> tuple[frozenset[str], str]:
-    """What is found with the drive's own plate, and why it is refused; empty if it is not.
-
-    A plate that cannot tell which is right, itself or the drive, is one that somebody has to vouch for.
-    """
-    _, result = _commissioned(seed, own_plate(seed), False, folder)
-    refusal = "" if result.error is None else str(result.error)
-    if "nothing measured tells which is right" in refusal:
-        _, result = _commissioned(seed, own_plate(seed), True, folder)
-        refusal = "" if result.error is None else str(result.error)
-    return faults_of(result), refusal
 
 
 def faults_of(result: Commissioned) -> frozenset[str]:
@@ -80,12 +100,14 @@ def _two_digits(number: re.Match[str]) -> str:
     return f"{float(number[0]):.2g}"
 
 
-def _commissioned(seed: int, plate: Plate, trust: bool, folder: Path) -> tuple[Truth, Commissioned]:
+def _commissioned(
+    seed: int, plate: Plate, trust: bool, folder: Path, last_step: str
+) -> tuple[Truth, Commissioned]:
     place = folder / "out"
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir()
     truth, result, _ = unknown_world(
-        seed, place, plate=plate, trust_nameplate=trust, period_us=PERIOD_US, last_step=LAST,
+        seed, place, plate=plate, trust_nameplate=trust, period_us=PERIOD_US, last_step=last_step,
         lacks=lacks_of(seed),
     )  # fmt: skip
     return truth, result
