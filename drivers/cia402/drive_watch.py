@@ -150,12 +150,13 @@ class DriveWatch:
         if not commanded:
             self._stop_first()
             raise DriveInFault(f"{control.title} follows no command any more", control.evidence())
-        lapse = self._follow.lapse
-        if lapse is not None:
-            lapse.cycles += 1
-            if not self._bears_lapses:
-                self._stop_first()
-                raise self._unfollowed(lapse)
+        follow = self._follow
+        if follow.lapse is not None:
+            follow.lapse.cycles += 1
+        # One that is over within a cycle is one too.
+        if follow.lapses and not self._bears_lapses:
+            self._stop_first()
+            raise self._unfollowed(follow.lapses[-1])
 
     def _stop_first(self) -> None:
         """Have the enabled drive stop before anything is asked of it, as an answer may take its time."""

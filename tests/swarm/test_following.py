@@ -1,6 +1,7 @@
 """The invariants of drives that do otherwise find runs that are made to break them."""
 
 import json
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from drivers.errors import DriveInFault
 from drivers.timebase import NS_PER_S, Instant
 from hil.testing.bench_runs import BenchRunner
+from hil.testing.campaign_runs import CampaignRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
 from tests.swarm.following import OF_FOLLOWING
@@ -21,6 +23,7 @@ from tests.swarm.witness import FOLLOWS, OTHER_MODE, TARGET_IGNORED, DriveWitnes
 
 LEFT: dict[str, Any] = {"mode_change": [{"at_s": 0.2, "mode": "pv"}]}
 DEAF: dict[str, Any] = {"ignored_commands": [{"at_s": 0.2, "duration_s": 0.1, "holds": "zero"}]}
+SWEEP = Path(__file__).with_name("swarm.toml")
 QUIET = Circumstances(Mishap.NONE, 0.0, 0, ())
 
 
@@ -84,3 +87,10 @@ def test_a_drive_that_answers_late_is_stopped_as_soon(swarm_member: Callable[...
     slow = {"slow_drive": [{"sdo_delay_us": 20_000}]}
     for faults in (LEFT, DEAF):
         assert found(swarm_member(faults | slow, "stop", ends=True)) == ""
+
+
+@pytest.mark.parametrize("seed", [8000314], ids=["it follows again within the cycle"])
+def test_nothing_is_found_any_more(tmp_path: Path, seed: int) -> None:
+    tables = tomllib.loads(SWEEP.read_text(encoding="utf-8"))
+    tables["campaign"] |= {"first_seed": seed, "seeds": 1}
+    CampaignRunner(tmp_path, SWEEP.parent)(tables).assert_nothing_found()
