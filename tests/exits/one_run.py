@@ -47,8 +47,8 @@ from tests.scenario.processes import (
     on_disk_of,
     summary_of,
 )
-from tests.swarm.invariants import Ran, Told
 from tests.swarm.mishaps import Circumstances, Mishap
+from tests.swarm.ran import Ran, Told
 from virtual_bus.child_python import python_command, python_environment
 
 DURATION_S: Final = 1.0

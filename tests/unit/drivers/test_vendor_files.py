@@ -45,7 +45,7 @@ def test_every_file_is_read_as_the_oracle_reads_it(path: Path) -> None:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem[:24])
 def test_every_file_is_assessed(path: Path) -> None:
-    found = assess(load_dictionary(path, NODE, tuple(QUANTITY_OF_MODE)), NODE)
+    found = assess(load_dictionary(path, NODE), NODE, tuple(QUANTITY_OF_MODE))
     assert found.serves == ("605.3150" not in path.name), found.obstacles
     assert found.pdos
     assert found.profile in (402, None)
