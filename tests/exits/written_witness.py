@@ -52,7 +52,7 @@ class WrittenTestimony(Testimony):
         self._entries = [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
         states = [(entry["at"], State(entry["state"])) for entry in self._entries if "state" in entry]
         speeds = [entry["speed_rad_s"] for entry in self._entries if "speed_rad_s" in entry]
-        super().__init__(node_id, states, [], *speeds[-1:])
+        super().__init__(node_id, states, [], speed_rad_s=speeds[-1] if speeds else 0.0)
 
     @property
     def cycles(self) -> int:
