@@ -19,8 +19,9 @@ from tests.witness.witness import Described, Key, Witness, described
 from virtual_bus.drive.unknown_drive import nameplate_of
 
 NODE: Final = 1
-PERIOD_US: Final = 10_000
-"""A quarter of the usual load: six cases side by side keep their cycle on two cores."""
+PERIOD_US: Final = 4000
+"""A quarter of the usual load: six cases side by side keep their cycle on two cores. With 10 ms a ramp of
+speeds or positions no longer tells the inertia."""
 COUNTS: Final = 65536
 """Of the simulated drive's encoder: what its owner reads off it."""
 _ATTEMPTS_MAX: Final = 3
@@ -73,6 +74,13 @@ class Case:
     """What is wrong with how a command left the drive."""
     frames: int = 0
     seconds: float = 0.0
+
+    @property
+    def carried(self) -> set[Key]:
+        """What the drive's own RPDO mappings have: a fixed one has to be sent with what its objects hold."""
+        mappings = [key for key in self.held if 0x1600 <= key[0] < 0x1800 and key[1]]
+        words = [int.from_bytes(self.held[key], "little") for key in mappings]
+        return {(word >> 16, word >> 8 & 0xFF) for word in words}
 
     @property
     def commission(self) -> Ended:

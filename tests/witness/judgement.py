@@ -33,7 +33,7 @@ WORDS: Final[dict[int, str]] = {
     0x6041: r"statusword",
     0x6060: r"\bmodes?\b",
     0x6061: r"\bmodes?\b",
-    0x6502: r"\bmodes?\b",
+    0x6502: r"\bmodes?\b|homing",
     0x6071: r"torque",
     0x6076: r"torque",
     0x608F: r"position unit|counts",
@@ -97,7 +97,7 @@ def _is_asked(access: Access, command: str, case: Case, documented: Documented) 
     key = (access.index, access.sub)
     if not access.writes:
         listed = access.index in documented.maker_reads or (command == "commission" and key in case.variables)
-        return access.index not in MAKERS or listed
+        return access.index not in MAKERS or listed or key in case.carried
     if access.way == "rpdo" and case.held.get(key) == access.data:
         return True
     return key in documented.writes[command]
