@@ -3,9 +3,10 @@
     6061h    another mode than the one of the commands    it follows nothing that is sent
     bit 12   0 in a mode of FOLLOWS_BIT                    it ignores the target value (CiA 402-2)
 
-Bit 12 counts from when it was first seen set: some drives never set it. At 0 beside bit 11, internal limit
-active, the drive follows a command that it has cut (Synapticon Somanet clears bit 12 while 6072h or 607Dh
-cuts the target), and no lapse begins. 6061h counts from when it first showed the mode of the commands.
+Bit 12 counts from when it was first seen set: some drives never set it. Where it goes to 0 beside bit 11,
+internal limit active, the drive follows a command that it has cut (Synapticon Somanet clears bit 12 while
+6072h or 607Dh cuts the target), and no lapse begins; one that has begun ends with bit 12 alone. 6061h counts
+from when it first showed the mode of the commands, or shows another one again and again.
 """
 
 from collections.abc import Callable
@@ -23,6 +24,9 @@ FOLLOWS_BIT: Final[dict[Mode, int]] = {
 """The bit of the statusword that a mode clears while the drive ignores its target; in IP it is "interpolation
 is active". In the modes that are left out bit 12 means something else: set-point acknowledge in PP, speed is
 0 in PV, homing attained in HM; in VL and TQ it is reserved."""
+OLDER_MAX: Final = 4
+"""Tellings of another mode before the commanded one was shown: fewer were on their way when it was changed,
+as 6061h is told every 25 ms and no frame is longer on its way than 50 ms."""
 _ENABLED: Final = STATUS_PATTERNS[State.OPERATION_ENABLED].value
 _LIMITED: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
 _STATE_BITS: Final = int(STATE_BITS)
@@ -92,6 +96,8 @@ class FollowWatch:
         self._shown = 0
         self._bit = 0
         self._ignores = False
+        self._older = 0
+        self._mode_at = Instant(0)
 
     @property
     def has_bit(self) -> bool:
@@ -103,12 +109,15 @@ class FollowWatch:
         self._mode, self._commanded, self._bit = mode, mode.value, FOLLOWS_BIT.get(mode, 0)
         self._shown, self._ignores = self._commanded, False
         self.mode_shown = self.bit_watched = False
+        self._older = 0
         self.lapse = None
 
     def begin(self) -> None:
         """The drive is enabled now."""
         self._active = True
         self.lapses = []
+        if self._shown != self._commanded:
+            self._judge(self._mode_at)  # it left its mode before
 
     def end(self) -> None:
         """The drive is not to follow any more."""
@@ -120,9 +129,11 @@ class FollowWatch:
         if shown == self._commanded:
             self.mode_shown = True
         elif not self.mode_shown:
-            return
+            self._older += 1
+            if self._older < OLDER_MAX:
+                return
         if shown != self._shown:
-            self._shown = shown
+            self._shown, self._mode_at = shown, at
             self._judge(at)
 
     def status_told(self, statusword: int, at: Instant) -> None:
@@ -134,7 +145,7 @@ class FollowWatch:
             self.bit_watched = True
             ignores = False
         else:
-            ignores = self.bit_watched and not statusword & _LIMITED
+            ignores = self._ignores or (self.bit_watched and not statusword & _LIMITED)
         if ignores is not self._ignores:
             self._ignores = ignores
             self._judge(at)

@@ -19,6 +19,7 @@ _REACH_PERIODS: Final = 64
 """A stamp further than this from the one before is a clock that was set, or a long silence: a speed says
 nothing of the way in between. A bench bears fewer readings lost in a row."""
 NEVER_TOLD: Final = Instant(-1)
+_LIMITED: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
 _NAN: Final = float("nan")
 
 
@@ -85,6 +86,7 @@ class ReadingAssembler:
         self.position_told_at = NEVER_TOLD
         self._pump = network.frame_pump
         self._told = told
+        self._follow = follow
         self._rad_s_per_raw = scaling.velocity_sign * scaling.velocity_rad_s
         self._nm_per_raw = scaling.torque_sign * scaling.torque_nm
         self._period_ns = period_ns
@@ -169,6 +171,13 @@ class ReadingAssembler:
     def demand_changed(self, raw: int, stamp_raw: int, at: Instant) -> None:
         """0x6074 arrived because it had changed; ``stamp_raw``: 0x1013 of that moment."""
         self._changes.append(DemandChange(raw, self._unwrapped(stamp_raw) * NS_PER_US, at))
+
+    def tell_watch(self, watch: CommandWatch, raw: int) -> None:
+        """A demand or torque arrived. A drive that tells that it does not follow needs no watch."""
+        if self._follow.lapse is not None:
+            watch.excuse()
+        else:
+            watch.told(raw, self._told.statusword & _LIMITED != 0)
 
     def speed_told(self, raw: int, stamp_raw: int, at: Instant) -> None:
         """0x606C arrived, with its stamp 0x1013 or -1: a reading."""
@@ -302,14 +311,8 @@ class _Inlet:
             assembler.speed_told(fields[self._velocity], fields[self._stamp] if self._stamp >= 0 else -1, at)
         if self._demand >= 0:
             assembler.demand_told(fields[self._demand], at)
-        watch = assembler.watch
-        # A torque that the drive itself limits is no command's; its demand is.
-        if (
-            watch is not None
-            and self._watched >= 0
-            and (self._demand >= 0 or not self._told.statusword & Status.INTERNAL_LIMIT_ACTIVE)
-        ):
-            watch.told(fields[self._watched])
+        if self._watched >= 0 and (watch := assembler.watch) is not None:
+            assembler.tell_watch(watch, fields[self._watched])
 
 
 def _place(pdo: PdoMap, *indices: int) -> int:

@@ -1,5 +1,6 @@
 """When the shaft of a drive counts as at rest: it is slow, and stays so."""
 
+from collections.abc import Callable
 from typing import Final
 
 from drivers.canopen.objects import RemoteObjects
@@ -23,6 +24,19 @@ def slow(objects: RemoteObjects, assembler: ReadingAssembler | None) -> bool:
         return True
     raw = objects.read(Object.VELOCITY_ACTUAL_VALUE, 0, "i")
     return abs(raw * assembler.scaling.velocity_rad_s) < REST_RAD_S
+
+
+def calms(objects: RemoteObjects, assembler: ReadingAssembler | None) -> Callable[[], bool]:
+    """Asks at each call; true once two readings in a row were slow: a steep ramp passes through zero, and a
+    drive that is disabled in that moment lets the shaft run on."""
+    before = False
+
+    def calm() -> bool:
+        nonlocal before
+        last, before = before, slow(objects, assembler)
+        return last and before
+
+    return calm
 
 
 def resting_since(control: StateControl, assembler: ReadingAssembler | None, deadline: Instant) -> Instant:

@@ -25,7 +25,7 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.observed import map_observed
 from drivers.cia402.profile import DriveCommand, Mode, State, state_of
 from drivers.cia402.readings import LastStatusword, ReadingAssembler
-from drivers.cia402.rest import resting_since, slow
+from drivers.cia402.rest import calms, resting_since
 from drivers.cia402.setpoint import SetPointFrames
 from drivers.cia402.state_control import FAULTY, StateControl
 from drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
@@ -92,13 +92,12 @@ class ServoDrive(Drive):
 
     def connect(self, deadline: Instant) -> Identity:
         """Wait until the node answers, and read its identity. Raises NoAnswer, AnswersTwice, PeerFault."""
-        clock = self.network.clock
         while True:
             try:
                 self.network.upload(self.node_id, Cia301.DEVICE_TYPE, timeout_s=_CONNECT_TRY_S, attempts=1)
                 break
             except NoAnswer as error:
-                if clock.now() >= deadline:
+                if self._now() >= deadline:
                     raise self.network.nobody_there(self.node_id, self.control.title) from error
         self.identity = identity = read_identity(self.objects)
         self.network.refuse_two(self.node_id)
@@ -181,8 +180,9 @@ class ServoDrive(Drive):
         """Command a quick stop and wait until the shaft is slow and the drive disabled, or in fault."""
         self.stop()
         moving = (State.OPERATION_ENABLED, State.FAULT_REACTION)
+        calm = calms(self.objects, self._assembler)
         state = self.control.await_state(
-            lambda now: now not in moving and slow(self.objects, self._assembler),
+            lambda now: now not in moving and calm(),
             deadline,
             "come to rest",
             faults=False,
@@ -253,11 +253,12 @@ class ServoDrive(Drive):
             return None
         frames = self._configured()
         if isinstance(command, SpeedCommand):
-            return frames.send_speed(command.speed_rad_s, command.sequence)
-        if isinstance(command, PositionCommand):
+            sent = frames.send_speed(command.speed_rad_s, command.sequence)
+        elif isinstance(command, PositionCommand):
             self.modes.shake_hands(self._told.statusword)
-            return frames.send_position(command.position_rad, command.sequence)
-        sent = frames.send_torque(command.torque_nm, command.sequence)
+            sent = frames.send_position(command.position_rad, command.sequence)
+        else:
+            sent = frames.send_torque(command.torque_nm, command.sequence)
         self.supervision.sent(sent.raw)
         return sent
 
@@ -270,7 +271,7 @@ class ServoDrive(Drive):
         self.watch.check(self.supervision.follows)
 
     def follows(self) -> bool:
-        """As far as it tells by 6061h and bit 12 of its statusword."""
+        """By 6061h and bit 12 of its statusword."""
         return self.follow.lapse is None
 
     def supervise_commands(self) -> str:

@@ -1,7 +1,7 @@
 """Who notices that a drive does not hear its host any more, and what is left when nothing else stops it.
 
-commands cease to arrive    the drive, by the event timer of its RPDO (1400h:05), and stops by 6007h;
-                            else the host, by the torque that the drive tells, and stops it by SDO
+commands cease to arrive    the drive, by the event timer of its RPDO (1400h:05), and stops by 6007h
+they are not followed       the host, by the demand or torque that the drive tells, and stops it by SDO
 the statusword ceases       the host, by the event timer of the TPDO
 nothing stops the drive     the host withholds its heartbeat: 1016h and 6007h of the drive
 """
@@ -11,16 +11,30 @@ from typing import Final, NamedTuple
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.command_watch import ACTUAL_MARGIN_RAW, DEMAND_MARGIN_RAW, CommandWatch
+from drivers.canopen.pdo import PdoEntry, PdoPlan
+from drivers.canopen.polls import ObjectPoll, Polled
+from drivers.cia402.command_watch import ACTUAL_MARGIN_RAW, ACTUAL_SHARE, DEMAND_MARGIN_RAW, CommandWatch
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import TARGETS, features_of
 from drivers.cia402.profile import Mode, State
 from drivers.cia402.readings import ReadingAssembler
 from drivers.errors import BusDown, PeerFault, TransferAborted
-from drivers.timebase import NS_PER_MS, Instant
+from drivers.timebase import NS_PER_MS, Duration, Instant
 
+LATER: Final = 10
+"""A drive with a timer of its own is to stop by itself, and to say so; the host waits a tenth longer."""
+READS: Final = 4
+"""Of a demand that is read by SDO, in the time after which it is missed: two while the last command that was
+followed is recent, and two when it is not."""
+READ_EVERY_MIN: Final = Duration(10 * NS_PER_MS)
+"""Two frames of at most 135 bits are then 3 % of 1 Mbit/s."""
+_DEMANDS: Final[dict[int, int]] = {
+    Object.TARGET_VELOCITY: Object.VELOCITY_DEMAND_VALUE,
+    Object.TARGET_POSITION: Object.POSITION_DEMAND_VALUE,
+    Object.INTERPOLATION_DATA_RECORD: Object.POSITION_DEMAND_VALUE,
+}
+"""By the object of a set-point: what the drive makes of it, CiA 402-2."""
 _EVENT_TIMER: Final = 5
 """Sub-index of a PDO's communication parameter; an RPDO is missed after so many ms (CiA 301 7.5.2.35)."""
 
@@ -48,6 +62,8 @@ class CommandSupervision:
         self._assembler: ReadingAssembler | None = None
         self._timed: int | None = None
         self._watch: CommandWatch | None = None
+        self._offset = 0
+        self._poll: ObjectPoll | None = None
 
     def configure(self, settings: DriveSettings, plan: PdoPlan, assembler: ReadingAssembler) -> None:
         """What the drive was set up with; nobody looks after its commands yet."""
@@ -55,7 +71,7 @@ class CommandSupervision:
         self._timed = self._watch = None
 
     def begin(self, mode: Mode) -> str:
-        """Have the drive, or in its place the host, look after the commands of ``mode`` from now on.
+        """Have the drive and the host look after the commands of ``mode`` from now on.
 
         Says who does, and when the drive begins to stop and is at rest; empty without ``command_timeout_ms``.
         """
@@ -64,21 +80,51 @@ class CommandSupervision:
             return ""
         timeout_ms = settings.command_timeout_ms
         index = self._timer_of(mode)
-        if index is not None and self._set_timer(index, timeout_ms):
-            return f"the drive itself ({index:04X}h:05), after {timeout_ms} ms{_rest_text(settings)}"
-        target = TARGETS.get(mode)
-        features, torque = features_of(self._plan), self._plan.tpdo_with(Object.TORQUE_ACTUAL_VALUE)
-        if target is None or target.index != Object.TARGET_TORQUE or not (features.demand or torque):
-            return "nobody: the drive does not look after its RPDO (1400h:05), nor tell a torque to compare"
+        timed = index is not None and self._set_timer(index, timeout_ms)
         cycles = max(2, timeout_ms * NS_PER_MS // settings.sync_period_ns)
-        self._watch_torque(CommandWatch(cycles, DEMAND_MARGIN_RAW if features.demand else ACTUAL_MARGIN_RAW))
-        torque_object = "6074h" if features.demand else "6077h"
-        return f"the host by {torque_object}, after {cycles} cycles ({timeout_ms} ms){_rest_text(settings)}"
+        cycles += max(2, cycles // LATER) if timed else 0
+        demand = self._look_at(TARGETS.get(mode), cycles, settings.sync_period_ns)
+        host = f"the host by {demand}, after {cycles} cycles"
+        if timed:
+            drive = f"the drive itself ({index:04X}h:05), after {timeout_ms} ms{_rest_text(settings)}"
+            return f"{drive}; {host}" if demand else f"{drive}; nobody compares what it follows"
+        if not demand:
+            return "nobody: the drive does not look after its RPDO (1400h:05), nor tell what to compare with"
+        return f"{host} ({timeout_ms} ms){_rest_text(settings)}"
+
+    def _look_at(self, target: PdoEntry | None, cycles: int, period_ns: int) -> str:
+        """Compare commands with what stands for them; what that is, in words, empty if there is none."""
+        objects, plan = self._objects, self._plan
+        if target is None or plan.rpdo_with(target.index, target.sub) is None:
+            return ""
+        index = target.index
+        if index == Object.TARGET_TORQUE:
+            self._offset = objects.read_if_there(Object.TORQUE_OFFSET, 0, "h") or 0
+            if features_of(plan).demand:
+                self._watch_torque(CommandWatch(cycles, DEMAND_MARGIN_RAW))
+                return "6074h"
+            if plan.tpdo_with(Object.TORQUE_ACTUAL_VALUE) is None:
+                return ""
+            self._watch_torque(CommandWatch(cycles, ACTUAL_MARGIN_RAW, share=ACTUAL_SHARE))
+            return "6077h"
+        demand = _DEMANDS.get(index)
+        if demand is None or objects.read_if_there(demand, 0, "i") is None:
+            return ""
+        self._watch = CommandWatch(cycles, DEMAND_MARGIN_RAW, equal=False)
+        every = Duration(max(READ_EVERY_MIN, cycles * period_ns // READS))
+        network, told = objects.network, self._demand_read
+        self._poll = network.poll(Polled(objects.node_id, demand, 0, every, told))
+        return f"{demand:04X}h, read by SDO every {every / NS_PER_MS:.3g} ms"
+
+    def _demand_read(self, data: bytes, at: Instant) -> None:  # noqa: ARG002
+        watch, assembler = self._watch, self._assembler
+        if watch is not None and assembler is not None:
+            assembler.tell_watch(watch, int.from_bytes(data, "little", signed=True))
 
     def sent(self, raw: int) -> None:
         """A command was handed to the bus."""
         if self._watch is not None:
-            self._watch.sent(raw)
+            self._watch.sent(raw + self._offset)
 
     @property
     def follows(self) -> bool:
@@ -93,6 +139,9 @@ class CommandSupervision:
     def end(self) -> None:
         """Before the commands cease. A drive that does not take it stops by it, which is meant as well."""
         self._watch_torque(None)
+        if self._poll is not None:
+            self._objects.network.polls.end(self._poll)
+            self._poll = None
         if self._timed is not None:
             with suppress(PeerFault):
                 self._objects.write(self._timed, _EVENT_TIMER, "H", 0)

@@ -339,10 +339,8 @@ class _Run:
         guard = drive.supervise_commands()
         active = drive.supervision.active
         self._say(f"{drive.name}: its commands are watched by {guard}", "INFO" if active else "WARN")
-        watch = drive.watch.mode_watch
-        self._say(
-            f"{drive.name}: its mode is watched by {watch}", "INFO" if drive.watch.sees_mode else "WARN"
-        )
+        watch, level = drive.watch.mode_watch, "INFO" if drive.watch.sees_mode else "WARN"
+        self._say(f"{drive.name}: its mode is watched by {watch}", level)
         drive.follow.on_change = partial(self._tell_lapse, drive)
         self.conclusion.watched(drive, watch)
 

@@ -164,6 +164,7 @@ class Measurement:
             drive = subject.drive
             drive.enable(self._network.deadline_after(duration_s(ENABLE_TIMEOUT_S)))
             subject.notes.append(f"commands are watched by {drive.supervise_commands()}")
+            subject.notes.append(f"its mode is watched by {drive.watch.mode_watch}")
             self._stop.check()
 
     def _seconds(self, cycles: int) -> float:

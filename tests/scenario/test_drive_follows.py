@@ -28,6 +28,9 @@ PERIOD_NS = NS_PER_MS
 CYCLES_MAX = 3
 """In which the bench reacts to the frame that tells it."""
 QUICK_STOP = "201#0200...."
+STAY_AWAY = 110
+"""Cycles: a tenth longer than the drive's own timer of 100 ms."""
+READ_S = 0.05
 NOT_FOLLOWED = [fate.value for fate in COMMAND_FATES].index("not followed")
 MODES = {"pv": Mode.PROFILE_VELOCITY, "pp": Mode.PROFILE_POSITION, "pt": Mode.PROFILE_TORQUE}
 
@@ -134,3 +137,19 @@ def test_a_drive_that_comes_back_is_driven_on_without_overspeed(
     assert seen.config.bench.duration_s < 1.5 or abs(back[-300] / rpm - 1.0) < 0.02, "it is driven on"
     assert seen.verdict.exit_status == ExitStatus.PEER_FAULT
     assert f"and did not follow for {away.size} cycles" in seen.verdict.reason
+
+
+@pytest.mark.parametrize("file", ["ling2012", "position_csv", "position_csp"])
+@pytest.mark.parametrize("holds", ["last", "zero"])
+def test_set_points_that_a_drive_ignores_without_a_word_end_a_run(
+    servo_bench: BenchRunner, holds: str, file: str
+) -> None:
+    """A drive whose RPDO timer is content, as the commands come."""
+    faults = deaf(holds=holds, bit_12_cleared=False)
+    ended, shaft = run(servo_bench, faults, {"load": {}}, ends=True, file=file)
+    assert "follows no command any more" in str(ended.error)
+    period_ns = ended.config.loop.period
+    watched_s = STAY_AWAY * period_ns / NS_PER_S
+    lasted_s = len(ended.rows) * period_ns / NS_PER_S - AT_S
+    assert lasted_s <= watched_s + READ_S, "as long as commands may stay away, and until the next read"
+    assert abs(shaft.rpm(0.02)).max() < 1.0, "it rests"

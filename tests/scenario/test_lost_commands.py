@@ -109,5 +109,5 @@ def test_it_rests_in_time_and_the_run_says_so(tmp_path: Path, loss: str, lacks: 
     assert shaft.turned_at(lost_at) > 100.0, "it turned when the commands were lost"
     stated = next(event["text"] for event in events if "and at rest within" in event.get("text", ""))
     timeout_ms, stop_ms = map(int, re.findall(r"(\d+) ms", stated)[:2])
-    assert ("the host by" in stated) is bool(lacks)
+    assert ("watched by the host by" in stated) is bool(lacks)
     assert shaft.rests_from() <= lost_at + timeout_ms + stop_ms + MARGIN_MS, stated

@@ -4,7 +4,12 @@ import random
 
 import pytest
 
-from drivers.cia402.command_watch import ACTUAL_MARGIN_RAW, DEMAND_MARGIN_RAW, CommandWatch
+from drivers.cia402.command_watch import (
+    ACTUAL_MARGIN_RAW,
+    ACTUAL_SHARE,
+    DEMAND_MARGIN_RAW,
+    CommandWatch,
+)
 
 CYCLES, HALF = 20, 10
 
@@ -109,3 +114,67 @@ def test_the_margins_are_to_either_side() -> None:
                 watch.sent(300)
                 watch.told(300 + sign * error)
                 assert watch.follows is follows, (margin, sign * error)
+
+
+def test_a_demand_that_stands_still_among_commands_that_do_not_is_not_followed() -> None:
+    """Though it is one of the last commands again and again."""
+    commands = [100 * (cycle % 7) for cycle in range(200)]
+    told = [commands[min(cycle, 100)] for cycle in range(200)]
+    at = run(CommandWatch(CYCLES, 0), commands, told)
+    assert at is not None
+    assert 100 + HALF <= at <= 100 + CYCLES
+
+
+def test_a_few_commands_that_differ_prove_nothing() -> None:
+    commands = [300 if cycle % 10 == 0 else 100 for cycle in range(500)]
+    assert run(CommandWatch(CYCLES, 2), commands, [100] * 500) is None, "those may have been lost"
+
+
+@pytest.mark.parametrize("start", [0, 2**31 - 500])
+def test_speeds_and_positions_are_followed_by_any_demand_that_moves(start: int) -> None:
+    """By a ramp that lags, and a position beyond the end of its 32 bits."""
+    commands = [(start + 10 * cycle + 2**31) % 2**32 - 2**31 for cycle in range(200)]
+    lagging = [command // 2 for command in commands]
+    assert run(CommandWatch(CYCLES, 2, equal=False), commands, lagging) is None
+    held = lagging[:100] + lagging[100:101] * 100
+    at = run(CommandWatch(CYCLES, 2, equal=False), commands, held)
+    assert at is not None
+    assert at <= 100 + CYCLES
+    assert run(CommandWatch(CYCLES, 2, equal=False), [7] * 200, [5] * 200) is None, "nothing moves"
+
+
+def test_a_drive_that_cuts_a_command_follows_it() -> None:
+    commands = drawn(500)
+    told = [min(max(command, -100), 100) // 2 for command in commands]
+    watch = CommandWatch(CYCLES, 2)
+    for command, shown in zip(commands, told, strict=True):
+        watch.sent(command)
+        watch.told(shown, limited=True)
+        assert watch.follows
+    for command in [-500] * CYCLES:
+        watch.sent(command)
+        watch.told(60, limited=True)
+    assert not watch.follows, "it pushes the other way"
+
+
+def test_a_measured_torque_may_be_off_by_a_part_of_the_command() -> None:
+    for error, follows in ((350, True), (351, False)):
+        watch = CommandWatch(2, ACTUAL_MARGIN_RAW, share=ACTUAL_SHARE)
+        watch.sent(1000)
+        watch.told(1000 - error)
+        assert watch.follows is follows
+
+
+def test_what_is_excused_counts_from_then_on() -> None:
+    watch = CommandWatch(CYCLES, 0)
+    for command in drawn(HALF - 1):
+        watch.sent(command)
+        watch.told(5000)
+    watch.excuse()
+    for command in drawn(HALF - 1):
+        watch.sent(command)
+        watch.told(5000)
+    assert watch.follows
+    watch.sent(1)
+    watch.told(5000)
+    assert not watch.follows

@@ -63,13 +63,19 @@ def rig() -> Iterator[Rig]:
     made.bus.shutdown()
 
 
-def test_a_drive_with_an_event_timer_looks_after_its_commands_itself(rig: Rig) -> None:
+def test_a_drive_with_an_event_timer_looks_after_its_commands_itself_and_the_host_after_the_drive(
+    rig: Rig,
+) -> None:
     words = rig.enable()
-    assert words == "the drive itself (1400h:05), after 20 ms, and at rest within 250 ms from then"
+    drive = "the drive itself (1400h:05), after 20 ms, and at rest within 250 ms from then"
+    assert words == f"{drive}; the host by 6074h, after 22 cycles"
     assert rig.servo.values[0x1400, 5] == 20
     assert rig.drive.supervision.active
-    rig.deaf = True
     rig.run(100)
+    rig.deaf = True
+    rig.run(15)
+    with pytest.raises(DriveInFault, match="follows no command any more"):
+        rig.run(8)
 
 
 @pytest.mark.parametrize("leave", ["disable", "quick_stop", "release"])
@@ -168,6 +174,6 @@ def test_nobody_looks_after_a_set_point_that_no_rpdo_carries(rig: Rig) -> None:
 
 def test_without_speed_or_deceleration_no_time_to_rest_is_promised(rig: Rig) -> None:
     own = ", then by the drive's own quick stop"
-    assert rig.enable(replace(SETTINGS, speed_max_rad_s=None)).endswith(own)
+    assert rig.enable(replace(SETTINGS, speed_max_rad_s=None)).partition(";")[0].endswith(own)
     rig.drive.disable(rig.soon())
-    assert rig.enable(replace(SETTINGS, quick_stop_deceleration_rad_s2=None)).endswith(own)
+    assert rig.enable(replace(SETTINGS, quick_stop_deceleration_rad_s2=None)).partition(";")[0].endswith(own)

@@ -1,0 +1,48 @@
+"""A drive that leaves its mode is noticed in a measurement and in a commissioning as in a run."""
+
+from pathlib import Path
+
+import pytest
+
+from drivers.cia402.profile import State
+from drivers.errors import DriveInFault
+from drivers.wire.adapters import parse_bus_spec
+from hil.commissioning.commission import commission
+from hil.commissioning.dialog import Dialog, EmergencyStop
+from hil.commissioning.request import CommissionRequest, Nameplate
+from hil.commissioning.steps import all_steps
+from hil.execution.world import WorldPlan, open_world
+from tests.scenario.foreign_node import ForeignNode, put_on_the_bus
+from tests.scenario.measuring import measuring_rig
+from virtual_bus.drive.unknown_drive import unknown_drive
+from virtual_bus.frame import Frame
+
+LEFT = "left cyclic synchronous torque for profile velocity"
+TO_PV = Frame(0x601, bytes.fromhex("2F60600003000000"))
+"""Another master writes 6060h of node 1."""
+STEPS = 8
+"""From the first question to a drive that was enabled."""
+
+
+def test_a_measurement_with_enabled_drives_ends(tmp_path: Path) -> None:
+    faults = {"mode_change": [{"nodes": [1], "mode": "pv", "at_s": 0.1}]}
+    with measuring_rig(tmp_path, faults) as rig:
+        with pytest.raises(DriveInFault, match=f"{LEFT}.*6061h is 3, 10 was commanded"):
+            rig.measure(cycles=500, enable=True)
+        drive = rig.servos[0].drive
+        assert drive.power.state is State.SWITCH_ON_DISABLED
+        assert abs(drive.firmware.speed_rad_s) < 1.0
+
+
+def test_a_step_of_commissioning_ends_with_the_drive_at_rest(tmp_path: Path) -> None:
+    servo, truth = unknown_drive(3, 1)
+    plate = Nameplate.model_validate(truth.nameplate)
+    request = CommissionRequest(bus="simulated", node=1, out=tmp_path, nameplate=plate)
+    told: list[str] = []
+    meddler = ForeignNode(TO_PV, 1.0, times=2000)
+    with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, 3), [servo]) as world:
+        put_on_the_bus(world, meddler)
+        commission(request, world, Dialog(told.append), EmergencyStop(), steps=lambda: all_steps()[:STEPS])
+    assert any(LEFT in text for text in told), told
+    assert servo.drive.power.state is State.SWITCH_ON_DISABLED
+    assert abs(servo.drive.firmware.speed_rad_s) < 1.0
