@@ -46,7 +46,9 @@ class Ended:
     @property
     def reason(self) -> str:
         """Why it did not do what it was asked; empty if it did."""
-        if self.status == 0:
+        if (
+            self.status == 0 or self.figures.get("error", "") is None
+        ):  # steps failed: each has a reason of its own
             return ""
         told = self.figures.get("error") or self.figures.get("verdict", {}).get("reason")
         errors = [line for line in self.text.splitlines() if line.startswith("hil: ")]
@@ -147,6 +149,13 @@ def _scale(out: Path) -> str:
     return f'motor = "{motor if motor.exists() else _MOTOR}"\n{commissioned}'
 
 
+_PID: Final = """kind = "pid"
+proportional_nm_s_rad = 0.12
+integral_nm_rad = 2.0"""
+_STREAM: Final = 'kind = "stream"'
+"""For a drive that closes the loop of speed or position by itself."""
+
+
 def _own_bench(folder: Path, sheet: Path, hub: str, mode: str, scale: str) -> Path:
     """A bench as somebody writes it by hand where commissioning left none."""
     tables = f"""[bench]
@@ -170,14 +179,12 @@ speed_max_rpm = 500.0
 torque_max_nm = 1.0
 
 [drive.axis1.controller]
-kind = "pid"
-proportional_nm_s_rad = 0.12
-integral_nm_rad = 2.0
+{_PID if mode in ("", "cst") else _STREAM}
 
 [[reference.axis1]]
 kind = "ramp"
 at_s = 0.2
-speed_rpm = 100.0
+{"position_rad = 2.0" if mode in ("csp", "ip") else "speed_rpm = 100.0"}
 over_s = 0.3
 """
     path = folder / "by_hand.toml"

@@ -33,7 +33,9 @@ WORDS: Final[dict[int, str]] = {
     0x6041: r"statusword",
     0x6060: r"\bmodes?\b",
     0x6061: r"\bmodes?\b",
-    0x6502: r"\bmodes?\b|homing",
+    0x6502: r"\bmodes?\b|homing|inertia",  # without torques to command, the drive's ramps have to tell it
+    0x60C5: r"inertia",
+    0x6087: r"inertia",
     0x6071: r"torque",
     0x6076: r"torque",
     0x608F: r"position unit|counts",
