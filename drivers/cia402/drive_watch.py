@@ -1,6 +1,8 @@
 """Whether an enabled drive is still what it should be, by what it tells of itself."""
 
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Final
 
 from drivers.canopen.nmt import NodeStatus
@@ -36,6 +38,9 @@ class DriveWatch:
         self, control: StateControl, status: NodeStatus, told: LastStatusword, follow: FollowWatch
     ) -> None:
         self.active = False
+        self.stop_first: Callable[[], None] = partial(control.command_by_pdo, DriveCommand.QUICK_STOP)
+        """Called before a drive that is not what it should be is asked why, as answers take their time: this
+        drive stops by RPDO. Of several drives in one run each is to stop all."""
         self._follow = follow
         self._mode_pdo: PdoMap | None = None
         self._poll: ObjectPoll | None = None
@@ -131,14 +136,14 @@ class DriveWatch:
                 seen_at=status.heartbeat_at,
             )
         if self._beats and status.state is not NmtState.OPERATIONAL:
-            self.active = False
+            self._end_and_stop()
             left = "an unknown NMT state" if status.state is None else status.state.name
             seen_at = status.heartbeat_at
             raise DriveInFault(f"{control.title} fell back to {left}", control.evidence(), seen_at=seen_at)
         if control.emergency_came:
             control.ask_after_emergency()
         if self._told.statusword & self._bits != self._wanted:
-            self.active = False
+            self._end_and_stop()
             raise self._out_of_operation()
         if self._now() - self._told.at > self._silence_ns:
             self.active = False
@@ -148,20 +153,19 @@ class DriveWatch:
                 remedy="check the cable, and what else is on the bus",
             )
         if not commanded:
-            self._stop_first()
+            self._end_and_stop()
             raise DriveInFault(f"{control.title} follows no command any more", control.evidence())
         follow = self._follow
         if follow.lapse is not None:
             follow.lapse.cycles += 1
         # One that is over within a cycle is one too.
         if follow.lapses and not self._bears_lapses:
-            self._stop_first()
+            self._end_and_stop()
             raise self._unfollowed(follow.lapses[-1])
 
-    def _stop_first(self) -> None:
-        """Have the enabled drive stop before anything is asked of it, as an answer may take its time."""
+    def _end_and_stop(self) -> None:
         self.active = False
-        self._control.command_by_pdo(DriveCommand.QUICK_STOP)
+        self.stop_first()
 
     def _unfollowed(self, lapse: Lapse) -> DriveInFault:
         """The bit may have come before the mode that explains it: the drive is asked."""

@@ -27,6 +27,7 @@ from hil.execution.drives import (
     drive_settings,
     identity_notes,
     stop_all,
+    stop_each,
     write_commissioned,
 )
 from hil.execution.network_guard import Certificates
@@ -342,6 +343,7 @@ class _Run:
         watch, level = drive.watch.mode_watch, "INFO" if drive.watch.sees_mode else "WARN"
         self._say(f"{drive.name}: its mode is watched by {watch}", level)
         drive.follow.on_change = partial(self._tell_lapse, drive)
+        drive.watch.stop_first = partial(stop_each, self._drives)
         self.conclusion.watched(drive, watch)
 
     def _tell_lapse(self, drive: ServoDrive, lapse: Lapse) -> None:

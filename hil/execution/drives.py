@@ -150,6 +150,11 @@ def stop_all(drives: Sequence[ServoDrive]) -> None:
     to rest would call that a fault.
     """
     for asking in (False, True):
-        for drive in drives:
-            with suppress(PeerFault):
-                drive.stop(asking=asking)
+        stop_each(drives, asking=asking)
+
+
+def stop_each(drives: Sequence[ServoDrive], *, asking: bool = False) -> None:
+    """A quick stop to each by RPDO and, if ``asking``, by SDO; what fails is left to :func:`stop_all`."""
+    for drive in drives:
+        with suppress(PeerFault):
+            drive.stop(asking=asking)

@@ -88,22 +88,18 @@ def no_run_passes_whose_drive_did_not_follow(ran: Ran) -> Iterator[str]:
 
 
 def a_drive_that_does_otherwise_is_stopped_within_three_cycles(ran: Ran) -> Iterator[str]:
-    """From the first frame that tells it to the controlword that ends its enabling. Of several drives that is
-    so of the first: the others stop when it has been asked for its state, by SDO.
-    """
+    """From the first frame that tells it to the controlword that ends its enabling."""
     deceived = "host_stall" in kinds(ran) or ran.circumstances.strangers
     if deceived or not _stops(ran) or not ran.rows.size or not ran.whole:
         return
     limit, last_cycle = CYCLES_MAX * ran.config.loop.period, (ran.planned - 1) * ran.config.loop.period
-    reactions: list[tuple[Instant, str, Instant | None]] = []
     for name, drive in zip(ran.config.axes, ran.case.drives, strict=True):
         shown, stops = seen_on_the_wire(ran.wire.frames, drive.node_id)
-        lapse = next((each.at for each in shown if not each.follows and 0 <= each.at < last_cycle), None)
-        if lapse is not None and not any(0 <= at <= lapse for at in stops):
-            reactions.append((lapse, name, next((at for at in stops if at > lapse), None)))
-    first_stop = min((stop for *_, stop in reactions if stop is not None), default=None)
-    for told, name, stop in reactions:
-        if stop is None or (stop - told > limit and stop == first_stop):
+        told = next((each.at for each in shown if not each.follows and 0 <= each.at < last_cycle), None)
+        if told is None or any(0 <= at <= told for at in stops):
+            continue
+        stop = next((at for at in stops if at > told), None)
+        if stop is None or stop - told > limit:
             yield f"{name}: told at {told}, and stopped at {stop}"
 
 

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 
 from drivers.errors import DriveInFault
-from drivers.timebase import NS_PER_S, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.campaign_runs import CampaignRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
-from tests.swarm.following import OF_FOLLOWING
+from tests.swarm.following import CYCLES_MAX, OF_FOLLOWING, seen_on_the_wire
 from tests.swarm.invariants import held_against
 from tests.swarm.mishaps import Circumstances, Mishap
 from tests.swarm.ran import Member, Told
@@ -89,7 +89,26 @@ def test_a_drive_that_answers_late_is_stopped_as_soon(swarm_member: Callable[...
         assert found(swarm_member(faults | slow, "stop", ends=True)) == ""
 
 
-@pytest.mark.parametrize("seed", [8000275], ids=["it follows again within the cycle"])
+def test_all_drives_are_stopped_before_the_one_that_fails_is_asked_why(servo_bench: BenchRunner) -> None:
+    """Its EMCY comes at once, its answers 20 ms late; all questions but the first, of 10 ms, come later."""
+    faults = {
+        "drive_fault": [{"at_s": 0.2, "fault": "over_current", "nodes": [1]}],
+        "slow_drive": [{"sdo_delay_us": 20_000}],
+    }
+    changes: dict[str, Any] = {"load": {}}
+    ran = servo_bench(EXAMPLES / "three_axes.toml", changes, faults=faults, ends_in=DriveInFault)
+    failed = next(frame.at for frame in ran.wire.frames if frame.can_id == 0x081 and frame.at > 0)
+    _, stops = seen_on_the_wire(ran.wire.frames, 2)
+    asked_after_emergency = 10 * NS_PER_MS
+    limit = asked_after_emergency + CYCLES_MAX * ran.config.loop.period
+    assert next(at for at in stops if at > failed) - failed < limit
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [8000275, 8000242],
+    ids=["it follows again within the cycle", "three do not follow at once"],
+)
 def test_nothing_is_found_any_more(tmp_path: Path, seed: int) -> None:
     tables = tomllib.loads(SWEEP.read_text(encoding="utf-8"))
     tables["campaign"] |= {"first_seed": seed, "seeds": 1}
