@@ -131,7 +131,7 @@ def test_a_limit_that_is_not_taken_becomes_a_note(bench: Bench) -> None:
     servo.refuse[0x6072, 0] = 0x06090031
     drive.connect(soon(network))
     notes = " ".join(drive.configure(SETTINGS))
-    assert "holds 0 in 6080h:00" in notes
+    assert "6080h:00 holds 0" in notes
     assert "06090031h" in notes
 
 
