@@ -7,6 +7,7 @@ from typing import Any, cast
 import pytest
 
 from drivers.canopen.nmt import Emergency
+from drivers.cia402.follow_watch import FollowWatch
 from drivers.cia402.profile import State
 from drivers.cia402.servo import ServoDrive
 from drivers.cia402.supervision import Release
@@ -36,6 +37,7 @@ class Drive:
             make=(0, ""),
         )
         self.network = SimpleNamespace(emergencies=list[Emergency]())
+        self.follow = FollowWatch()
         self._log, self._state = log, state
 
     def read_state(self) -> State | None:

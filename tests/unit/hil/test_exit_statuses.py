@@ -13,14 +13,14 @@ from hil.verdict.verdict import ExitStatus
 STATUSES = {
     ExitStatus.FAILED: {"Abandoned"},
     ExitStatus.BAD_INPUT: {
-        "BadInput", "BadInputs", "DesignRefused", "NoSuchFile", "RunRefused", "SweepChanged", "UnknownKey",
-        "WeightRefused",
+        "BadInput", "BadInputs", "DesignRefused", "ImpossiblePlate", "NoSuchFile", "RunRefused",
+        "SweepChanged", "UnknownKey", "UnlistedWrite", "WeightRefused",
     },
     ExitStatus.PEER_FAULT: {
         "AnswersTwice", "BusDown", "ClusterLost", "DriveInFault", "EmergencyStopped", "ForeignTraffic",
         "HostStoodStill", "LimitExceeded", "ModeRefused", "NoAnswer", "NotObservable", "OwnCodeFailed",
-        "PeerFault", "PlanImpossible", "PowerLost", "ReadingsLost", "SettingRefused", "StepFailed",
-        "TransferAborted", "UnitNotTold", "WrongSetPoint",
+        "PeerFault", "PlanImpossible", "PowerLost", "RampTooSlow", "ReadingsLost", "SettingRefused",
+        "StepFailed", "TransferAborted", "UnitNotTold", "WrongSetPoint",
     },
     ExitStatus.NOT_RECORDED: {"RecordingFailed"},
     ExitStatus.INCOMPLETE: {"NothingCertified"},

@@ -147,7 +147,9 @@ FRAMES: Final = "(1.000000) can0 080#\n(1.000135) can0 181#2706\n(1.002000) can0
 
 def test_the_end_of_a_run_in_fault_is_written_line_by_line(tmp_path: Path) -> None:
     (tmp_path / "frames.log").write_text(FRAMES)
-    said = [Emergency(7, 0x8210, 0x11, bytes(5), Instant(number * NS_PER_MS)) for number in range(51)]
+    said = [
+        Emergency(7, 0x8210 + number, 0x11, bytes(5), Instant(number * NS_PER_MS)) for number in range(51)
+    ]
     write_fault_report(tmp_path, "first\nsecond", said, {}, Instant(60 * NS_PER_MS))
     text = (tmp_path / "fault.txt").read_text().splitlines()
     assert text[:5] == [
@@ -155,7 +157,7 @@ def test_the_end_of_a_run_in_fault_is_written_line_by_line(tmp_path: Path) -> No
         "  first",
         "  second",
         "",
-        "EMCYs, the last ones, in ms before the end:",
+        "EMCYs, the last ones of each code, in ms before the end:",
     ]
     assert text[5] == f"      59.000  node 7: {said[1].told(0, '')}"
     assert text[54] == f"      10.000  node 7: {said[50].told(0, '')}"
