@@ -300,8 +300,9 @@ class CanopenNetwork(canopen.Network):
             client = self._client_of(node_id)
 
             def ask(request: bytes) -> Instant:
-                client.answers.expect()
-                return self.send_request(node_id, request)
+                sent_at = self.send_request(node_id, request)
+                client.answers.expect(sent_at)
+                return sent_at
 
             post = self._posts[node_id] = TransferPost(node_id, ask)
         return post
@@ -328,7 +329,7 @@ class CanopenNetwork(canopen.Network):
 
     def _on_sdo_answer(self, node_id: int, data: bytes, at: Instant) -> None:
         client, post = self._clients[node_id], self._posts.get(node_id)
-        if client.answers.came() and self.on_surplus_answer is not None:
+        if not client.answers.came(at) and self.on_surplus_answer is not None:
             self.on_surplus_answer(node_id, at)
         if post is None or not post.answered(data, at):
             client.on_answer(data)

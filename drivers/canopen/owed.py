@@ -1,5 +1,15 @@
 """How much may still come: answers to requests, PDOs to SYNCs. What comes beyond that, nobody asked for."""
 
+from collections import deque
+from typing import Final
+
+from drivers.timebase import NS_PER_S, Duration, Instant
+
+ANSWER_LATE_MAX: Final = Duration(5 * NS_PER_S)
+"""A node that stores its parameters, or is simulated on a busy machine, answers a second or two late."""
+ANSWERS_DUE_MAX: Final = 1 << 15
+"""More requests than a bus carries in that time: 3700 a second at 1 Mbit/s, two frames of 135 bits each."""
+
 
 class Owed:
     """An account of what is due.
@@ -27,3 +37,32 @@ class Owed:
         self.due = max(0, self.due - count)
         self.surplus += beyond
         return beyond
+
+
+class OwedAnswers:
+    """As :class:`Owed`, one for each request, however often it was repeated.
+
+    What has not come within ANSWER_LATE_MAX is taken for lost, and hides no surplus any more.
+    """
+
+    __slots__ = ("_asked_at", "surplus")
+
+    def __init__(self) -> None:
+        self._asked_at: deque[Instant] = deque(maxlen=ANSWERS_DUE_MAX)
+        self.surplus = 0
+        """What came beyond what was due, so far."""
+
+    def expect(self, asked_at: Instant) -> None:
+        """One more is due."""
+        self._asked_at.append(asked_at)
+
+    def came(self, at: Instant) -> bool:
+        """One has come; whether it was due."""
+        asked_at = self._asked_at
+        while asked_at and at - asked_at[0] > ANSWER_LATE_MAX:
+            asked_at.popleft()
+        if asked_at:
+            asked_at.popleft()
+            return True
+        self.surplus += 1
+        return False

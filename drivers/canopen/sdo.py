@@ -16,7 +16,7 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError
 
 from drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
-from drivers.canopen.owed import Owed
+from drivers.canopen.owed import OwedAnswers
 from drivers.errors import NoAnswer, PeerFault, TransferAborted
 from drivers.timebase import Duration, Instant, duration_s
 
@@ -24,7 +24,7 @@ from drivers.timebase import Duration, Instant, duration_s
 logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 SDO_ATTEMPTS = 6
-"""Requests sent before a node is given up; so many answers may then still be under way."""
+"""Requests sent before a node is given up."""
 
 _HEADER = Struct("<BHB")
 _ABORT = Struct("<BHBL")
@@ -115,9 +115,10 @@ class PumpedSdoClient(SdoClient):
         self._pump = pump
         self._node_id = node_id
         self.responses: Any = AnswerQueue(pump)
-        self.answers = Owed(SDO_ATTEMPTS)
+        self.answers = OwedAnswers()
         """Of the node on this channel, to posted downloads and to the requests of others too."""
-        self.answers.expect()  # another client may have asked just before this one began to listen
+        # Another client may have asked just before this one began to listen.
+        self.answers.expect(pump.deadline_after(Duration(0)))
         self.foreign_requests = 0
         """Requests of another client on this channel."""
         self.busy = False
@@ -138,13 +139,12 @@ class PumpedSdoClient(SdoClient):
 
     def send_request(self, sdo_request: bytes) -> None:
         """Send a request, or a segment of one: each has one answer."""
-        self._pump.send_request(self._node_id, bytes(sdo_request))
-        self.answers.expect()
+        self.answers.expect(self._pump.send_request(self._node_id, bytes(sdo_request)))
 
-    def on_foreign_request(self, _data: bytes, _at: Instant) -> None:
+    def on_foreign_request(self, _data: bytes, at: Instant) -> None:
         """Another client has asked the node: its answer will be heard here."""
         self.foreign_requests += 1
-        self.answers.expect()
+        self.answers.expect(at)
 
     def on_answer(self, data: bytes) -> None:
         """Take an answer, unless it is malformed or answers a request that was given up before."""

@@ -167,6 +167,7 @@ class FakeServo:
         """Objects that confirm a write and keep their value."""
         self.silent = False
         self.deaf_to_sdo = 0
+        self.sdo_takes_ns = ANSWER_AFTER_NS
         """SDO requests still to be ignored."""
         self.lost_tpdos: set[int] = set()
         self.state = State.SWITCH_ON_DISABLED
@@ -240,7 +241,7 @@ class FakeServo:
             answer = bytes([head]) + part.ljust(7, b"\0")
         else:
             return
-        self.bus.deliver(0x580 + self.node_id, answer, ANSWER_AFTER_NS)
+        self.bus.deliver(0x580 + self.node_id, answer, self.sdo_takes_ns)
 
     def _download(self, index: int, sub: int, data: bytes) -> bytes:
         place = index, sub

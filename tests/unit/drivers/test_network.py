@@ -1,6 +1,7 @@
 """The pumped master: dispatch, heartbeats, emergencies, SDO and posted downloads."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import pytest
@@ -9,6 +10,8 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt import Emergency
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
+from drivers.canopen.polls import Polled
+from drivers.canopen.sdo import SDO_ATTEMPTS
 from drivers.errors import AnswersTwice, BusDown, NoAnswer, TransferAborted
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
@@ -364,6 +367,39 @@ def test_a_node_that_answers_late_is_not_two(rig: Rig) -> None:
     bus.deliver(0x581, bytes.fromhex("4300100092010200"), NS_PER_MS)
     read_repeatedly(network)
     network.refuse_two(1)
+
+
+@pytest.mark.parametrize("late_ms", [250, 2000])
+def test_answers_to_repeated_requests_are_owed_however_late(rig: Rig, late_ms: int) -> None:
+    """Each request is answered once, the repeated ones too, by a node that is slow for a while."""
+    _, servo, network = rig
+    told: list[int] = []
+    network.on_surplus_answer = lambda node_id, _at: told.append(node_id)
+    servo.sdo_takes_ns = late_ms * NS_PER_MS
+    poll = network.poll(Polled(1, 0x6061, 0, Duration(50 * NS_PER_MS), lambda _data, _at: None))
+    for index in (0x1000, 0x6071):
+        with suppress(NoAnswer):
+            network.upload(1, index)
+    network.pump(later(network, 3000))
+    network.polls.end(poll)
+    servo.sdo_takes_ns = NS_PER_MS // 10
+    network.pump(later(network, 3000))
+    read_repeatedly(network)
+    network.refuse_two(1)
+    assert told == []
+
+
+def test_requests_that_nobody_answered_hide_two_nodes_for_a_while_only(rig: Rig) -> None:
+    bus, servo, network = rig
+    servo.deaf_to_sdo = 5 * (SDO_ATTEMPTS + 1)  # and the abort of each
+    for _ in range(5):
+        with pytest.raises(NoAnswer):
+            network.upload(1, 0x1000)
+    FakeServo(bus)
+    network.pump(later(network, 5000))
+    read_repeatedly(network)
+    with pytest.raises(AnswersTwice):
+        network.refuse_two(1)
 
 
 @pytest.mark.parametrize(
