@@ -21,6 +21,7 @@ from drivers.canopen.polls import ObjectPoll, ObjectPolls, Polled
 from drivers.canopen.sdo import (
     SDO_ATTEMPTS,
     AnswerQueue,
+    BrokenOff,
     PostedDownload,
     PumpedSdoClient,
     TransferPost,
@@ -345,9 +346,12 @@ class CanopenNetwork(canopen.Network):
         if client.answers.surplus > SURPLUS_BORNE:
             return self._answers_twice(client, node_id)
         waited_ms = client.RESPONSE_TIMEOUT * client.MAX_RETRIES * 1e3
+        requests = (
+            "" if isinstance(error, BrokenOff) else f" ({client.MAX_RETRIES} requests in {waited_ms:.0f} ms)"
+        )
         return NoAnswer(
             f"node {node_id} on {self.link.name} did not answer the SDO {action} of {name}",
-            f"{error} ({client.MAX_RETRIES} requests in {waited_ms:.0f} ms)",
+            f"{error}{requests}",
             "check node id, bit rate and wiring",
         )
 

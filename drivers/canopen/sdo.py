@@ -8,12 +8,13 @@ import logging
 import queue
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from struct import Struct
 from typing import Any, Protocol
 
 from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
-from canopen.sdo.exceptions import SdoAbortedError
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
 from drivers.canopen.owed import OwedAnswers
@@ -24,7 +25,8 @@ from drivers.timebase import Duration, Instant, duration_s
 logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 SDO_ATTEMPTS = 6
-"""Requests sent before a node is given up."""
+"""Requests sent before a node is given up, and transfers begun before one that breaks off is: where one frame
+in ten is lost, 41 % of those with five segments break off, six in a row 0.5 %."""
 
 _HEADER = Struct("<BHB")
 _ABORT = Struct("<BHBL")
@@ -35,6 +37,9 @@ _DOWNLOADED = 0x60
 _INITIATE_UPLOAD = 0x40
 _EXPEDITED_MASK, _EXPEDITED_UPLOAD = 0xF2, 0x42
 _ABORTED = 0x80
+_BROKEN_OFF = (0x05030000, 0x05040000, 0x05040001)
+"""Toggle bit not alternated, timed out, command specifier not valid (CiA 301 table 22): a server's answers to
+a segment that is asked for again because the answer to it was lost. They say nothing about the object."""
 # Client command specifiers (CiA 301 7.2.4.3).
 _INITIATE_DOWNLOAD = 1
 _BLOCK_DOWNLOAD = 6
@@ -107,6 +112,10 @@ class AnswerQueue:
         return self._answers.popleft()
 
 
+class BrokenOff(SdoCommunicationError):
+    """The segments of a transfer were lost again and again."""
+
+
 class PumpedSdoClient(SdoClient):
     """canopen's SDO client on the default channel of one node, waiting by pumping."""
 
@@ -125,6 +134,25 @@ class PumpedSdoClient(SdoClient):
         """A request waits for its answer: nothing else may use the channel."""
         self._multiplexer = bytes(3)
         self._initiating = False
+
+    def upload(self, index: int, subindex: int) -> bytes:
+        """Read an object, from its beginning again if its segments break off."""
+        return bytes(self._complete(partial(super().upload, index, subindex)))
+
+    def download(self, index: int, subindex: int, data: bytes, force_segment: bool = False) -> None:
+        """Write an object, from its beginning again if its segments break off."""
+        self._complete(partial(super().download, index, subindex, data, force_segment))
+
+    def _complete(self, transfer: Callable[[], Any]) -> Any:
+        code = 0
+        for _ in range(SDO_ATTEMPTS):
+            try:
+                return transfer()
+            except SdoAbortedError as error:
+                if self._initiating or error.code not in _BROKEN_OFF:
+                    raise
+                code = error.code
+        raise BrokenOff(f"its segments broke off {SDO_ATTEMPTS} times: {abort_text(code)}")
 
     def request_response(self, sdo_request: bytes) -> Any:
         """One request and its answer, resent when no answer comes."""

@@ -24,6 +24,7 @@ from hil.write_lists import RIG
 PDOS = 4
 ANSWER_AFTER_NS = 100 * NS_PER_US
 MISSING, READ_ONLY, DEVICE_STATE = 0x06020000, 0x06010002, 0x08000022
+TOGGLE_NOT_ALTERNATED, COMMAND_NOT_VALID = 0x05030000, 0x05040001
 
 TYPES = {
     (0x1000, 0): "I",
@@ -168,6 +169,8 @@ class FakeServo:
         self.silent = False
         self.deaf_to_sdo = 0
         self.sdo_takes_ns = ANSWER_AFTER_NS
+        self.segments_lost = 0
+        """So many segments of an upload are sent and lost, if they are the second of it."""
         """SDO requests still to be ignored."""
         self.lost_tpdos: set[int] = set()
         self.state = State.SWITCH_ON_DISABLED
@@ -180,6 +183,7 @@ class FakeServo:
         """Of each event-driven TPDO what it told last, and when."""
         self.stop_ns = 5 * NS_PER_MS
         self._segments = b""
+        self._toggle = 0
         bus.listeners.append(self._on_frame)
         self._beat()
         self._look()
@@ -236,7 +240,16 @@ class FakeServo:
         elif command >> 5 == 2:
             answer = self._upload(index, sub)
         elif command >> 5 == 3:
+            if command & 0x10 != self._toggle or not self._segments:
+                code = TOGGLE_NOT_ALTERNATED if self._segments else COMMAND_NOT_VALID
+                self._segments = b""
+                self.bus.deliver(0x580 + self.node_id, pack("<B3xI", 0x80, code), self.sdo_takes_ns)
+                return
             part, self._segments = self._segments[:7], self._segments[7:]
+            self._toggle ^= 0x10
+            if command & 0x10 and self.segments_lost:
+                self.segments_lost -= 1
+                return
             head = command & 0x10 | (7 - len(part)) << 1 | (not self._segments)
             answer = bytes([head]) + part.ljust(7, b"\0")
         else:
@@ -260,7 +273,7 @@ class FakeServo:
 
     def _upload(self, index: int, sub: int) -> bytes:
         if (index, sub) in self.texts:
-            self._segments = self.texts[index, sub]
+            self._segments, self._toggle = self.texts[index, sub], 0
             return pack("<BHBI", 0x41, index, sub, len(self._segments))
         if (index, sub) not in self.types:
             return pack("<BHBI", 0x80, index, sub, MISSING)
