@@ -10,7 +10,7 @@ from drivers.cia402.profile import STATE_BITS, STATUS_PATTERNS, Mode, State, Sta
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from hil.testing.wire import SeenFrame
 from tests.swarm.ran import Ran
-from tests.swarm.witness import OTHER_MODE, OTHER_TORQUE, TARGET_IGNORED
+from tests.swarm.witness import FAR_TORQUE, OTHER_MODE, OTHER_TORQUE, TARGET_IGNORED
 from virtual_bus.bus.judge import Direction
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.seen_mappings import SeenMappings
@@ -26,7 +26,7 @@ HARMLESS: Final = ("repeated_emergency", "refused_mapping", "clock_step")
 """Kinds that keep no drive from following and no frame from coming."""
 OTHERWISE: Final = ("mode_change", "ignored_commands")
 TOLD_SIGNALS: Final = ("statusword", "modes_of_operation_display", "target_torque")
-_STATUSWORD, _MODE, _CONTROLWORD = 0x604100, 0x606100, 0x604000
+_STATUSWORD, _MODE, _CONTROLWORD, _DEMAND = 0x604100, 0x606100, 0x604000, 0x607400
 _ENABLED: Final = STATUS_PATTERNS[State.OPERATION_ENABLED].value
 _ENABLE_WORD: Final = 0x000F
 
@@ -69,8 +69,8 @@ def _frames_may_fail(ran: Ran) -> bool:
 
 def no_run_passes_whose_drive_did_not_follow(ran: Ran) -> Iterator[str]:
     """By the drive's own state: in another mode, with its target ignored and bit 12 at 0; or with another
-    torque than it was asked for, for longer than commands may stay away. With ``on_mode = "tell"`` it goes
-    on, and has not passed all the same."""
+    torque than it was asked for, for longer than that may go unseen. With ``on_mode = "tell"`` it goes on,
+    and has not passed all the same."""
     verdict, (first, last) = ran.told["verdict"], _within(ran)
     if not (verdict["passed"] or (verdict["completed"] and _stops(ran))) or _frames_may_fail(ran):
         return
@@ -78,13 +78,37 @@ def no_run_passes_whose_drive_did_not_follow(ran: Ran) -> Iterator[str]:
     for name, drive in zip(ran.config.axes, ran.case.drives, strict=True):
         told = drive.astray(first, Instant(last - CYCLES_MAX * period), OTHER_MODE, TARGET_IGNORED)
         if any(each.get("mapped") == "6061" for each in _plan(ran).get("refused_mapping", ())):
-            told = [(begin, end) for begin, end in told if end - begin > POLLED_NS]
-        silent_max = (ran.config.drive[name].limits.dropouts_consecutive_max + CYCLES_MAX) * period
-        silent = [
-            (begin, end) for begin, end in drive.astray(first, last, OTHER_TORQUE) if end - begin > silent_max
-        ]
+            told = _longer(told, POLLED_NS)
+        unseen_max = _unseen_max(ran, name)
+        silent = _longer(drive.astray(first, last, OTHER_TORQUE, FAR_TORQUE), unseen_max)
+        if silent and not _tells_demand(ran.wire.frames, drive.node_id):
+            silent = _longer(drive.astray(first, last, FAR_TORQUE), unseen_max)
         if told or silent:
             yield f"{name}: {verdict['outcome']}, and it did otherwise at {(told or silent)[:3]}"
+
+
+def _longer(spans: list[tuple[Instant, Instant]], least_ns: int) -> list[tuple[Instant, Instant]]:
+    return [(begin, end) for begin, end in spans if end - begin > least_ns]
+
+
+def _unseen_max(ran: Ran, name: str) -> int:
+    """How long a drive may not follow, and nobody knows, ns: T of docs/timing.md, a tenth, and CYCLES_MAX."""
+    host, period = ran.config.host, ran.config.loop.period
+    dropouts_ns = ran.config.drive[name].limits.dropouts_consecutive_max * period
+    heartbeat_ns, timeout_ns = host.heartbeat_ms * NS_PER_MS, host.heartbeat_timeout_ms * NS_PER_MS
+    return 11 * min(timeout_ns, max(heartbeat_ns, dropouts_ns)) // 10 + CYCLES_MAX * period
+
+
+def _tells_demand(frames: list[SeenFrame], node: int) -> bool:
+    """6074h is in one of the drive's TPDOs; else only a torque far from the set-point tells anything."""
+    mappings = SeenMappings()
+    for frame in frames:
+        way = Direction.HOST_TO_DRIVE if frame.sent else Direction.DRIVE_TO_HOST
+        if mappings.teaches(frame.can_id):
+            mappings.watch(way, Frame(frame.can_id, frame.data))
+        elif any(each.node == node and each.place == _DEMAND for each in mappings.objects(way, frame.can_id)):
+            return True
+    return False
 
 
 def a_drive_that_does_otherwise_is_stopped_within_three_cycles(ran: Ran) -> Iterator[str]:

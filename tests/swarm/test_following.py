@@ -2,7 +2,7 @@
 
 import json
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,15 @@ from tests.swarm.following import CYCLES_MAX, OF_FOLLOWING, seen_on_the_wire
 from tests.swarm.invariants import held_against
 from tests.swarm.mishaps import Circumstances, Mishap
 from tests.swarm.ran import Member, Told
-from tests.swarm.witness import FOLLOWS, OTHER_MODE, TARGET_IGNORED, DriveWitness, witnessed
+from tests.swarm.witness import (
+    FAR_TORQUE,
+    FOLLOWS,
+    OTHER_MODE,
+    OTHER_TORQUE,
+    TARGET_IGNORED,
+    DriveWitness,
+    witnessed,
+)
 
 LEFT: dict[str, Any] = {"mode_change": [{"at_s": 0.2, "mode": "pv"}]}
 DEAF: dict[str, Any] = {"ignored_commands": [{"at_s": 0.2, "duration_s": 0.1, "holds": "zero"}]}
@@ -29,9 +37,10 @@ QUIET = Circumstances(Mishap.NONE, 0.0, 0, ())
 
 @pytest.fixture
 def swarm_member(servo_bench: BenchRunner) -> Callable[..., Member]:
-    def run_member(faults: dict[str, Any], on_mode: str, *, ends: bool) -> Member:
+    def run_member(faults: dict[str, Any], on_mode: str, *, ends: bool, lacks: Sequence[str] = ()) -> Member:
         drives: list[DriveWitness] = []
         changes = {"bench.duration_s": 0.5, "load": {}, "guard.on_mode": on_mode}
+        changes["drive.axis1.simulation.lacks"] = lacks
         with witnessed(drives):
             ran: Run = servo_bench(
                 EXAMPLES / "ling2012.toml", changes, faults=faults, ends_in=DriveInFault if ends else None
@@ -82,6 +91,28 @@ def test_what_drives_that_do_otherwise_must_not_come_to(
     assert "the_shafts_are_at_rest_at_the_end: axis1: at 5.0 rad/s" in found(ended)
 
 
+@pytest.mark.parametrize(
+    ("lacks", "why", "lasts_ms", "is_found"),
+    [
+        ([], OTHER_TORQUE, 120, True),
+        ([], OTHER_TORQUE, 100, False),
+        (["6074"], OTHER_TORQUE, 300, False),
+        (["6074"], FAR_TORQUE, 120, True),
+        (["6074"], FAR_TORQUE, 100, False),
+    ],
+)
+def test_a_drive_that_is_deaf_without_a_word_must_be_noticed_after_the_time_of_the_manual(
+    swarm_member: Callable[..., Member], lacks: list[str], why: str, lasts_ms: int, is_found: bool
+) -> None:
+    """100 ms at 1 kHz, a tenth and three cycles; without 6074h only if its torque is far off."""
+    member = swarm_member({}, "stop", ends=False, lacks=lacks)
+    began = Instant(member.first_cycle + 100 * NS_PER_MS)
+    ended = Instant(began + lasts_ms * NS_PER_MS)
+    otherwise = [(Instant(0), FOLLOWS), (began, why), (ended, FOLLOWS)]
+    deaf = [replace(each, otherwise=otherwise) for each in member.case.drives]
+    assert bool(found(replace(member, case=member.case._replace(drives=deaf)))) is is_found
+
+
 def test_a_drive_that_answers_late_is_stopped_as_soon(swarm_member: Callable[..., Member]) -> None:
     """Its quick stop waits for no SDO."""
     slow = {"slow_drive": [{"sdo_delay_us": 20_000}]}
@@ -106,8 +137,8 @@ def test_all_drives_are_stopped_before_the_one_that_fails_is_asked_why(servo_ben
 
 @pytest.mark.parametrize(
     "seed",
-    [8000275, 8000242],
-    ids=["it follows again within the cycle", "three do not follow at once"],
+    [8000275, 8000242, 8000055],
+    ids=["it follows again within the cycle", "three do not follow at once", "it is deaf for less than T"],
 )
 def test_nothing_is_found_any_more(tmp_path: Path, seed: int) -> None:
     tables = tomllib.loads(SWEEP.read_text(encoding="utf-8"))
