@@ -25,6 +25,8 @@ _RATING_TOLERANCE: Final = 0.03
 """Plates are printed with three digits, and 6075h and 6076h hold whole mA and mN m."""
 _RATING_SLIP: Final = 1.5
 """Between two words for one rating, as stall and continuous torque: more is a slip of plate or drive."""
+_POINTS_MAX: Final = 3.0
+"""Stall torque over that at the rated speed: two and a half at most of one motor, if wound for high speed."""
 _DC_RATIO: Final = 1.2
 """A mains voltage may be a tenth off, and so may the ripple's mean; AC volts for DC are 1.41 off."""
 _DC_LINK_MIN_V: Final = 5.0
@@ -107,6 +109,13 @@ def compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) ->
             and current_a
             and _same_motor(rating.torque_nm / torque_nm, rating.current_a / current_a)
         ):
+            if not 1.0 / _POINTS_MAX <= rating.torque_nm / torque_nm <= _POINTS_MAX:
+                nameplate_wins(
+                    session,
+                    "rated torque and current",
+                    f"{rating.torque_nm:g} N m at {rating.current_a:g} A",
+                    f"{torque_nm:g} N m at {current_a:g} A (6076h, {source})",
+                )
             outcome.say(
                 f"6076h and {source} say {torque_nm:g} N m at {current_a:g} A, the nameplate "
                 f"{rating.torque_nm:g} N m at {rating.current_a:g} A: two rated points of one motor; "

@@ -130,7 +130,7 @@ SAFETY: Final = (
         ("EmergencyStop.*",),
         ("tests/unit/hil/test_commissioning_sequence.py",),
     ),
-    Guarded("hil/commissioning/steps_units.py", ("pulses",), _STEPS, words=("limits.",)),
+    Guarded("hil/commissioning/steps_units.py", ("pulses", "_both_ways"), _STEPS, words=("limits.",)),
     Guarded("hil/commissioning/steps_units.py", ("Turn.left_out",), _STEPS, words=("travel",)),
     Guarded("hil/commissioning/steps_mechanics.py", ("top_speed",), _STEPS),
     Guarded("hil/commissioning/steps_mechanics.py", ("_coasts",), _STEPS, words=("travel",)),

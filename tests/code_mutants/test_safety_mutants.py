@@ -15,7 +15,7 @@ NAMED = (
     ("hil/commissioning/exercise.py", "Watched._check", "(travel >= limits.travel_rad)"),
     ("hil/commissioning/exercise.py", "Watched._check", "energy.spent_j -= "),
     ("hil/commissioning/request.py", "motion_limits", "given.turns_max / math.tau"),
-    ("hil/commissioning/steps_units.py", "pulses", "0.4 / limits.travel_rad"),
+    ("hil/commissioning/steps_units.py", "pulses", "0.4 / session.limits.travel_rad"),
     ("hil/commissioning/session.py", "Session.check_temperature", "raw / told.celsius"),
     ("drivers/cia402/command_watch.py", "CommandWatch.told", "self._sent + self._followed"),
     ("drivers/cia402/rest.py", "resting_since", "now() + since"),

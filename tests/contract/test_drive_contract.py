@@ -119,7 +119,7 @@ def test_every_setting_is_taken(bench: Bench) -> None:
     assert [note for note in notes if not note.endswith(" written")] == []
     assert bench.drive.rated_torque_nm == pytest.approx(2.0)
     assert bench.drive.plan is not None
-    assert [pdo.bits for pdo in bench.drive.plan.tpdos] == [64, 64, 16]
+    assert [pdo.bits for pdo in bench.drive.plan.tpdos] == [64, 64, 24]
 
 
 def test_each_sync_gives_one_reading_with_a_stamp_of_its_sync(bench: Bench) -> None:

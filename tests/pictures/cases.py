@@ -58,12 +58,20 @@ FAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
     "slow_drive": {"tpdo_delay_us": 120},
     "lss_yes_sayer": {},
     "host_stall": {"at_s": 1.5, "late_us": 3400},
+    "signal": {"object": "velocity_actual_value", "how": "noise", "noise_raw_rms": 3000, "from_s": 0.5},
+    "mode_change": {"at_s": 1.2, "mode": "pv", "duration_s": 0.1},
+    "ignored_commands": {"at_s": 1.2, "duration_s": 0.1, "holds": "last"},
+    "refused_mapping": {"mapped": "6074"},
+    "repeated_emergency": {"at_s": 0.8, "code": 0x2310, "period_ms": 10, "duration_s": 0.2},
 }
 """By kind; one for every kind that there is."""
 _ENDED_BY: Final = {
     "bus_off": VerdictKind.PEER_FAULT,
     "drive_fault": VerdictKind.PEER_FAULT,
     "safe_torque_off": VerdictKind.PEER_FAULT,
+    "mode_change": VerdictKind.PEER_FAULT,
+    "ignored_commands": VerdictKind.PEER_FAULT,
+    "repeated_emergency": VerdictKind.PEER_FAULT,
     "periodic_loss": VerdictKind.NOT_PASSED,
 }
 _BROKEN: Final[Mapping[str, tuple[str, float, Mapping[str, Any]]]] = {

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -57,9 +57,9 @@ class Axis:
         """Of the shaft itself."""
         return self.servo.drive.firmware.speed_rad_s
 
-    def enable(self) -> None:
+    def enable(self, settings: DriveSettings = SETTINGS) -> None:
         self.drive.connect(self.network.deadline_after(Duration(NS_PER_S)))
-        self.drive.configure(SETTINGS)
+        self.drive.configure(settings)
         self.drive.enable(self.network.deadline_after(Duration(5 * NS_PER_S)))
 
     def settle(self, milliseconds: int) -> None:
@@ -179,8 +179,8 @@ def test_two_segments_on_one_timeline_close_two_loops_side_by_side() -> None:
     """The same node id and the same identifiers on both, and twice the frames that one would carry."""
     timeline = Timeline()
     axes = [make_axis(timeline, "left"), make_axis(timeline, "right")]
-    for axis in axes:
-        axis.enable()
+    for axis in axes:  # nobody sends the left one its heartbeat while the right one is set up
+        axis.enable(replace(SETTINGS, host_heartbeat_timeout_ms=500))
     since = timeline.now
     run(axes, 200, [0.5, -0.5])
     speeds = [axis.speed_rad_s for axis in axes]

@@ -24,6 +24,7 @@ from hil.configuration.motor_file import load_motor
 from hil.configuration.network_file import load_network
 from tests.benchmarks.bench_commissioning import row, within
 from tests.commissioning import LATE, LOSS, errors_of, unknown_world
+from tests.rehearsals.rehearsal import made_sheet, rehearsed
 from virtual_bus.drive.unknown_drive import unknown_drive
 
 
@@ -125,12 +126,10 @@ def test_a_drive_without_torque_mode_gets_the_steps_that_it_allows(tmp_path: Pat
 
 
 def test_in_profile_torque_the_slope_is_named_that_rules_the_delay(tmp_path: Path) -> None:
-    only = supported_mode_bit(Mode.PROFILE_TORQUE)
-    _, result, _ = unknown_world(4, tmp_path, modes=only, last_step="delays")
-    delays = next(record for record in result.records if record.name == "delays")
-    told = " ".join((delays.reason, *delays.outcome.lines))
-    assert "torque slope 6087h" in told
-    assert "50000 thousandths a second, 4 ms for" in told
+    sheet = made_sheet(["6087h is 1000 at most"], tmp_path)
+    result = rehearsed(sheet, tmp_path, last_step="delays")
+    assert "torque slope 6087h" in result.not_done["delays"]
+    assert "1000 thousandths a second" in result.not_done["delays"]
 
 
 def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
@@ -294,10 +293,12 @@ def test_without_any_torque_what_needs_no_inertia_is_done(tmp_path: Path) -> Non
 
 
 def test_a_nameplate_that_the_drive_contradicts_by_far_is_refused_unasked(tmp_path: Path) -> None:
-    """Seed 1 tells its rated torque truly; the plate was read ten times too large."""
+    """Seed 1 tells its ratings truly; the plate is that of a motor ten times as large."""
     _, truth = unknown_drive(1)
     assert "torque" not in truth.faults
-    plate = {"rating": {**truth.nameplate["rating"], "torque_nm": 10.0 * truth.rated_torque_nm}}
+    rating = truth.nameplate["rating"]
+    larger = {key: 10.0 * rating[key] for key in ("torque_nm", "current_a")}
+    plate = {"rating": {**rating, **larger}}
     _, result, _ = unknown_world(1, tmp_path, plate=plate, trust_nameplate=False)
     units = next(record for record in result.records if record.name == "units")
     assert units.verdict is StepVerdict.FAILED
