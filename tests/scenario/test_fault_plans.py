@@ -24,6 +24,8 @@ ENDS_IN_FAULT = {
     "encoder_loss": "7305h",
     "bus_off": "no usable reading",
     "safe_torque_off": "lost the power of its stage",
+    "mode_change": "left cyclic synchronous torque for profile velocity",
+    "ignored_commands": "ignores the commands",
 }
 INJECTED = {
     "demo": {"delay", "loss", "blackout"},
