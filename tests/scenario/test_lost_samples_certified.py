@@ -20,7 +20,11 @@ FILES = {name: EXAMPLES / "controllers" / f"ling2012-{name}.toml" for name in ("
 
 
 def bench(name: str, lost: int) -> dict[str, Any]:
-    """Of every ``lost`` + 1 readings one comes."""
+    """Of every ``lost`` + 1 readings one comes.
+
+    Without 1400h:05 the run begins at another instant, at which no statusword that the event timer sends keeps
+    a SYNC waiting: it would by 32 us, so that a command acts that much later than the certificate has it.
+    """
     return {
         "bench": {"name": "lossy", "duration_s": 1.0, "seed": 1},
         "loop": {"period_us": 1000, "actuation": "on_sync", "command_readback": "event"},
@@ -28,7 +32,7 @@ def bench(name: str, lost: int) -> dict[str, Any]:
             "axis1": {
                 "node": 1,
                 "motor": str(EXAMPLES / "motors" / "ling2012.toml"),
-                "simulation": {"encoder_counts_per_revolution": 65_536},
+                "simulation": {"encoder_counts_per_revolution": 65_536, "lacks": ["1400:5"]},
                 "limits": {"speed_max_rpm": 3000.0, "torque_max_nm": 4.0},
                 "controller": str(FILES[name]),
             }
