@@ -22,8 +22,8 @@ FILES = {name: EXAMPLES / "controllers" / f"ling2012-{name}.toml" for name in ("
 def bench(name: str, lost: int) -> dict[str, Any]:
     """Of every ``lost`` + 1 readings one comes.
 
-    Without 1400h:05 the run begins at another instant, at which no statusword that the event timer sends keeps
-    a SYNC waiting: it would by 32 us, so that a command acts that much later than the certificate has it.
+    Without 1400h:05 the run begins at an instant at which no statusword of the event timer keeps a SYNC
+    waiting: it would by 32 us, and a command acts that much later than the certificate has it.
     """
     return {
         "bench": {"name": "lossy", "duration_s": 1.0, "seed": 1},

@@ -65,7 +65,8 @@ def test_it_is_repeated_at_the_very_end_of_that_time(bench: Bench, monkeypatch: 
     with pytest.raises(DriveInFault):
         drive.control.walk(State.OPERATION_ENABLED, soon(bench, 120))
     first, second, third = [at for at, frame in bus.sent if frame.can_id == RPDO]
-    assert second - first == third - second == 50 * NS_PER_MS
+    for gap in (second - first, third - second):  # it is asked once a millisecond
+        assert 50 * NS_PER_MS <= gap < 51 * NS_PER_MS
 
 
 def test_a_command_without_effect_is_looked_after_once_a_millisecond(bench: Bench) -> None:
