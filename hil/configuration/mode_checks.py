@@ -9,19 +9,12 @@ from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import DriveConfig
 from hil.configuration.controller_kinds import controllers_giving
 from hil.configuration.references import Reference, peak_level, peak_rate
+from hil.loop.quantity_by_mode import QUANTITY_BY_MODE
 from hil.loop.scenario import Quantity
 
 Fault = tuple[str, object, str, str]
 """key, value found, what was expected, remedy."""
 
-GIVEN: Final = {
-    "cst": Quantity.TORQUE,
-    "csv": Quantity.SPEED,
-    "csp": Quantity.POSITION,
-    "ip": Quantity.POSITION,
-    "vl": Quantity.SPEED,
-}
-"""What a drive takes in its mode."""
 _OF_SPEEDS: Final = ("speed_error_peak_percent_max", "after_load_percent_max", "speed_error_rms_rad_s_max")
 _OF_POSITIONS: Final = ("position_error_peak_rad_max", "position_error_rms_rad_max")
 
@@ -36,14 +29,14 @@ def quantity_of(config: BenchConfig, axis: str) -> Quantity:
 
 def _taken(drive: DriveConfig) -> Quantity | None:
     """The reference that a drive's controller takes; None: any."""
-    return drive.controller.follows(GIVEN[drive.mode])
+    return drive.controller.follows(QUANTITY_BY_MODE[drive.mode])
 
 
 def mode_faults(config: BenchConfig) -> Iterator[Fault]:
     """What does not go with a drive's mode."""
     for axis in config.axes:
         drive = config.drive[axis]
-        given = GIVEN[drive.mode]
+        given = QUANTITY_BY_MODE[drive.mode]
         if given not in drive.controller.gives:
             key, kinds = f"drive.{axis}.controller.kind", ", ".join(controllers_giving(given))
             expected = f'one of {kinds}: in mode = "{drive.mode}" the drive is given {given.value}s'
@@ -71,7 +64,7 @@ def _limits_of_mode(key: str, drive: DriveConfig) -> Iterator[Fault]:
 
 def _verdict_of_modes(config: BenchConfig) -> Iterator[Fault]:
     quantities = {quantity_of(config, axis) for axis in config.axes}
-    given = {GIVEN[drive.mode] for drive in config.drive.values()}
+    given = {QUANTITY_BY_MODE[drive.mode] for drive in config.drive.values()}
     applies = (
         (_OF_SPEEDS, Quantity.SPEED in quantities, "an axis with a speed reference"),
         (_OF_POSITIONS, Quantity.POSITION in quantities, "an axis with a position reference"),

@@ -9,11 +9,12 @@ from drivers.cia402.servo import ServoDrive
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Duration
 from hil.configuration.config import BenchConfig
-from hil.configuration.mode_checks import GIVEN, quantity_of
+from hil.configuration.mode_checks import quantity_of
 from hil.execution.axis_code import AxisCode
 from hil.loop.axis import Axis, AxisParts
 from hil.loop.axis_roles import LoadMachine
 from hil.loop.loop import Actuation, LoopTiming
+from hil.loop.quantity_by_mode import QUANTITY_BY_MODE
 from hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord
 from hil.loop.scenario import Quantity, ReferenceProfile
@@ -84,7 +85,7 @@ def _guard(config: BenchConfig, axis: str) -> SafetyGuard:
             dropouts_consecutive_max=limits.dropouts_consecutive_max,
         )
     else:
-        kind = SpeedLimits if GIVEN[drive.mode] is Quantity.SPEED else PositionLimits
+        kind = SpeedLimits if QUANTITY_BY_MODE[drive.mode] is Quantity.SPEED else PositionLimits
         guarded = kind(
             limits.set_speed_rpm * RAD_S_PER_RPM,
             limits.speed_max_rad_s,

@@ -7,10 +7,10 @@ from pathlib import Path
 from drivers.errors import BadInput
 from hil.configuration.config import BenchConfig
 from hil.configuration.controller_kinds import ArrivalCompensator, OwnCode
-from hil.configuration.mode_checks import GIVEN
 from hil.control.own_code import source_of
 from hil.control.setup import Setup
 from hil.loop.axis_roles import Compensator, Controller
+from hil.loop.quantity_by_mode import QUANTITY_BY_MODE
 
 PATIENCE_SIMULATED_S = 10.0
 """How long a call of one's own code may take in simulated time, s: more than a solver takes for a step. On a
@@ -59,7 +59,7 @@ def _of_axis(config: BenchConfig, axis: str, given: Controller | None, real_time
         drive.limits.speed_max_rad_s,
         patience_s,
         config.source,
-        GIVEN[drive.mode],
+        QUANTITY_BY_MODE[drive.mode],
     )
     own = {}
     for key in ("compensator",) if given else ("controller", "compensator"):

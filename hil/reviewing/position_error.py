@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import NEVER, Duration
-from hil.configuration.mode_checks import GIVEN
+from hil.loop.quantity_by_mode import QUANTITY_BY_MODE
 from hil.loop.scenario import Quantity
 from hil.reviewing.speed_error import ROUNDING, CountedErrors, note_settling
 from hil.rows.recording_plan import AxisPlan
@@ -34,7 +34,7 @@ class PositionErrorMeter:
         self._settling_ns = settling_ns
         self._period = period
         self._asked = axis.quantity == "position"
-        self._follows = GIVEN.get(axis.mode) is Quantity.POSITION
+        self._follows = QUANTITY_BY_MODE.get(axis.mode) is Quantity.POSITION
         self._last: tuple[float, float, int] | None = None
         self._step_at = -NEVER
         self._reached_at = np.empty(0, np.int64)
