@@ -117,14 +117,13 @@ class Axis:
         if self.by_order.wants_probe:
             self.by_order.probed(self.parts.syncs.marks[-1])
 
-    def calibrate(self) -> bool:
-        """Take what has come since the last SYNC, and learn from it if it can only answer that one; whether a
-        reading came.
+    def calibrate(self, mark: SyncMark) -> bool:
+        """Take what has come since the SYNC of ``mark``, and learn from it if it can only answer that one;
+        whether a reading came. To be called once for each SYNC.
 
         A drive or a bus that stood still gives back several at once, and those of SYNCs before. So a reading
         must have come alone, and the SYNC before must have had its own.
         """
-        mark = self.parts.syncs.marks[-1]
         readings = self._drive.take_readings()
         self._drive.take_readbacks()
         self._drive.take_demand_changes()

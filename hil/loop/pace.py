@@ -17,7 +17,7 @@ from drivers.errors import NoAnswer, PeerFault
 from drivers.exchange import Master
 from drivers.timebase import NS_PER_S, NS_PER_US, Clock, Duration, Instant
 from hil.loop.axis import Axis
-from hil.loop.syncs import SURPLUS, SyncLog
+from hil.loop.syncs import SURPLUS, SyncLog, SyncMark
 
 CALIBRATION_SYNCS: Final = 16
 """Enough for a first rate of the drive's clock to some 20 ppm, at stamps of 1 us."""
@@ -119,7 +119,7 @@ class OwnSync(Pace):
             sent_at = self._network.send_sync()
             self._note(SURPLUS)
             self._network.pump(Instant(sent_at + settle))
-            _learn(axes, answered)
+            _learn(axes, answered, [axis.parts.syncs.marks[-1] for axis in axes])
             if number >= CALIBRATION_SYNCS and min(axis.learned for axis in axes) >= CALIBRATION_SYNCS // 2:
                 break
         return answered
@@ -281,21 +281,22 @@ class HeardSync(Pace):
         self._starts.append(Start(self._at, None, False))
 
     def _await_sync(self, axes: Sequence[Axis], answered: list[bool]) -> None:
-        """Until the next SYNC; ``axes`` learn from what comes before it, where ``answered`` is kept."""
+        """Until the next SYNC; ``axes`` learn from what came before it, where ``answered`` is kept."""
         before = len(self._heard)
+        last = self._syncs.marks[-1] if self._syncs.marks else None
         limit = Instant(self._clock.now() + SILENCE_MAX + 2 * self._period)
         while True:
             came = self._network.pump_one(limit)
             if len(self._heard) > before:
-                return
+                break
             if not came:
                 raise NoAnswer(
                     f"no SYNC was heard within {(SILENCE_MAX + 2 * self._period) / NS_PER_S:g} s",
                     f"after {before} of them" if before else "",
                     "check that its producer is running, and sends it with COB-ID 080h (1005h)",
                 )
-            if answered:
-                _learn(axes, answered)
+        if answered and last is not None:
+            _learn(axes, answered, [last] * len(axes))
 
     def _check_period(self, heard_at: Sequence[Instant]) -> None:
         """Raises PeerFault if SYNCs do not come with the loop's period; one that was lost does not matter."""
@@ -312,9 +313,10 @@ class HeardSync(Pace):
             )
 
 
-def _learn(axes: Sequence[Axis], answered: list[bool]) -> None:
-    for number, axis in enumerate(axes):
-        answered[number] |= axis.calibrate()
+def _learn(axes: Sequence[Axis], answered: list[bool], syncs: Sequence[SyncMark]) -> None:
+    """Let each axis learn from what came since its SYNC of ``syncs``."""
+    for number, (axis, mark) in enumerate(zip(axes, syncs, strict=True)):
+        answered[number] |= axis.calibrate(mark)
 
 
 def ticks_missed(due_at: Instant, period: Duration, now: Instant) -> int:

@@ -207,6 +207,9 @@ PLANS: Final = (
     Plan("another's SYNCs, overtaking", _delay(0, 2500, "reorder = true"), sync="foreign"),
     Plan("another's SYNCs, clock steps -350 us", _step(-350), sync="foreign", producer_jitter_us=200),
     Plan("another's SYNCs, commands", COMMANDS_LATE, sync="foreign", commands=True),
+    Plan("kernel's SYNCs, three axes", axes=3, sync="kernel"),
+    Plan("kernel's SYNCs, three axes, loss", _LOSS, axes=3, sync="kernel"),
+    Plan("another's SYNCs, three axes", axes=3, sync="foreign", producer_jitter_us=200),
     # commands
     Plan("commands", commands=True, command_delay_us=10),
     Plan("commands, three axes", commands=True, axes=3, period_us=2000, command_delay_us=10),
@@ -231,6 +234,8 @@ SHORT: Final = (
     "kernel's SYNCs and PDOs lost",
     "another's SYNCs, jitter and drift",
     "another's SYNCs, host 0-5 ms late",
+    "kernel's SYNCs, three axes",
+    "another's SYNCs, three axes",
     "three axes, loss and delay",
     "commands lost and late",
     "commands behind the echo",

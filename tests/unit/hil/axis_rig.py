@@ -100,7 +100,7 @@ class Rig:
         for number in range(1 - TAUGHT, 1):
             self.sync(number)
             self.answer(number)
-            assert self.axis.calibrate()
+            assert self.axis.calibrate(self.log.marks[-1])
 
     @staticmethod
     def at(number: float) -> Instant:

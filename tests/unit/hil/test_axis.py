@@ -30,7 +30,7 @@ def test_a_sync_teaches_with_a_reading_of_its_own_after_one_that_had_one(
         rig.sync(number)
         for place in range(count):
             rig.answer(number - place)
-        assert rig.axis.calibrate() is (count > 0)
+        assert rig.axis.calibrate(rig.log.marks[-1]) is (count > 0)
     assert rig.axis.learned - before == learned
 
 
@@ -39,7 +39,7 @@ def test_one_reading_that_came_twice_is_one() -> None:
         rig = Rig(clock=clock)
         rig.sync(1)
         rig.answer(1), rig.answer(1)
-        assert rig.axis.calibrate()
+        assert rig.axis.calibrate(rig.log.marks[-1])
         assert rig.axis.learned == TAUGHT + 1
 
 
@@ -47,7 +47,7 @@ def test_a_sync_whose_echo_did_not_come_teaches_nothing() -> None:
     rig = Rig()
     rig.sync(1, echoed=False)
     rig.answer(1)
-    assert rig.axis.calibrate()
+    assert rig.axis.calibrate(rig.log.marks[-1])
     assert rig.axis.learned == TAUGHT
 
 
@@ -115,7 +115,7 @@ def test_what_came_while_calibrating_is_let_go_of() -> None:
     rig.answer(0)
     rig.read_back(77, 0, 1)
     rig.drive.changes.append(DemandChange(77, 0, rig.at(0)))
-    rig.axis.calibrate()
+    rig.axis.calibrate(rig.log.marks[-1])
     assert rig.drive.readbacks == rig.drive.changes == []
     assert play_with_readbacks(rig, readings_before=1) is CommandFate.ACTING
 
