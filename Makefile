@@ -7,7 +7,8 @@
 #   make unit        the unit tests of one room, ROOM=drivers, virtual_bus, design or hil
 #   make test-dask   campaigns on a Dask cluster of this machine
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
-#   make truth       hold the rows of runs against the truth, for at most SECONDS
+#   make truth       hold the rows of runs against the truth: of given plans, then of drawn ones, for at most
+#                    SECONDS each
 #   make swarm       hold runs drawn at random against what must be true of each, as a campaign (OUT=DIR: its
 #                    folder, in which it goes on), then runs whose processes or disk are struck, and mutated
 #                    files against their loaders, for at most SECONDS each
@@ -123,6 +124,7 @@ SECONDS ?= 300
 
 truth: $(TOOLS) compile
 	@$(BIN)/python -m tests.benchmarks.bench_truth --seconds $(SECONDS)
+	@$(BIN)/python -m tests.truth --seconds $(SECONDS)
 
 swarm: $(TOOLS) compile
 	@$(BIN)/python -m hil.cli campaign tests/swarm/swarm.toml --seconds $(SECONDS) \

@@ -1,17 +1,17 @@
 """What a run told of its commands, held against the truth."""
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from drivers.timebase import NS_PER_US, Duration
-from tests.truth.judge import EXAMPLES_MAX
+from tests.truth.judge import EXAMPLES_MAX, NO_TIME
 from tests.truth.rows import ACTING, COMMAND_LOST, NO_INSTANT, NOT_IDENTIFIABLE, Told
-from tests.truth.truth import AxisTruth
+from tests.truth.truth import AxisTruth, CommandTruth
 
 INSTANT_TOLERANCE: Final = Duration(100 * NS_PER_US)
-"""How far the interval in which a command is told to act may be from the truth."""
+"""How far the interval in which a command is told to act may be from the truth, if nothing else is asked."""
 
 
 @dataclass(slots=True)
@@ -77,8 +77,14 @@ class CommandJudgement:
         return told, true
 
 
-def judge_commands(told: Told, truth: AxisTruth) -> CommandJudgement:
-    """Every command of one axis."""
+def judge_commands(
+    told: Told,
+    truth: AxisTruth,
+    tolerance: Duration = INSTANT_TOLERANCE,
+    stamp_error: Duration = NO_TIME,
+) -> CommandJudgement:
+    """Every command of one axis. ``tolerance``: how far the truth may be outside of an interval;
+    ``stamp_error``: see :class:`.judge.Timing`."""
     result = CommandJudgement()
     for row in told:
         handed_at = int(row["command_handed_at"])
@@ -96,14 +102,11 @@ def judge_commands(told: Told, truth: AxisTruth) -> CommandJudgement:
             fate == ACTING and command.acts_at is None
         ):
             result.wrong += 1
-            if len(result.examples) < EXAMPLES_MAX:
-                told_as = "lost" if fate == COMMAND_LOST else "acting"
-                result.examples.append(
-                    f"command of cycle {row['sequence']}, handed over {handed_at}: told as {told_as}, by its"
-                    f" echo {on_bus_at}; in truth on the bus {command.on_bus_at}, acts {command.acts_at}"
-                )
+            _keep_example(result, row, "lost" if fate == COMMAND_LOST else "acting", command)
         if fate != NOT_IDENTIFIABLE:  # of two equal frames the echo does not say whose it is
-            result.echo_wrong += on_bus_at not in (NO_INSTANT, command.on_bus_at)
+            result.echo_wrong += on_bus_at != NO_INSTANT and (
+                command.on_bus_at is None or abs(on_bus_at - command.on_bus_at) > stamp_error
+            )
         if fate == COMMAND_LOST:
             result.told_lost += 1
         elif fate == ACTING:
@@ -111,8 +114,19 @@ def judge_commands(told: Told, truth: AxisTruth) -> CommandJudgement:
             if command.acts_at is None:
                 continue
             after, by = int(row["command_acts_after"]), int(row["command_acts_by"])
-            inside = after - INSTANT_TOLERANCE <= command.acts_at <= by + INSTANT_TOLERANCE
+            inside = after - tolerance <= command.acts_at <= by + tolerance
             result.outside += not inside
+            if not inside:
+                _keep_example(result, row, f"acting between {after} and {by}", command)
             result.true_delays_ns.append(command.acts_at - handed_at)
             result.told_delays_ns.append((after + by) // 2 - handed_at)
     return result
+
+
+def _keep_example(result: CommandJudgement, row: Any, told: str, command: CommandTruth) -> None:
+    result.examples = [
+        *result.examples,
+        f"axis {row['axis']}, cycle {row['sequence']}: command handed over {command.handed_at}: told {told},"
+        f" by its echo {row['command_on_bus_at']}; in truth on the bus {command.on_bus_at},"
+        f" acts {command.acts_at}",
+    ][:EXAMPLES_MAX]

@@ -7,6 +7,7 @@ counted, with how far it is from the last thing that could have made it so.
 from bisect import bisect_left
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -19,6 +20,7 @@ from tests.truth.truth import SPEED, STAMP, AxisTruth, SyncTruth
 
 AGE_TOLERANCE: Final = Duration(5 * NS_PER_US)
 """A reading nearer than this to the deadline may be told late or not: delays are asked to 2 us."""
+NO_TIME: Final = Duration(0)
 RELEARNING_CYCLES: Final = 50
 """After a step of a drive's clock so many cycles may be uncertain."""
 VELOCITY_UNIT_RAD_S: Final = 2.0 * np.pi / 60.0 * 1e-3
@@ -36,6 +38,10 @@ class Timing:
     horizon: int
     syncs_heard: bool = False
     """Cycles start at SYNCs that the loop does not make, and their grid follows those."""
+    stamp_error: Duration = NO_TIME
+    """The largest error of what stamps the frames for the loop."""
+    lateness_unseen: Duration = NO_TIME
+    """By how much a reading may seem older than it is where nothing could tell: it may then be told late."""
 
 
 @dataclass(slots=True)
@@ -151,7 +157,11 @@ class _Judge:
         told = self._told
         known = set(told["sync_handed_at"].tolist()) | set(told["due_at"][told["fate"] == MISSED].tolist())
         syncs = self._truth.handed_between(int(told["due_at"][0]), self._last_due + 1)
-        unknown = sum(sync.on_bus_at not in known for sync in syncs)
+        half = self._timing.period // 2
+        unknown = sum(
+            sync.handed_at not in known and sync.handed_at - last.handed_at >= half  # else it is surplus
+            for last, sync in pairwise(syncs)
+        )
         return int(told["sequence"].max()) - np.unique(told["sequence"]).size + unknown
 
     def _wrong(self, row: Any, fate: int) -> str:
@@ -181,7 +191,8 @@ class _Judge:
             return self._wrongly_used(row, place)
         age = sync.reading.received_at - sync.reading.heard.at
         if fate == LATE:
-            return "late, and was in time" if age < self._timing.deadline - AGE_TOLERANCE else ""
+            least = self._timing.deadline - AGE_TOLERANCE - self._timing.lateness_unseen
+            return "late, and was in time" if age < least else ""
         assert fate == STALE, f"fate {fate}"
         return "" if sync.overtaken else "stale, and was the newest"
 
@@ -200,7 +211,8 @@ class _Judge:
             return "used, and answers another SYNC"
         if not self._is_whole(row, heard):
             return "used, and mixes two readings"
-        if int(row["received_at"]) - heard.at > self._timing.deadline + AGE_TOLERANCE:
+        age_most = self._timing.deadline + AGE_TOLERANCE + int(row["sampled_at_error_ns"])
+        if int(row["received_at"]) - heard.at > age_most:
             return "used, and was late"
         if sync.overtaken and self._newer_was_used(place):
             return "used, and was stale"
@@ -251,8 +263,11 @@ class _Judge:
 
     def _check_echo(self, row: Any) -> None:
         told = int(row["sync_on_bus_at"])
+        if told == NO_INSTANT:
+            return
         place = self._truth.place_of.get(int(row["sync_handed_at"]))
-        if told != NO_INSTANT and (place is None or self._truth.syncs[place].on_bus_at != told):
+        on_bus_at = None if place is None else self._truth.syncs[place].on_bus_at
+        if on_bus_at is None or abs(told - on_bus_at) > self._timing.stamp_error:
             self._result.echo_wrong += 1
 
     def _count_uncertain(self, cycle: int, fate: int, wrong: bool) -> None:

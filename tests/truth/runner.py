@@ -15,7 +15,7 @@ from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.judge import Judgement, Timing, judge_axis
 from tests.truth.plans import NO_LIMIT, Plan
 from tests.truth.rows import MISSED, READING_IS_A_SET, told_by
-from tests.truth.tapped_run import run_with_taps
+from tests.truth.tapped_run import Surroundings, run_with_taps
 from tests.truth.taps import SYNC_ID
 from tests.truth.truth import axis_truth, spacings_below
 
@@ -97,7 +97,7 @@ def run_plan(plan: Plan, cycles: int) -> Outcome:
 
 
 def _run(config: BenchConfig, outcome: Outcome) -> None:
-    run = run_with_taps(config, outcome.plan.clock_starts_at_us)
+    run = run_with_taps(config, Surroundings(outcome.plan.clock_starts_at_us))
     outcome.ended_by = run.ended_by
     heard = outcome.plan.heard
     timing = Timing(config.loop.period, config.loop.deadline, config.loop.horizon_periods, heard)

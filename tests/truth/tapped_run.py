@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, Final, cast
 from unittest.mock import patch
 
 from drivers.errors import BenchError
@@ -15,6 +15,8 @@ from hil.execution.world import World, WorldPlan
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
+from tests.truth.adapter import Adapter, AdapterPort
+from tests.truth.stamping_drive import EXACT, StampingDrive, StampModel
 from tests.truth.taps import HostTap, TapLog, tap_drives
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.drive.servo import SimulatedServo
@@ -31,8 +33,22 @@ class TappedRun:
     """The error that ended it before its time; empty if none did."""
 
 
-def run_with_taps(config: BenchConfig, clock_starts_at_us: int | None = None) -> TappedRun:
-    """Run ``config`` on its simulated bus. ``clock_starts_at_us``: 1013h of every drive at power-on."""
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What is between the bench of a run and its bus, and how its drives are made."""
+
+    clock_starts_at_us: int | None = None
+    """1013h of every drive at power-on; None: drawn from the seed of the bench."""
+    stamps: StampModel = EXACT
+    adapter: Adapter | None = None
+    """Between the loop and the bus; None: every stamp is the end of its frame."""
+
+
+PLAIN: Final = Surroundings()
+
+
+def run_with_taps(config: BenchConfig, surroundings: Surroundings = PLAIN) -> TappedRun:
+    """Run ``config`` on its simulated bus."""
     log = TapLog()
     recorders: list[MemoryRecorder] = []
 
@@ -43,9 +59,12 @@ def run_with_taps(config: BenchConfig, clock_starts_at_us: int | None = None) ->
     @contextmanager
     def open_world(plan: WorldPlan, devices: Sequence[Any]) -> Iterator[World]:
         drives = [device for device in devices if isinstance(device, SimulatedServo)]
-        taps = cast("list[CanopenDevice]", tap_drives(drives, log, clock_starts_at_us))
+        if surroundings.stamps != EXACT:
+            made_by = [StampingDrive(drive, surroundings.stamps, plan.seed) for drive in drives]
+            drives = cast("list[SimulatedServo]", made_by)
+        taps = cast("list[CanopenDevice]", tap_drives(drives, log, surroundings.clock_starts_at_us))
         with world.open_world(plan, taps) as made:
-            yield _tapped(made, log)
+            yield _tapped(made, log, surroundings.adapter, plan.seed)
 
     ended_by = ""
     with patch.object(bench, "open_world", open_world):
@@ -63,11 +82,13 @@ def run_with_taps(config: BenchConfig, clock_starts_at_us: int | None = None) ->
     return TappedRun(recorders[0].rows(), log, ended_by)
 
 
-def _tapped(made: World, log: TapLog) -> World:
-    """``made`` with a monitor on its segment and a tap in front of the loop's port."""
+def _tapped(made: World, log: TapLog, adapter: Adapter | None, seed: int) -> World:
+    """``made`` with a monitor on its segment, and an adapter and a tap in front of the loop's port."""
     if made.further:
         raise ValueError("the taps watch one segment")
     bus: Any = made.link.bus
     log.watch(getattr(bus, "inner", bus).segment)
+    if adapter is not None:
+        bus.frame_port = AdapterPort(bus.frame_port, adapter, seed, made.clock.now)
     bus.frame_port = HostTap(bus.frame_port, log, made.clock.now)
     return replace(made, link=BusLink(bus, made.clock, StampSource.MONOTONIC, made.link.name))

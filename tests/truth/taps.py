@@ -8,7 +8,7 @@ A frame is one object all the way: the faults hold, repeat and reorder the objec
 traced back to its SYNC by identity. Only damaged data would break the chain, and no plan here damages any.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -80,24 +80,37 @@ def pdo_layout(dictionary: ObjectDictionary) -> PdoLayout:
     """Read 1400h, 1800h.. and 1A00h.. (CiA 301, 7.5.2.35 to 7.5.2.38)."""
     each_sync: list[int] = []
     sent: dict[int, Field] = {}
-    for number in _PDOS:
-        cob_id = int(dictionary.variable(0x1800 + number, 1).read())
-        if cob_id & _NOT_VALID:
-            continue
-        if dictionary.variable(0x1800 + number, 2).read() == 1:
-            each_sync.append(cob_id & _COB_ID)
-        first_bit = 0
-        for place in range(int(dictionary.variable(0x1A00 + number, 0).read())):
-            word = int(dictionary.variable(0x1A00 + number, place + 1).read())
-            bits = word & 0xFF
-            sent.setdefault(word >> 16, Field(cob_id & _COB_ID, first_bit // 8, bits // 8))
-            first_bit += bits
+    for cob_id, transmission, fields in _tpdos(dictionary):
+        if transmission == 1:
+            each_sync.append(cob_id)
+        for index, place in fields:
+            sent.setdefault(index, place)
     return PdoLayout(
         tuple(each_sync),
         sent,
         int(dictionary.variable(0x1400, 1).read()) & _COB_ID,
         int(dictionary.variable(0x1400, 2).read()) <= 240,
     )
+
+
+def all_places(dictionary: ObjectDictionary, index: int) -> list[Field]:
+    """Where the TPDOs of a drive carry the object ``index``, those on events too."""
+    return [place for *_, fields in _tpdos(dictionary) for found, place in fields if found == index]
+
+
+def _tpdos(dictionary: ObjectDictionary) -> Iterator[tuple[int, int, list[tuple[int, Field]]]]:
+    """COB-ID and transmission type of each valid TPDO, and its objects with their places."""
+    for number in _PDOS:
+        cob_id = int(dictionary.variable(0x1800 + number, 1).read())
+        if cob_id & _NOT_VALID:
+            continue
+        fields, first_bit = [], 0
+        for place in range(int(dictionary.variable(0x1A00 + number, 0).read())):
+            word = int(dictionary.variable(0x1A00 + number, place + 1).read())
+            bits = word & 0xFF
+            fields.append((word >> 16, Field(cob_id & _COB_ID, first_bit // 8, bits // 8)))
+            first_bit += bits
+        yield cob_id & _COB_ID, int(dictionary.variable(0x1800 + number, 2).read()), fields
 
 
 @dataclass(slots=True)
@@ -121,6 +134,8 @@ class TapLog:
     """SYNCs and PDOs of everybody, at their end of frame."""
     fetched: list[Passed] = field(default_factory=list)
     """PDOs that the loop was given, in the order in which it fetched them, with the stamps of its port."""
+    fetched_syncs: list[Passed] = field(default_factory=list)
+    """The same of SYNCs, its own ones that came back among them."""
     drives: dict[int, DriveLog] = field(default_factory=dict)
 
     def watch(self, segment: CanSegment) -> None:
@@ -157,7 +172,9 @@ class HostTap(FramePort):
         own = getattr(inner, "came_own", None)
         if own is not None:
             self.came_own = own
-        if not own and frame.can_id in PDO_IDS:
+        if frame.can_id == SYNC_ID:
+            self._log.fetched_syncs.append(Passed(inner.came_at, frame))
+        elif not own and frame.can_id in PDO_IDS:
             self._log.fetched.append(Passed(inner.came_at, frame))
         return frame
 

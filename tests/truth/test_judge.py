@@ -9,7 +9,7 @@ import pytest
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
 from tests.truth.command_judge import judge_commands
-from tests.truth.judge import Judgement, Timing, judge_axis
+from tests.truth.judge import NO_TIME, Judgement, Timing, judge_axis
 from tests.truth.plans import Plan
 from tests.truth.rows import (
     ACTING,
@@ -207,6 +207,26 @@ def test_commands_that_are_told_rightly_and_wrongly(actuation: str) -> None:
     told["command_acts_after"][acting] += NS_PER_MS
     told["command_on_bus_at"][acting] += 1
     assert (judge_commands(told, axis).outside, judge_commands(told, axis).echo_wrong) == (1, 1)
+
+
+def test_an_interval_of_acting_is_held_against_the_truth_to_the_nanosecond() -> None:
+    axis = truth()
+    told = told_rightly(axis)
+    told["command_acts_after"][ROW] -= 1
+    assert judge_commands(told, axis, NO_TIME).outside == 0
+    told["command_acts_by"][ROW] -= 1
+    assert (judge_commands(told, axis, NO_TIME).outside, judge_commands(told, axis).outside) == (1, 0)
+
+
+def test_an_adapter_may_stamp_late_by_its_error_and_no_more() -> None:
+    axis = truth()
+    told = told_rightly(axis)
+    told["sync_on_bus_at"] += 700
+    told["command_on_bus_at"] += 700
+    for error, wrong in ((700, 0), (699, CYCLES)):
+        timing = replace(TIMING, stamp_error=Duration(error))
+        assert judge_axis(told, axis, timing).echo_wrong == wrong
+        assert judge_commands(told, axis, NO_TIME, Duration(error)).echo_wrong == wrong
 
 
 def test_a_command_that_was_never_handed_over_is_found() -> None:

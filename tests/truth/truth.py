@@ -29,7 +29,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SyncTruth:
-    """A SYNC that the loop handed over."""
+    """A SYNC that the loop handed over, or was given."""
 
     handed_at: Instant
     on_bus_at: Instant | None
@@ -77,7 +77,8 @@ def axis_truth(log: TapLog, node_id: int, reading_is_a_set: bool, syncs_heard: b
     """What happened at the drive of ``node_id``.
 
     ``reading_is_a_set``: a reading has come with the last of the TPDOs of its SYNC, else with its speed.
-    ``syncs_heard``: the loop hands no SYNC over, so the end of one on the bus stands for its hand-over.
+    ``syncs_heard``: the loop hands no SYNC over, so the stamp with which it was given one stands for the
+    hand-over, and what it was never given is none of its SYNCs.
     """
     drive = log.drives[node_id]
     layout = drive.layout
@@ -85,7 +86,9 @@ def axis_truth(log: TapLog, node_id: int, reading_is_a_set: bool, syncs_heard: b
         raise ValueError(f"node {node_id} never answered a SYNC")
     awaited = frozenset(layout.each_sync) if reading_is_a_set else frozenset({layout.sent[SPEED].can_id})
     handed = [
-        passed for passed in (log.on_bus if syncs_heard else log.handed) if passed.frame.can_id == SYNC_ID
+        passed
+        for passed in (log.fetched_syncs if syncs_heard else log.handed)
+        if passed.frame.can_id == SYNC_ID
     ]
     places = {id(passed.frame): place for place, passed in enumerate(handed)}
     on_bus = _first(log.on_bus)

@@ -1,0 +1,177 @@
+"""``python -m tests.truth``: drawn plans in simulated time, all that a run tells held against the taps.
+
+    python -m tests.truth --seconds 300            as many plans as fit in, and a table
+    python -m tests.truth --seed 7                 one plan: what it is, the judgement, the first wrong rows
+    python -m tests.truth --seed 7 --shrink        the fewest of its features that fail in the same way
+    python -m tests.truth --seed 7 --only "loss"   the plan with these of its features alone
+
+    wrong      certain rows that do not tell what happened
+    broken     certain rows whose interval does not hold the instant of sampling
+    unsure     rows that are marked uncertain
+    commands   told lost and acted, or told acting and were lost; outside: acted outside of the interval told
+
+Ends with status 1 if something certain is wrong.
+"""
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from drivers.timebase import NS_PER_S, MonotonicClock
+from tests.truth.drawn import FEATURES, DrawnPlan, drawn_plan, shrunk
+from tests.truth.drawn_run import CYCLES, Verdict, judged
+
+FOREVER_S: Final = 1e9
+EXAMPLES: Final = 8
+
+
+def main() -> None:
+    """One plan, or a campaign."""
+    given = _options()
+    without, only = _names(given.without), _names(given.only)
+    if given.seed is None:
+        sys.exit(_campaign(given.first, given.plans, given.seconds, given.cycles))
+    plan = drawn_plan(given.seed, without or (), only)
+    if given.shrink:
+        plan = _shrunk(plan, given.cycles)
+    verdict = judged(plan, given.cycles)
+    _print_one(verdict)
+    sys.exit(bool(verdict.wrong))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.truth",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--seconds", type=float, default=FOREVER_S, help="begin no plan after so long")
+    parser.add_argument("--plans", type=int, default=1_000_000, help="at most so many")
+    parser.add_argument("--first", type=int, default=1, help="the seed of the first plan; the others follow")
+    parser.add_argument("--cycles", type=int, default=CYCLES, help="of each axis of a plan")
+    parser.add_argument("--seed", type=int, help="of one plan to replay")
+    parser.add_argument("--without", help="features to leave out, with commas between")
+    parser.add_argument("--only", help="features to keep, with commas between")
+    parser.add_argument("--shrink", action="store_true", help="leave out what is not needed to fail")
+    return parser.parse_args()
+
+
+def _names(text: str | None) -> list[str] | None:
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    unknown = [name for name in names if name not in FEATURES]
+    if unknown:
+        sys.exit(f"no feature: {', '.join(unknown)}; features: {', '.join(FEATURES)}")
+    return names
+
+
+def _shrunk(plan: DrawnPlan, cycles: int) -> DrawnPlan:
+    """By the first of the ways in which ``plan`` fails."""
+    way = next(iter(judged(plan, cycles).wrong), None)
+    return plan if way is None else shrunk(plan, lambda fewer: way in judged(fewer, cycles).wrong)
+
+
+def _print_one(verdict: Verdict) -> None:
+    plan, readings, commands = verdict.plan, verdict.readings, verdict.commands
+    print(f"seed {plan.seed}")
+    for name, words in zip(plan.features, plan.words, strict=True):
+        print(f"  {name:26} {words}")
+    print(f"  replay: {_replay(plan)}")
+    print(
+        f"{readings.rows} rows: {readings.wrong} wrong, {readings.bound_broken} bounds broken,"
+        f" {readings.uncertain} unsure, of which {readings.uncertain_wrong} would be wrong"
+    )
+    print(
+        f"{commands.handed} commands: {commands.lost} lost; told: {commands.told_acting} acting,"
+        f" {commands.told_lost} lost; {commands.wrong} wrong, {commands.outside} outside of their interval"
+    )
+    for kind, count in verdict.wrong.items():
+        print(f"  {count:6} {kind}")
+    for example in verdict.examples[:EXAMPLES]:
+        print(f"  {example}")
+
+
+def _replay(plan: DrawnPlan) -> str:
+    return f'python -m tests.truth --seed {plan.seed} --only "{", ".join(plan.features)}"'
+
+
+def _campaign(first: int, plans: int, seconds: float, cycles: int) -> int:
+    clock = MonotonicClock()
+    ends_at = clock.now() + seconds * NS_PER_S
+    verdicts: list[Verdict] = []
+    for seed in range(first, first + plans):
+        if clock.now() >= ends_at:
+            break
+        verdicts.append(judged(drawn_plan(seed), cycles))
+        if verdicts[-1].wrong:
+            print(_in_a_line(verdicts[-1]), flush=True)
+    _print_totals(verdicts)
+    _print_features(verdicts)
+    return int(any(verdict.wrong for verdict in verdicts))
+
+
+def _in_a_line(verdict: Verdict) -> str:
+    kinds = ", ".join(f"{kind} {count}" for kind, count in verdict.wrong.items())
+    ended = f" ({verdict.ended_by[:100]})" if verdict.ended_by else ""
+    return f"seed {verdict.plan.seed}, {verdict.readings.rows} rows: {kinds}{ended}"
+
+
+def _print_totals(verdicts: Sequence[Verdict]) -> None:
+    rows = sum(verdict.readings.rows for verdict in verdicts)
+    commands = sum(verdict.commands.handed for verdict in verdicts)
+    failed = [verdict.plan.seed for verdict in verdicts if verdict.wrong]
+    kinds: Counter[str] = Counter()
+    for verdict in verdicts:
+        kinds.update(verdict.wrong)
+    print(f"\n{len(verdicts)} plans, {rows} rows, {commands} commands; {len(failed)} plans fail")
+    sums = {
+        "rows wrong": sum(verdict.readings.wrong for verdict in verdicts),
+        "bounds broken": kinds["bound broken"],
+        "commands wrong": kinds["command's fate"],
+        "commands outside": kinds["command outside"],
+    }
+    print(", ".join(f"{name} {count}" for name, count in sums.items()))
+    print(f"all kinds: {', '.join(f'{kind} {count}' for kind, count in kinds.most_common()) or 'none'}")
+    for name, those in _classes(verdicts):
+        total = sum(verdict.readings.rows for verdict in those)
+        unsure = sum(verdict.readings.uncertain for verdict in those)
+        worst = sorted(those, key=_unsure_share, reverse=True)[:5]
+        share = f"{100 * unsure / total:.2f} %" if total else "no row"
+        seeds = ", ".join(f"{verdict.plan.seed} ({100 * _unsure_share(verdict):.0f} %)" for verdict in worst)
+        print(f"unsure, {name}: {share} of {total} rows of {len(those)} plans; most: {seeds}")
+
+
+def _unsure_share(verdict: Verdict) -> float:
+    return verdict.readings.uncertain / max(1, verdict.readings.rows)
+
+
+def _classes(verdicts: Sequence[Verdict]) -> Iterator[tuple[str, list[Verdict]]]:
+    yield "with stamps", [verdict for verdict in verdicts if verdict.plan.has_stamps]
+    without = [verdict for verdict in verdicts if not verdict.plan.has_stamps]
+    yield "without, delays below two periods", [v for v in without if v.plan.delays_are_short]
+    yield "without, longer delays", [v for v in without if not v.plan.delays_are_short]
+
+
+def _print_features(verdicts: Sequence[Verdict]) -> None:
+    """By how much likelier a plan fails that has a feature than one that does not."""
+    print(
+        f"\n{'feature':26} {'plans':>5} {'fail with':>10} {'without':>8} {'unsure with':>12} {'without':>8}"
+    )
+    lines = []
+    for name in FEATURES:
+        parts = [[v for v in verdicts if (name in v.plan.features) is has] for has in (True, False)]
+        fails = [sum(bool(v.wrong) for v in part) / max(1, len(part)) for part in parts]
+        unsure = [sum(map(_unsure_share, part)) / max(1, len(part)) for part in parts]
+        lines.append((fails[0] - fails[1], name, len(parts[0]), fails, unsure))
+    for _, name, count, fails, unsure in sorted(lines, reverse=True):
+        print(
+            f"{name:26} {count:5} {100 * fails[0]:8.0f} % {100 * fails[1]:6.0f} %"
+            f" {100 * unsure[0]:10.1f} % {100 * unsure[1]:6.1f} %"
+        )
+
+
+if __name__ == "__main__":
+    main()

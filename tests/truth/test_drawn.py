@@ -1,0 +1,130 @@
+"""Drawn plans: what a short run under each of a few tells is what happened; and what draws them.
+
+``python -m tests.truth`` draws as many as one has time for.
+"""
+
+from itertools import pairwise
+
+import pytest
+
+from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from drivers.wire.frame_port import UNTOLD, EchoBasis, WireFrame
+from tests.truth.adapter import Adapter, AdapterPort
+from tests.truth.drawn import FEATURES, DrawnPlan, drawn_plan, shrunk
+from tests.truth.drawn_run import bench_config, judged
+from tests.truth.stamping_drive import StampModel
+from tests.truth.tapped_run import Surroundings, run_with_taps
+from tests.truth.truth import STAMP
+from virtual_bus.bus.segment import CanSegment
+from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.timeline import Timeline
+
+CYCLES = 800
+SEEDS = (2, 7, 27, 29, 33, 40, 57, 59, 81, 84, 86, 113, 118)
+"""Plans under which nothing certain is wrong and few rows are in doubt; all features but some that hold
+only alone are among them."""
+SENT = 200
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_a_run_under_a_drawn_plan_tells_is_what_happened(seed: int) -> None:
+    verdict = judged(drawn_plan(seed), CYCLES)
+    assert verdict.readings.rows >= CYCLES
+    assert verdict.wrong == {}, verdict.examples
+
+
+def test_a_feature_that_is_left_out_changes_no_other() -> None:
+    for seed in range(30):
+        plan = drawn_plan(seed)
+        said = dict(zip(plan.features, plan.words, strict=True))
+        fewer = drawn_plan(seed, without=["loss", "adapter", "held frames"])
+        assert not {"loss", "adapter", "held frames"} & set(fewer.features)
+        assert {name: said[name] for name in fewer.features} == dict(
+            zip(fewer.features, fewer.words, strict=True)
+        )
+
+
+def test_every_feature_is_drawn_and_makes_a_bench() -> None:
+    drawn: set[str] = set()
+    for seed in range(60):
+        plan = drawn_plan(seed)
+        drawn |= set(plan.features)
+        bench_config(plan, CYCLES)
+    assert drawn == set(FEATURES)
+
+
+def test_a_failing_plan_shrinks_to_what_it_needs_to_fail() -> None:
+    seed = next(seed for seed in range(1000) if {"loss", "adapter"} <= set(drawn_plan(seed).features))
+
+    def fails(plan: DrawnPlan) -> bool:
+        return {"loss", "adapter"} <= set(plan.features)
+
+    assert len(drawn_plan(seed).features) > 2
+    assert shrunk(drawn_plan(seed), fails).features == ["loss", "adapter"]
+
+
+def through(adapter: Adapter) -> tuple[list[tuple[Instant, bool, Instant]], list[Instant]]:
+    """What an adapter brings of frames that a loop and another node send in turn: stamp, echo or not and the
+    instant at which it was fetched; and the ends of all frames on the bus."""
+    timeline = Timeline()
+    segment = CanSegment(timeline, 1_000_000)
+    bus, other = (SimulatedBus(segment=segment, receive_own_messages=own) for own in (True, False))
+    ends: list[Instant] = []
+    segment.add_monitor(lambda _frame, at: ends.append(at))
+    port = AdapterPort(bus.frame_port, adapter, 1, lambda: timeline.now)
+    came = []
+    for number in range(SENT):
+        frame = WireFrame(0x181, bytes([number]))
+        frame.handed_at = timeline.now
+        port.transmit(frame)
+        other.frame_port.transmit(WireFrame(0x201, bytes([number])))
+        until = Instant(timeline.now + NS_PER_MS)
+        while (fetched := port.receive(until)) is not None:
+            assert fetched.handed_at == UNTOLD
+            came.append((port.came_at, port.came_own, timeline.now))
+    bus.shutdown()
+    other.shutdown()
+    return came, ends
+
+
+@pytest.mark.parametrize("basis", [EchoBasis.KERNEL, EchoBasis.RECEIPT, EchoBasis.HARDWARE, EchoBasis.NONE])
+def test_an_adapter_brings_every_frame_late_and_stamps_it(basis: EchoBasis) -> None:
+    came, ends = through(Adapter(basis, 400.0))
+    late = 400 * NS_PER_US
+    kinds = (False,) if basis is EchoBasis.NONE else (False, True)
+    for own in kinds:
+        stamps = [at for at, is_own, _ in came if is_own is own]
+        true = ends[1::2] if own is False else ends[::2]
+        errors = [at - end for at, end in zip(stamps, true, strict=True)]
+        assert min(errors) >= 0
+        if basis is EchoBasis.HARDWARE:
+            assert max(errors) < NS_PER_US
+        else:
+            assert late // 2 < max(errors) <= late
+        assert all(earlier <= later for earlier, later in pairwise(stamps))
+    assert len(came) == SENT * len(kinds)
+    assert all(fetch >= at for at, _, fetch in came)
+    changed_places = any(first[1] is False and then[1] is True for first, then in pairwise(came))
+    assert changed_places is (basis is not EchoBasis.NONE)
+
+
+def test_a_drive_with_coarse_and_late_stamps_sends_such() -> None:
+    plan = drawn_plan(1, only=[])
+    config = bench_config(plan, 200)
+    exact, coarse = (
+        run_with_taps(config, Surroundings(stamps=model)).log.drives[1]
+        for model in (StampModel(), StampModel(resolution_us=250, late_us=60.0))
+    )
+    steps = set()
+    for clean, late in zip(exact.syncs[-100:], coarse.syncs[-100:], strict=True):
+        assert exact.layout is not None
+        place = exact.layout.sent[STAMP]
+        stamps = [
+            place.of(frame, signed=False)
+            for heard in (clean, late)
+            for frame in heard.answers
+            if frame.can_id == place.can_id
+        ]
+        steps.add(stamps[1] % 250)
+        assert -250 < stamps[1] - stamps[0] <= 60
+    assert steps == {0}
