@@ -23,6 +23,7 @@ from hil.campaign.store import RunStore, open_campaign, plan_in, schema_of
 from hil.campaign.worker import Finished, NotTheSame, Row, Workshop
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.reviewing.certificate_meter import CertificateState
+from hil.verdict.claim import claim
 from hil.verdict.verdict import ExitStatus
 
 STORED_EVERY_NS: Final = 5 * NS_PER_S
@@ -121,6 +122,7 @@ class Campaign:
         of_runs = anytime if self.sequential else clopper_pearson
         return of_runs(int(passed.sum()), passed.size, confidence)
 
+    @claim
     def assert_pass_rate(self, *, at_least: float, confidence: float = 0.95) -> None:
         """At every point of the grid the true rate of passed runs is at least ``at_least``.
 

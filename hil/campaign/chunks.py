@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
-from drivers.errors import BadInput, BenchError
+from drivers.errors import BenchError
 from drivers.timebase import NS_PER_S
 from hil.campaign.plan import CampaignPlan
 from hil.campaign.worker import Row
@@ -27,9 +27,14 @@ class WorkerDied(BenchError):
 
 
 class RunRefused(BenchError):
-    """A run of the sweep cannot be run: its bench is at fault, or its controller's certificate."""
+    """A run of the sweep cannot be run: its bench is at fault, its controller's certificate, or code of the
+    user's; with the exit status that it has in the worker."""
 
     exit_status = 2
+
+    def __init__(self, text: str, exit_status: int) -> None:
+        super().__init__(text)
+        self.exit_status = exit_status
 
 
 class Chunks:
@@ -70,10 +75,9 @@ class Chunks:
         self._again.extend(chunks)
 
     def take(self, answer: dict[str, Any]) -> int:
-        """The run that an answer of a worker is of. Raises RunRefused or WorkerDied if it is an error."""
+        """The run that an answer of a worker is of. Raises RunRefused if it is an error."""
         if "row" not in answer:
-            refused = answer["status"] == BadInput.exit_status
-            raise RunRefused(answer["error"]) if refused else WorkerDied(answer["error"])
+            raise RunRefused(answer["error"], answer["status"])
         row: Row = answer["row"]
         number: int = row["run"]
         self._done[number] = row

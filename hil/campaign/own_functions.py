@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 
 from drivers.errors import BadInput, BenchError
 from hil.campaign.sweep_file import Own
-from hil.control.own_code import OwnCodeFailed, object_of, source_of
+from hil.control.own_code import FAILURES, OwnCodeFailed, object_of, source_of, told
 
 EXPECTED: Final = "a function, as MODULE:NAME or FILE.py:NAME beside the sweep file"
 T = TypeVar("T")
@@ -49,17 +49,16 @@ class OwnFunctions:
         name = self._names[key]
         try:
             function = _function(name)
-        except Exception as error:
-            failure = f"{type(error).__name__}: {error}"
-            raise BadInput(self._source, f"own.{key}", name, EXPECTED, failure) from error
+        except FAILURES as error:
+            raise BadInput(self._source, f"own.{key}", name, EXPECTED, told(error)) from error
         try:
             return call(function)
         except BenchError:
             raise
-        except Exception as error:
+        except FAILURES as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
             where = f"{Path(last.filename).name}:{last.lineno} in {last.name}"
-            raise OwnCodeFailed(f"{name}, seed {seed}: {where}: {type(error).__name__}: {error}") from error
+            raise OwnCodeFailed(f"{name}, seed {seed}: {where}: {told(error)}") from error
 
     def _digest(self, key: str) -> str:
         try:

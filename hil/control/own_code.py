@@ -1,7 +1,7 @@
 """Controllers and compensators of one's own: found, made, and kept from doing harm.
 
-Whatever such a class raises, an answer that is no number, and a call that does not come back end the run like
-any failure: the drives are brought to rest, and the message names the line.
+Whatever such a class raises, ``sys.exit()`` included, an answer that is no number, and a call that does not
+come back end the run like any failure: the drives are brought to rest, and the message names the line.
 """
 
 import importlib
@@ -33,6 +33,9 @@ OBJECT_PATTERN: Final = r"^([A-Za-z_][\w.]*|.+\.py):[A-Za-z_]\w*$"
 """MODULE:NAME or FILE.py:NAME."""
 DIGEST_BYTES: Final = 16
 """128 bits: of 2^64 files two are alike by chance."""
+FAILURES: Final = (Exception, SystemExit, GeneratorExit)
+"""What code of one's own may raise where Ctrl-C is still an exception: all but that. SystemExit would end the
+process with a status of its own, 0 among them."""
 _FILES: Final = "controller file "
 """Before the names of modules from files: no import statement finds them."""
 _SIGNAL: Final = signal.SIGRTMIN + 7
@@ -77,16 +80,16 @@ def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Set
     expected = f"a class derived from hil.{role.__name__}, as MODULE:NAME or FILE.py:NAME"
     try:
         named = object_of(name)
-    except Exception as error:
-        raise BadInput(setup.source, f"{key}.object", name, expected, _told(error)) from error
+    except FAILURES as error:
+        raise BadInput(setup.source, f"{key}.object", name, expected, told(error)) from error
     if not (isinstance(named, type) and issubclass(named, role)):
         raise BadInput(setup.source, f"{key}.object", name, expected)
     try:
         maker: Any = named
         made: Role = maker(setup, **parameters)
-    except Exception as error:
+    except FAILURES as error:
         takes = f"what {name} takes beside the setup"
-        raise BadInput(setup.source, f"{key}.parameters", dict(parameters), takes, _told(error)) from error
+        raise BadInput(setup.source, f"{key}.parameters", dict(parameters), takes, told(error)) from error
     return made
 
 
@@ -184,8 +187,10 @@ class _Guard:
             raise OwnCodeFailed(
                 f"{self._what} did not come back within {self._patience_s:g} s: {self._line_of(error)}"
             ) from error
-        except Exception as error:
-            raise OwnCodeFailed(f"{self._what} failed: {self._line_of(error)}: {_told(error)}") from error
+        except (
+            BaseException
+        ) as error:  # stop signals are no exceptions during a run: this is the object's own
+            raise OwnCodeFailed(f"{self._what} failed: {self._line_of(error)}: {told(error)}") from error
         finally:
             _WATCHDOG.end()
 
@@ -211,8 +216,9 @@ def _frames(error: BaseException) -> Iterator[tuple[str, int, str]]:
             yield frame.f_code.co_filename, line, frame.f_code.co_name
 
 
-def _told(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"
+def told(error: BaseException) -> str:
+    """Its kind and, if it has any, its words."""
+    return f"{type(error).__name__}: {error}".removesuffix(": ")
 
 
 class _GuardedController(Controller):
@@ -221,12 +227,13 @@ class _GuardedController(Controller):
     def __init__(self, inner: Controller, setup: Setup) -> None:
         self._inner = inner
         self._guard = _Guard("controller", inner, setup)
-        self._observer = inner.observer()
-        if self._observer is not None:
-            self._observer = _GuardedCompensator(self._observer, setup)
+        with self._guard.watching():
+            self._channels = tuple(inner.channels())
+            observer = inner.observer()
+        self._observer = None if observer is None else _GuardedCompensator(observer, setup)
 
     def channels(self) -> Sequence[str]:
-        return self._inner.channels()
+        return self._channels
 
     def observer(self) -> Compensator | None:
         return self._observer
@@ -251,8 +258,8 @@ class _GuardedController(Controller):
     def telemetry(self) -> Sequence[float]:
         with self._guard.watching():
             values = [float(value) for value in self._inner.telemetry()]
-        if len(values) != len(self._inner.channels()):
-            self._guard.refuse("telemetry", values, f"a value for each of {self._inner.channels()}")
+        if len(values) != len(self._channels):
+            self._guard.refuse("telemetry", values, f"a value for each of {self._channels}")
         return values
 
 
@@ -286,15 +293,15 @@ class _GuardedCompensator(Compensator):
 def guarded_controller(name: str, parameters: Mapping[str, Any], setup: Setup) -> Controller:
     """A controller of the class that ``name`` says, made as ``NAME(setup, **parameters)``.
 
-    Its calls raise OwnCodeFailed. Raises BadInput for a class that cannot be had or made, and for channels
-    that cannot be recorded.
+    Its calls raise OwnCodeFailed, as this does where ``channels`` or ``observer`` raises. Raises BadInput for
+    a class that cannot be had or made, and for channels that cannot be recorded.
     """
-    inner = _made(Controller, name, parameters, setup)
-    channels = inner.channels()
+    made = _GuardedController(_made(Controller, name, parameters, setup), setup)
+    channels = made.channels()
     if len(channels) > CHANNELS_MAX or not all(map(_CHANNEL.fullmatch, channels)):
         expected = f"at most {CHANNELS_MAX} names of small letters, digits and _"
         raise BadInput(name, "channels", channels, expected)
-    return _GuardedController(inner, setup)
+    return made
 
 
 def guarded_compensator(name: str, parameters: Mapping[str, Any], setup: Setup) -> Compensator:

@@ -28,7 +28,7 @@ def reported_errors(conclude: Callable[[int, str], int] = lambda status, _text: 
         raise typer.Exit(conclude(ExitStatus.INTERRUPTED, "interrupted")) from None
     except (typer.Exit, typer.Abort, typer.BadParameter):
         raise
-    except Exception as error:  # noqa: BLE001 - top of the process: a defect must not leave with the status of a verdict
+    except (Exception, SystemExit, GeneratorExit) as error:  # noqa: BLE001 - top of the process: a defect, or code of the user's that calls sys.exit(), must not leave with the status of a verdict
         traceback.print_exc()
         raise typer.Exit(conclude(ExitStatus.DEFECT, f"{type(error).__name__}: {error}")) from None
 

@@ -22,6 +22,7 @@ from hil.execution.device_files import DeviceFiles
 from hil.execution.world import World, WorldPlan, open_world
 from hil.testing.hosted import DriveHost, DriveProcess, DriveWish
 from hil.testing.wire import Wire, intended_frames
+from hil.verdict.claim import claim
 from hil.write_lists import RIG
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
@@ -140,6 +141,7 @@ class DriveRig:
         """The drive's state now, read by SDO."""
         return self.client.control.read_state()
 
+    @claim
     def assert_reaches(self, state: State, *, within_s: float) -> float:
         """The drive comes into ``state``; returns after how long it was seen there, s."""
         began, seen = self.clock.now(), list[str]()
@@ -158,6 +160,7 @@ class DriveRig:
                 )
             self.network.pump(Instant(self.clock.now() + _POLL_NS))
 
+    @claim
     def assert_stays(self, state: State, *, for_s: float) -> None:
         """The drive is in ``state`` now and does not leave it."""
         began = self.clock.now()

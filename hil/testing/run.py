@@ -26,6 +26,7 @@ from hil.rows.run_files import EVENTS_FILE
 from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wire
+from hil.verdict.claim import claim
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunVerdict, VerdictKind
 
@@ -37,11 +38,12 @@ R = TypeVar("R")
 
 def _claim(method: Callable[Concatenate["Run", P], R]) -> Callable[Concatenate["Run", P], R]:
     """A claim that does not hold names the recording in which to look."""
+    checked = claim(method)
 
     @wraps(method)
     def told(run: "Run", /, *given: P.args, **named: P.kwargs) -> R:
         try:
-            return method(run, *given, **named)
+            return checked(run, *given, **named)
         except AssertionError as error:
             place = run.place
             raise AssertionError(str(error).removesuffix(place) + place) from None

@@ -28,6 +28,7 @@ from hil.execution.drives import data_sheets
 from hil.reviewing.trace.run_trace import RecordedBus
 from hil.rows.frame_names import frame_name
 from hil.rows.run_files import FRAMES_FILE
+from hil.verdict.claim import claim
 
 __tracebackhide__ = True
 """Of this file, for pytest: a claim that does not hold is shown where the test makes it."""
@@ -121,6 +122,7 @@ class Wire:
         first, end = (self.zero + round(limit * NS_PER_S) for limit in (from_s, until_s))
         return Wire(self.zero, [frame for frame in self.frames if first <= frame.at < end], self.recording)
 
+    @claim
     def assert_seen(self, pattern: str, *, times: int | None = None, sent: bool | None = None) -> None:
         """A frame matches; ``times``: exactly so many do."""
         frames = self.find(pattern, sent=sent)
@@ -129,12 +131,14 @@ class Wire:
         if times is not None and len(frames) != times:
             raise AssertionError(f"{len(frames)} frames {pattern}, {times} expected{self._list(frames)}")
 
+    @claim
     def assert_none(self, pattern: str, *, sent: bool | None = None) -> None:
         """No frame matches."""
         frames = self.find(pattern, sent=sent)
         if frames:
             raise AssertionError(f"{len(frames)} frames {pattern}, none expected{self._list(frames)}")
 
+    @claim
     def assert_sequence(self, *patterns: str, sent: bool | None = None) -> None:
         """Frames that match come in this order; others may be between them."""
         place = 0

@@ -9,7 +9,6 @@ from typer.testing import CliRunner
 from drivers.errors import BadInput
 from hil.campaign import Campaign, CampaignPlan, run_campaign
 from hil.campaign.campaign import FAILURES_FOLDER
-from hil.campaign.chunks import WorkerDied
 from hil.cli import app
 from hil.configuration.toml_text import toml_text
 from hil.control.own_code import OwnCodeFailed
@@ -44,6 +43,11 @@ def raises(seed, run):
 def twice(seed, run):
     run(), run()
     return ()
+
+
+def leaves(seed, run):
+    run()
+    raise SystemExit
 """
 COUNT = 6
 
@@ -109,8 +113,18 @@ def test_other_code_is_another_campaign(tmp_path: Path) -> None:
 )
 def test_a_check_that_fails_ends_the_campaign(tmp_path: Path, check: str, message: str) -> None:
     path = written(tmp_path, {"changes": "own.py:changes", "check": f"own.py:{check}"})
-    with pytest.raises((OwnCodeFailed, WorkerDied), match=message):
+    with pytest.raises(OwnCodeFailed, match=message):
         run_campaign(path, tmp_path / "out", workers=1)
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_check_that_calls_sys_exit_does_not_make_a_campaign_pass(tmp_path: Path, workers: str) -> None:
+    path = written(tmp_path, {"changes": "own.py:changes", "check": "own.py:leaves"})
+    ended = CliRunner().invoke(
+        app, ["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--workers", workers]
+    )
+    assert ended.exit_code == 3, ended.output
+    assert "own.py:34 in leaves: SystemExit" in ended.output
 
 
 @pytest.mark.parametrize("name", ["nowhere.py:check", "own.py:nothing"])

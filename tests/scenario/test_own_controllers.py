@@ -32,7 +32,7 @@ SHORT = {
 SHORT |= {"load": {}, "verdict": {}}
 CODE = '''
 """A PI controller that fails in a way of its choice."""
-import time
+import builtins, time
 from hil import Context, Controller, SetPoint, SpeedSetPoint, TorqueSetPoint
 
 class Pi(Controller):
@@ -56,6 +56,8 @@ class Pi(Controller):
     def fail(self, context):
         if self.fails == "raise":
             raise RuntimeError("no solution")  # the line
+        if self.fails in ("SystemExit", "GeneratorExit", "KeyboardInterrupt"):
+            raise vars(builtins)[self.fails]
         if self.fails == "hang":
             time.sleep(60.0)
         if self.fails == "spin":
@@ -122,6 +124,9 @@ def test_the_recording_keeps_the_source_and_its_digest_and_runs_again(
     ("fails", "told"),
     [
         ("raise", r"Pi failed: mine\.py:26 in fail: RuntimeError: no solution"),
+        ("SystemExit", r"Pi failed: mine\.py:28 in fail: SystemExit"),
+        ("GeneratorExit", r"Pi failed: mine\.py:28 in fail: GeneratorExit"),
+        ("KeyboardInterrupt", r"Pi failed: mine\.py:28 in fail: KeyboardInterrupt"),
         (
             "nan",
             r"Pi failed: mine\.py:18 in output returned TorqueSetPoint\(torque_nm=nan\), expected a number",
@@ -180,7 +185,8 @@ def test_loading_a_bench_runs_nothing_of_it(tmp_path: Path) -> None:
     config = load_bench(tmp_path / "bench.toml")
     assert config.drive["axis1"].controller.kind == "python"
     result = CliRunner().invoke(app, ["run", str(tmp_path / "bench.toml"), "--no-record"])
-    assert "it ran" in str(result.exception) or "it ran" in result.output
+    assert result.exit_code == 2
+    assert "SystemExit: it ran" in result.output
 
 
 @pytest.mark.parametrize(

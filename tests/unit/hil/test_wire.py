@@ -169,7 +169,8 @@ def test_frames_are_the_host_s_or_the_others_where_that_is_asked() -> None:
         seen.assert_sequence("080#")
     seen.clear()
     assert seen.frames == []
-    seen.assert_sequence()
+    with pytest.raises(ValueError, match="assert_sequence: no patterns given, at least one expected"):
+        seen.assert_sequence()
 
 
 def test_a_window_begins_with_its_first_instant_and_keeps_where_it_was() -> None:
