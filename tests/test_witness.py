@@ -12,6 +12,7 @@ from tests.witness.allowed import documented
 from tests.witness.case import Case, Ended
 from tests.witness.frames import Access, Frame, NodeListener
 from tests.witness.judgement import judged
+from tests.witness.lateness import lateness
 from tests.witness.witness import described
 
 REQUEST, ANSWER = 0x601, 0x581
@@ -218,9 +219,52 @@ def test_a_false_reason_is_named(sound: Case, reason: str, said: str) -> None:
     assert any(said in each for each in wrong(case, sound=False))
 
 
-def test_a_case_that_the_machine_had_no_time_for_says_nothing_of_the_drive(sound: Case) -> None:
-    result = judged(ended(sound, "460 of 2002 readings were lost"), frozenset(), True, documented())
-    assert (result.wrong, len(result.busy)) == ([], 2)
+def test_a_motion_that_the_machine_had_no_time_for_says_nothing_of_the_drive(sound: Case) -> None:
+    case = ended(sound, "460 of 2002 readings were lost")
+    late = replace(
+        case, commissions=[replace(case.commission, late="60 of 2002 cycles were late on the bus")]
+    )
+    assert len(wrong(case, frozenset())) == 4
+    result = judged(late, frozenset(), True, documented())
+    assert (result.wrong, len(result.late)) == ([], 4)
+
+
+def test_what_a_late_command_wrote_said_and_left_is_judged(sound: Case) -> None:
+    case = ended(sound, "the drive has no mode; 6041h is missing")
+    late = replace(case, commissions=[replace(case.commission, late="an SDO answer took 900 ms")])
+    late.accesses["commission"].append(Access("sdo", True, 0x2100, 1, bytes(4)))
+    late.left.append("commission: left turning, 6064h 0 -> 4000")
+    result = judged(late, frozenset(), True, documented())
+    assert [len(each) for each in (result.unasked, result.false_reasons, result.unsafe)] == [1, 1, 1]
+
+
+def cycles(periods_ms: Sequence[float], answer_ms: float = 1.0) -> list[Frame]:
+    """SYNCs with the reading of node 1 after each."""
+    at, heard = 0.0, []
+    for period in periods_ms:
+        heard += [Frame(at / 1e3, 0x080, b""), Frame((at + answer_ms) / 1e3, 0x181, bytes(8))]
+        at += period
+    return sorted(heard)
+
+
+@pytest.mark.parametrize(
+    ("frames", "said"),
+    [
+        (cycles([4.0] * 1000), ""),
+        (cycles([4.0] * 500 + [2000.0] + [4.0] * 500), ""),
+        (cycles([4.0] * 1000 + [8.0, 4.0] * 3), "3 of 1005 cycles"),
+        (cycles([4.0] * 500) + [Frame(2.0 + n, 0x080, b"") for n in range(3)], "2 of 502 cycles"),
+        (
+            [Frame(0.0, 0x601, bytes(8)), Frame(0.1, 0x601, bytes(8)), Frame(0.3, 0x581, bytes(8))],
+            "took 300 ms",
+        ),
+        ([Frame(0.0, 0x601, bytes(8)), Frame(0.1, 0x581, bytes(8))], ""),
+    ],
+)
+def test_lateness_is_seen_in_the_frames(frames: list[Frame], said: str) -> None:
+    told = lateness(frames, 1)
+    assert said in told
+    assert bool(said) is bool(told)
 
 
 def test_settings_that_were_not_put_back_are_named(sound: Case) -> None:

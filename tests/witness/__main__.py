@@ -6,7 +6,11 @@
     python -m tests.witness --out DIR              keep what the commands left, and the logs of the frames
 
 Leaves with 1 if something was written that no list allows, the commands contradict each other, a reason is
-false, or a drive was left moving, enabled or changed.
+false, or a drive was left moving, enabled or changed; or if the machine had no time for too many sheets.
+
+What a command wrote, read, said of the drive's objects and left behind is judged, however late the machine
+was. How a motion or a run ended is judged where the frames show that the machine kept its time; a sheet for
+which it did not is tried again, alone.
 """
 
 import argparse
@@ -26,8 +30,13 @@ from tests.witness.outcome import HEAD, Outcome, Sheet, outcome, report
 
 MADE: Final = 40
 SEED: Final = 34
-SIDE_BY_SIDE: Final = 6
+SIDE_BY_SIDE: Final = 4
 """They wait most of the time: one takes some 15 s of a core, and 65 s."""
+TRIES_MAX: Final = 3
+AGAIN_S: Final = 600
+"""For all that are tried again: CI has no time without end."""
+LATE_SHARE_MAX: Final = 0.1
+"""Of the sheets: so many may be left of which no motion could be judged, else nothing was shown of motion."""
 SUFFIXES: Final = frozenset({".eds", ".dcf"})
 SINGLES: Final = (
     "profile 0 in 1000h",
@@ -111,28 +120,30 @@ def main() -> None:
         sheets = list(_sheets([] if asked.only else _given(asked.sheets), made, folder))
         results = _all(sheets, asked.side_by_side)
     wrong = sum(bool(result.judged.wrong) for result in results)
-    busy = sum(bool(result.judged.busy) for result in results)
+    late = sum(bool(result.judged.late) for result in results)
     print(
-        f"{len(results)} sheets, {wrong} not as they should be, {busy} that the machine had no time for; "
-        f"{(clock.now() - began) / NS_PER_S:.0f} s"
+        f"{len(results)} sheets, {wrong} not as they should be, "
+        f"{late} whose motion the machine had no time for; {(clock.now() - began) / NS_PER_S:.0f} s"
     )
-    raise SystemExit(bool(wrong or busy))
+    raise SystemExit(bool(wrong) or late > LATE_SHARE_MAX * len(results))
 
 
 def _all(sheets: list[Sheet], side_by_side: int) -> list[Outcome]:
     print(HEAD, flush=True)
     hubs = [f"witness{os.getpid()}-{number}" for number in range(len(sheets))]
     results: list[Outcome] = []
-    late: list[Outcome] = []
     with ProcessPoolExecutor(side_by_side, get_context("spawn")) as pool:
         for result in pool.map(outcome, sheets, hubs):
-            (late if result.judged.busy else results).append(result)
-            if not result.judged.busy:
-                report(result)
-    for number, result in enumerate(late):
-        again = outcome(result.sheet, f"witness{os.getpid()}-again{number}")._replace(again=True)
-        results.append(again)
-        report(again)
+            results.append(result)
+            report(result)
+    clock = MonotonicClock()
+    ends_at = clock.now() + AGAIN_S * NS_PER_S
+    for tries in range(2, TRIES_MAX + 1):
+        for number, result in enumerate(results):
+            if result.judged.late and not result.judged.wrong and clock.now() < ends_at:
+                hub = f"witness{os.getpid()}-{number}-{tries}"
+                results[number] = outcome(result.sheet, hub)._replace(tries=tries)
+                report(results[number])
     return results
 
 

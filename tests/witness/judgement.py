@@ -5,14 +5,16 @@ of a made-up sheet changed in it.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
 from tests.witness.allowed import MAKERS, Documented
-from tests.witness.case import Case, mode_to_run
+from tests.witness.case import Case, Ended, mode_to_run
 from tests.witness.frames import Access
 
+Complaint = tuple[Ended, str]
+"""A command, and what is wrong with how it ended."""
 _NAMED: Final = re.compile(r"\b([0-9A-F]{4})h(?::([0-9A-F]{2}))?")
 _ABSENT: Final = re.compile(
     r"(?:\bno (?:[a-z ]*[a-z] )?|\bwithout |\blacks )([0-9A-F]{4})h(?!:|\s*=| in a | beside )"
@@ -22,11 +24,6 @@ _ABSENT: Final = re.compile(
 _ABORT: Final = re.compile(r"\b(0[568][0-9A-F]{6})h")
 _SHOWN: Final = 5
 """Accesses of a command that are named."""
-_BUSY: Final = re.compile(
-    r"readings were lost|no usable reading for|more often than it is asked|no heartbeat for|EMCY 8130h"
-    r"|without SYNC|dropouts_percent_max"
-)
-"""The machine had no time: true, and nothing that a drive or a sheet can help."""
 WORDS: Final[dict[int, str]] = {
     0x1000: r"profile|servo drive|device type",
     0x6040: r"controlword|axis|axes",
@@ -55,13 +52,21 @@ class Judged:
     contradictions: list[str] = field(default_factory=list)
     false_reasons: list[str] = field(default_factory=list)
     unsafe: list[str] = field(default_factory=list)
-    busy: list[str] = field(default_factory=list)
-    """Steps that the machine had no time for: they say nothing of the drive."""
+    late: list[str] = field(default_factory=list)
+    """How commands ended that the machine had no time for, by the frames: it says nothing of the drive."""
 
     @property
     def wrong(self) -> list[str]:
         """All of it, in words."""
         return [*self.unasked, *self.contradictions, *self.false_reasons, *self.unsafe]
+
+    def in_time(self, complaints: Iterable[Complaint]) -> Iterator[str]:
+        """Complaints about commands that had the time they need; the others are kept as ``late``."""
+        for ended, text in complaints:
+            if ended.late:
+                self.late.append(f"{text} ({ended.late})")
+            else:
+                yield text
 
 
 def judged(
@@ -73,17 +78,11 @@ def judged(
     """
     result = Judged(unsafe=[*case.changed, *case.left])
     result.unasked += _unasked(case, documented)
-    result.busy += _busy(case)
-    if result.busy:
-        return result
-    if not (by_plate and case.commission.reason):
-        result.contradictions += _contradictions(case)
     result.false_reasons += _absences(case)
     result.false_reasons += _aborts(case)
-    if sound and (error := case.commission.figures.get("error")):
-        result.false_reasons.append(f"was to be commissioned, and ended: {error}")
-    if changed is not None:
-        result.false_reasons += _besides(case, changed)
+    if not (by_plate and case.commission.reason):
+        result.contradictions += result.in_time(_contradictions(case))
+    result.false_reasons += result.in_time(_beside_the_sheet(case, changed, sound))
     return result
 
 
@@ -105,40 +104,37 @@ def _is_asked(access: Access, command: str, case: Case, documented: Documented) 
     return key in documented.writes[command]
 
 
-def _busy(case: Case) -> list[str]:
-    ended = [each.reason for each in (*case.commissions, case.run) if each is not None]
-    steps = [step["reason"] for step in case.commission.figures.get("steps", ())]
-    return [reason for reason in (*ended, *steps) if _BUSY.search(reason)]
-
-
 # ---- contradictions -------------------------------------------------------------------------------------
 
 
-def _contradictions(case: Case) -> Iterator[str]:
-    commission, run = case.commission, case.run
-    serves = case.eds.status == 0
-    if case.eds.status not in (0, 1):
-        yield f"hil eds leaves with {case.eds.status}: {case.eds.reason}"
+def _contradictions(case: Case) -> Iterator[Complaint]:
+    eds, commission, run = case.eds, case.commission, case.run
+    serves = eds.status == 0
+    if eds.status not in (0, 1):
+        yield eds, f"hil eds leaves with {eds.status}: {eds.reason}"
     if not commission.figures.get("steps"):
-        yield f"hil commission leaves with {commission.status} and tells no steps: {commission.reason}"
+        yield (
+            commission,
+            f"hil commission leaves with {commission.status} and tells no steps: {commission.reason}",
+        )
         return
     commissioned = not commission.figures.get("error")
     if serves and not commissioned:
-        yield f"hil eds: it can serve a bench; hil commission: {commission.reason}"
+        yield commission, f"hil eds: it can serve a bench; hil commission: {commission.reason}"
     if not serves and commissioned:
-        why = "; ".join(case.eds.figures["obstacles"])
-        yield f"hil eds: it cannot serve a bench ({why}); it was commissioned"
+        why = "; ".join(eds.figures["obstacles"])
+        yield eds, f"hil eds: it cannot serve a bench ({why}); it was commissioned"
     if commissioned:
-        yield from _other_modes(case)
+        yield from ((eds, text) for text in _other_modes(case))
     if run is None:
         return
     runs = run.status == 0
-    if commissioned and mode_to_run(case.eds) and not runs:
-        yield f"commissioned, hil run leaves with {run.status}: {run.reason}"
-    if runs and not mode_to_run(case.eds):
-        yield "hil eds gives no mode for hil run, and it ran"
+    if commissioned and mode_to_run(eds) and not runs:
+        yield run, f"commissioned, hil run leaves with {run.status}: {run.reason}"
+    if runs and not mode_to_run(eds):
+        yield eds, "hil eds gives no mode for hil run, and it ran"
     if not serves and runs:
-        yield "hil eds: it cannot serve a bench; hil run ran it"
+        yield eds, "hil eds: it cannot serve a bench; hil run ran it"
 
 
 def _other_modes(case: Case) -> Iterator[str]:
@@ -181,20 +177,26 @@ def _aborts(case: Case) -> Iterator[str]:
                 yield f"no transfer was aborted with {match[1]}h: {text!r}"
 
 
-def _besides(case: Case, changed: frozenset[int]) -> Iterator[str]:
+def _beside_the_sheet(case: Case, changed: frozenset[int] | None, sound: bool) -> Iterator[Complaint]:
     """Reasons for what was not done that have nothing to do with what is odd in the sheet."""
-    steps = {step["name"]: step for step in case.commission.figures.get("steps", ())}
-    for each in (
-        *case.eds.figures.get("obstacles", ()),
-        case.commission.figures.get("error"),
-    ):
-        if each and not _about(each, changed):
-            yield f"not what is odd in the sheet: {each!r}"
+    commission = case.commission
+    error = commission.figures.get("error")
+    if sound and error:
+        yield commission, f"was to be commissioned, and ended: {error}"
+    if changed is None:
+        return
+    told = [(case.eds, each) for each in case.eds.figures.get("obstacles", ())]
+    told += [(commission, error)] if error else []
+    for ended, each in told:
+        if not _about(each, changed):
+            yield ended, f"not what is odd in the sheet: {each!r}"
+    steps = {step["name"]: step for step in commission.figures.get("steps", ())}
     for name, step in steps.items():
         if step["verdict"] == "done":
             continue
         if step["reason"] and not _about(step["reason"], changed) and not _rests(step["reason"], steps):
-            yield f"step {name} {step['verdict']}, not by what is odd in the sheet: {step['reason']!r}"
+            text = f"step {name} {step['verdict']}, not by what is odd in the sheet: {step['reason']!r}"
+            yield commission, text
 
 
 def _rests(reason: str, steps: dict[str, dict[str, str]]) -> bool:

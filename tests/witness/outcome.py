@@ -27,7 +27,7 @@ class Outcome(NamedTuple):
     sheet: Sheet
     case: Case
     judged: Judged
-    again: bool = False
+    tries: int = 1
 
 
 _BY_PLATE: Final = frozenset({"6083h is 1 at most", "6087h is 1000 at most"})
@@ -74,7 +74,7 @@ def row(result: Outcome) -> str:
     return (
         f"{result.sheet.title[:44]:44} {'serves' if case.eds.status == 0 else 'not':6} {ends:11} {ran:7} "
         f"{writes:6} {' '.join(f'{count:3}' for count in counts)} {case.seconds:5.0f}"
-        f"{' again, alone' if result.again else ''}"
+        f"{f' try {result.tries}, alone' if result.tries > 1 else ''}"
     )
 
 
@@ -94,5 +94,5 @@ def report(result: Outcome) -> None:
             print(f"    {text}")
     for text in result.judged.wrong:
         print(f"    <-- {text}")
-    for text in result.judged.busy:
+    for text in result.judged.late:
         print(f"    no time: {text}")

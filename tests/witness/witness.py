@@ -14,7 +14,8 @@ from drivers.timebase import NS_PER_S, MonotonicClock
 from tests.witness.frames import Frame
 
 Key = tuple[int, int]
-_ANSWER_S: Final = 2.0
+_ANSWER_S: Final = 60.0
+"""A simulated drive of a busy machine may be kept waiting for seconds."""
 _SECTION: Final = re.compile(r"([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?")
 _DOMAIN: Final = 0xF
 
@@ -72,11 +73,14 @@ class Witness:
     # ---- listening ------------------------------------------------------------------------------------
 
     def frames_while(self, going: "Iterator[bool]") -> Iterator[Frame]:
-        """Frames of the others for as long as ``going`` yields True; it is asked every 50 ms."""
+        """Frames of the others for as long as ``going`` yields True, which is asked every 50 ms, and those
+        that were on the bus by then and have not been fetched yet."""
         for goes in going:
             asked = self._clock.now()
-            while self._clock.now() - asked < NS_PER_S // 20:
+            fetched = False
+            while self._clock.now() - asked < NS_PER_S // 20 or not (goes or fetched):
                 message = self._bus.recv(0.05)
+                fetched = message is None or message.timestamp * NS_PER_S > asked
                 if message is not None and not message.is_error_frame and not message.is_remote_frame:
                     yield Frame(message.timestamp, message.arbitration_id, bytes(message.data))
             if not goes:
