@@ -63,8 +63,9 @@ GROUPS = {
         *_below("virtual_bus/faults", "fates fault_injector fault_log fault_streams strikes"),
     ],
     "device": [
-        *_below("virtual_bus/device", "application canopen_device heartbeat object_dictionary"),
-        *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"),
+        *_below("virtual_bus/device", "application canopen_device device_clock heartbeat object_dictionary"),
+        *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer"),
+        *_below("virtual_bus/device", "sync_task tpdo"),
         *_below("virtual_bus/drive", "actual_values axis cyclic_modes failures firmware homing"),
         *_below(
             "virtual_bus/drive",

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field
 from drivers.canopen.pdo import SYNCHRONOUS_MAX
 from drivers.cia402.observed import Observed
 from drivers.rotation import RAD_S_PER_RPM
+from drivers.timebase import NS_PER_US
 from hil.configuration.config_files import Section
 from hil.configuration.controller_kinds import ArrivalCompensator, CompensatorSection, ControllerSection
 from hil.configuration.current_controller_file import CurrentControl
@@ -21,6 +22,7 @@ from hil.configuration.quantities import (
     Speed,
     Torque,
 )
+from virtual_bus.device.device_options import STAMP_BITS, STAMP_LATE_MAX_NS, StampLatch
 from virtual_bus.drive.current_bandwidth import current_bandwidth_hz
 from virtual_bus.drive.lacks import PATTERN
 
@@ -42,6 +44,22 @@ class Simulation(Section):
     """Rate of the current loops."""
     clock_drift_ppm: float = Field(default=0.0, ge=-1000, le=1000)
     """How much faster than the host's the drive's clock runs."""
+    stamp_unit_us: float = Field(default=1.0, ge=0.01, le=1000)
+    """One count of the drive's stamp 1013h."""
+    stamp_resolution_us: float = Field(default=1.0, ge=0.01, le=1000)
+    """By how much the stamp advances at a time."""
+    stamp_bits: int = Field(default=32, ge=STAMP_BITS[0], le=STAMP_BITS[-1])
+    """The stamp counts modulo 2^stamp_bits."""
+    stamp_latched: StampLatch = "sampling"
+    """At the instant of sampling, at the arrival of the SYNC, or at the next tick of the current loops."""
+    stamp_late_us: float = Field(default=0.0, ge=0, le=STAMP_LATE_MAX_NS / NS_PER_US)
+    """The stamp is latched so much later than that."""
+    stamp_runs: bool = True
+    """False: 1013h holds what a master wrote into it."""
+    sync_jitter_us: float = Field(default=0.0, ge=0, le=1000)
+    """The drive acts on a SYNC, and samples, up to so much after its end; drawn evenly for each."""
+    sync_phase_us: float | None = Field(default=None, ge=0, le=20_000)
+    """It acts so long behind the SYNC as a phase-locked loop filters it; absent: it has no such loop."""
     resistance_factor: float = Field(default=1.0, gt=0, le=10)
     """The simulated motor's resistance beside the motor file's, by which its drive was set."""
     inductance_factor: float = Field(default=1.0, gt=0, le=10)

@@ -224,12 +224,15 @@ def _limits(config: BenchConfig) -> Iterator[Fault]:
 
 
 def _simulations(config: BenchConfig) -> Iterator[Fault]:
-    """A seed draws all that a data sheet and a motor file would say."""
+    """A seed draws all that a data sheet and a motor file would say; a stamp advances by a count at least."""
     for axis in config.axes:
         simulation, key = config.drive[axis].simulation, f"drive.{axis}.simulation"
         beside = [name for name in ("eds", "motor") if getattr(simulation, name) is not None]
         if simulation.rehearse is not None and beside:
             yield f"{key}.rehearse", simulation.rehearse, f"no {key}.{beside[0]} beside it", ""
+        unit_us, resolution_us = simulation.stamp_unit_us, simulation.stamp_resolution_us
+        if resolution_us < unit_us:
+            yield f"{key}.stamp_resolution_us", resolution_us, f"at least stamp_unit_us = {unit_us:g}", ""
 
 
 def _profiles(config: BenchConfig) -> Iterator[Fault]:

@@ -8,6 +8,7 @@ A frame is one object all the way: the faults hold, repeat and reorder the objec
 traced back to its SYNC by identity. Only damaged data would break the chain, and no plan here damages any.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -17,7 +18,7 @@ from drivers.timebase import Instant
 from drivers.wire.frame_port import FramePort
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.application import Application
-from virtual_bus.device.canopen_device import DeviceClock
+from virtual_bus.device.device_clock import DeviceClock
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
@@ -41,7 +42,7 @@ class Heard(NamedTuple):
     """A SYNC at the drive, behind every fault of the drive's side."""
 
     at: Instant
-    """End of the SYNC frame at the drive: the instant of sampling."""
+    """The instant of sampling: the end of the SYNC frame at the drive, or later where its task acts later."""
     frame: Frame
     answers: Sequence[Frame]
     """What the drive sent in answer."""
@@ -195,6 +196,8 @@ class DriveTap:
         self._log = log
         self._starts_at_us = clock_starts_at_us
         self._command_id = -1
+        self._held: deque[Frame] = deque()
+        """SYNCs that the drive has not acted on yet."""
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
         """See :class:`virtual_bus.frame.Device`."""
@@ -203,6 +206,8 @@ class DriveTap:
         if can_id == SYNC_ID:
             if answers:
                 self._note_sync(frame, now, answers)
+            elif self._drive.state is NmtState.OPERATIONAL:
+                self._held.append(frame)
         elif can_id == self._command_id:
             self._log.commands.append(Passed(now, frame))
         return answers
@@ -218,12 +223,24 @@ class DriveTap:
         """See :class:`virtual_bus.frame.Device`."""
         frames = self._drive.start(now)
         if self._starts_at_us is not None:
-            self._drive.clock.set_us(self._starts_at_us, now)
+            self._drive.clock.write(self._starts_at_us, now)
         return frames
 
     def wake(self, now: Instant) -> Sequence[Frame]:
         """See :class:`virtual_bus.frame.Device`."""
-        return self._drive.wake(now)
+        answers = self._drive.wake(now)
+        if self._held and answers:
+            self._note_late_sync(now, answers)
+        return answers
+
+    def _note_late_sync(self, now: Instant, answers: Sequence[Frame]) -> None:
+        """The drive acts on a SYNC only now, if what it sends comes with SYNCs."""
+        if self._drive.state is not NmtState.OPERATIONAL:
+            self._held.clear()
+            return
+        layout = self._log.layout or pdo_layout(self._drive.dictionary)
+        if any(frame.can_id in layout.each_sync for frame in answers):
+            self._note_sync(self._held.popleft(), now, answers)
 
     @property
     def wake_at(self) -> Instant | None:

@@ -110,6 +110,10 @@ class Application:
         On the cyclic path, so it has to be cheap, above all when it is called twice for one ``now``.
         """
 
+    def tick_after(self, now: Instant) -> Instant:
+        """The next tick of its inner loops at or after ``now``; ``now`` where it has none."""
+        return now
+
     def on_sync(self, counter: int, now: Instant) -> None:
         """A SYNC in PRE-OPERATIONAL or OPERATIONAL; ``counter``: 1..240, or 0 without a counter."""
 

@@ -15,9 +15,10 @@ from typing import Final
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED, NmtState
 from drivers.canopen.objects301 import FIRST_OBJECT, Cia301
-from drivers.timebase import NEVER, NS_PER_MS, NS_PER_S, NS_PER_US, Instant
+from drivers.timebase import NEVER, NS_PER_MS, Instant
 from virtual_bus.device.application import Application, CommunicationLoss
 from virtual_bus.device.communication_objects import add_communication_objects
+from virtual_bus.device.device_clock import DeviceClock
 from virtual_bus.device.device_options import DeviceOptions
 from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.heartbeat import HeartbeatConsumers, HeartbeatProducer, NodeGuarding
@@ -30,53 +31,6 @@ from virtual_bus.device.sdo_server import SdoServer
 from virtual_bus.device.station import Station
 from virtual_bus.device.sync_consumer import SyncConsumer
 from virtual_bus.frame import Frame
-
-_WRAP: Final = 1 << 32
-"""Of an UNSIGNED32."""
-
-
-class DeviceClock:
-    """The device's own clock, as seen in 1013h: starts somewhere, and does not run like the bench's.
-
-    local = offset + elapsed * (1 + drift), elapsed counted from power-on; integers only."""
-
-    __slots__ = ("_drift_ppb", "_first_ns", "_offset_ns", "_started_at")
-
-    def __init__(self, offset_ns: int = 0, drift_ppb: int = 0) -> None:
-        """``offset_ns``: what it shows at power-on and after each reset."""
-        self._first_ns = offset_ns
-        self._offset_ns = offset_ns
-        self._drift_ppb = drift_ppb
-        self._started_at = Instant(0)
-
-    def start(self, now: Instant) -> None:
-        """Power-on or reset of the node: the counter begins anew; its oscillator runs as it did."""
-        self._offset_ns = self._first_ns
-        self._started_at = now
-
-    def local_ns(self, now: Instant) -> int:
-        """What the clock shows at ``now``, ns, not wrapped."""
-        elapsed = now - self._started_at
-        return self._offset_ns + elapsed + elapsed * self._drift_ppb // NS_PER_S
-
-    def stamp_us(self, now: Instant) -> int:
-        """1013h: UNSIGNED32 microseconds, wrapping after 71.6 minutes (CiA 301, 7.5.2.16)."""
-        return self.local_ns(now) // NS_PER_US % _WRAP
-
-    def set_us(self, stamp_us: int, now: Instant) -> None:
-        """1013h is written: the clock shows ``stamp_us`` at ``now``."""
-        self._offset_ns += stamp_us * NS_PER_US - self.local_ns(now)
-
-    def step(self, step_ns: int) -> None:
-        """The clock jumps ahead by ``step_ns``, or back."""
-        self._offset_ns += step_ns
-
-    def drift_more(self, drift_ppb: int, now: Instant) -> None:
-        """From ``now`` on the clock runs faster by ``drift_ppb`` than it did; it does not jump."""
-        self._offset_ns = self.local_ns(now)
-        self._started_at = now
-        self._drift_ppb += drift_ppb
-
 
 RECOVERED_FROM_BUS_OFF: Final = 0x8140
 """EMCY (CiA 301, table 26)."""
@@ -104,7 +58,9 @@ class CanopenDevice:
         options = options or DeviceOptions()
         self._station = station = Station(node_id, ObjectDictionary(), application)
         self._application = application
-        self.clock = DeviceClock(options.clock_offset_ns, options.clock_drift_ppb)
+        self.clock = clock = DeviceClock(
+            options.clock_offset_ns, options.clock_drift_ppb, options.stamp, application.tick_after
+        )
         add_communication_objects(station.dictionary, options)
         application.attach(self)
         if vendor is not None:
@@ -112,7 +68,7 @@ class CanopenDevice:
         self._emergency = EmergencyProducer(station)
         self._nmt = NmtSlave(station, self._reset_node, self._reset_communication)
         self._pdos = PdoEngine(station, self._emergency)
-        self._sync = SyncConsumer(station, self._emergency, self._pdos)
+        self._sync = SyncConsumer(station, self._emergency, self._pdos, clock, options.sync)
         store = store or MemoryStore()
         self._storage = ParameterStorage(station.dictionary, store)
         self._lss = LssSlave(station, store, self._take_node_id)
@@ -129,8 +85,8 @@ class CanopenDevice:
         self._boot_timer = station.timers.create(self._boot_up)
         station.dictionary.hook(
             Cia301.HIGH_RESOLUTION_TIME_STAMP,
-            provider=lambda: self.clock.stamp_us(station.now),
-            on_write=lambda stamp_us: self.clock.set_us(stamp_us, station.now),
+            provider=lambda: clock.stamp(station.now),
+            on_write=lambda stamp: clock.write(stamp, station.now),
         )
 
     @property

@@ -1,8 +1,10 @@
 """What a simulated CANopen device is built from: identity, PDO defaults, communication defaults."""
 
 from dataclasses import dataclass, field
+from typing import Final, Literal
 
 from drivers.canopen.cob_ids import NO_RTR, NOT_VALID
+from drivers.timebase import NS_PER_US
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,60 @@ def unmapped_tpdos() -> tuple[PdoDefault, ...]:
     return tuple(PdoDefault(NOT_VALID | NO_RTR | 0x180 + 0x100 * number, 255) for number in range(4))
 
 
+StampLatch = Literal["sampling", "arrival", "tick"]
+"""``sampling``: 1013h is the clock at the instant at which it is asked for, in a synchronous TPDO that of the
+sampling. ``arrival``: at the end of the last SYNC frame, whenever the device samples. ``tick``: at the next
+tick of the device's inner loops."""
+STAMP_BITS: Final = range(16, 33)
+"""How wide the counter may be: a narrower one wraps before a bench with a slow loop can count it on."""
+STAMP_LATE_MAX_NS: Final = 100 * NS_PER_US
+"""The most that a stamp may be latched late by: its frame takes longer than that at 1 Mbit/s, so no stamp
+tells an instant that has not come yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class StampOptions:
+    """How 1013h tells of the device's clock."""
+
+    unit_ns: int = NS_PER_US
+    """Of one count."""
+    resolution_ns: int = NS_PER_US
+    """By how much the counter advances at a time."""
+    bits: int = 32
+    """It counts modulo 2^bits."""
+    latched: StampLatch = "sampling"
+    late_ns: int = 0
+    """So much later than that."""
+    runs: bool = True
+    """False: 1013h holds what a master wrote into it last, 0 at first."""
+
+    def __post_init__(self) -> None:
+        """Error: ValueError for what no counter can be."""
+        if not 0 < self.unit_ns <= self.resolution_ns:
+            raise ValueError(f"stamp: resolution {self.resolution_ns} ns: at least {self.unit_ns} expected")
+        if self.bits not in STAMP_BITS:
+            raise ValueError(f"stamp: {self.bits} bits: {STAMP_BITS[0]}..{STAMP_BITS[-1]} expected")
+        if not 0 <= self.late_ns <= STAMP_LATE_MAX_NS:
+            raise ValueError(f"stamp: {self.late_ns} ns late: 0..{STAMP_LATE_MAX_NS} expected")
+
+
+@dataclass(frozen=True, slots=True)
+class SyncOptions:
+    """When the device acts on a SYNC; at the end of its frame by default."""
+
+    jitter_ns: int = 0
+    """Up to so much later, drawn evenly for each: what its task takes to wake."""
+    phase_ns: int | None = None
+    """So long behind the SYNC as a phase-locked loop filters it; None: there is no such loop."""
+    seed: int = 0
+    """Of the jitter; each node has a stream of its own."""
+
+    @property
+    def at_once(self) -> bool:
+        """Whether every SYNC is acted on at the end of its frame."""
+        return not self.jitter_ns and self.phase_ns is None
+
+
 @dataclass(frozen=True, slots=True)
 class DeviceOptions:
     """Everything about a device's communication that its dictionary starts with."""
@@ -57,3 +113,6 @@ class DeviceOptions:
     """Reading of the device's own clock at power-on."""
     clock_drift_ppb: int = 0
     """How much faster than the bench the device's clock runs, parts per 10^9."""
+    stamp: StampOptions = StampOptions()
+    """How 1013h tells of that clock."""
+    sync: SyncOptions = SyncOptions()

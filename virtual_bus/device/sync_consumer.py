@@ -3,6 +3,7 @@
 1012h, of TIME, is kept and checked; nothing here has a use for the master's calendar.
 """
 
+from collections import deque
 from typing import Final
 
 from drivers.canopen import cob_ids
@@ -10,10 +11,13 @@ from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.objects301 import Cia301
 from drivers.timebase import NS_PER_US, Instant
+from virtual_bus.device.device_clock import DeviceClock
+from virtual_bus.device.device_options import SyncOptions
 from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.pdo_engine import PdoEngine
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station
+from virtual_bus.device.sync_task import SyncTask
 from virtual_bus.frame import Frame
 
 SYNC_LENGTH: Final = 0x8240
@@ -27,8 +31,20 @@ _PRE_OPERATIONAL: Final = NmtState.PRE_OPERATIONAL
 class SyncConsumer:
     """Takes SYNCs in PRE-OPERATIONAL and OPERATIONAL and hands them to the PDOs and the application."""
 
-    def __init__(self, station: Station, emergency: EmergencyProducer, pdos: PdoEngine) -> None:
+    def __init__(
+        self,
+        station: Station,
+        emergency: EmergencyProducer,
+        pdos: PdoEngine,
+        clock: DeviceClock,
+        options: SyncOptions,
+    ) -> None:
         self._station = station
+        self._clock = clock
+        self._task = None if options.at_once else SyncTask(options, f"SYNC {station.node_id}")
+        self._held: deque[tuple[Instant, int]] = deque()
+        """SYNCs that the task has not acted on: when it will, and their counters."""
+        self._holding = station.timers.create(self._on_due)
         self._emergency = emergency
         self._pdos = pdos
         self._listening: int | None = None
@@ -47,6 +63,8 @@ class SyncConsumer:
     def reset_communication(self) -> None:
         """Take all parameters from the dictionary."""
         self._wrong_length = False
+        self._held.clear()
+        self._holding.stop()
         self._on_write(0)
 
     def _on_write(self, _value: int) -> None:
@@ -81,8 +99,22 @@ class SyncConsumer:
         if self._window_ns:
             self._pdos.open_window(True)
             self._window.start(Instant(now + self._window_ns))
+        self._clock.sync_came(now)
+        if self._task is None:
+            self._act(counter, now)
+            return
+        self._held.append((self._task.due(now), counter))
+        self._holding.start(self._held[0][0])
+
+    def _on_due(self, now: Instant) -> None:
+        while self._held and self._held[0][0] <= now:
+            self._act(self._held.popleft()[1], now)
+        if self._held:
+            self._holding.start(self._held[0][0])
+
+    def _act(self, counter: int, now: Instant) -> None:
         self._pdos.on_sync(counter)
-        station.application.on_sync(counter, now)
+        self._station.application.on_sync(counter, now)
 
     def _on_window_over(self, _now: Instant) -> None:
         self._pdos.open_window(False)

@@ -278,6 +278,11 @@ class Firmware:
         """The instant of the last tick, ns rounded down: when the actual values were sampled."""
         return Instant(self._power_on + self.ticks * NS_PER_S // self._rate_hz)
 
+    def tick_after(self, now: Instant) -> Instant:
+        """The instant of the next tick at or after ``now``, ns rounded up."""
+        ticks = -((self._power_on - now) * self._rate_hz // NS_PER_S)
+        return Instant(self._power_on - (-ticks * NS_PER_S // self._rate_hz))
+
     def control(self, control: InnerControl) -> None:
         """Choose what the inner loops follow from the next tick on; the change is bumpless."""
         self._demand[_CONTROL] = control.value

@@ -95,8 +95,10 @@ class ServoApplication(Application):
         motion.data_record.on_write = lambda _value: self._mode.take_data_record()
         objects.mode.on_write = self._on_mode
         objects.target_torque.on_write = objects.torque_offset.on_write = self._on_torque
-        motion.target_velocity.on_write = motion.velocity_offset.on_write = self._on_velocity
-        motion.target_position.on_write = motion.position_offset.on_write = self._on_position
+        for variable in (motion.target_velocity, motion.velocity_offset):
+            variable.on_write = lambda _value: self._mode.take_velocity()
+        for variable in (motion.target_position, motion.position_offset):
+            variable.on_write = lambda _value: self._mode.take_position()
         for variable in (objects.max_torque, objects.max_current, objects.max_motor_speed):
             variable.on_write = lambda _value: self._take_limits()
         for variable in (objects.rated_torque, objects.rated_current):
@@ -256,11 +258,8 @@ class ServoApplication(Application):
     def _on_torque(self, _value: int) -> None:
         self._mode.take_torque()
 
-    def _on_velocity(self, _value: int) -> None:
-        self._mode.take_velocity()
-
-    def _on_position(self, _value: int) -> None:
-        self._mode.take_position()
+    def tick_after(self, now: Instant) -> Instant:
+        return self.firmware.tick_after(now)
 
     def on_sync(self, _counter: int, now: Instant) -> None:
         self.load.on_sync(now)

@@ -11,11 +11,15 @@ from drivers.canopen.cob_ids import NO_RTR
 from drivers.canopen.objects301 import Cia301, mapping_word
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import AbortConnectionOption
+from drivers.timebase import NS_PER_US
 from drivers.vendors.families import Quirk
 from virtual_bus.device.device_options import (
     DeviceIdentity,
     DeviceOptions,
     PdoDefault,
+    StampLatch,
+    StampOptions,
+    SyncOptions,
     unmapped_rpdos,
     unmapped_tpdos,
 )
@@ -50,6 +54,22 @@ class DriveParameters(FirmwareParameters):
     """Reading of 1013h at power-on; None: drawn from the seed, anywhere in its range."""
     clock_drift_ppm: float = 0.0
     """How much faster than the bench the drive's clock runs."""
+    stamp_unit_us: float = 1.0
+    """One count of 1013h, of that clock; CiA 301 has it at 1 us."""
+    stamp_resolution_us: float = 1.0
+    """By how much 1013h advances at a time."""
+    stamp_bits: int = 32
+    """1013h counts modulo 2^stamp_bits."""
+    stamp_latched: StampLatch = "sampling"
+    """At which instant 1013h is latched, see :data:`virtual_bus.device.device_options.StampLatch`."""
+    stamp_late_us: float = 0.0
+    """So much later than that."""
+    stamp_runs: bool = True
+    """False: 1013h holds what a master wrote into it last."""
+    sync_jitter_us: float = 0.0
+    """The drive acts on a SYNC, and samples, up to so much after its end; drawn evenly for each."""
+    sync_phase_us: float | None = None
+    """It acts so long behind the SYNC as a phase-locked loop filters it; None: it has no such loop."""
     lacks: tuple[str, ...] = ()
     """What it does without, see :mod:`virtual_bus.drive.lacks`."""
     makers_units: tuple[tuple[str, Quirk], ...] = ()
@@ -81,6 +101,10 @@ def current_per_rms(motor: PmsmParameters) -> float:
     return math.sqrt(3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0)
 
 
+def _ns(value_us: float) -> int:
+    return round(value_us * NS_PER_US)
+
+
 def device_options(node_id: int, drive: DriveParameters, seed: int) -> DeviceOptions:
     """What the communication of a drive starts with. The clock's offset is a stream of its own by node."""
     offset_us = drive.clock_offset_us
@@ -101,6 +125,19 @@ def device_options(node_id: int, drive: DriveParameters, seed: int) -> DeviceOpt
         boot_after_reset_ms=drive.boot_after_reset_ms,
         clock_offset_ns=offset_us * 1000,
         clock_drift_ppb=round(drive.clock_drift_ppm * 1000),
+        stamp=StampOptions(
+            _ns(drive.stamp_unit_us),
+            _ns(drive.stamp_resolution_us),
+            drive.stamp_bits,
+            drive.stamp_latched,
+            _ns(drive.stamp_late_us),
+            drive.stamp_runs,
+        ),
+        sync=SyncOptions(
+            _ns(drive.sync_jitter_us),
+            None if drive.sync_phase_us is None else _ns(drive.sync_phase_us),
+            seed,
+        ),
     )
 
 

@@ -83,6 +83,39 @@ def test_a_drive_is_what_its_tables_say(tmp_path: Path) -> None:
     assert (controller.order, controller.period_s) == (1, 1 / 20_000)
 
 
+def test_a_drive_stamps_as_its_tables_say() -> None:
+    keys: dict[str, Any] = {
+        "stamp_unit_us": 10.0,
+        "stamp_resolution_us": 250.0,
+        "stamp_bits": 24,
+        "stamp_latched": "arrival",
+        "stamp_late_us": 12.5,
+        "stamp_runs": False,
+        "sync_jitter_us": 400.0,
+        "sync_phase_us": 100.0,
+    }
+    (drive,) = simulated_drives(bench_with(simulation=keys))
+    parameters = drive.drive.drive
+    assert {key: getattr(parameters, key) for key in keys} == keys
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("stamp_resolution_us", 0.5, "at least stamp_unit_us = 1"),
+        ("stamp_resolution_us", 2000.0, "a value <= 1000.0"),
+        ("stamp_bits", 8, "a value >= 16"),
+        ("stamp_latched", "later", "one of 'sampling', 'arrival' or 'tick'"),
+        ("stamp_late_us", 101.0, "a value <= 100.0"),
+        ("sync_jitter_us", -1.0, "a value >= 0.0"),
+    ],
+)
+def test_a_stamp_that_cannot_be_is_refused(key: str, value: float | str, expected: str) -> None:
+    with pytest.raises(BadInput) as caught:
+        bench_with(simulation={key: value})
+    assert (caught.value.key, caught.value.expected) == (f"drive.axis1.simulation.{key}", expected)
+
+
 def test_a_drive_is_simulated_by_a_data_sheet_on_a_motor_of_its_own(tmp_path: Path) -> None:
     sheet, motor = tmp_path / "made.eds", tmp_path / "shaft.toml"
     sheet.write_text(MadeSheet().text())
