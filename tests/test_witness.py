@@ -206,6 +206,13 @@ def test_commands_that_contradict_each_other_are_named(sound: Case) -> None:
     assert wrong(failed) == ["commissioned, hil run leaves with 3: hil: error: axis1 has no such mode"]
 
 
+def test_a_refusal_that_hil_eds_foresees_is_no_contradiction(sound: Case) -> None:
+    remark = "6083h takes 1 at most: hil commission refuses a mode that it makes too slow"
+    slow = replace(sound, eds=Ended((), 0, {**SHEET, "remarks": [remark]}, ""))
+    assert wrong(ended(slow, "a ramp is too slow; 6083h = 1 (0.1 rad/s^2)"), frozenset({0x6083}), False) == []
+    assert len(wrong(ended(slow, "a ramp is too slow; 60C5h = 1"), frozenset({0x60C5}), False)) == 1
+
+
 @pytest.mark.parametrize(
     ("reason", "said"),
     [

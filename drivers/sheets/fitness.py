@@ -14,6 +14,7 @@ from drivers.canopen.objects301 import FIRST_OBJECT, Cia301, is_mapping
 from drivers.canopen.pdo import BITS_MAX, key_of, mapping_text
 from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
 from drivers.cia402.judgement import Judgement, ModeFitness, ToldDrive, judge, offered
+from drivers.cia402.mode_ramps import RAMPS
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, run_words
 from drivers.sheets.capability import capability_of
@@ -26,6 +27,8 @@ AXIS_STEP = 0x800
 """CiA 402-2: the objects of a second axis lie so much higher."""
 _TORQUE_MODES = (Mode.CYCLIC_SYNCHRONOUS_TORQUE, Mode.PROFILE_TORQUE)
 _READ_ONLY = ("ro", "const")
+_RAMP_BOUNDLESS = (1 << 31) - 1
+"""A greatest value that is but the end of a type, of 31 bits or 32, says nothing of a drive."""
 MODES_TOLD = "6502h"
 """What tells the modes, where they are not to be tried."""
 
@@ -197,9 +200,27 @@ def _remarks(dictionary: od.ObjectDictionary, profile: int | None, judgement: Ju
     guarded = Cia301.GUARD_TIME in dictionary and Cia301.LIFE_TIME_FACTOR in dictionary
     if Cia301.CONSUMER_HEARTBEAT_TIME not in dictionary and guarded:
         texts.append("without 1016h the drive watches its host by life guarding (100Ch, 100Dh)")
+    texts += _limited_ramps(dictionary, served)
     if _axes(dictionary) > 1:
         texts.append(f"it has {_axes(dictionary)} axes; the bench uses the first")
     return tuple(texts)
+
+
+def _limited_ramps(dictionary: od.ObjectDictionary, served: Sequence[Mode]) -> list[str]:
+    """Ramps whose greatest value a motor may find too slow, if no mode does without them."""
+    most = {
+        index: entry.max
+        for ramps in map(RAMPS.get, served)
+        for index in ramps or ()
+        if isinstance(entry := dictionary.get(index), od.ODVariable) and entry.max is not None
+    }
+    limited = {index: value for index, value in most.items() if value < _RAMP_BOUNDLESS}
+    if not all(limited.keys() & set(RAMPS.get(mode, ())) for mode in served):
+        return []
+    return [
+        f"{index:04X}h takes {value} at most: hil commission refuses a mode that it makes too slow"
+        for index, value in limited.items()
+    ]
 
 
 # ---- what contradicts itself, beyond the form: the values stay as they are, and are told ------------------

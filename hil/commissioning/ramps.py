@@ -16,6 +16,7 @@ from typing import Final
 
 from drivers.canopen.greatest import write_greatest
 from drivers.canopen.objects import RemoteObjects
+from drivers.cia402.mode_ramps import RAMPS
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
 from hil.commissioning.findings import Findings
@@ -23,16 +24,6 @@ from hil.commissioning.moves import MOVE_RUN_UP_S
 from hil.commissioning.outcome import StepFailed
 from hil.commissioning.request import MotionLimits
 
-_PROFILE: Final = (Object.PROFILE_ACCELERATION, Object.PROFILE_DECELERATION)
-_BOUNDS: Final = (Object.MAX_ACCELERATION, Object.MAX_DECELERATION)
-RAMPS: Final = {
-    Mode.PROFILE_POSITION: (*_PROFILE, *_BOUNDS),
-    Mode.PROFILE_VELOCITY: (*_PROFILE, *_BOUNDS),
-    Mode.CYCLIC_SYNCHRONOUS_VELOCITY: _BOUNDS,
-    Mode.CYCLIC_SYNCHRONOUS_POSITION: _BOUNDS,
-    Mode.PROFILE_TORQUE: (Object.TORQUE_SLOPE,),
-}
-"""By the mode that obeys them."""
 _HIDDEN_S: Final = 1e-3
 """The rated torque in so long: 6087h then hides no command, whose switches are a tenth of it; how fast a
 command may rise the host sees to itself."""

@@ -79,6 +79,12 @@ def _frequency_converter(sheet: MadeSheet) -> None:
     sheet.set(0x6060, default=7)
 
 
+def _positions_without_target(sheet: MadeSheet) -> None:
+    """Profile position is offered, and is not there."""
+    _modes(Mode.PROFILE_POSITION, Mode.HOMING)(sheet)
+    sheet.drop(0x607A)
+
+
 def _told_as_one(sheet: MadeSheet) -> None:
     sheet.drop(0x60A8, 0x60A9, 0x60AA, 0x6092, 0x6096)
     sheet.set(0x608F, 1, default=1)
@@ -214,6 +220,9 @@ TRAITS: Final[dict[str, Trait]] = {
         _modes(Mode.PROFILE_POSITION, Mode.PROFILE_TORQUE, Mode.HOMING), without=_SLOPED
     ),
     "6502h with positions only": Trait(_modes(Mode.PROFILE_POSITION, Mode.HOMING), without=_NO_TORQUE),
+    "6502h with positions only, no 607Ah": Trait(
+        _positions_without_target, "profile position: 607Ah:00 is not in the dictionary"
+    ),
     "6502h with velocity mode only": Trait(_modes(Mode.VELOCITY, Mode.HOMING), without=_NO_TORQUE),
     "6502h with interpolated position only": Trait(
         _modes(Mode.INTERPOLATED_POSITION, Mode.HOMING), without=_NO_TORQUE

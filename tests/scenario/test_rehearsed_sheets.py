@@ -18,6 +18,7 @@ from virtual_bus.drive.servo import SimulatedServo
 REFUSED = [
     "no 1016h",
     "6502h with homing only",
+    "6502h with positions only, no 607Ah",
     "mappings fixed, no values",
     "no 606Ch",
     "6083h is 1 at most",

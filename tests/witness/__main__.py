@@ -61,6 +61,7 @@ SINGLES: Final = (
     "6502h with velocity mode only",
     "6502h with interpolated position only",
     "6502h with positions only",
+    "6502h with positions only, no 607Ah",
     "6502h with homing only",
     "6502h without torque",
     "no 6502h",

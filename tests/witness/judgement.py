@@ -21,6 +21,7 @@ _ABSENT: Final = re.compile(
     r"|(?<!or )\b([0-9A-F]{4})h(?::00)?(?: [a-z ,]*)? (?:is|are) (?:missing|not in the dictionary)"
 )
 """Statements that a drive has no such object."""
+_AT_MOST: Final = re.compile(r"([0-9A-F]{4})h takes \d+ at most: hil commission refuses")
 _ABORT: Final = re.compile(r"\b(0[568][0-9A-F]{6})h")
 _SHOWN: Final = 5
 """Accesses of a command that are named."""
@@ -69,19 +70,15 @@ class Judged:
                 yield text
 
 
-def judged(
-    case: Case, changed: frozenset[int] | None, sound: bool, documented: Documented, *, by_plate: bool = False
-) -> Judged:
+def judged(case: Case, changed: frozenset[int] | None, sound: bool, documented: Documented) -> Judged:
     """``changed``: objects that the sheet's traits touch; None: nobody knows what is odd in it.
     ``sound``: nothing in the sheet keeps a bench from commissioning the drive.
-    ``by_plate``: a value of the drive's is too little for what the nameplate asks, unknown to hil eds.
     """
     result = Judged(unsafe=[*case.changed, *case.left])
     result.unasked += _unasked(case, documented)
     result.false_reasons += _absences(case)
     result.false_reasons += _aborts(case)
-    if not (by_plate and case.commission.reason):
-        result.contradictions += result.in_time(_contradictions(case))
+    result.contradictions += result.in_time(_contradictions(case))
     result.false_reasons += result.in_time(_beside_the_sheet(case, changed, sound))
     return result
 
@@ -119,7 +116,7 @@ def _contradictions(case: Case) -> Iterator[Complaint]:
         )
         return
     commissioned = not commission.figures.get("error")
-    if serves and not commissioned:
+    if serves and not commissioned and not _is_foreseen(eds, commission):
         yield commission, f"hil eds: it can serve a bench; hil commission: {commission.reason}"
     if not serves and commissioned:
         why = "; ".join(eds.figures["obstacles"])
@@ -135,6 +132,12 @@ def _contradictions(case: Case) -> Iterator[Complaint]:
         yield eds, "hil eds gives no mode for hil run, and it ran"
     if not serves and runs:
         yield eds, "hil eds: it cannot serve a bench; hil run ran it"
+
+
+def _is_foreseen(eds: Ended, commission: Ended) -> bool:
+    """hil eds named the object that it was refused by: the nameplate decides whether its value is enough."""
+    said = [match[1] for text in eds.figures.get("remarks", ()) if (match := _AT_MOST.match(text))]
+    return any(f"{index}h" in commission.reason for index in said)
 
 
 def _other_modes(case: Case) -> Iterator[str]:

@@ -30,20 +30,12 @@ class Outcome(NamedTuple):
     tries: int = 1
 
 
-_BY_PLATE: Final = frozenset({"6083h is 1 at most", "6087h is 1000 at most"})
-
-
 def outcome(sheet: Sheet, hub: str) -> Outcome:
     """Try it and judge it."""
     shutil.rmtree(sheet.folder, ignore_errors=True)
     sheet.folder.mkdir(parents=True)
-    by_plate = not _BY_PLATE.isdisjoint(sheet.names or ())
     case = tried(sheet.path, sheet.folder, hub)
-    return Outcome(
-        sheet,
-        case,
-        judged(case, _touched(sheet.names), _is_sound(sheet.names), documented(), by_plate=by_plate),
-    )
+    return Outcome(sheet, case, judged(case, _touched(sheet.names), _is_sound(sheet.names), documented()))
 
 
 def _touched(names: tuple[str, ...] | None) -> frozenset[int] | None:

@@ -33,8 +33,8 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     Beyond :func:`virtual_bus.device.vendor_dictionary.overlay`, where a drive of the sheet would differ from
     the simulated one in what it can do:
 
-    6502h   the simulated drive's modes that the sheet does not deny and whose object for a set-point, or for
-            the method of homing, is there; 6060h takes no other, and begins with the first
+    6502h   the simulated drive's modes that the sheet tells, or does not deny; 6060h takes those whose object
+            for a set-point, or for the method of homing, is there, and begins with the first
     608Fh   the sheet's, read-only or not; less than four increments a turn are no encoder: they are shown,
             and the position unit stays the simulated encoder's
     ramps   a sheet's 0 in 6083h to 6085h, 6087h and 609Ah is shown; the drive then has the slowest ramp that
@@ -81,6 +81,9 @@ def _take_modes(dictionary: ObjectDictionary, own: Variable, told: int | None) -
         if allowed & supported_mode_bit(mode) and index in dictionary
     )
     only_modes(dictionary, bits, own)
+    shown = dictionary.get(Object.SUPPORTED_DRIVE_MODES)
+    if shown is not None and allowed != bits and told and tells_modes(told):
+        shown.show_instead(allowed)
 
 
 def _take_resolution(own: list[Variable], counts: list[int], told: list[int | None]) -> None:

@@ -209,3 +209,18 @@ def test_pdo_defaults_are_those_of_the_file() -> None:
     assert (rpdo.name, rpdo.identifier, rpdo.valid, rpdo.transmission_type) == ("RPDO1", 0x205, True, 1)
     assert (tpdo.name, tpdo.identifier, tpdo.valid) == ("TPDO2", 0x285, False)
     assert (tpdo.mapping, tpdo.mapping_writable) == ((0x6041_0010,), False)
+
+
+RAMP_REMARK = "6083h takes 7 at most: hil commission refuses a mode that it makes too slow"
+
+
+@pytest.mark.parametrize(
+    ("modes", "most", "said"),
+    [("0x4", "7", [RAMP_REMARK]), ("0x204", "7", []), ("0x4", "0x7FFFFFFF", []), ("0x4", "", [])],
+)
+def test_a_ramp_is_remarked_whose_greatest_value_every_mode_obeys(
+    modes: str, most: str, said: list[str]
+) -> None:
+    ramp = variable(0x6083, U32, "rw") + f"HighLimit={most}\n"
+    found = fitness(modes=modes, also=ramp)
+    assert [remark for remark in found.remarks if "6083h" in remark] == said
