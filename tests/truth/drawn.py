@@ -12,7 +12,6 @@ from typing import Any, Final
 
 from drivers.wire.frame_port import EchoBasis
 from tests.truth.adapter import Adapter
-from tests.truth.stamping_drive import EXACT, StampModel
 
 PERIOD_US: Final = 1000
 DENSITY: Final = (0.2, 1.0)
@@ -45,7 +44,8 @@ class DrawnPlan:
     readback: str = "sync"
     position_every: int = 1
     has_stamps: bool = True
-    stamps: StampModel = EXACT
+    simulation: dict[str, Any] = field(default_factory=dict)
+    """How all drives stamp and act on SYNCs, as the table ``simulation`` of a bench file."""
     clock_starts_at_us: int | None = None
     drifts_ppm: tuple[float, ...] = (0.0, 0.0, 0.0)
     adapter: Adapter | None = None
@@ -199,8 +199,7 @@ def _no_stamps(draw: Draw, plan: DrawnPlan) -> str:
 def _coarse_stamps(draw: Draw, plan: DrawnPlan) -> str:
     if not plan.has_stamps:
         return ""
-    resolution_us = draw.choice((2, 10, 62, 100, 250, 400, 1000))
-    plan.stamps = StampModel(resolution_us, plan.stamps.late_us)
+    plan.simulation["stamp_resolution_us"] = resolution_us = draw.choice((2, 10, 62, 100, 250, 400, 1000))
     return f"1013h in steps of {resolution_us} us"
 
 
@@ -208,22 +207,21 @@ def _coarse_stamps(draw: Draw, plan: DrawnPlan) -> str:
 def _late_stamps(draw: Draw, plan: DrawnPlan) -> str:
     if not plan.has_stamps:
         return ""
-    plan.stamps = StampModel(plan.stamps.resolution_us, _evenly_in_log(draw, 5, 62.5))
-    return f"1013h latched 0 to {plan.stamps.late_us} us after the SYNC"
+    late_us = draw.choice((0.0, _evenly_in_log(draw, 5, 62.5)))
+    keys = {"stamp_latched": "tick" if draw.random() < 0.7 else "arrival", "stamp_late_us": late_us}
+    plan.simulation |= keys
+    return f"1013h: {_table(keys)}"
 
 
 @_feature(0.4)
 def _sync_jitter_at_the_drive(draw: Draw, plan: DrawnPlan) -> str:
-    plan.sync_jitter_us = _evenly_in_log(draw, 5, 500)
-    return _put(
-        plan,
-        "delay",
-        delay_min_us=0,
-        delay_max_us=plan.sync_jitter_us,
-        direction="host_to_drive",
-        frames=["sync"],
-        side="drive",
-    )
+    """Of its task, or of a gateway before it."""
+    plan.sync_jitter_us = most_us = _evenly_in_log(draw, 5, 500)
+    if draw.random() < 0.6:
+        plan.simulation["sync_jitter_us"] = most_us
+        return f"drives act on a SYNC 0 to {most_us} us after its end"
+    keys = {"direction": "host_to_drive", "frames": ["sync"], "side": "drive"}
+    return _put(plan, "delay", delay_min_us=0, delay_max_us=most_us, **keys)
 
 
 @_feature(0.4)

@@ -23,6 +23,8 @@ CYCLES: Final = 1500
 BUS_WAIT: Final = Duration(300 * NS_PER_US)
 """A SYNC without an echo is told where an idle bus has it; it waits for one frame, and for those of a higher
 priority."""
+TICK: Final = Duration(62_500)
+"""Of the current loops: the latest that a stamp is latched by them."""
 CRASHES: Final = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
 """Errors that are none of the bench's own: a defect, of the bench or of the judge."""
 
@@ -66,7 +68,7 @@ def judged(plan: DrawnPlan, cycles: int = CYCLES) -> Verdict:
     verdict = Verdict(plan)
     config = bench_config(plan, cycles)
     try:
-        run = run_with_taps(config, Surroundings(plan.clock_starts_at_us, plan.stamps, plan.adapter))
+        run = run_with_taps(config, Surroundings(plan.clock_starts_at_us, plan.adapter))
         verdict.ended_by = run.ended_by
         _judge(run, config, verdict)
     except BenchError as error:
@@ -95,9 +97,8 @@ def timing_of(plan: DrawnPlan, config: BenchConfig) -> Timing:
     stamp_error = round(stamp_error_us * NS_PER_US)
     if adapter is not None and adapter.basis is EchoBasis.NONE:
         stamp_error += BUS_WAIT
-    unseen = stamp_error + round(
-        (plan.sync_jitter_us + plan.stamps.late_us + plan.stamps.resolution_us) * NS_PER_US
-    )
+    resolution_us = plan.simulation.get("stamp_resolution_us", 1.0)
+    unseen = stamp_error + round((plan.sync_jitter_us + resolution_us) * NS_PER_US) + TICK
     loop = config.loop
     return Timing(
         loop.period, loop.deadline, loop.horizon_periods, plan.heard, Duration(stamp_error), Duration(unseen)
@@ -125,6 +126,7 @@ def _drive(plan: DrawnPlan, number: int) -> dict[str, Any]:
         "simulation": {
             "clock_drift_ppm": plan.drifts_ppm[number],
             "lacks": [] if plan.has_stamps else ["1013"],
+            **plan.simulation,
         },
         "limits": {"speed_max_rpm": 2500.0, "torque_max_nm": 2.0, "dropouts_consecutive_max": 1_000_000},
         "controller": {"kind": "pid", "proportional_nm_s_rad": 0.01},

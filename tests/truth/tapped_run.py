@@ -16,7 +16,6 @@ from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
 from tests.truth.adapter import Adapter, AdapterPort
-from tests.truth.stamping_drive import EXACT, StampingDrive, StampModel
 from tests.truth.taps import HostTap, TapLog, tap_drives
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.drive.servo import SimulatedServo
@@ -35,11 +34,10 @@ class TappedRun:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What is between the bench of a run and its bus, and how its drives are made."""
+    """What a run meets that no bench file says."""
 
     clock_starts_at_us: int | None = None
     """1013h of every drive at power-on; None: drawn from the seed of the bench."""
-    stamps: StampModel = EXACT
     adapter: Adapter | None = None
     """Between the loop and the bus; None: every stamp is the end of its frame."""
 
@@ -59,9 +57,6 @@ def run_with_taps(config: BenchConfig, surroundings: Surroundings = PLAIN) -> Ta
     @contextmanager
     def open_world(plan: WorldPlan, devices: Sequence[Any]) -> Iterator[World]:
         drives = [device for device in devices if isinstance(device, SimulatedServo)]
-        if surroundings.stamps != EXACT:
-            made_by = [StampingDrive(drive, surroundings.stamps, plan.seed) for drive in drives]
-            drives = cast("list[SimulatedServo]", made_by)
         taps = cast("list[CanopenDevice]", tap_drives(drives, log, surroundings.clock_starts_at_us))
         with world.open_world(plan, taps) as made:
             yield _tapped(made, log, surroundings.adapter, plan.seed)

@@ -9,7 +9,7 @@ traced back to its SYNC by identity. Only damaged data would break the chain, an
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -81,37 +81,24 @@ def pdo_layout(dictionary: ObjectDictionary) -> PdoLayout:
     """Read 1400h, 1800h.. and 1A00h.. (CiA 301, 7.5.2.35 to 7.5.2.38)."""
     each_sync: list[int] = []
     sent: dict[int, Field] = {}
-    for cob_id, transmission, fields in _tpdos(dictionary):
-        if transmission == 1:
-            each_sync.append(cob_id)
-        for index, place in fields:
-            sent.setdefault(index, place)
+    for number in _PDOS:
+        cob_id = int(dictionary.variable(0x1800 + number, 1).read())
+        if cob_id & _NOT_VALID:
+            continue
+        if dictionary.variable(0x1800 + number, 2).read() == 1:
+            each_sync.append(cob_id & _COB_ID)
+        first_bit = 0
+        for place in range(int(dictionary.variable(0x1A00 + number, 0).read())):
+            word = int(dictionary.variable(0x1A00 + number, place + 1).read())
+            bits = word & 0xFF
+            sent.setdefault(word >> 16, Field(cob_id & _COB_ID, first_bit // 8, bits // 8))
+            first_bit += bits
     return PdoLayout(
         tuple(each_sync),
         sent,
         int(dictionary.variable(0x1400, 1).read()) & _COB_ID,
         int(dictionary.variable(0x1400, 2).read()) <= 240,
     )
-
-
-def all_places(dictionary: ObjectDictionary, index: int) -> list[Field]:
-    """Where the TPDOs of a drive carry the object ``index``, those on events too."""
-    return [place for *_, fields in _tpdos(dictionary) for found, place in fields if found == index]
-
-
-def _tpdos(dictionary: ObjectDictionary) -> Iterator[tuple[int, int, list[tuple[int, Field]]]]:
-    """COB-ID and transmission type of each valid TPDO, and its objects with their places."""
-    for number in _PDOS:
-        cob_id = int(dictionary.variable(0x1800 + number, 1).read())
-        if cob_id & _NOT_VALID:
-            continue
-        fields, first_bit = [], 0
-        for place in range(int(dictionary.variable(0x1A00 + number, 0).read())):
-            word = int(dictionary.variable(0x1A00 + number, place + 1).read())
-            bits = word & 0xFF
-            fields.append((word >> 16, Field(cob_id & _COB_ID, first_bit // 8, bits // 8)))
-            first_bit += bits
-        yield cob_id & _COB_ID, int(dictionary.variable(0x1800 + number, 2).read()), fields
 
 
 @dataclass(slots=True)

@@ -12,9 +12,6 @@ from drivers.wire.frame_port import UNTOLD, EchoBasis, WireFrame
 from tests.truth.adapter import Adapter, AdapterPort
 from tests.truth.drawn import FEATURES, DrawnPlan, drawn_plan, shrunk
 from tests.truth.drawn_run import bench_config, judged
-from tests.truth.stamping_drive import StampModel
-from tests.truth.tapped_run import Surroundings, run_with_taps
-from tests.truth.truth import STAMP
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.timeline import Timeline
@@ -106,25 +103,3 @@ def test_an_adapter_brings_every_frame_late_and_stamps_it(basis: EchoBasis) -> N
     assert all(fetch >= at for at, _, fetch in came)
     changed_places = any(first[1] is False and then[1] is True for first, then in pairwise(came))
     assert changed_places is (basis is not EchoBasis.NONE)
-
-
-def test_a_drive_with_coarse_and_late_stamps_sends_such() -> None:
-    plan = drawn_plan(1, only=[])
-    config = bench_config(plan, 200)
-    exact, coarse = (
-        run_with_taps(config, Surroundings(stamps=model)).log.drives[1]
-        for model in (StampModel(), StampModel(resolution_us=250, late_us=60.0))
-    )
-    steps = set()
-    for clean, late in zip(exact.syncs[-100:], coarse.syncs[-100:], strict=True):
-        assert exact.layout is not None
-        place = exact.layout.sent[STAMP]
-        stamps = [
-            place.of(frame, signed=False)
-            for heard in (clean, late)
-            for frame in heard.answers
-            if frame.can_id == place.can_id
-        ]
-        steps.add(stamps[1] % 250)
-        assert -250 < stamps[1] - stamps[0] <= 60
-    assert steps == {0}
