@@ -1,6 +1,7 @@
 """``python -m tests.truth``: drawn plans in simulated time, all that a run tells held against the taps.
 
     python -m tests.truth --seconds 300            as many plans as fit in, and a table
+    python -m tests.truth --seconds 300 --shrink   the same, with what each failing plan needs to fail
     python -m tests.truth --seed 7                 one plan: what it is, the judgement, the first wrong rows
     python -m tests.truth --seed 7 --shrink        the fewest of its features that fail in the same way
     python -m tests.truth --seed 7 --only "loss"   the plan with these of its features alone
@@ -15,8 +16,8 @@ Ends with status 1 if something certain is wrong.
 
 import argparse
 import sys
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from drivers.timebase import NS_PER_S, MonotonicClock
@@ -32,10 +33,10 @@ def main() -> None:
     given = _options()
     without, only = _names(given.without), _names(given.only)
     if given.seed is None:
-        sys.exit(_campaign(given.first, given.plans, given.seconds, given.cycles))
+        sys.exit(_campaign(given))
     plan = drawn_plan(given.seed, without or (), only)
     if given.shrink:
-        plan = _shrunk(plan, given.cycles)
+        plan = _shrunk(judged(plan, given.cycles), given.cycles)[1]
     verdict = judged(plan, given.cycles)
     _print_one(verdict)
     sys.exit(bool(verdict.wrong))
@@ -68,10 +69,10 @@ def _names(text: str | None) -> list[str] | None:
     return names
 
 
-def _shrunk(plan: DrawnPlan, cycles: int) -> DrawnPlan:
-    """By the first of the ways in which ``plan`` fails."""
-    way = next(iter(judged(plan, cycles).wrong), None)
-    return plan if way is None else shrunk(plan, lambda fewer: way in judged(fewer, cycles).wrong)
+def _shrunk(verdict: Verdict, cycles: int) -> tuple[str, DrawnPlan]:
+    """The first of the ways in which a plan fails, and what is left of the plan that fails so."""
+    plan, way = verdict.plan, next(iter(verdict.wrong), "")
+    return way, shrunk(plan, lambda fewer: way in judged(fewer, cycles).wrong) if way else plan
 
 
 def _print_one(verdict: Verdict) -> None:
@@ -98,19 +99,31 @@ def _replay(plan: DrawnPlan) -> str:
     return f'python -m tests.truth --seed {plan.seed} --only "{", ".join(plan.features)}"'
 
 
-def _campaign(first: int, plans: int, seconds: float, cycles: int) -> int:
+def _campaign(given: argparse.Namespace) -> int:
     clock = MonotonicClock()
-    ends_at = clock.now() + seconds * NS_PER_S
+    ends_at = clock.now() + given.seconds * NS_PER_S
     verdicts: list[Verdict] = []
-    for seed in range(first, first + plans):
+    causes: dict[tuple[str, ...], list[int]] = defaultdict(list)
+    for seed in range(given.first, given.first + given.plans):
         if clock.now() >= ends_at:
             break
-        verdicts.append(judged(drawn_plan(seed), cycles))
-        if verdicts[-1].wrong:
-            print(_in_a_line(verdicts[-1]), flush=True)
+        verdict = judged(drawn_plan(seed), given.cycles)
+        verdicts.append(verdict)
+        if verdict.wrong:
+            print(_in_a_line(verdict), flush=True)
+            if given.shrink:
+                way, plan = _shrunk(verdict, given.cycles)
+                causes[way, *plan.features].append(seed)
     _print_totals(verdicts)
     _print_features(verdicts)
+    _print_causes(causes)
     return int(any(verdict.wrong for verdict in verdicts))
+
+
+def _print_causes(causes: Mapping[tuple[str, ...], Sequence[int]]) -> None:
+    """The features that failing plans come down to, the commonest first, with their seeds."""
+    for (way, *names), seeds in sorted(causes.items(), key=lambda cause: len(cause[1]), reverse=True):
+        print(f"{len(seeds):4} {way:30} {', '.join(names)}: {', '.join(map(str, seeds[:6]))}")
 
 
 def _in_a_line(verdict: Verdict) -> str:

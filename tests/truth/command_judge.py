@@ -81,7 +81,7 @@ def judge_commands(
     told: Told,
     truth: AxisTruth,
     tolerance: Duration = INSTANT_TOLERANCE,
-    stamp_error: Duration = NO_TIME,
+    stamp_error: Duration | None = NO_TIME,
 ) -> CommandJudgement:
     """Every command of one axis. ``tolerance``: how far the truth may be outside of an interval;
     ``stamp_error``: see :class:`.judge.Timing`."""
@@ -103,7 +103,9 @@ def judge_commands(
         ):
             result.wrong += 1
             _keep_example(result, row, "lost" if fate == COMMAND_LOST else "acting", command)
-        if fate != NOT_IDENTIFIABLE:  # of two equal frames the echo does not say whose it is
+        if (
+            fate != NOT_IDENTIFIABLE and stamp_error is not None
+        ):  # of two equal frames the echo does not say whose it is
             result.echo_wrong += on_bus_at != NO_INSTANT and (
                 command.on_bus_at is None or abs(on_bus_at - command.on_bus_at) > stamp_error
             )

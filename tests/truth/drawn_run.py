@@ -10,6 +10,7 @@ from drivers.timebase import NS_PER_US, Duration
 from drivers.wire.frame_port import EchoBasis
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
+from tests.truth.adapter import STAMP_TICK_NS, Adapter
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.drawn import DrawnPlan
 from tests.truth.judge import Judgement, Timing, judge_axis
@@ -20,9 +21,6 @@ from tests.truth.truth import axis_truth
 
 ROOT: Final = Path(__file__).parents[2]
 CYCLES: Final = 1500
-BUS_WAIT: Final = Duration(300 * NS_PER_US)
-"""A SYNC without an echo is told where an idle bus has it; it waits for one frame, and for those of a higher
-priority."""
 TICK: Final = Duration(62_500)
 """Of the current loops: the latest that a stamp is latched by them."""
 CRASHES: Final = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
@@ -90,19 +88,20 @@ def _judge(run: TappedRun, config: BenchConfig, verdict: Verdict) -> None:
 
 def timing_of(plan: DrawnPlan, config: BenchConfig) -> Timing:
     """What the judge has to know of ``plan``."""
-    adapter = plan.adapter
-    stamp_error_us = (
-        0.0 if adapter is None else 1.0 if adapter.basis is EchoBasis.HARDWARE else adapter.late_us
-    )
-    stamp_error = round(stamp_error_us * NS_PER_US)
-    if adapter is not None and adapter.basis is EchoBasis.NONE:
-        stamp_error += BUS_WAIT
+    error = _stamp_error(plan.adapter)
     resolution_us = plan.simulation.get("stamp_resolution_us", 1.0)
-    unseen = stamp_error + round((plan.sync_jitter_us + resolution_us) * NS_PER_US) + TICK
+    unseen = (error or 0) + round((plan.sync_jitter_us + resolution_us) * NS_PER_US) + TICK
     loop = config.loop
-    return Timing(
-        loop.period, loop.deadline, loop.horizon_periods, plan.heard, Duration(stamp_error), Duration(unseen)
-    )
+    return Timing(loop.period, loop.deadline, loop.horizon_periods, plan.heard, error, Duration(unseen))
+
+
+def _stamp_error(adapter: Adapter | None) -> Duration | None:
+    if adapter is None:
+        return Duration(0)
+    if adapter.basis is EchoBasis.NONE:
+        return None
+    hardware = adapter.basis is EchoBasis.HARDWARE
+    return Duration(STAMP_TICK_NS if hardware else round(adapter.late_us * NS_PER_US))
 
 
 def bench_config(plan: DrawnPlan, cycles: int) -> BenchConfig:

@@ -38,8 +38,8 @@ class Timing:
     horizon: int
     syncs_heard: bool = False
     """Cycles start at SYNCs that the loop does not make, and their grid follows those."""
-    stamp_error: Duration = NO_TIME
-    """The largest error of what stamps the frames for the loop."""
+    stamp_error: Duration | None = NO_TIME
+    """The largest error of what stamps the frames for the loop; None: it hears of no frame of its own."""
     lateness_unseen: Duration = NO_TIME
     """By how much a reading may seem older than it is where nothing could tell: it may then be told late."""
 
@@ -153,13 +153,16 @@ class _Judge:
         return abs(planned - np.unique(self._told["sequence"]).size) + unknown
 
     def _unaccounted_heard(self) -> int:
-        """Numbers without a row, and SYNCs on the bus without one that are no tick of a missed cycle."""
-        told = self._told
-        known = set(told["sync_handed_at"].tolist()) | set(told["due_at"][told["fate"] == MISSED].tolist())
+        """Numbers without a row, and SYNCs that the loop was given without one, neither surplus nor too late
+        for a cycle that was missed for them."""
+        told, half = self._told, self._timing.period // 2
+        known = set(told["sync_handed_at"].tolist())
+        missed = told["due_at"][told["fate"] == MISSED]
         syncs = self._truth.handed_between(int(told["due_at"][0]), self._last_due + 1)
-        half = self._timing.period // 2
         unknown = sum(
-            sync.handed_at not in known and sync.handed_at - last.handed_at >= half  # else it is surplus
+            sync.handed_at not in known
+            and sync.handed_at - last.handed_at >= half
+            and not (np.abs(missed - sync.handed_at) <= half).any()
             for last, sync in pairwise(syncs)
         )
         return int(told["sequence"].max()) - np.unique(told["sequence"]).size + unknown
@@ -263,11 +266,12 @@ class _Judge:
 
     def _check_echo(self, row: Any) -> None:
         told = int(row["sync_on_bus_at"])
-        if told == NO_INSTANT:
+        error = self._timing.stamp_error
+        if told == NO_INSTANT or error is None:
             return
         place = self._truth.place_of.get(int(row["sync_handed_at"]))
         on_bus_at = None if place is None else self._truth.syncs[place].on_bus_at
-        if on_bus_at is None or abs(told - on_bus_at) > self._timing.stamp_error:
+        if on_bus_at is None or abs(told - on_bus_at) > error:
             self._result.echo_wrong += 1
 
     def _count_uncertain(self, cycle: int, fate: int, wrong: bool) -> None:
