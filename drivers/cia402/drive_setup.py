@@ -22,12 +22,11 @@ from drivers.cia402.pdo_planner import PlanImpossible, mode_plan, plan_pdos
 from drivers.cia402.pdo_plans import (
     DEMAND,
     MODE,
-    STAMP,
-    STANDARD,
     TORQUE,
     Features,
     PlanWish,
     choices,
+    standard,
     status_timer_ms,
 )
 from drivers.cia402.profile import (
@@ -44,7 +43,8 @@ from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scali
 from drivers.errors import PeerFault, TransferAborted
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
-from drivers.vendors.families import quirks_for
+from drivers.vendors.families import quirks_for, stamp_for
+from drivers.vendors.stamps import STANDARD_STAMP, StampProfile
 
 NO_CHANGE_OF_NMT_STATE = 1
 """1029h:01. In PRE-OPERATIONAL, the default, or STOPPED a drive would still come to rest by 6007h, but its
@@ -65,6 +65,11 @@ class Identity(NamedTuple):
     revision: int
     serial: int
     device_type: int
+
+    @property
+    def stamp(self) -> StampProfile:
+        """How drives of that make stamp their samples."""
+        return stamp_for(self.vendor, self.product, self.device_name)
 
     def __str__(self) -> str:
         name = self.device_name or "unnamed device"
@@ -93,6 +98,8 @@ class DriveSettings:
     ``supervise_commands`` on."""
     demand_changes: bool = False
     """Have the torque demand told at every change, with the drive's stamp: when a command begins to act."""
+    stamp: StampProfile = STANDARD_STAMP
+    """How the drive stamps its samples; the drive that is configured knows it by its make."""
     observed: Observed = NOTHING
     """What the drive tells for the recording alone."""
     drive_heartbeat_ms: int = 50
@@ -316,7 +323,9 @@ def _able(objects: RemoteObjects, settings: DriveSettings) -> Features:
     """What the drive may be able to tell: by its dictionary, if there is one, a plan is made anyway."""
     if settings.capability is not None:
         return Features()
-    stamp, demand, mode = (objects.read_if_there(*key) is not None for key in (STAMP, DEMAND, MODE))
+    stamp, demand, mode = (
+        objects.read_if_there(*key) is not None for key in (settings.stamp.key, DEMAND, MODE)
+    )
     return Features(stamp, demand and _wish(settings).torque_mode, mode=mode)
 
 
@@ -325,8 +334,9 @@ def _planned(
 ) -> tuple[PdoPlan, list[str]]:
     """A plan that uses no more than ``features``, and what it lacks."""
     node, wish = objects.node_id, replace(_wish(settings), features=features)
-    result = plan_pdos(settings.capability or STANDARD, node, wish)
-    if settings.capability is None and settings.demand_changes and all(features._replace(mode=True)):
+    result = plan_pdos(settings.capability or standard(wish.stamp), node, wish)
+    changes = settings.demand_changes and settings.stamp.of_events
+    if settings.capability is None and changes and all(features._replace(mode=True)):
         return mode_plan(node, wish, demand_changes=True), list(result.notes)
     return result.plan, list(result.notes)
 
@@ -338,6 +348,7 @@ def _wish(settings: DriveSettings) -> PlanWish:
         settings.position_every_cycles,
         status_timer_ms=status_timer_ms(settings.drive_heartbeat_timeout_ms),
         coherent=settings.coherent,
+        stamp=settings.stamp.key,
         mode_apart=not settings.observed.entries,
     )
 
@@ -348,8 +359,8 @@ def _map_as_held(
     """The mappings that the drive holds, used as they are: first those of one direction, with plans for the
     other, then all. Raises the last refusal if they do not serve.
     """
-    standard = mode_plan(objects.node_id, _wish(settings), demand_changes=settings.demand_changes)
-    codes = {(entry.index, entry.sub): entry.code for pdo in standard for entry in pdo.entries}
+    wished = mode_plan(objects.node_id, _wish(settings), demand_changes=settings.demand_changes)
+    codes = {(entry.index, entry.sub): entry.code for pdo in wished for entry in pdo.entries}
     held = capability_of_drive(objects, codes)
     impossible: PlanImpossible | None = None
     tried: list[PdoPlan] = []
@@ -358,7 +369,7 @@ def _map_as_held(
     ):
         try:
             result = plan_pdos(
-                _with_held(settings.capability or STANDARD, held, kept),
+                _with_held(settings.capability or standard(settings.stamp.key), held, kept),
                 objects.node_id,
                 replace(_wish(settings), features=features),
             )

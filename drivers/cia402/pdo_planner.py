@@ -34,7 +34,6 @@ from drivers.cia402.pdo_plans import (
     MODE,
     POSITION,
     STAMP,
-    STANDARD,
     STANDARD_CODES,
     STATUS,
     TARGETS,
@@ -46,6 +45,7 @@ from drivers.cia402.pdo_plans import (
     features_of,
     layout,
     limits_of,
+    standard,
 )
 from drivers.cia402.profile import Mode
 from drivers.errors import PeerFault
@@ -83,11 +83,11 @@ def mode_plan(node_id: int, wish: PlanWish, *, demand_changes: bool = False) -> 
     TPDO1 to TPDO3 as :mod:`drivers.cia402.pdo_plans` lays them out by ``wish``; RPDO1: controlword and the
     set-point of the mode. ``demand_changes``: a TPDO4 tells with 6074h and 1013h when a command began to act.
     """
-    plan = plan_pdos(STANDARD, node_id, wish).plan
+    plan = plan_pdos(standard(wish.stamp), node_id, wish).plan
     if not demand_changes:
         return plan
     transmit = PdoDirection.TRANSMIT
-    entries = tuple(PdoEntry(*key, STANDARD_CODES[key]) for key in (DEMAND, STAMP))
+    entries = PdoEntry(*DEMAND, STANDARD_CODES[DEMAND]), PdoEntry(*wish.stamp, STANDARD_CODES[STAMP])
     change = PdoMap(transmit, 4, transmit.default_cob_id(4, node_id), entries, EVENT_DRIVEN)
     return replace(plan, tpdos=(*plan.tpdos, change))
 
@@ -130,7 +130,7 @@ def plan_pdos(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanRe
 
 def _plan(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult:
     notes: list[str] = []
-    planner = _Planner(capability, node_id, notes)
+    planner = _Planner(capability, node_id, notes, wish.stamp)
     torque = _torque(capability, notes)
     laid_out = planner.laid_out(wish, torque)
     needed = [STATUS, VELOCITY, *([] if torque is None else [torque]), POSITION]
@@ -149,7 +149,7 @@ def _plan(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult
     tpdos = planner.transmit(sent, wish)
     rpdos = planner.receive(received, wish)
     plan = PdoPlan(tpdos, rpdos)
-    notes += limits_of(features_of(plan), torque_mode=wish.torque_mode and not wish.coherent)
+    notes += limits_of(features_of(plan, wish.stamp), wish)
     return PlanResult(plan, tuple(notes))
 
 
@@ -188,8 +188,9 @@ def _first_fit(entry: PdoEntry, bins: list[_Bin], free: list[PdoSlot], group: Gr
 
 
 class _Planner:
-    def __init__(self, capability: PdoCapability, node_id: int, notes: list[str]) -> None:
+    def __init__(self, capability: PdoCapability, node_id: int, notes: list[str], stamp: Key) -> None:
         self.lacks: list[str] = []
+        self._stamp = stamp
         self._capability = capability
         self._node_id = node_id
         self._notes = notes
@@ -199,7 +200,7 @@ class _Planner:
     def laid_out(self, wish: PlanWish, torque: Key | None) -> list[_Bin] | None:
         """PDOs for the best layout that fits the flexible ones; None if none does."""
         able = wish.features._replace(
-            stamp=wish.features.stamp and self._flexible(STAMP),
+            stamp=wish.features.stamp and self._flexible(self._stamp),
             demand=wish.features.demand and wish.torque_mode and self._flexible(DEMAND),
             mode=wish.features.mode and self._flexible(MODE),
         )
@@ -223,7 +224,7 @@ class _Planner:
                 able = self._capability.flexible_object(key, PdoDirection.TRANSMIT)
                 if able is None or not _first_fit(PdoEntry(*key, able.code), filled, free, group):
                     return None
-            if STAMP in group.keys and len(filled) > 1:
+            if self._stamp in group.keys and len(filled) > 1:
                 return None
             bins += filled
         return bins
@@ -294,7 +295,7 @@ class _Planner:
         able = [slot for slot in self._fixed(direction) if key in slot.keys and self._readable(slot, keys)]
         return max(
             able,
-            key=lambda slot: (len(slot.keys & set(keys)), STAMP in slot.keys, -slot.number),
+            key=lambda slot: (len(slot.keys & set(keys)), self._stamp in slot.keys, -slot.number),
             default=None,
         )
 

@@ -14,7 +14,7 @@ With every SYNC 6061h travels beside 6041h if 8 bits are free there. In the cohe
 its own else, on change, if the drive has one left.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 from drivers.canopen.objects301 import PDO_ENTRIES_MAX, Cia301
@@ -54,7 +54,7 @@ class Features(NamedTuple):
     """What a drive tells beyond speed, torque, position and statusword."""
 
     stamp: bool = True
-    """1013h in the frame of the speed."""
+    """1013h, or what its maker has for it, in the frame of the speed."""
     demand: bool = True
     """6074h in the frame of the position."""
     status_on_change: bool = True
@@ -116,7 +116,7 @@ def layout(
     position_every_cycles, timer_ms = wish.position_every_cycles, wish.status_timer_ms
     if not 1 <= position_every_cycles <= SYNCHRONOUS_MAX:
         raise ValueError(f"position_every_cycles {position_every_cycles} is not in 1..{SYNCHRONOUS_MAX}")
-    speed = (VELOCITY, STAMP) if features.stamp else (VELOCITY,)
+    speed = (VELOCITY, wish.stamp) if features.stamp else (VELOCITY,)
     actual = (POSITION,) if torque is None else (torque, POSITION)
     mode = (MODE,) if features.mode else ()
     room = mode if torque is None else ()  # beside 6041h and 6064h
@@ -144,12 +144,14 @@ def status_timer_ms(heartbeat_timeout_ms: int) -> int:
     return max(1, heartbeat_timeout_ms // _TELLINGS)
 
 
-def limits_of(features: Features, *, torque_mode: bool) -> list[str]:
+def limits_of(features: Features, wish: "PlanWish") -> list[str]:
     """What is lost where a feature is not used, in words."""
     limits = []
     if not features.stamp:
-        limits.append("no 1013h beside 606Ch: readings are attributed to SYNCs by their order")
-    if not features.demand and torque_mode:
+        limits.append(
+            f"no {wish.stamp[0]:04X}h beside 606Ch: readings are attributed to SYNCs by their order"
+        )
+    if not features.demand and wish.torque_mode and not wish.coherent:
         limits.append("no 6074h beside the position: which command acts is not measured")
     if not features.status_on_change:
         limits.append("6041h is not told on change: it is told with the SYNC")
@@ -202,6 +204,13 @@ STANDARD = PdoCapability(
 """What a drive without a dictionary is asked for."""
 
 
+def standard(stamp: Key) -> PdoCapability:
+    """:data:`STANDARD`, of a drive whose stamp is that object."""
+    if stamp == STAMP:
+        return STANDARD
+    return replace(STANDARD, objects={**STANDARD.objects, **objects_of({stamp: STANDARD_CODES[STAMP]})})
+
+
 @dataclass(frozen=True, slots=True)
 class PlanWish:
     """What the loop wants of a drive."""
@@ -216,6 +225,8 @@ class PlanWish:
     status_timer_ms: int = STATUS_TIMER_MS
     coherent: bool = False
     """All values of one SYNC in a reading; see :func:`layout`."""
+    stamp: Key = STAMP
+    """The object that is the drive's stamp."""
     mode_apart: bool = True
     """6061h may have a TPDO of its own."""
 
@@ -226,11 +237,11 @@ class PlanWish:
         return target is not None and target.index == Object.TARGET_TORQUE
 
 
-def features_of(plan: PdoPlan) -> Features:
-    """What a plan makes use of."""
+def features_of(plan: PdoPlan, stamp: Key = STAMP) -> Features:
+    """What a plan makes use of; ``stamp``: the object that is the drive's stamp."""
     speed, status = plan.tpdo_with(*VELOCITY), plan.tpdo_with(*STATUS)
     return Features(
-        stamp=speed is not None and speed.place_of(*STAMP) is not None,
+        stamp=speed is not None and speed.place_of(*stamp) is not None,
         demand=any(pdo.synchronous and pdo.place_of(*DEMAND) is not None for pdo in plan.tpdos),
         status_on_change=status is not None and not status.synchronous,
         mode=plan.tpdo_with(*MODE) is not None,

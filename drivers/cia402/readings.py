@@ -3,7 +3,6 @@
 from typing import Final
 
 from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects301 import Cia301
 from drivers.canopen.pdo import PdoMap, PdoPlan
 from drivers.cia402.command_watch import CommandWatch
 from drivers.cia402.follow_watch import FollowWatch
@@ -12,6 +11,7 @@ from drivers.cia402.profile import Status
 from drivers.cia402.scaling import Scaling
 from drivers.exchange import DemandChange, Readback, Reading
 from drivers.timebase import NS_PER_US, Duration, Instant
+from drivers.vendors.stamps import STANDARD_STAMP, StampProfile
 
 _WORD: Final = 1 << 32
 _HALF_WORD: Final = 1 << 31
@@ -69,14 +69,16 @@ class ReadingAssembler:
         period_ns: Duration,
         told: LastStatusword,
         follow: FollowWatch,
+        stamp: StampProfile = STANDARD_STAMP,
     ) -> None:
-        """``told`` and ``follow`` take in what the frames tell of state and mode. Raises ValueError if the
-        plan lacks speed, position or statusword."""
+        """``told`` and ``follow`` take in what the frames tell of state and mode. ``stamp``: how the drive
+        stamps. Raises ValueError if the plan lacks speed, position or statusword."""
         needed = (Object.STATUSWORD, Object.POSITION_ACTUAL_VALUE, Object.VELOCITY_ACTUAL_VALUE)
         missing = [f"{index:04X}h" for index in needed if plan.tpdo_with(index) is None]
         if missing:
             raise ValueError(f"the PDO plan lacks {', '.join(missing)}")
         self.scaling = scaling
+        self.stamp = stamp
         self.malformed = 0
         """PDOs of a length other than mapped."""
         self.readings_made = 0
@@ -105,8 +107,12 @@ class ReadingAssembler:
         self._last_at = NEVER_TOLD
         self._last_us = 0
         self._stamp_raw: int | None = None
+        self._count = 0
+        """Of the last stamp, counted on over its wraps."""
+        self._count_ns = stamp.unit_ns
+        self._wrap, self._half_wrap = 1 << stamp.bits, 1 << (stamp.bits - 1)
         self._inlets: dict[int, _Inlet] = {}
-        self._subscribe(network, plan, follow)
+        self._subscribe(network, plan, follow, stamp.index)
 
     def frames_taken(self, cob_id: int) -> int:
         """How many frames of a TPDO came, malformed ones among them."""
@@ -170,7 +176,7 @@ class ReadingAssembler:
 
     def demand_changed(self, raw: int, stamp_raw: int, at: Instant) -> None:
         """0x6074 arrived because it had changed; ``stamp_raw``: 0x1013 of that moment."""
-        self._changes.append(DemandChange(raw, self._unwrapped(stamp_raw) * NS_PER_US, at))
+        self._changes.append(DemandChange(raw, self._unwrapped(stamp_raw) * self._count_ns, at))
 
     def tell_watch(self, watch: CommandWatch, raw: int) -> None:
         """A demand or torque arrived. A drive that tells that it does not follow needs no watch."""
@@ -183,9 +189,10 @@ class ReadingAssembler:
         """0x606C arrived, with its stamp 0x1013 or -1: a reading."""
         device_time_ns = None
         if stamp_raw >= 0:
-            us = self._unwrapped(stamp_raw)
+            self._count = self._unwrapped(stamp_raw)
             self._stamp_raw = stamp_raw
-            device_time_ns = us * NS_PER_US
+            device_time_ns = self._count * self._count_ns
+            us = device_time_ns // NS_PER_US
         else:
             us = self._pump.sync_count * self._period_us
         self._last_us, self._last_at = us, at
@@ -229,10 +236,10 @@ class ReadingAssembler:
         return (gap_ns + self._period_ns // 2) // self._period_ns
 
     def _unwrapped(self, stamp_raw: int) -> int:
-        """0x1013 in microseconds, counted on from the last reading's; it counts modulo 2^32, 71.6 minutes."""
+        """The stamp, counted on from the last reading's: 1013h wraps after 71.6 minutes."""
         if self._stamp_raw is None:
             return stamp_raw
-        return self._last_us + ((stamp_raw - self._stamp_raw + _HALF_WORD) % _WORD) - _HALF_WORD
+        return self._count + (stamp_raw - self._stamp_raw + self._half_wrap) % self._wrap - self._half_wrap
 
     def _unwrap_position(self, raw: int) -> None:
         """0x6064 is an INTEGER32: at 65536 counts a turn it wraps after 22 minutes of 1500 rev/min."""
@@ -242,20 +249,22 @@ class ReadingAssembler:
             self._position += ((raw - self._position_raw + _HALF_WORD) % _WORD) - _HALF_WORD
         self._position_raw = raw
 
-    def _subscribe(self, network: CanopenNetwork, plan: PdoPlan, follow: FollowWatch) -> None:
+    def _subscribe(
+        self, network: CanopenNetwork, plan: PdoPlan, follow: FollowWatch, stamp_index: int
+    ) -> None:
         speed = plan.tpdo_with(Object.VELOCITY_ACTUAL_VALUE)
         position = plan.tpdo_with(Object.POSITION_ACTUAL_VALUE)
         assert speed is not None
         assert position is not None
         self._leads = position.cob_id <= speed.cob_id
-        self._stamped = speed.place_of(Cia301.HIGH_RESOLUTION_TIME_STAMP) is not None
+        self._stamped = speed.place_of(stamp_index) is not None
         watched = (
             Object.TORQUE_DEMAND
             if any(pdo.synchronous and pdo.place_of(Object.TORQUE_DEMAND) is not None for pdo in plan.tpdos)
             else Object.TORQUE_ACTUAL_VALUE
         )
         for pdo in plan.tpdos:
-            self._inlets[pdo.cob_id] = inlet = _Inlet(self, pdo, self._told, follow, watched)
+            self._inlets[pdo.cob_id] = inlet = _Inlet(self, pdo, self._told, follow, watched, stamp_index)
             network.listen(pdo.cob_id, inlet.take)
 
 
@@ -269,6 +278,7 @@ class _Inlet:
         told: LastStatusword,
         follow: FollowWatch,
         watched: int,
+        stamp_index: int,
     ) -> None:
         codec = pdo.codec()
         self.frames = 0
@@ -282,7 +292,7 @@ class _Inlet:
         self._torque = _place(pdo, Object.TORQUE_ACTUAL_VALUE, Object.CURRENT_ACTUAL_VALUE)
         self._position = _place(pdo, Object.POSITION_ACTUAL_VALUE)
         self._velocity = _place(pdo, Object.VELOCITY_ACTUAL_VALUE)
-        self._stamp = _place(pdo, Cia301.HIGH_RESOLUTION_TIME_STAMP)
+        self._stamp = _place(pdo, stamp_index)
         self._demand = _place(pdo, Object.TORQUE_DEMAND)
         self._watched = _place(pdo, watched)
         self._on_change = not pdo.synchronous and self._demand >= 0 and self._stamp >= 0

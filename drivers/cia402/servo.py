@@ -1,5 +1,6 @@
 """A CiA 402 servo drive, simulated or real: its set-up, its states, its modes, and its part in a loop."""
 
+from dataclasses import replace
 from typing import Final
 
 from drivers.canopen.error_control import ErrorControl
@@ -111,6 +112,8 @@ class ServoDrive(Drive):
         or TransferAborted for what the bench cannot do without, DriveInFault if the drive is not to be had.
         """
         network = self.network
+        if self.identity is not None:
+            settings = replace(settings, stamp=self.identity.stamp)
         watched = self.error_control.begin(settings.watch_times, unwatched=settings.unwatched)
         self.modes.require(settings.mode)  # before anything is asked for that only this mode needs
         self._change_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL, settings)
@@ -120,8 +123,8 @@ class ServoDrive(Drive):
         notes += write_velocity_mode_ramps(self.objects, settings)
         plan, pdo_notes = map_pdos(self.objects, settings)
         plan, observed_notes = map_observed(self.objects, plan, settings.observed)
-        period_ns = settings.sync_period_ns
-        self._assembler = ReadingAssembler(network, plan, scaling, period_ns, self._told, self.follow)
+        period, stamp = settings.sync_period_ns, settings.stamp
+        self._assembler = ReadingAssembler(network, plan, scaling, period, self._told, self.follow, stamp)
         position = self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
         self._assembler.anchor_position(position, network.clock.now())
         limits = settings.torque_max_nm, settings.speed_max_rad_s
@@ -182,10 +185,7 @@ class ServoDrive(Drive):
         moving = (State.OPERATION_ENABLED, State.FAULT_REACTION)
         calm = calms(self.objects, self._assembler)
         state = self.control.await_state(
-            lambda now: now not in moving and calm(),
-            deadline,
-            "come to rest",
-            faults=False,
+            lambda now: now not in moving and calm(), deadline, "come to rest", faults=False
         )
         if state is not State.FAULT:
             self.control.walk(State.SWITCH_ON_DISABLED, deadline)

@@ -3,7 +3,8 @@
 One TOML file a family: ``vendor`` (1018h:1), optionally ``products`` (1018h:2) and ``device_name`` (how 1008h
 begins). ``[codes]`` has the maker's texts for error codes or ranges of them, ``[numbers]`` what it puts into
 the upper octet of 1003h, both from the file's ``source``. An ``[[entry]]`` tells where an object means
-something else than CiA 402 says, with a ``source`` of its own; what the user says goes first.
+something else than CiA 402 says, with a ``source`` of its own; what the user says goes first. ``[motor]``
+and ``[stamp]``: see :mod:`drivers.vendors.motor_objects` and :mod:`drivers.vendors.stamps`.
 """
 
 import tomllib
@@ -15,8 +16,9 @@ from typing import Any
 
 from drivers.errors import BadInput
 from drivers.vendors.motor_objects import MotorObjects, one_line, read_motor_objects, refuse_unknown
+from drivers.vendors.stamps import STANDARD_STAMP, StampProfile, read_stamp
 
-_KEYS = {"vendor", "products", "device_name", "source", "codes", "numbers", "entry", "motor"}
+_KEYS = {"vendor", "products", "device_name", "source", "codes", "numbers", "entry", "motor", "stamp"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +58,8 @@ class DriveFamily:
     quirks: tuple[Quirk, ...] = ()
     motor: MotorObjects | None = None
     """None: no source tells where its drives keep their motor."""
+    stamp: StampProfile | None = None
+    """None: no source tells that its drives stamp otherwise than CiA 301 says."""
 
     def text(self, code: int) -> str | None:
         """The maker's text; None for a code that it does not tell of."""
@@ -102,6 +106,7 @@ def read_family(text: str, name: str) -> DriveFamily:
         numbers={int(key): str(value) for key, value in tables.get("numbers", {}).items()},
         quirks=tuple(_quirk(entry, name, number) for number, entry in enumerate(tables.get("entry", ()))),
         motor=read_motor_objects(tables["motor"], name) if "motor" in tables else None,
+        stamp=read_stamp(tables["stamp"], name) if "stamp" in tables else None,
     )
 
 
@@ -149,3 +154,13 @@ def motor_objects_for(vendor: int, product: int, device_name: str) -> tuple[tupl
         for family in known_families()
         if family.motor is not None and family.fits(vendor, product, device_name)
     )
+
+
+def stamp_for(vendor: int, product: int, device_name: str) -> StampProfile:
+    """How a drive stamps its samples; as CiA 301 has it where nothing is known of its make."""
+    fitting = (
+        family.stamp
+        for family in known_families()
+        if family.stamp and family.fits(vendor, product, device_name)
+    )
+    return next(fitting, STANDARD_STAMP)

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field
 from drivers.canopen.pdo import SYNCHRONOUS_MAX
 from drivers.cia402.observed import Observed
 from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_US
+from drivers.timebase import NS_PER_US, Duration
 from hil.configuration.config_files import Section
 from hil.configuration.controller_kinds import ArrivalCompensator, CompensatorSection, ControllerSection
 from hil.configuration.current_controller_file import CurrentControl
@@ -156,11 +156,20 @@ class DriveConfig(Section):
     """Objects that the drive tells by PDO for the recording alone; see docs/recording.md."""
     observe_every_cycles: int = Field(default=1, ge=1, le=SYNCHRONOUS_MAX)
     """They come with every so many SYNCs."""
+    stamp_resolution_us: float | None = Field(default=None, ge=0.01, le=1000)
+    """By how much the drive's stamp (1013h) advances at a time, as ``hil measure`` finds it; by its make if
+    absent, 1 us where that tells nothing."""
     simulation: Simulation = Simulation()
     current_control: CurrentControl = CurrentControl()
     limits: Limits = Field(description="a table with speed_max_rpm and torque_max_nm")
     compensator: CompensatorSection = ArrivalCompensator(kind="arrival")
     controller: ControllerSection = Field(description="a table with its kind, e.g. 'pid', or a path")
+
+    @property
+    def stamp_resolution(self) -> Duration | None:
+        """``stamp_resolution_us`` in ns."""
+        us = self.stamp_resolution_us
+        return None if us is None else Duration(round(us * NS_PER_US))
 
     @property
     def observed(self) -> Observed:

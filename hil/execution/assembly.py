@@ -132,6 +132,7 @@ def axis(
         deadline=config.loop.deadline,
         horizon=config.loop.horizon_periods,
         tell=tell,
+        stamp_resolution=config.drive[name].stamp_resolution or drive.assembler.stamp.resolution_at(bitrate),
         settles=timing.period if timing.actuation is Actuation.ON_SYNC else Duration(0),
         acts_later=Duration(later),
     )

@@ -11,6 +11,7 @@ from drivers.record import replaced
 from drivers.timebase import Duration, Instant, MonotonicClock
 from hil.loop.attribution import HELD_FOR, HELD_MAX
 from hil.loop.axis_roles import Compensator, Controller, LoadMachine
+from hil.loop.clock_map import STAMP_RESOLUTION
 from hil.loop.command_meter import CommandMeter
 from hil.loop.context import Context
 from hil.loop.decision import Decision, Tick
@@ -24,6 +25,9 @@ from hil.loop.syncs import SyncLog, SyncMark
 
 _SHOWN_BY_OTHERS: Final = (DropoutCause.LOST, DropoutCause.STALE)
 """What a cycle's reading is known to be by the places of other readings."""
+COARSE_PARTS: Final = 10
+"""A stamp that advances by more than this part of a period leaves open which SYNC it is of: map and stamp may
+both be off by a step, and twice both, the bound of a sample, is half a period then. Order knows more."""
 READINGS_REMEMBERED: Final = 64
 """Readings that a read-back may come after."""
 
@@ -53,6 +57,8 @@ class AxisParts:
     """Cycles after which a reading or a command is lost."""
     tell: Callable[[str], None]
     """Takes what is to be said of the drive's clock."""
+    stamp_resolution: Duration = STAMP_RESOLUTION
+    """By how much the drive's stamp advances at a time."""
     settles: Duration = Duration(0)  # noqa: RUF009 - an int
     """From a command's arrival until it shows at a SYNC."""
     acts_later: Duration = Duration(0)  # noqa: RUF009 - an int
@@ -71,7 +77,8 @@ class Axis:
     ) -> None:
         syncs, transit = parts.syncs, parts.transit
         self.parts = parts
-        self.by_stamp = StampAttribution(syncs, period, transit, parts.tell)
+        self._by_stamps = COARSE_PARTS * parts.stamp_resolution <= period
+        self.by_stamp = StampAttribution(syncs, period, transit, parts.tell, parts.stamp_resolution)
         self.by_order = OrderAttribution(syncs, period, transit, parts.tell)
         """For readings without a stamp."""
         self.meter = DelayMeter(parts.deadline, parts.horizon)
@@ -137,7 +144,7 @@ class Axis:
     def _learn(self, reading: Reading, mark: SyncMark) -> None:
         assert mark.on_bus_at is not None
         self.learned += 1
-        if reading.device_time_ns is not None:
+        if self._by_stamps and reading.device_time_ns is not None:
             self.by_stamp.learn(reading, mark)
         else:
             self.by_order.learn(reading, mark)
@@ -287,7 +294,7 @@ class Axis:
 
     def _take(self, reading: Reading) -> None:
         self._readings += 1
-        by_stamp = reading.device_time_ns is not None
+        by_stamp = self._by_stamps and reading.device_time_ns is not None
         question = self.by_stamp.question if by_stamp else self.by_order.question
         was_open = question.open
         sample = self.by_stamp.place(reading) if by_stamp else self.by_order.place(reading)

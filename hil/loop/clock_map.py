@@ -15,12 +15,10 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.timebase import NS_PER_S, NS_PER_US, Instant
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 
-STAMP_RESOLUTION: Final = NS_PER_US
-"""1013h counts whole microseconds, rounded down (CiA 301 7.5.2.16)."""
-_ROUNDING_VARIANCE: Final = STAMP_RESOLUTION**2 / 12.0
-"""Of a value that is equally likely anywhere in a microsecond, ns^2."""
+STAMP_RESOLUTION: Final = Duration(NS_PER_US)
+"""1013h counts whole microseconds, rounded down (CiA 301 7.5.2.16); makers differ."""
 _RATE_WALK: Final = 1e-11
 """How fast the rate of a quartz clock wanders, (ns/ns)^2 per s: 3 ppm in a second, faster than that of a
 clock being warmed, so that the filter never falls asleep."""
@@ -31,7 +29,11 @@ _FIRST_RATE_VARIANCE: Final = (2e-3) ** 2
 class ClockMap:
     """Host instant = ``offset`` + (1 + ``rate``) * stamp, both followed from stamp to stamp."""
 
-    def __init__(self) -> None:
+    def __init__(self, resolution: Duration = STAMP_RESOLUTION) -> None:
+        """``resolution``: of a stamp, which is rounded down to a multiple of it."""
+        self._resolution = resolution
+        self._rounding_variance = resolution**2 / 12.0
+        """Of a value that is equally likely anywhere in a step, ns^2."""
         self.ready = False
         """Whether at least one stamp with its SYNC has been seen."""
         self._device_ns = 0
@@ -66,7 +68,7 @@ class ClockMap:
     @property
     def error_ns(self) -> int:
         """Of a placed instant: the resolution of a stamp and four standard deviations of the line."""
-        return STAMP_RESOLUTION + int(4.0 * math.sqrt(self._offset_var))
+        return self._resolution + int(4.0 * math.sqrt(self._offset_var))
 
     def place(self, device_ns: int) -> Instant:
         """The host's instant of a device stamp. Needs :attr:`ready`."""
@@ -81,7 +83,7 @@ class ClockMap:
         if not self.ready:
             self.ready = True
             self._device_ns, self._host_ns, self._part_ns, self._rate = device_ns, int(host_ns), 0.0, 0.0
-            self._offset_var = _ROUNDING_VARIANCE + variance_ns2
+            self._offset_var = self._rounding_variance + variance_ns2
             self._cross, self._rate_var = 0.0, _FIRST_RATE_VARIANCE
             return
         passed = device_ns - self._device_ns
@@ -94,7 +96,7 @@ class ClockMap:
         cross = self._cross + dt * self._rate_var
         rate_var = self._rate_var + _RATE_WALK * dt / NS_PER_S
         innovation = float(host_ns - self._host_ns - passed) - moved
-        spread = offset_var + _ROUNDING_VARIANCE + variance_ns2
+        spread = offset_var + self._rounding_variance + variance_ns2
         gain, rate_gain = offset_var / spread, cross / spread
         part = moved + gain * innovation
         whole = math.floor(part)

@@ -26,13 +26,14 @@ from typing import Final
 from drivers.exchange import Reading
 from drivers.timebase import NS_PER_US, Duration, Instant
 from hil.loop.attribution import Health, Question, Tell
-from hil.loop.clock_map import ClockMap
+from hil.loop.clock_map import STAMP_RESOLUTION, ClockMap
 from hil.loop.clock_question import DELAYS_WATCHED, ClockQuestion, DelayWindow, Line, Suspect
 from hil.loop.samples import Sample
 from hil.loop.syncs import ECHO_ERROR, REMEMBERED, SURPLUS, SyncLog, SyncMark
 
 MATCH_NS: Final = 3 * NS_PER_US
-"""A stamp so near to a SYNC is its own: two steps of the stamp's resolution and one of rounding."""
+"""A stamp of 1 us so near to a SYNC is its own: a step of the stamp and two of rounding. A coarser one may be
+off by as much more as its step is longer."""
 AGREEING: Final = 8
 """Readings that must agree before it is settled: fewer could be chance under a jittering SYNC."""
 AGREEING_SPREAD: Final = 32
@@ -57,11 +58,13 @@ class StampAttribution:
         period: Duration,
         transit: Duration,
         tell: Tell,
+        resolution: Duration = STAMP_RESOLUTION,
     ) -> None:
-        """``transit``: the shortest time that a reading's frame takes on the wire. ``tell``: takes events."""
+        """``transit``: the shortest time that a reading's frame takes on the wire. ``tell``: takes events.
+        ``resolution``: of a stamp."""
         self.health = Health()
         self.question = Question()
-        self.clock = clock = ClockMap()
+        self.clock = clock = ClockMap(resolution)
         self.doubtful_error_ns = REMEMBERED * period
         """Of a reading of uncertain place: any SYNC that is remembered may be its own."""
         self._syncs = syncs
@@ -70,7 +73,7 @@ class StampAttribution:
         self._transit = transit
         self._tell = tell
         echo_error = ECHO_ERROR[syncs.echoes]
-        self._match_ns = MATCH_NS + echo_error
+        self._match_ns = MATCH_NS + resolution - STAMP_RESOLUTION + echo_error
         self._case = ClockQuestion(syncs, clock, period, transit, self._match_ns)
         self._variance = float(echo_error) ** 2 / 9.0
         self._late_ns = 0.0

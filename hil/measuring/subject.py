@@ -19,13 +19,14 @@ from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, budget_of
 from drivers.cia402.drive_setup import DriveSettings, read_scaling
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import DEMAND, STAMP, PlanWish, features_of, status_timer_ms
+from drivers.cia402.pdo_plans import DEMAND, PlanWish, features_of, status_timer_ms
 from drivers.cia402.profile import CONTROLWORDS, DriveCommand, Mode
 from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import BadInput, TransferAborted
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, Duration
+from drivers.vendors.stamps import STANDARD_STAMP
 from hil.execution.assembly import command_duration, shortest_transit
 from hil.execution.segments import timing_without_bench
 from hil.loop.axis import Axis, AxisParts
@@ -212,8 +213,10 @@ class Subject:
         self._steps = steps_of(request.torque_max_nm, scaling.rated_torque_nm)
         settings = self._settings(self._steps * scaling.torque_nm, every)
         self.configured = True
-        able = all(drive.objects.read_if_there(*key) is not None for key in (STAMP, DEMAND))
-        if changes and able:
+        identity = drive.identity
+        stamp = STANDARD_STAMP if identity is None else identity.stamp
+        able = all(drive.objects.read_if_there(*key) is not None for key in (stamp.key, DEMAND))
+        if changes and able and stamp.of_events:
             self._tells_changes = self._configure_fully(settings)
         elif request.enable and able:
             self.notes.append("no room on the bus for 6074h on change: a longer period, or fewer nodes")
@@ -247,6 +250,7 @@ class Subject:
             load_machine=None,
             syncs=syncs,
             transit=shortest_transit(drive.reading_bytes, request.bitrate_bit_s),
+            stamp_resolution=drive.assembler.stamp.resolution_at(request.bitrate_bit_s),
             deadline=Duration(HORIZON * period),
             horizon=HORIZON,
             tell=tell,

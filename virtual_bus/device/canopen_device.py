@@ -16,6 +16,7 @@ from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED, NmtState
 from drivers.canopen.objects301 import FIRST_OBJECT, Cia301
 from drivers.timebase import NEVER, NS_PER_MS, Instant
+from drivers.vendors.families import stamp_for
 from virtual_bus.device.application import Application, CommunicationLoss
 from virtual_bus.device.communication_objects import add_communication_objects
 from virtual_bus.device.device_clock import DeviceClock
@@ -83,11 +84,13 @@ class CanopenDevice:
         self._booting = False
         """It hears and sends nothing until its boot-up message."""
         self._boot_timer = station.timers.create(self._boot_up)
-        station.dictionary.hook(
-            Cia301.HIGH_RESOLUTION_TIME_STAMP,
-            provider=lambda: clock.stamp(station.now),
-            on_write=lambda stamp: clock.write(stamp, station.now),
-        )
+        makers = stamp_for(station.value(Cia301.IDENTITY, 1), station.value(Cia301.IDENTITY, 2), "")
+        for index in {Cia301.HIGH_RESOLUTION_TIME_STAMP, makers.index}:
+            station.dictionary.hook(
+                index,
+                provider=lambda: clock.stamp(station.now),
+                on_write=lambda stamp: clock.write(stamp, station.now),
+            )
 
     @property
     def node_id(self) -> int:

@@ -1,0 +1,94 @@
+"""How a maker's drives stamp their samples: which object, what it counts, and when it is latched.
+
+    [stamp]
+    source = "..."                      where all of it stands
+    index = 0x2F31                      1013h if absent
+    sub = 0
+    unit_us = 1.0                       one count
+    resolution_us = 1.0                 by how much it advances at a time; a count if absent,
+    resolution = "bit time"             or one bit of the bus
+    bits = 32                           it counts modulo 2^bits
+    latched = "arrival"                 at the end of the last SYNC, or at the "sampling", the default
+    set_by_master = true                a master that writes the clock moves it
+
+The object is an UNSIGNED32. What no source tells is left out and is as CiA 301 (7.5.2.16) has 1013h.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from drivers.errors import BadInput
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from drivers.vendors.motor_objects import one_line, refuse_unknown
+
+_KEYS: Final = {
+    "source", "index", "sub", "unit_us", "resolution_us", "resolution", "bits", "latched", "set_by_master",
+}  # fmt: skip
+BIT_TIME: Final = "bit time"
+LATCHED: Final = ("sampling", "arrival")
+BITS: Final = range(16, 33)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StampProfile:
+    """The stamp of one family of drives; as it stands, that of CiA 301."""
+
+    source: str = ""
+    index: int = 0x1013
+    sub: int = 0
+    unit_ns: int = NS_PER_US
+    resolution_ns: int = NS_PER_US
+    """0: one bit of the bus."""
+    bits: int = 32
+    latched: str = "sampling"
+    """One of :data:`LATCHED`."""
+    set_by_master: bool = False
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Index and sub-index."""
+        return self.index, self.sub
+
+    @property
+    def of_events(self) -> bool:
+        """In an event-driven TPDO it is the instant of the event."""
+        return self.latched != "arrival"
+
+    def resolution_at(self, bitrate_bit_s: int) -> Duration:
+        """By how much it advances at a time, on a bus of that bit rate."""
+        return Duration(self.resolution_ns or max(self.unit_ns, NS_PER_S // bitrate_bit_s))
+
+
+STANDARD_STAMP: Final = StampProfile()
+
+
+def read_stamp(table: Mapping[str, Any], name: str) -> StampProfile:
+    """The ``[stamp]`` of the file ``name``. Raises BadInput."""
+    refuse_unknown(table, _KEYS, name, "stamp.")
+    source = one_line(table.get("source"))
+    index, unit_us, bits = table.get("index", 0x1013), table.get("unit_us", 1.0), table.get("bits", 32)
+    latched = table.get("latched", "sampling")
+    resolution_us = table.get("resolution_us", unit_us)
+    bit_times = table.get("resolution")
+    for key, value, right, expected in (
+        ("source", table.get("source"), bool(source), "where the stamp is described"),
+        ("index", index, isinstance(index, int), "the index of an object"),
+        ("unit_us", unit_us, unit_us > 0.0, "a value > 0"),
+        ("resolution_us", resolution_us, resolution_us >= unit_us, f"at least unit_us = {unit_us:g}"),
+        ("resolution", bit_times, bit_times in (None, BIT_TIME), f'"{BIT_TIME}", or resolution_us'),
+        ("bits", bits, bits in BITS, f"{BITS[0]}..{BITS[-1]}"),
+        ("latched", latched, latched in LATCHED, f"one of {', '.join(LATCHED)}"),
+    ):
+        if not right:
+            raise BadInput(name, f"stamp.{key}", value, expected)
+    return StampProfile(
+        source=source,
+        index=index,
+        sub=table.get("sub", 0),
+        unit_ns=round(unit_us * NS_PER_US),
+        resolution_ns=0 if bit_times else round(resolution_us * NS_PER_US),
+        bits=bits,
+        latched=latched,
+        set_by_master=bool(table.get("set_by_master", False)),
+    )

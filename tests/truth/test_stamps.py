@@ -1,0 +1,82 @@
+"""Drives whose stamps are coarse, late, narrow or not of microseconds, each row held against the taps."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from drivers.canopen.data_types import DataType
+from hil.configuration.config import BenchConfig
+from hil.execution.bench import run_bench
+from tests.rehearsals.made_sheet import MadeSheet
+from tests.truth.judge import Judgement, Timing, judge_axis
+from tests.truth.plans import Plan
+from tests.truth.rows import READING_IS_A_SET, told_by
+from tests.truth.runner import bench_config
+from tests.truth.tapped_run import run_with_taps
+from tests.truth.truth import axis_truth
+
+CYCLES: Final = 400
+
+
+def judged(plan: Plan, told_us: float | None = None, cycles: int = CYCLES, **keys: Any) -> Judgement:
+    """What the rows of a drive with ``keys`` are worth; ``told_us``: the resolution that the bench knows."""
+    config = with_stamp(bench_config(plan, cycles), told_us, **keys)
+    run = run_with_taps(config)
+    assert not run.ended_by
+    timing = Timing(config.loop.period, config.loop.deadline, config.loop.horizon_periods, plan.heard)
+    truth = axis_truth(run.log, 1, READING_IS_A_SET, plan.heard)
+    return judge_axis(told_by(run.rows, 0, timing.period), truth, timing)
+
+
+def with_stamp(config: BenchConfig, told_us: float | None, **keys: Any) -> BenchConfig:
+    drive = config.drive["axis1"]
+    simulation = drive.simulation.model_copy(update=keys)
+    changed = drive.model_copy(update={"simulation": simulation, "stamp_resolution_us": told_us})
+    return config.model_copy(update={"drive": {"axis1": changed}})
+
+
+LOSS: Final = 'loss = [{probability = 0.1, direction = "drive_to_host"}]'
+
+
+PLANS: Final = (Plan("drift", drift_ppm=80), Plan("loss, 1003 us", LOSS, period_us=1003))
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.name)
+@pytest.mark.parametrize(
+    ("keys", "resolution_us"),
+    [({"stamp_resolution_us": 62.0}, 62.0), ({"stamp_latched": "tick"}, 62.5)],
+    ids=["62 us", "next tick"],
+)
+def test_a_stamp_of_known_resolution_leaves_nothing_uncertain(
+    plan: Plan, keys: dict[str, Any], resolution_us: float
+) -> None:
+    result = judged(plan, resolution_us, **keys)
+    assert (result.rows, result.uncertain, result.wrong, result.bound_broken) == (CYCLES, 0, 0, 0)
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.name)
+def test_a_stamp_too_coarse_to_tell_is_no_worse_than_none(plan: Plan) -> None:
+    result, without = judged(plan, 400.0, stamp_resolution_us=400.0), judged(replace(plan, stamps=False))
+    assert (result.wrong, result.bound_broken, result.uncertain_wrong) == (0, 0, 0)
+    assert result.uncertain <= without.uncertain <= 5
+
+
+def test_a_makers_stamp_is_mapped_and_used(tmp_path: Path) -> None:
+    """Elmo: the microseconds at the end of the last SYNC are in 2F31h, and there is no 1013h."""
+    sheet = MadeSheet()
+    sheet.by(0x9A)
+    sheet.drop(0x1013)
+    sheet.add(0x2F31, {0: DataType.UNSIGNED32})
+    sheet.set(0x2F31, AccessType="ro", PDOMapping="1")
+    path = tmp_path / "elmo.eds"
+    path.write_text(sheet.text())
+    plan = Plan("elmo", LOSS, drift_ppm=120, deadline_us=5000)
+    config = with_stamp(bench_config(plan, CYCLES), None, eds=str(path), stamp_latched="arrival")
+    summary = run_bench(config, bus_spec="simulated", keep=False, privileged=False)
+    assert summary.timing is not None
+    timing = summary.timing["axes"]["axis1"]
+    assert (timing["by_order"], timing["uncertain"]) == (0, 0), "losses leave nothing open"
+    assert timing["placed"] > 300
+    assert timing["clock"]["drift_ppm"] == pytest.approx(120, abs=10)
