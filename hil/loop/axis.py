@@ -28,6 +28,8 @@ _SHOWN_BY_OTHERS: Final = (DropoutCause.LOST, DropoutCause.STALE)
 COARSE_PARTS: Final = 10
 """A stamp that advances by more than this part of a period leaves open which SYNC it is of: map and stamp may
 both be off by a step, and twice both, the bound of a sample, is half a period then. Order knows more."""
+STANDS_STILL: Final = 3
+"""Equal stamps of SYNCs that were learned from in a row: one may be a frame that came twice."""
 READINGS_REMEMBERED: Final = 64
 """Readings that a read-back may come after."""
 
@@ -69,11 +71,7 @@ class Axis:
     """State of one axis from cycle to cycle."""
 
     def __init__(
-        self,
-        number: int,
-        parts: AxisParts,
-        period: Duration,
-        record: Callable[[CycleRecord], None],
+        self, number: int, parts: AxisParts, period: Duration, record: Callable[[CycleRecord], None]
     ) -> None:
         syncs, transit = parts.syncs, parts.transit
         self.parts = parts
@@ -101,6 +99,8 @@ class Axis:
         """Rows marked uncertain."""
         self.learned = 0
         """Readings that were learned from while calibrating."""
+        self._learned_ns: int | None = None
+        self._stood = 0  # how often in a row the stamp that was learned from was the same
         self._alone = True
         """Whether the last SYNC while calibrating had one reading."""
         self._decisions: list[Decision] = []
@@ -144,6 +144,11 @@ class Axis:
     def _learn(self, reading: Reading, mark: SyncMark) -> None:
         assert mark.on_bus_at is not None
         self.learned += 1
+        stamp, self._learned_ns = self._learned_ns, reading.device_time_ns
+        self._stood = self._stood + 1 if stamp is not None and stamp == self._learned_ns else 0
+        if self._by_stamps and self._stood == STANDS_STILL:
+            self._by_stamps = self.by_stamp.clock.ready = False
+            self.parts.tell("its stamp stands still: its readings are placed by their order")
         if self._by_stamps and reading.device_time_ns is not None:
             self.by_stamp.learn(reading, mark)
         else:
@@ -208,10 +213,8 @@ class Axis:
             self._take_readback(readback)
 
     def has_expected(self, sequence: int, decide_after: Duration) -> bool:
-        """Whether nothing more is to be expected before the decision of this cycle.
-
-        A reading that usually takes longer than until the decision is awaited in a later cycle.
-        """
+        """Whether nothing more is to be expected before the decision of this cycle: a reading that usually
+        takes longer than until then is awaited in a later cycle."""
         overdue = self.meter.typical_delay - decide_after
         behind = -(-overdue // self._period) if overdue > 0 else 0
         return self.meter.newest >= sequence - behind

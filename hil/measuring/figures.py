@@ -19,6 +19,7 @@ from hil.loop.axis import Axis
 from hil.loop.samples import CommandFate
 from hil.measuring.loss_model import UNKNOWN, Losses, Outcomes, losses_of
 from hil.measuring.stages import Stage
+from hil.measuring.stamp_probe import StampFigures
 from hil.measuring.subject import MeasureRequest
 from hil.reviewing.histogram import TimeHistogram
 from hil.reviewing.network_meter import NetworkMeter, delays_of, histogram_of
@@ -75,6 +76,8 @@ class MeasuredDrive:
     """Readings of which it is not decided which SYNC they answer."""
     clock: ClockFigures | None
     notes: Sequence[str]
+    stamp: StampFigures | None = None
+    """None: the drive has no such object."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +184,7 @@ def _drive_json(drive: MeasuredDrive) -> Json:
         "losses": {way: losses_json(losses) for way, losses in drive.losses.items()},
         "uncertain": drive.uncertain,
         "clock": None if clock is None else asdict(clock),
+        "stamp": None if drive.stamp is None else asdict(drive.stamp),
         "notes": list(drive.notes),
     }
 

@@ -125,6 +125,7 @@ class Measurement:
         for subject in self._subjects:
             identity = connect(subject.drive, CONNECT_LIMIT_S, self._stop)
             subject.identity = str(identity)
+            subject.find_stamp(self._network)
             node = subject.drive.node_id
             head = head_of(subject.drive.objects, request.bus, identity)
             self._network.begin_journal(Journal(self._folder / f"node{node}.jsonl", head))
@@ -269,5 +270,6 @@ class Measurement:
             losses={way: losses_of(outcomes) for way, outcomes in ways.items()},
             uncertain=axis.uncertain,
             clock=ClockFigures.of(axis),
+            stamp=subject.stamp,
             notes=subject.notes,
         )

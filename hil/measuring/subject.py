@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from design.motor import PmsmParameters
+from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.objects import SettingRefused
 from drivers.canopen.pdo import PdoPlan
 from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, budget_of
@@ -26,7 +27,7 @@ from drivers.cia402.servo import ServoDrive
 from drivers.errors import BadInput, TransferAborted
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, Duration
-from drivers.vendors.stamps import STANDARD_STAMP
+from drivers.vendors.stamps import STANDARD_STAMP, StampProfile
 from hil.execution.assembly import command_duration, shortest_transit
 from hil.execution.segments import timing_without_bench
 from hil.loop.axis import Axis, AxisParts
@@ -38,6 +39,7 @@ from hil.loop.samples import CycleRecord
 from hil.loop.scenario import Quantity, ReferenceProfile
 from hil.loop.syncs import SyncLog
 from hil.measuring.probe import ProbedDrive
+from hil.measuring.stamp_probe import StampFigures, find_stamp
 from hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
 from virtual_bus.hosting.injection import Faults
 
@@ -183,6 +185,8 @@ class Subject:
         self.drive = drive
         self.probe = ProbedDrive(drive, clock)
         self.identity = ""
+        self.stamp: StampFigures | None = None
+        """What its counter was seen to be; None if it has none."""
         self.notes: list[str] = []
         self.configured = False
         """Something may have been written."""
@@ -202,6 +206,23 @@ class Subject:
         """The cycles, in their order."""
         return np.frombuffer(self._memory, ROW_DTYPE, self._filled // ROW.size)
 
+    def find_stamp(self, network: CanopenNetwork) -> None:
+        """Look at its stamp, by SYNCs and SDO; the drive is connected. Raises NoAnswer and AnswersTwice."""
+        self.stamp = find_stamp(network, self.drive.node_id, self._profile.key, self._request.seed)
+
+    @property
+    def _profile(self) -> StampProfile:
+        identity = self.drive.identity
+        return STANDARD_STAMP if identity is None else identity.stamp
+
+    def _stamp_resolution(self) -> Duration:
+        """As it was found; a whole period, so that it is not used, if the counter is none of the kind."""
+        profile, found, period = self._profile, self.stamp, self._timing.period
+        if found is None or found.unit_us is None or found.resolution_us is None:
+            return period if found is not None else profile.resolution_at(self._request.bitrate_bit_s)
+        same = round(found.unit_us * NS_PER_US) == profile.unit_ns
+        return Duration(round(found.resolution_us * NS_PER_US)) if same else period
+
     def configure(self, *, changes: bool, every: int) -> None:
         """Map PDOs and set the drive up; one that does not take the fullest plan has a lesser one.
 
@@ -213,8 +234,7 @@ class Subject:
         self._steps = steps_of(request.torque_max_nm, scaling.rated_torque_nm)
         settings = self._settings(self._steps * scaling.torque_nm, every)
         self.configured = True
-        identity = drive.identity
-        stamp = STANDARD_STAMP if identity is None else identity.stamp
+        stamp = self._profile
         able = all(drive.objects.read_if_there(*key) is not None for key in (stamp.key, DEMAND))
         if changes and able and stamp.of_events:
             self._tells_changes = self._configure_fully(settings)
@@ -250,7 +270,7 @@ class Subject:
             load_machine=None,
             syncs=syncs,
             transit=shortest_transit(drive.reading_bytes, request.bitrate_bit_s),
-            stamp_resolution=drive.assembler.stamp.resolution_at(request.bitrate_bit_s),
+            stamp_resolution=self._stamp_resolution(),
             deadline=Duration(HORIZON * period),
             horizon=HORIZON,
             tell=tell,

@@ -8,6 +8,7 @@ from design.confidence import CONFIDENCE, share_within_largest
 from hil.measuring.figures import Measured, MeasuredDrive
 from hil.measuring.loss_model import Losses, LossModel
 from hil.measuring.stages import WAYS, Stage
+from hil.measuring.stamp_probe import StampFigures
 from hil.reviewing.network_meter import delays_of
 from hil.terminal.output import columns
 
@@ -30,6 +31,8 @@ def print_measured(measured: Measured) -> None:
         console.print(_stages([*measured.host, *drive.stages]))
         console.print(_losses(drive))
         console.print(Text(_clock(drive)))
+        if drive.stamp is not None:
+            console.print(Text(stamp_text(drive.stamp)))
         for note in drive.notes:
             console.print(Text(f"  {note}", style="dim"))
     percent = 100.0 * CONFIDENCE
@@ -92,6 +95,22 @@ def _model(model: LossModel) -> str:
     return ", ".join(
         f"{name} {parameters[name]:.3g} ({interval.low:.3g} to {interval.high:.3g})"
         for name, interval in model.intervals.items()
+    )
+
+
+def stamp_text(stamp: StampFigures) -> str:
+    """What was found of a drive's stamp, and what a bench is to be told of it."""
+    name = f"stamp {stamp.object}"
+    if not stamp.runs:
+        return f"{name}: stands still in {stamp.reads} reads, a master sets it or nothing does; not used"
+    when = "at the arrival of the SYNC" if stamp.at_sync else "when it is asked for"
+    if stamp.unit_us is None or stamp.resolution_us is None:
+        return f"{name}: runs, latched {when}, and counts in no unit that is known; not used"
+    width = f"wraps at {stamp.bits} bits" if stamp.bits else "did not wrap meanwhile"
+    return (
+        f"{name}: counts {stamp.unit_us:g} us in steps of {stamp.resolution_us:g} us (for a bench:"
+        f" drive.NAME.stamp_resolution_us), {width}; latched {when}, how late cannot be told from a constant"
+        " delay"
     )
 
 

@@ -231,14 +231,14 @@ def test_the_dictionaries_are_as_before(tmp_path: Path, enable: bool) -> None:
         assert_as_before(rig, before)
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.3, 1.0])
+@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.3, 0.6, 1.5])
 def test_ctrl_c_puts_everything_back(tmp_path: Path, seconds: float) -> None:
     with measuring_rig(tmp_path) as rig:
         before = rig.memory()
         try:
             measured = rig.measure(StopAfter(rig.world, seconds), cycles=5000, enable=True)
         except Interrupted:
-            assert seconds < 1.0
+            assert seconds < 1.5
         else:
             assert measured.interrupted
             assert 0 < measured.cycles < 5000

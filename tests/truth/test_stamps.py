@@ -80,3 +80,11 @@ def test_a_makers_stamp_is_mapped_and_used(tmp_path: Path) -> None:
     assert (timing["by_order"], timing["uncertain"]) == (0, 0), "losses leave nothing open"
     assert timing["placed"] > 300
     assert timing["clock"]["drift_ppm"] == pytest.approx(120, abs=10)
+
+
+def test_a_stamp_that_stands_still_is_no_worse_than_none() -> None:
+    """A counter that only a master sets, and none does."""
+    for plan in PLANS:
+        result, without = judged(plan, stamp_runs=False), judged(replace(plan, stamps=False))
+        assert (result.wrong, result.bound_broken, result.uncertain_wrong) == (0, 0, 0)
+        assert result.uncertain <= without.uncertain <= 5

@@ -26,6 +26,7 @@ from hil.measuring.figures import (
 )
 from hil.measuring.loss_model import LOST, Losses, LossModel, Parameters
 from hil.measuring.stages import Stage, command_stages, stage, ways
+from hil.measuring.stamp_probe import StampFigures
 from hil.measuring.subject import MeasureRequest
 from hil.rows.records import COMMAND_FATES, NOTHING, Rows
 from tests.unit.hil.test_measuring import change, rows_of, sent
@@ -213,6 +214,7 @@ def test_what_lies_below_the_shortest_time_is_put_into_the_first_bar() -> None:
 
 def test_everything_is_told_as_json() -> None:
     one = replace(drive(), clock=ClockFigures(1.5, 0.5, -3.0, 2.0, 1), stages=[delays("sample", 1.0)])
+    one = replace(one, stamp=StampFigures("1013h:00", 64, True, False, 1.0, 62.5, None, 0.25))
     host = stage("wake_up", "wake-up lateness", [], "no")
     told = replace(measured(one), host=[host]).as_json()
     assert told == {
@@ -238,6 +240,16 @@ def test_everything_is_told_as_json() -> None:
                     "offset_us": -3.0,
                     "error_us": 2.0,
                     "steps": 1,
+                },
+                "stamp": {
+                    "object": "1013h:00",
+                    "reads": 64,
+                    "runs": True,
+                    "at_sync": False,
+                    "unit_us": 1.0,
+                    "resolution_us": 62.5,
+                    "bits": None,
+                    "step_chance": 0.25,
                 },
                 "notes": ["a note"],
             }
