@@ -168,10 +168,11 @@ class FakeServo:
         """Objects that confirm a write and keep their value."""
         self.silent = False
         self.deaf_to_sdo = 0
+        """SDO requests still to be ignored."""
         self.sdo_takes_ns = ANSWER_AFTER_NS
+        """From a request to its answer."""
         self.segments_lost = 0
         """So many segments of an upload are sent and lost, if they are the second of it."""
-        """SDO requests still to be ignored."""
         self.lost_tpdos: set[int] = set()
         self.state = State.SWITCH_ON_DISABLED
         self.nmt_state = 0x7F
