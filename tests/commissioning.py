@@ -201,11 +201,12 @@ def unknown_world(
     trust_nameplate: bool = True,
     tell: Callable[[str], None] = lambda _text: None,
     last_step: str | None = None,
+    without: Sequence[str] = (),
 ) -> tuple[Truth, Commissioned, Spy]:
     """Commission the drive of ``seed`` in simulated time. ``spied``: know the delays from inside.
     ``modes``: 6502h, if it is to be less than the drive can. ``lacks``: objects that it has not.
     ``plate``: in place of the true nameplate, which is to be trusted unless told otherwise.
-    ``last_step``: no step behind that one.
+    ``last_step``: no step behind that one. ``without``: nor these.
     """
     servo, truth = unknown_drive(seed, drive=DriveParameters(clock_drift_ppm=drift_ppm))
     take_away(servo.dictionary, lacks)
@@ -224,7 +225,8 @@ def unknown_world(
 
     def steps() -> list[Step]:
         names = [step.name for step in all_steps()]
-        chosen = all_steps()[: len(names) if last_step is None else names.index(last_step) + 1]
+        last = all_steps()[: len(names) if last_step is None else names.index(last_step) + 1]
+        chosen = [step for step in last if step.name not in without]
         return [Watching(step, spy) if spied and step.name == "delays" else step for step in chosen]
 
     fault_plan = None if faults is None else faults_from(faults, "faults")

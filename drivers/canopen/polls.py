@@ -33,7 +33,8 @@ class ObjectPoll:
         if now < self.due:
             return
         polled = self._polled
-        self.due = Instant(now + polled.every)
+        due = Instant(self.due + polled.every)
+        self.due = due if due > now else Instant(now + polled.every)
         if not self._client.busy and (self._upload is None or self._upload.done_at is not None):
             self._upload = PostedUpload(polled.node_id, polled.index, polled.sub, polled.told)
             self._post.post(self._upload)

@@ -153,8 +153,7 @@ class DriveWatch:
                 remedy="check the cable, and what else is on the bus",
             )
         if not commanded:
-            self._end_and_stop()
-            raise DriveInFault(f"{control.title} follows no command any more", control.evidence())
+            raise self.deaf()
         follow = self._follow
         if follow.lapse is not None:
             follow.lapse.cycles += 1
@@ -162,6 +161,12 @@ class DriveWatch:
         if follow.lapses and not self._bears_lapses:
             self._end_and_stop()
             raise self._unfollowed(follow.lapses[-1])
+
+    def deaf(self) -> DriveInFault:
+        """The error for a drive that was seen to ignore its commands; it is stopped before it is asked."""
+        self._end_and_stop()
+        control = self._control
+        return DriveInFault(f"{control.title} follows no command any more", control.evidence())
 
     def _end_and_stop(self) -> None:
         self.active = False

@@ -274,9 +274,9 @@ class ServoDrive(Drive):
         """By 6061h and bit 12 of its statusword."""
         return self.follow.lapse is None
 
-    def supervise_commands(self) -> str:
+    def supervise_commands(self, *, own_timer: bool = True) -> str:
         """As :meth:`.supervision.CommandSupervision.begin`, called right before the first cycle."""
-        return self.supervision.begin(self.modes.mode)
+        return self.supervision.begin(self.modes.mode, own_timer=own_timer)
 
     @property
     def enabled(self) -> bool:

@@ -29,10 +29,12 @@ READS: Final = 4
 followed is recent, and two when it is not."""
 READ_EVERY_MIN: Final = Duration(10 * NS_PER_MS)
 """Two frames of at most 135 bits are then 3 % of 1 Mbit/s."""
-_DEMANDS: Final[dict[int, int]] = {
-    Object.TARGET_VELOCITY: Object.VELOCITY_DEMAND_VALUE,
-    Object.TARGET_POSITION: Object.POSITION_DEMAND_VALUE,
-    Object.INTERPOLATION_DATA_RECORD: Object.POSITION_DEMAND_VALUE,
+_DEMANDS: Final[dict[int, PdoEntry]] = {
+    Object.TARGET_TORQUE: PdoEntry(Object.TORQUE_DEMAND, 0, "h"),
+    Object.VL_TARGET_VELOCITY: PdoEntry(Object.VL_VELOCITY_DEMAND, 0, "h"),
+    Object.TARGET_VELOCITY: PdoEntry(Object.VELOCITY_DEMAND_VALUE, 0, "i"),
+    Object.TARGET_POSITION: PdoEntry(Object.POSITION_DEMAND_VALUE, 0, "i"),
+    Object.INTERPOLATION_DATA_RECORD: PdoEntry(Object.POSITION_DEMAND_VALUE, 0, "i"),
 }
 """By the object of a set-point: what the drive makes of it, CiA 402-2."""
 _EVENT_TIMER: Final = 5
@@ -64,57 +66,63 @@ class CommandSupervision:
         self._watch: CommandWatch | None = None
         self._offset = 0
         self._poll: ObjectPoll | None = None
+        self._polled: Polled | None = None
 
     def configure(self, settings: DriveSettings, plan: PdoPlan, assembler: ReadingAssembler) -> None:
         """What the drive was set up with; nobody looks after its commands yet."""
         self._settings, self._plan, self._assembler = settings, plan, assembler
         self._timed = self._watch = None
 
-    def begin(self, mode: Mode) -> str:
+    def begin(self, mode: Mode, *, own_timer: bool = True) -> str:
         """Have the drive and the host look after the commands of ``mode`` from now on.
 
+        ``own_timer``: the drive by the timer of its RPDO; False: the host alone, whose commands may cease.
         Says who does, and when the drive begins to stop and is at rest; empty without ``command_timeout_ms``.
         """
         settings = self._settings
         if settings is None or settings.command_timeout_ms is None:
             return ""
         timeout_ms = settings.command_timeout_ms
-        index = self._timer_of(mode)
+        index = self._timer_of(mode) if own_timer else None
         timed = index is not None and self._set_timer(index, timeout_ms)
         cycles = max(2, timeout_ms * NS_PER_MS // settings.sync_period_ns)
         cycles += max(2, cycles // LATER) if timed else 0
-        demand = self._look_at(TARGETS.get(mode), cycles, settings.sync_period_ns)
+        demand = self._look_at(mode, cycles, settings.sync_period_ns)
         host = f"the host by {demand}, after {cycles} cycles"
         if timed:
             drive = f"the drive itself ({index:04X}h:05), after {timeout_ms} ms{_rest_text(settings)}"
             return f"{drive}; {host}" if demand else f"{drive}; nobody compares what it follows"
         if not demand:
-            return "nobody: the drive does not look after its RPDO (1400h:05), nor tell what to compare with"
+            drive = "the drive does not look after its RPDO (1400h:05), nor tell" if own_timer else (
+                "the drive does not tell"
+            )  # fmt: skip
+            return f"nobody: {drive} what to compare with"
         return f"{host} ({timeout_ms} ms){_rest_text(settings)}"
 
-    def _look_at(self, target: PdoEntry | None, cycles: int, period_ns: int) -> str:
+    def _look_at(self, mode: Mode, cycles: int, period_ns: int) -> str:
         """Compare commands with what stands for them; what that is, in words, empty if there is none."""
-        objects, plan = self._objects, self._plan
+        objects, plan, target = self._objects, self._plan, TARGETS.get(mode)
+        self._end_poll()
         if target is None or plan.rpdo_with(target.index, target.sub) is None:
             return ""
-        index = target.index
-        if index == Object.TARGET_TORQUE:
+        torque = target.index == Object.TARGET_TORQUE
+        sloped = not torque or mode is Mode.PROFILE_TORQUE
+        """The drive goes to a command by a ramp."""
+        if torque:
             self._offset = objects.read_if_there(Object.TORQUE_OFFSET, 0, "h") or 0
             if features_of(plan).demand:
-                self._watch_torque(CommandWatch(cycles, DEMAND_MARGIN_RAW))
+                self._watch_torque(CommandWatch(cycles, DEMAND_MARGIN_RAW, equal=not sloped))
                 return "6074h"
-            if plan.tpdo_with(Object.TORQUE_ACTUAL_VALUE) is None:
-                return ""
-            self._watch_torque(CommandWatch(cycles, ACTUAL_MARGIN_RAW, share=ACTUAL_SHARE))
-            return "6077h"
-        demand = _DEMANDS.get(index)
-        if demand is None or objects.read_if_there(demand, 0, "i") is None:
+        demand = _DEMANDS.get(target.index)
+        if demand is not None and objects.read_if_there(demand.index, 0, demand.code) is not None:
+            self._watch = CommandWatch(cycles, DEMAND_MARGIN_RAW, equal=not sloped)
+            every = Duration(max(-(-READ_EVERY_MIN // period_ns), -(-cycles // READS)) * period_ns)
+            self._polled = Polled(objects.node_id, demand.index, 0, every, self._demand_read)
+            return f"{demand.index:04X}h, read by SDO every {every / NS_PER_MS:.3g} ms"
+        if sloped or plan.tpdo_with(Object.TORQUE_ACTUAL_VALUE) is None:
             return ""
-        self._watch = CommandWatch(cycles, DEMAND_MARGIN_RAW, equal=False)
-        every = Duration(max(READ_EVERY_MIN, cycles * period_ns // READS))
-        network, told = objects.network, self._demand_read
-        self._poll = network.poll(Polled(objects.node_id, demand, 0, every, told))
-        return f"{demand:04X}h, read by SDO every {every / NS_PER_MS:.3g} ms"
+        self._watch_torque(CommandWatch(cycles, ACTUAL_MARGIN_RAW, share=ACTUAL_SHARE))
+        return "6077h"
 
     def _demand_read(self, data: bytes, at: Instant) -> None:  # noqa: ARG002
         watch, assembler = self._watch, self._assembler
@@ -125,6 +133,9 @@ class CommandSupervision:
         """A command was handed to the bus."""
         if self._watch is not None:
             self._watch.sent(raw + self._offset)
+        if self._polled is not None and self._poll is None:
+            # Behind a command, and whole cycles later again: no SYNC waits for the frames of a read.
+            self._poll = self._objects.network.poll(self._polled)
 
     @property
     def follows(self) -> bool:
@@ -139,9 +150,7 @@ class CommandSupervision:
     def end(self) -> None:
         """Before the commands cease. A drive that does not take it stops by it, which is meant as well."""
         self._watch_torque(None)
-        if self._poll is not None:
-            self._objects.network.polls.end(self._poll)
-            self._poll = None
+        self._end_poll()
         if self._timed is not None:
             with suppress(PeerFault):
                 self._objects.write(self._timed, _EVENT_TIMER, "H", 0)
@@ -162,6 +171,11 @@ class CommandSupervision:
             return False
         self._timed = index
         return True
+
+    def _end_poll(self) -> None:
+        if self._poll is not None:
+            self._objects.network.polls.end(self._poll)
+        self._poll = self._polled = None
 
     def _watch_torque(self, watch: CommandWatch | None) -> None:
         self._watch = watch

@@ -29,6 +29,13 @@ _SETTLED_LAGS: Final = 2.0
 """Behind half of the answer: there 93 % of a first-order answer have come."""
 _LOST_PART: Final = 0.3
 """Less of the step than this, so late, is none of it: noise of the torque feedback is well below."""
+_HEARD_PART: Final = 0.8
+"""More of the step from the end of a hold to that of the next: the switch was heard."""
+_IGNORED_PART: Final = 0.3
+"""Less: it was not."""
+_IN_A_ROW: Final = 3
+"""Switches, of which each is sent four times: lost frames make no such three, and noise does not reach from
+one of these parts to the other so often."""
 
 
 def switches(session: Session) -> int:
@@ -84,6 +91,10 @@ class CommandProbe:
         self.commands = 0
         """Switches old enough at that SYNC to be judged."""
         self.commands_lost = 0
+        self._held_nm: float | None = None
+        """Torque at the end of the last hold; None if it was not seen."""
+        self._heard = self._ignored = 0
+        """Switches in a row; at _IN_A_ROW it stays."""
 
     def run(self) -> None:
         due = Instant(self._session.clock_now + self._period)
@@ -104,6 +115,7 @@ class CommandProbe:
     def _hold(self, due: Instant, torque: float, part: float, cycles: int, before: float | None) -> Instant:
         """Switch to ``torque`` in the first cycle; it is repeated, so that a lost command is made up."""
         sent_at: Instant | None = None
+        held_nm: float | None = None
         late = False
         for cycle in range(cycles):
             self._network.pump(due)
@@ -115,12 +127,30 @@ class CommandProbe:
             self._network.pump(command_at)
             shown = self._shown(sync_at)
             if before is not None and sent_at is not None and shown is not None and not late:
+                held_nm = shown
                 self._answer(sync_at, sent_at, shown, before, torque, cycle)
             at = self._send(torque, Instant(command_at + self._period))
             sent_at = at if sent_at is None else sent_at
             due = Instant(max(due + self._period, self._session.clock_now))
             self._port.check()
+        self._judge_hold(held_nm, before, torque)
         return due
+
+    def _judge_hold(self, held_nm: float | None, before: float | None, torque: float) -> None:
+        """Raises DriveInFault if the drive hears some switches and ignores others.
+
+        ``held_nm``: torque at the end of a hold. A drive that is slow follows each switch by as little.
+        """
+        last_nm, self._held_nm = self._held_nm, held_nm
+        if before is None or held_nm is None or last_nm is None:
+            return
+        part = (held_nm - last_nm) / (torque - before)
+        if self._heard < _IN_A_ROW:
+            self._heard = self._heard + 1 if part > _HEARD_PART else 0
+        if self._ignored < _IN_A_ROW:
+            self._ignored = self._ignored + 1 if part < _IGNORED_PART else 0
+        if self._heard == self._ignored == _IN_A_ROW:
+            raise self._drive.watch.deaf()
 
     def _shown(self, sync_at: Instant) -> float | None:
         """The torque in answer to the SYNC; None if it was lost or is late. The readings are counted."""

@@ -59,6 +59,9 @@ class DrivePort(Drive):
         self.whole_only = _tells_each_position(drive)
         """A reading whose position was lost is none: it holds the last one, carried on by a velocity whose
         unit may be wrong by a hundred."""
+        self.watched_by = ""
+        """By what, in words, in the last exercise."""
+        self._command_watch = ""
         self._told_at = NEVER_TOLD
         self._period_s = period_s
         self._braking_rad_s2 = braking_rad_s2
@@ -113,8 +116,19 @@ class DrivePort(Drive):
         self.drive.check()
 
     def begin(self) -> None:
-        """In a position mode, positions are counted on from where the shaft stands now."""
+        """An exercise begins: the host looks whether the drive follows its commands, until :meth:`end`. In a
+        position mode, positions are counted on from where the shaft stands now.
+
+        The drive's own timer (1400h:05) would stop it between two exercises.
+        """
         self._position_rad = self._last = None
+        self._command_watch = self.drive.supervise_commands(own_timer=False)
+
+    def end(self) -> None:
+        """The commands of an exercise cease."""
+        mode_watch = self.drive.watch.mode_watch
+        self.watched_by = f"its commands are watched by {self._command_watch}; its mode by {mode_watch}"
+        self.drive.supervision.end()
 
     def _write_position(self, command: SpeedCommand) -> SentCommand | None:
         if self._position_rad is None:

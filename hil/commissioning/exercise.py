@@ -247,11 +247,17 @@ class Exerciser:
         self.network.pump(Instant(clock.now() + self.timing.settle))
         self.port.take_readings()
         self.port.begin()
-        self.guard.arm({None: syncs}, own_sync=True)
-        loop.calibrate()
-        loop.run(
-            duration_s(duration), lambda: self.should_stop() or done(), lambda _at: None, lambda _done: None
-        )
+        try:
+            self.guard.arm({None: syncs}, own_sync=True)
+            loop.calibrate()
+            loop.run(
+                duration_s(duration),
+                lambda: self.should_stop() or done(),
+                lambda _at: None,
+                lambda _done: None,
+            )
+        finally:
+            self.port.end()
         self.guard.calm()  # the SYNCs of other steps are not counted
         self.check_stop()
         return recording_of(records)

@@ -56,10 +56,20 @@ PERIODS_US: Final = (1000, 2000, 4000, 5000, 10_000, 20_000)
 """The longer ones are for a bus that has no room for the PDOs of 1 ms."""
 SETTLE: Final = Duration(20 * NS_PER_MS)
 """Between the SYNCs by which a drive's clock is learnt: no late reading may pass for a later answer."""
+_IGNORED: Final = Duration(40 * NS_PER_MS)
+"""Four reads of a demand by SDO, each 10 ms: a drive that ignores its set-points for less leaves no figure of
+an exercise of seconds wrong."""
+_IGNORED_CYCLES: Final = 10
+"""At a long period; half of them are more than a command takes to act."""
 _SERVED_S: Final = 0.01
 """How soon the end of a fit is seen."""
 BUS_LOAD_MAX_PERCENT: Final = 70.0
 """The worst case of stuffing included; the rest is for SDO, heartbeats and what others send."""
+
+
+def _command_timeout_ms(period: Duration) -> int:
+    """How long a drive may ignore the commands of an exercise."""
+    return max(_IGNORED, _IGNORED_CYCLES * period) // NS_PER_MS
 
 
 class EmergencyStopped(Interrupted):
@@ -250,6 +260,7 @@ class Session:
             capability=self.capability,
             mode=mode,
             coherent=True,
+            command_timeout_ms=_command_timeout_ms(findings.period),
             drive_heartbeat_ms=request.heartbeat_ms,
             drive_heartbeat_timeout_ms=request.heartbeat_timeout_ms,
             host_heartbeat_ms=request.heartbeat_ms,

@@ -248,6 +248,7 @@ class EnableAtZero(Step):
         mean_nm = float(recording.torque.mean())
         torque = "no torque is told" if math.isnan(mean_nm) else f"mean torque {mean_nm:.4g} N m"
         outcome.say(f"the shaft turned by {crept:.5f} turns; {torque}")
+        outcome.say(session.port.watched_by)
         outcome.figures = {"crept_turns": crept}
         if crept > _REST_TURNS:
             raise StepFailed(

@@ -30,6 +30,7 @@ from hil.loop.scenario import Quantity, ReferenceProfile, Segment
 from tests.unit.hil.cycles import advance, in_cycle
 
 PERIOD: Final = Duration(NS_PER_MS)
+WATCHED: Final = "its commands are watched by 6074h; its mode by 6061h"
 PERIOD_S: Final = 1e-3
 RATED_NM: Final = 1.6
 LIMITS: Final = motion_limits(Nameplate(), RATED_NM, 3000.0)
@@ -92,7 +93,7 @@ class Shaft:
 
     @property
     def port(self) -> Any:
-        return SimpleNamespace(quantity=self.quantity, mode=self.mode)
+        return SimpleNamespace(quantity=self.quantity, mode=self.mode, watched_by=WATCHED)
 
     def run(
         self,

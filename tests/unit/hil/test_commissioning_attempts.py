@@ -181,6 +181,7 @@ def test_all_that_a_drive_is_set_up_with(monkeypatch: pytest.MonkeyPatch) -> Non
             capability=capability,
             mode=CST,
             coherent=True,
+            command_timeout_ms=40,
             drive_heartbeat_ms=100,
             drive_heartbeat_timeout_ms=300,
             host_heartbeat_ms=100,

@@ -53,6 +53,9 @@ class Port(FakeDrive):
     def begin(self) -> None:
         self._notes.append("begin")
 
+    def end(self) -> None:
+        self._notes.append("end")
+
     def take_readings(self) -> list[Any]:
         self._notes.append("take readings")
         return super().take_readings()
