@@ -57,6 +57,18 @@ def test_a_stamp_of_known_resolution_leaves_nothing_uncertain(
 
 
 @pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.name)
+@pytest.mark.parametrize(
+    "keys",
+    [{"stamp_resolution_us": 62.0}, {"stamp_resolution_us": 400.0}, {"stamp_latched": "tick"}],
+    ids=["62 us", "400 us", "next tick"],
+)
+def test_a_stamp_of_unknown_resolution_makes_nothing_wrong(plan: Plan, keys: dict[str, Any]) -> None:
+    """The bench takes it for 1 us: a residual is then the stamp's, no SYNC that came late to the drive."""
+    result = judged(plan, **keys)
+    assert (result.wrong, result.bound_broken) == (0, 0)
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.name)
 def test_a_stamp_too_coarse_to_tell_is_no_worse_than_none(plan: Plan) -> None:
     result, without = judged(plan, 400.0, stamp_resolution_us=400.0), judged(replace(plan, stamps=False))
     assert (result.wrong, result.bound_broken, result.uncertain_wrong) == (0, 0, 0)

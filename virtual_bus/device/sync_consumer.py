@@ -103,7 +103,8 @@ class SyncConsumer:
         if self._task is None:
             self._act(counter, now)
             return
-        self._held.append((self._task.due(now), counter))
+        period_ns = station.value(Cia301.CYCLE_PERIOD) * NS_PER_US
+        self._held.append((self._task.due(now, period_ns), counter))
         self._holding.start(self._held[0][0])
 
     def _on_due(self, now: Instant) -> None:

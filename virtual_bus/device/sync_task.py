@@ -4,7 +4,8 @@
     task            |           |         |         |         |    late by 0 to the jitter, drawn for each
     cycle            |         |         |         |         |     a phase behind the filtered SYNC
 
-Drives with a locked cycle and a phase to set: Infranor XtrapulsGem (2006h, a PLL), Lenze ECS (C1122).
+Drives with a locked cycle and a phase to set: Infranor XtrapulsGem (2006h, a PLL, off while 1006h is 0) and
+Lenze ECS (C1122).
 """
 
 from typing import Final
@@ -27,27 +28,27 @@ class SyncTask:
         self._jitter_ns, self._phase_ns = options.jitter_ns, options.phase_ns
         self._draw = UniformStream(options.seed, name)
         self._last_due = Instant(0)
-        self._came_at = self._cycle_at = -1.0
-        self._period_ns = 0.0
+        self._nominal_ns = 0
+        self._cycle_at = self._period_ns = 0.0
 
-    def due(self, came_at: Instant) -> Instant:
-        """When the SYNC whose frame ended at ``came_at``, the newest, is acted on."""
-        due = came_at if self._phase_ns is None else self._locked(came_at, self._phase_ns)
+    def due(self, came_at: Instant, period_ns: int) -> Instant:
+        """When the SYNC whose frame ended at ``came_at``, the newest, is acted on. ``period_ns``: of SYNCs,
+        1006h; 0: nothing is locked to them."""
+        due = came_at
+        if self._phase_ns is not None and period_ns:
+            due = self._locked(came_at, self._phase_ns, period_ns)
         if self._jitter_ns:
             due = Instant(due + int(self._draw.draw() * (self._jitter_ns + 1)))
         self._last_due = due = max(due, self._last_due)
         return due
 
-    def _locked(self, came_at: Instant, phase_ns: int) -> Instant:
+    def _locked(self, came_at: Instant, phase_ns: int, nominal_ns: int) -> Instant:
         """A phase behind the filtered SYNC; not before the SYNC itself has come."""
-        first, spacing = self._came_at < 0.0, came_at - self._came_at
-        self._came_at = float(came_at)
-        if first:
-            self._cycle_at = float(came_at)
-        elif not self._period_ns:
-            self._cycle_at, self._period_ns = float(came_at), spacing
+        if nominal_ns != self._nominal_ns:
+            self._nominal_ns = nominal_ns
+            self._cycle_at, self._period_ns = float(came_at), float(nominal_ns)
         else:
-            cycles = max(1, round((came_at - self._cycle_at) / self._period_ns))
+            cycles = round((came_at - self._cycle_at) / self._period_ns)
             expected_at = self._cycle_at + cycles * self._period_ns
             error_ns = came_at - expected_at
             self._cycle_at = expected_at + PHASE_GAIN * error_ns

@@ -35,9 +35,15 @@ class Seen(NamedTuple):
 
 
 def answers(
-    count: int, jitters_ns: tuple[int, ...] = (0,), period_ns: int = 1_003_000, seed: int = 0, **keys: Any
+    count: int,
+    jitters_ns: tuple[int, ...] = (0,),
+    period_ns: int = 1_003_000,
+    seed: int = 0,
+    told_ns: int = 0,
+    **keys: Any,
 ) -> list[Seen]:
-    """What a drive with ``keys`` answered to SYNCs, sent so much late of their period in turn."""
+    """What a drive with ``keys`` answered to SYNCs, sent so much late of their period in turn. ``told_ns``:
+    the period by 1006h, if it is another one."""
     timeline = Timeline()
     segment = CanSegment(timeline)
     seen: list[Seen] = []
@@ -54,6 +60,7 @@ def answers(
     master = segment.attach("master", Listener())
     parameters = DriveParameters(clock_offset_us=OFFSET_US, **keys)
     AttachedDevice(SimulatedServo(1, LING, parameters, seed), segment)
+    master.send(Frame(0x601, struct.pack("<BHBI", 0x23, 0x1006, 0, (told_ns or period_ns) // NS_PER_US)))
     master.send(Frame(0, b"\x01\x01"))
     timeline.run_until(Instant(10_000_000))
     for number in range(count):
@@ -203,3 +210,12 @@ def test_a_master_that_writes_sets_the_clock_by_the_last_sync() -> None:
 def test_a_counter_that_cannot_be_is_refused(keys: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"^stamp: "):
         SimulatedServo(1, LING, DriveParameters(**keys))
+
+
+def test_a_locked_cycle_rides_over_syncs_that_stay_away() -> None:
+    """As while the bench learns the drive's clock, with SYNCs many periods apart."""
+    period_ns = 1_000_000
+    for each in answers(
+        30, (0, 7 * period_ns), period_ns=50 * period_ns, told_ns=period_ns, sync_phase_us=250
+    ):
+        assert each.stamp - clock_us(each.sync_at) == pytest.approx(250, abs=2)
