@@ -18,6 +18,8 @@ DENSITY: Final = (0.2, 1.0)
 """The chances of all features are scaled by a number between: plans of two features tell what fails, plans of
 ten what is left when each holds alone."""
 BUS_LOAD_MOST: Final = 0.95
+TICK_US: Final = 62.5
+"""Of the current loops of the simulated drive."""
 CYCLE_BITS: Final = {"sync": 60, "reading": 290, "command": 110, "event": 125}
 """Frames of one cycle on the wire, of each axis but for the SYNC, with stuff bits."""
 BACKGROUND_BITS: Final = 130
@@ -46,6 +48,8 @@ class DrawnPlan:
     has_stamps: bool = True
     simulation: dict[str, Any] = field(default_factory=dict)
     """How all drives stamp and act on SYNCs, as the table ``simulation`` of a bench file."""
+    stamp_resolution_us: float = 1.0
+    """What the bench is told of the stamps."""
     clock_starts_at_us: int | None = None
     drifts_ppm: tuple[float, ...] = (0.0, 0.0, 0.0)
     adapter: Adapter | None = None
@@ -211,6 +215,18 @@ def _late_stamps(draw: Draw, plan: DrawnPlan) -> str:
     keys = {"stamp_latched": "tick" if draw.random() < 0.7 else "arrival", "stamp_late_us": late_us}
     plan.simulation |= keys
     return f"1013h: {_table(keys)}"
+
+
+@_feature(0.7)
+def _stamps_are_known(draw: Draw, plan: DrawnPlan) -> str:
+    """The bench is told the resolution, as ``hil measure`` finds it, and a tick of the current loops on top
+    where they latch the stamp (docs/timing.md)."""
+    del draw
+    told_us = plan.simulation.get("stamp_resolution_us", 1)
+    if plan.simulation.get("stamp_latched") == "tick":
+        told_us += TICK_US
+    plan.stamp_resolution_us = min(told_us, 1000)
+    return f"stamp_resolution_us = {plan.stamp_resolution_us}" if plan.simulation else ""
 
 
 @_feature(0.4)

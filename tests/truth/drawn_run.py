@@ -12,7 +12,7 @@ from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
 from tests.truth.adapter import STAMP_TICK_NS, Adapter
 from tests.truth.command_judge import CommandJudgement, judge_commands
-from tests.truth.drawn import DrawnPlan
+from tests.truth.drawn import TICK_US, DrawnPlan
 from tests.truth.judge import Judgement, Timing, judge_axis
 from tests.truth.rows import READING_IS_A_SET, told_by
 from tests.truth.tapped_run import Surroundings, TappedRun, run_with_taps
@@ -21,8 +21,6 @@ from tests.truth.truth import axis_truth
 
 ROOT: Final = Path(__file__).parents[2]
 CYCLES: Final = 1500
-TICK: Final = Duration(62_500)
-"""Of the current loops: the latest that a stamp is latched by them."""
 CRASHES: Final = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
 """Errors that are none of the bench's own: a defect, of the bench or of the judge."""
 
@@ -90,7 +88,7 @@ def timing_of(plan: DrawnPlan, config: BenchConfig) -> Timing:
     """What the judge has to know of ``plan``."""
     error = _stamp_error(plan.adapter)
     resolution_us = plan.simulation.get("stamp_resolution_us", 1.0)
-    unseen = (error or 0) + round((plan.sync_jitter_us + resolution_us) * NS_PER_US) + TICK
+    unseen = (error or 0) + round((plan.sync_jitter_us + resolution_us + TICK_US) * NS_PER_US)
     loop = config.loop
     return Timing(loop.period, loop.deadline, loop.horizon_periods, plan.heard, error, Duration(unseen))
 
@@ -122,6 +120,7 @@ def _drive(plan: DrawnPlan, number: int) -> dict[str, Any]:
     return {
         "node": number + 1,
         "motor": "motors/ling2012.toml",
+        "stamp_resolution_us": plan.stamp_resolution_us,
         "simulation": {
             "clock_drift_ppm": plan.drifts_ppm[number],
             "lacks": [] if plan.has_stamps else ["1013"],
