@@ -21,13 +21,11 @@ from drivers.timebase import NS_PER_S
 from hil.configuration.config_files import Section, load_file
 from hil.recorded.recorded_run import RecordedRun, RunSignals
 from hil.reviewing.largest import Largest, largest
-from hil.rows.records import DIGESTED_BYTES, FATE_SAMPLE, NAMES, ROW_DTYPE, Rows
+from hil.rows.records import DIGESTED, FATE_SAMPLE, NAMES, ROW_DTYPE, Rows
 
 _SIGNALS: Final = ("velocity_rad_s", "torque_nm", "command_torque_nm", "reference_rad_s", "load_torque_nm")
 _COMPARED: Final = [
-    place
-    for place, name in enumerate(NAMES[: DIGESTED_BYTES // 8])
-    if name not in ("axis", "clock_offset_ns", "device_time_ns")
+    place for place in DIGESTED if NAMES[place] not in ("axis", "clock_offset_ns", "device_time_ns")
 ]
 """Places of the columns; every one has eight bytes."""
 _COLUMNS_MAX: Final = 8

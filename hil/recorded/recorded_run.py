@@ -1,7 +1,7 @@
 """A run's folder, read: its bench, its rows and their signals, what it came to."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.bounded_file import NoSuchFile
@@ -21,7 +21,7 @@ from hil.reviewing.envelope import Envelope
 from hil.reviewing.histogram import TimeHistogram
 from hil.reviewing.review import Review
 from hil.rows.recording_plan import ReviewPlan
-from hil.rows.records import Rows
+from hil.rows.records import DIGESTED_TO_FORMAT_2, Rows
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, SUMMARY_FILE
 from hil.verdict.summary import Summary
@@ -85,6 +85,8 @@ def open_run(folder: Path) -> RecordedRun:
         ) from None
     config = load_bench(folder / BENCH_FILE)
     review = review_plan(config, Certificates(config).plans(), real_time=not config.simulated)
+    if int(written_in) <= 2:
+        review = replace(review, digested=DIGESTED_TO_FORMAT_2)
     return RecordedRun(folder, config, metadata, summary, review)
 
 

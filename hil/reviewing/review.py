@@ -14,7 +14,7 @@ from hil.reviewing.speed_error import SpeedErrorMeter, worst
 from hil.reviewing.step_response import LossRun, StepMeter, worst_steps
 from hil.reviewing.torque_swing import TorqueSwingMeter
 from hil.rows.recording_plan import AxisPlan, ReviewPlan
-from hil.rows.records import CAUSES, DIGESTED_BYTES, NOTHING, ROW_DTYPE, Rows
+from hil.rows.records import CAUSES, NAMES, NOTHING, ROW_DTYPE, Rows
 from hil.rows.side_rows import TextEvent
 from hil.verdict.summary import DropoutCounts, Figures, Percentiles, PositionError, SpeedError
 from hil.verdict.verdict import WorstPlace
@@ -85,8 +85,8 @@ class _AxisMeters:
 class Review:
     """Feed it rows in the order of recording; ask for the figures at any time.
 
-    The digest covers the fields of every row before ``compute_ns``. In simulated time each of them follows
-    from the bench file and the seed; in real time the digest only names the recording.
+    The digest covers every column that a run is judged by (:data:`hil.rows.records.DIGESTED`). In simulated
+    time each of them follows from the bench file and the seed; in real time the digest names the recording.
     """
 
     def __init__(self, plan: ReviewPlan) -> None:
@@ -100,7 +100,7 @@ class Review:
         self._zero: int | None = None
         """The first cycle."""
         self._fates = np.zeros(len(CAUSES) + 1, np.int64)
-        self._digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
+        self._digest, self._digested = hashlib.blake2b(digest_size=DIGEST_BYTES), plan.digested
 
     def add(self, rows: Rows) -> None:
         """Take in ``rows``: (n,) of ROW_DTYPE, each axis in order of sequence.
@@ -113,8 +113,8 @@ class Review:
             return
         if self._zero is None:
             self._zero = int(rows["due_at"][0])
-        packed = np.ascontiguousarray(rows).view(np.uint8).reshape(rows.size, ROW_DTYPE.itemsize)
-        self._digest.update(np.ascontiguousarray(packed[:, :DIGESTED_BYTES]).data)
+        packed = np.ascontiguousarray(rows).view("<u8").reshape(rows.size, len(NAMES))
+        self._digest.update(np.ascontiguousarray(packed[:, self._digested]).data)
         self._fates += np.bincount(rows["fate"], minlength=self._fates.size)
         self._add_host_times(rows)
         for number, axis in enumerate(self._axes):

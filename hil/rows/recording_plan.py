@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from drivers.timebase import NS_PER_S, Duration, Instant
+from hil.rows.records import DIGESTED
 from hil.verdict.verdict import VerdictLimits
 
 SETTLING = Duration(250_000_000)
@@ -79,6 +80,8 @@ class ReviewPlan:
     """Of a step: within it the speed has settled."""
     period: Duration = Duration(0)  # noqa: RUF009 - an int
     """Of the loop; for the errors of drives that are given positions."""
+    digested: tuple[int, ...] = DIGESTED
+    """Places of the columns that the digest covers."""
 
 
 class ObservedSignal(NamedTuple):

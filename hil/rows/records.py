@@ -160,10 +160,13 @@ COLUMNS: tuple[Column, ...] = (
 """In the order in which the records nest."""
 
 NAMES: tuple[str, ...] = tuple([column.name for column in COLUMNS])
-DIGESTED_BYTES: Final = 8 * NAMES.index("compute_ns")
-"""Of each row, from its beginning: in simulated time that follows from the bench file and the seed. A
-reference or a command that is no speed and no torque lies behind, but what of it came to the drive and back,
-``command_raw`` and the reading, lies within."""
+DIGESTED: Final = tuple(
+    [place for place, name in enumerate(NAMES) if name != "compute_ns" and not name.startswith("channel_")]
+)
+"""Places of the columns that the digest covers; every one has eight bytes. In simulated time they follow from
+the bench file and the seed; what the host took does not, nor need what a controller of one's own tells."""
+DIGESTED_TO_FORMAT_2: Final = tuple(range(NAMES.index("compute_ns")))
+"""The same of recordings of formats 1 and 2: without the last four columns."""
 
 ROW: Final = struct.Struct("<" + "".join(["d" if column.is_real else "q" for column in COLUMNS]))
 ROW_DTYPE: Final = np.dtype([(column.name, "<f8" if column.is_real else "<i8") for column in COLUMNS])

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-FORMAT: Final = "2"
+FORMAT: Final = "3"
 """Version of the run's folder as docs/recording.md describes it; counts up when a reader must know."""
 
 FIRST_CYCLE = "first_cycle_bench_ns"

@@ -327,3 +327,12 @@ def test_a_report_of_another_kind_is_refused(tmp_path: Path) -> None:
         write_report(judged(), tmp_path / "r.pdf")
     told = f"--report: found '{tmp_path / 'r.pdf'}', expected a file that ends in .html or .md"
     assert str(caught.value) == told
+
+
+@pytest.mark.parametrize("name", ["reference_position_rad", "reference_torque_nm", "command_speed_rad_s"])
+def test_a_column_that_was_overwritten_is_no_pass(name: str) -> None:
+    run = run_of(VerdictLimits())
+    batches = tuple(each.copy() for each in run.batches)
+    batches[1][name] = batches[1]["velocity_rad_s"]
+    (told,) = judge_run(replace(run, batches=batches)).summary.verdict.of(VerdictKind.NOT_RECORDED)
+    assert told.startswith("records.arrow has the digest ")

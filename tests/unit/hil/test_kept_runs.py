@@ -14,6 +14,7 @@ from hil.recorded.recorded_run import RecordedRun, open_run, signals_of
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.recording.run_folder import write_summary
 from hil.rows.recording_plan import PlannedSetPoint
+from hil.rows.records import NAMES
 from hil.rows.records_file import RecordsWriter
 from hil.rows.side_rows import BeginEvent, LoadEvent, StateEvent, TextEvent
 from hil.testing.run import Run
@@ -193,19 +194,21 @@ def test_what_is_no_whole_run_is_refused(folder: Path, spoil: Spoil, told: str) 
 
 
 @pytest.mark.parametrize(
-    ("written_in", "read"), [("1", True), ("2", True), ("3", False), ("0", False), ("x", False)]
+    ("written_in", "read"), [("1", True), ("2", True), ("3", True), ("4", False), ("0", False), ("x", False)]
 )
 def test_a_recording_of_another_format_is_refused(folder: Path, written_in: str, read: bool) -> None:
     write(folder, {"first_cycle_bench_ns": "0", "format": written_in})
     if read:
-        assert isinstance(open_run(folder), RecordedRun)
+        run = open_run(folder)
+        assert isinstance(run, RecordedRun)
+        assert (len(NAMES) - 1 in run.review.digested) is (written_in == "3")  # the last column
         return
     with pytest.raises(BadInput) as caught:
         open_run(folder)
-    assert str(caught.value) == f"RUN: format: found '{written_in}', expected a recording of format 1 to 2"
+    assert str(caught.value) == f"RUN: format: found '{written_in}', expected a recording of format 1 to 3"
 
 
 def test_a_recording_whose_head_was_cut_off_has_no_format(folder: Path) -> None:
     (folder / "records.arrow").write_bytes(b"ARROW1")
-    with pytest.raises(BadInput, match=r"^RUN: format: found 'none', expected a recording of format 1 to 2$"):
+    with pytest.raises(BadInput, match=r"^RUN: format: found 'none', expected a recording of format 1 to 3$"):
         open_run(folder)

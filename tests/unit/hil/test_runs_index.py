@@ -148,7 +148,7 @@ def test_damaged_files_are_told_and_stop_nothing(lab: Path) -> None:
 
 
 def test_a_later_format_is_told_by_its_number_and_an_earlier_one_is_read(lab: Path) -> None:
-    for name, number in (("c", "1"), ("b", "3")):
+    for name, number in (("c", "1"), ("b", "4")):
         path = lab / name / RECORDS_FILE
         table = pa.ipc.open_file(path).read_all()
         changed = table.replace_schema_metadata({**table.schema.metadata, b"format": number.encode()})
@@ -156,7 +156,7 @@ def test_a_later_format_is_told_by_its_number_and_an_earlier_one_is_read(lab: Pa
             sink.write_table(changed)
     found = listed(str(lab))
     assert [run["state"] for run in found] == ["whole", "whole", "later format"]
-    assert found[2]["note"] == "format 3: expected a recording of format 2 or earlier"
+    assert found[2]["note"] == "format 4: expected a recording of format 3 or earlier"
 
 
 def test_a_run_in_simulated_time_has_the_time_of_its_bench_file(lab: Path) -> None:
