@@ -27,6 +27,9 @@ _VOLTAGE: Final = 0x10
 MODE_EVERY: Final = Duration(50 * NS_PER_MS)
 """Between two reads of 6061h by SDO: as often as a heartbeat. Two frames of at most 135 bits are 0.5 % of
 1 Mbit/s, 4 % of 125 kbit/s."""
+MODE_SILENCE: Final = 4 * MODE_EVERY
+"""A read that is not answered is given up after 100 ms: on a bus that loses a tenth of its frames, one in
+4000."""
 _UNWATCHED: Final = Duration(1 << 62)
 """No silence is as long."""
 
@@ -41,6 +44,13 @@ class DriveWatch:
         self.stop_first: Callable[[], None] = partial(control.command_by_pdo, DriveCommand.QUICK_STOP)
         """Called before a drive that is not what it should be is asked why, as answers take their time: this
         drive stops by RPDO. Of several drives in one run each is to stop all."""
+        self.on_mode_watch: Callable[[], None] = _nobody
+        """Called when 6061h is not answered any more, and when it is again."""
+        self._mode_read_at = Instant(0)
+        self._unanswered = False
+        """6061h is read, and the drive has given no answer for MODE_SILENCE."""
+        self._went_unanswered = False
+        """Since it was enabled."""
         self._follow = follow
         self._mode_pdo: PdoMap | None = None
         self._poll: ObjectPoll | None = None
@@ -74,6 +84,8 @@ class DriveWatch:
         self._follow.begin()
         objects = control.objects
         if self._mode_pdo is None and self._poll is None and objects.read_if_there(*MODE, "b") is not None:
+            self._mode_read_at = self._now()
+            self._unanswered = self._went_unanswered = False
             polled = Polled(objects.node_id, *MODE, MODE_EVERY, self._mode_read)
             self._poll = control.network.poll(polled)
 
@@ -88,7 +100,7 @@ class DriveWatch:
     @property
     def sees_mode(self) -> bool:
         """6061h is told, or read."""
-        return self._poll is not None or self._follow.mode_shown
+        return (self._poll is not None and not self._unanswered) or self._follow.mode_shown
 
     @property
     def mode_watch(self) -> str:
@@ -99,14 +111,17 @@ class DriveWatch:
             mode = "nothing, as it has no 6061h that can be read"
         elif self._mode_pdo is not None and not follow.mode_shown:
             mode = f"nothing, as 6061h {way} does not show it"
+        elif self._unanswered:
+            mode = f"nothing, as 6061h, read {way}, is not answered any more"
         else:
-            mode = f"6061h {way}"
+            mode = f"6061h {way}{', which was not answered for a time' if self._went_unanswered else ''}"
         if not follow.has_bit:
             return mode
         bit = "bit 12 of 6041h" if follow.bit_watched else "bit 12 of 6041h once it is set: it is 0"
         return f"{mode}; {bit}"
 
     def _mode_read(self, data: bytes, at: Instant) -> None:
+        self._mode_read_at = at
         self._follow.mode_told(int.from_bytes(data[:1], "little", signed=True), at)
 
     def check(self, commanded: bool) -> None:
@@ -145,6 +160,9 @@ class DriveWatch:
         if self._told.statusword & self._bits != self._wanted:
             self._end_and_stop()
             raise self._out_of_operation()
+        if self._poll is not None and (self._now() - self._mode_read_at > MODE_SILENCE) != self._unanswered:
+            self._unanswered, self._went_unanswered = not self._unanswered, True
+            self.on_mode_watch()
         if self._now() - self._told.at > self._silence_ns:
             self.active = False
             silence_ms = self._silence_ns / NS_PER_MS
@@ -215,6 +233,10 @@ class DriveWatch:
             "look after the safety circuit and the supply of the power stage",
             seen_at,
         )
+
+
+def _nobody() -> None:
+    """Nobody is told."""
 
 
 def _silence_borne(plan: PdoPlan, silence_ms: int) -> Duration:

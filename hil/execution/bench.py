@@ -337,21 +337,23 @@ class _Run:
 
     def _tell_guard(self, drive: ServoDrive) -> None:
         """From now on somebody notices when the drive does not hear its commands any more."""
-        guard = drive.supervise_commands()
-        active = drive.supervision.active
+        guard, active = drive.supervise_commands(), drive.supervision.active
         self._say(f"{drive.name}: its commands are watched by {guard}", "INFO" if active else "WARN")
-        watch, level = drive.watch.mode_watch, "INFO" if drive.watch.sees_mode else "WARN"
-        self._say(f"{drive.name}: its mode is watched by {watch}", level)
+        drive.watch.on_mode_watch = partial(self._tell_mode_watch, drive)
+        self._tell_mode_watch(drive)
         drive.follow.on_change = partial(self._tell_lapse, drive)
         drive.watch.stop_first = partial(stop_each, self._drives)
+
+    def _tell_mode_watch(self, drive: ServoDrive) -> None:
+        watch, level = drive.watch.mode_watch, "INFO" if drive.watch.sees_mode else "WARN"
+        self._say(f"{drive.name}: its mode is watched by {watch}", level)
         self.conclusion.watched(drive, watch)
 
     def _tell_lapse(self, drive: ServoDrive, lapse: Lapse) -> None:
-        """A drive does not follow its commands, or does so again."""
-        at, level, text = lapse.began_at, "ERROR", f"{lapse}: {lapse.evidence}"
-        if lapse.ended_at is not None:
-            at, level, text = lapse.ended_at, "WARN", f"follows {lapse.mode.title} again"
-        self.recorder.event(at, level, f"{drive.name} {text}")
+        if lapse.ended_at is None:
+            self.recorder.event(lapse.began_at, "ERROR", f"{drive.name} {lapse}: {lapse.evidence}")
+        else:
+            self.recorder.event(lapse.ended_at, "WARN", f"{drive.name} follows {lapse.mode.title} again")
 
     def _teller(self, drive: ServoDrive) -> Callable[[str], None]:
         return lambda text: self._say(f"{drive.name}: {text}", "WARN")
