@@ -15,11 +15,12 @@ from typing import Final
 from drivers.canopen.error_control import watch_lack
 from drivers.canopen.objects import RemoteObjects
 from drivers.canopen.objects301 import Cia301
+from drivers.canopen.pdo import Key
 from drivers.canopen.pdo_capability import PdoCapability
 from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
-from drivers.cia402.pdo_plans import NEEDED_OBJECTS, STANDARD, PlanWish
+from drivers.cia402.pdo_plans import NEEDED_OBJECTS, STAMP, STANDARD, PlanWish
 from drivers.cia402.profile import Mode, no_drive, offers_mode, tells_modes
 
 _UNWATCHED: Final = "it is refused unless --unwatched (unwatched = true)"
@@ -40,6 +41,8 @@ class ToldDrive:
     mode_held: int | None = None
     """What 6060h holds where it cannot be written."""
     capability: PdoCapability = STANDARD
+    stamp: Key = STAMP
+    """The object that is its stamp, by its make."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +119,7 @@ def judge_mode(told: ToldDrive, node_id: int, mode: Mode) -> ModeFitness:
     if not told.has(needed):
         return ModeFitness(mode, None, f"{object_name(needed, 0)} is not in the dictionary")
     try:
-        return ModeFitness(mode, plan_pdos(told.capability, node_id, PlanWish(mode)))
+        return ModeFitness(mode, plan_pdos(told.capability, node_id, PlanWish(mode, stamp=told.stamp)))
     except PlanImpossible as error:
         return ModeFitness(mode, None, error.evidence or error.summary)
 

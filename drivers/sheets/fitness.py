@@ -20,6 +20,8 @@ from drivers.cia402.profile import Mode, run_words
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary, held, held_by, held_number
 from drivers.sheets.identity import told_identity
+from drivers.vendors.families import stamp_for
+from drivers.vendors.stamps import StampProfile
 
 _NAMED_MAX = 4
 """Contradictions of a kind that are named one by one; the others are counted."""
@@ -61,6 +63,11 @@ class FileIdentity(NamedTuple):
     def profile(self) -> int | None:
         """The number of its device profile; None if 1000h tells nothing."""
         return None if self.device_type is None else self.device_type & 0xFFFF
+
+    @property
+    def stamp(self) -> StampProfile:
+        """How drives of that make stamp their samples."""
+        return stamp_for(self.vendor or 0, self.product or 0, self.device_name or self.product_name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,11 +150,16 @@ def assess(loaded: LoadedDictionary, node_id: int, asked: Sequence[Mode]) -> Fit
         modes_told_by=by,
         usable=judgement.modes,
         pdos=told.capability.slots,
-        lacks=tuple(Lack(*known) for known in RECOMMENDED if known[0] not in dictionary),
+        lacks=tuple(Lack(*known) for known in RECOMMENDED if _place(known[0], told) not in dictionary),
         obstacles=judgement.obstacles,
         conditions=judgement.conditions,
         remarks=(*_remarks(dictionary, identity.profile, judgement), *doubts(dictionary, told.capability)),
     )
+
+
+def _place(index: int, told: ToldDrive) -> int:
+    """Where the maker has what the standard has at ``index``."""
+    return told.stamp[0] if index == Cia301.HIGH_RESOLUTION_TIME_STAMP else index
 
 
 def told_by_sheet(loaded: LoadedDictionary) -> ToldDrive:
@@ -166,6 +178,7 @@ def told_by_sheet(loaded: LoadedDictionary) -> ToldDrive:
         limits,
         held_mode,
         capability_of(loaded),
+        _identity(loaded).stamp.key,
     )
 
 

@@ -52,7 +52,7 @@ def plan_for(
     if chosen is None:
         return None
     try:
-        result = plan_pdos(capability_of(loaded), node_id, PlanWish(chosen))
+        result = plan_pdos(capability_of(loaded), node_id, PlanWish(chosen, stamp=fitness.identity.stamp.key))
     except PlanImpossible as error:
         return Planned(chosen.title, None, None, error.evidence or error.summary)
     budget = budget_of([result.plan], Duration(period_us * NS_PER_US), bitrate)

@@ -21,6 +21,7 @@ from drivers.cia402.pdo_plans import PlanWish
 from drivers.cia402.profile import BENCH_MODES
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
+from drivers.sheets.fitness import told_by_sheet
 from drivers.timebase import NS_PER_S, Instant
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_checks import standard_plan
@@ -267,6 +268,7 @@ def _plan_by_sheet(config: BenchConfig, axis: str, sheet: LoadedDictionary) -> P
         loop.actuation == "on_sync",
         loop.position_every_cycles,
         coherent=config.coherent(axis),
+        stamp=told_by_sheet(sheet).stamp,
         mode_apart=not drive.observed.entries,
     )
     plan = plan_pdos(capability_of(sheet), drive.node, wish).plan
