@@ -70,6 +70,8 @@ class ClockHealth(Section):
     """The largest error bound of an instant of sampling that is certain."""
     steps: int = Field(default=0, ge=0)
     """Times that it was set."""
+    stamp_resolution_us: float | None = Field(default=None, gt=0)
+    """By how much its stamp advances at a time, where that was measured."""
 
 
 class Network(Section):
@@ -120,7 +122,7 @@ class Network(Section):
     command_losses: LossChain | None = None
     certainty: Certainty | None = None
     clocks: dict[str, ClockHealth] = Field(default_factory=dict)
-    """By axis."""
+    """By axis, of a measurement by node."""
 
     @property
     def losses_max(self) -> int:

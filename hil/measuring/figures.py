@@ -12,7 +12,7 @@ from design.confidence import CONFIDENCE, rank_above, share_within_largest
 from drivers.canopen.pdo import PdoMap
 from drivers.timebase import NS_PER_US
 from drivers.wire.frame_port import EchoBasis
-from hil.configuration.network_file import Certainty, LossChain, Network
+from hil.configuration.network_file import Certainty, ClockHealth, LossChain, Network
 from hil.configuration.toml_text import toml_text
 from hil.execution.assembly import shortest_transit
 from hil.loop.axis import Axis
@@ -187,6 +187,24 @@ def _drive_json(drive: MeasuredDrive) -> Json:
         "stamp": None if drive.stamp is None else asdict(drive.stamp),
         "notes": list(drive.notes),
     }
+
+
+def clocks_by_node(drives: Sequence[MeasuredDrive]) -> dict[str, ClockHealth]:
+    """Of each drive: ``node1`` and so on."""
+    return {f"node{drive.node}": _clock_of(drive) for drive in drives}
+
+
+def _clock_of(drive: MeasuredDrive) -> ClockHealth:
+    clock, resolution_us = drive.clock, None if drive.stamp is None else drive.stamp.resolution_us
+    if clock is None:
+        return ClockHealth(stamp_resolution_us=resolution_us)
+    return ClockHealth(
+        drift_ppm=clock.drift_ppm,
+        drift_error_ppm=clock.drift_error_ppm,
+        error_us=clock.error_us,
+        steps=clock.steps,
+        stamp_resolution_us=resolution_us,
+    )
 
 
 def network_of(period_us: int, rows: Sequence[Rows], ways: Sequence[dict[str, Outcomes]]) -> Network | None:

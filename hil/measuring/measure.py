@@ -27,7 +27,7 @@ from hil.machine.progress import Progress
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.measuring import stages
-from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive, network_of
+from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive, clocks_by_node, network_of
 from hil.measuring.loss_model import Outcomes, losses_of
 from hil.measuring.probe import TimedDemandChange, acting
 from hil.measuring.subject import MeasureRequest, Subject, affordable, timing_of
@@ -229,6 +229,7 @@ class Measurement:
             drives.append(self._drive_figures(subject, axis, rows, ways, changes, echoes))
             all_rows.append(rows)
             all_ways.append(ways)
+        network = network_of(self._request.period_us, all_rows, all_ways)
         return Measured(
             request=self._request,
             cycles=outcome.cycles,
@@ -237,7 +238,7 @@ class Measurement:
             echoes=echoes,
             host=stages.host_stages(all_rows[0], echoes),
             drives=drives,
-            network=network_of(self._request.period_us, all_rows, all_ways),
+            network=network and network.model_copy(update={"clocks": clocks_by_node(drives)}),
             timing=timing_report(self._axes, {self._request.bus: syncs}, self._guard.counts),
             surplus=syncs.surplus,
             distrust=distrust(self._axes, self._timing.period),

@@ -12,12 +12,14 @@ import pytest
 from design.confidence import Interval, clopper_pearson
 from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
 from drivers.wire.frame_port import EchoBasis
+from hil.configuration.network_file import ClockHealth
 from hil.loop.axis import Axis
 from hil.loop.samples import CommandFate
 from hil.measuring.figures import (
     ClockFigures,
     Measured,
     MeasuredDrive,
+    clocks_by_node,
     fault_plan_text,
     losses_json,
     network_of,
@@ -267,6 +269,20 @@ def test_a_clock_is_told_by_its_map_once_that_is_ready() -> None:
     assert ClockFigures.of(cast(Axis, axis)) == ClockFigures(2.5, 0.5, -3.0, 1.5, 2)
     clock.ready = False
     assert ClockFigures.of(cast(Axis, axis)) is None
+
+
+def test_a_network_has_the_clocks_of_its_nodes_and_how_their_stamps_advance() -> None:
+    clock, stamp = (
+        ClockFigures(1.5, 0.5, -3.0, 2.0, 1),
+        StampFigures("", 64, True, False, 1.0, 62.5, None, 0.0),
+    )
+    clocks = clocks_by_node([replace(drive(), node=5, clock=clock, stamp=stamp), replace(drive(), node=6)])
+    assert clocks == {
+        "node5": ClockHealth(
+            drift_ppm=1.5, drift_error_ppm=0.5, error_us=2.0, steps=1, stamp_resolution_us=62.5
+        ),
+        "node6": ClockHealth(),
+    }
 
 
 def network(*rows: Rows, acting: bool = True) -> Any:
