@@ -113,7 +113,8 @@ class ServoDrive(Drive):
         """
         network = self.network
         if self.identity is not None:
-            settings = replace(settings, stamp=self.identity.stamp)
+            stamp = self.identity.stamp.if_there(self.objects.read_if_there)
+            settings = replace(settings, stamp=stamp)
         watched = self.error_control.begin(settings.watch_times, unwatched=settings.unwatched)
         self.modes.require(settings.mode)  # before anything is asked for that only this mode needs
         self._change_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL, settings)

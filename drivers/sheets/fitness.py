@@ -178,7 +178,7 @@ def told_by_sheet(loaded: LoadedDictionary) -> ToldDrive:
         limits,
         held_mode,
         capability_of(loaded),
-        _identity(loaded).stamp.key,
+        _identity(loaded).stamp.if_there(lambda index, _sub: index if index in dictionary else None).key,
     )
 
 

@@ -14,7 +14,7 @@
 The object is an UNSIGNED32. What no source tells is left out and is as CiA 301 (7.5.2.16) has 1013h.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -54,6 +54,11 @@ class StampProfile:
     def of_events(self) -> bool:
         """In an event-driven TPDO it is the instant of the event."""
         return self.latched != "arrival"
+
+    def if_there(self, read: Callable[[int, int], int | None]) -> "StampProfile":
+        """This one, or CiA 301's if ``read`` finds no such object: not every drive of a make has it."""
+        there = self.index == STANDARD_STAMP.index or read(self.index, self.sub) is not None
+        return self if there else STANDARD_STAMP
 
     def resolution_at(self, bitrate_bit_s: int) -> Duration:
         """By how much it advances at a time, on a bus of that bit rate."""

@@ -187,6 +187,7 @@ class Subject:
         self.identity = ""
         self.stamp: StampFigures | None = None
         """What its counter was seen to be; None if it has none."""
+        self._profile: StampProfile = STANDARD_STAMP
         self.notes: list[str] = []
         self.configured = False
         """Something may have been written."""
@@ -208,12 +209,10 @@ class Subject:
 
     def find_stamp(self, network: CanopenNetwork) -> None:
         """Look at its stamp, by SYNCs and SDO; the drive is connected. Raises NoAnswer and AnswersTwice."""
-        self.stamp = find_stamp(network, self.drive.node_id, self._profile.key, self._request.seed)
-
-    @property
-    def _profile(self) -> StampProfile:
-        identity = self.drive.identity
-        return STANDARD_STAMP if identity is None else identity.stamp
+        drive = self.drive
+        if drive.identity is not None:
+            self._profile = drive.identity.stamp.if_there(drive.objects.read_if_there)
+        self.stamp = find_stamp(network, drive.node_id, self._profile.key, self._request.seed)
 
     def _stamp_resolution(self) -> Duration:
         """As it was found; a whole period, so that it is not used, if the counter is none of the kind."""

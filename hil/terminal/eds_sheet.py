@@ -15,10 +15,9 @@ from drivers.cia402.profile import BENCH_MODES, Mode
 from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault
-from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary, held
 from drivers.sheets.eds.sections import section_name
-from drivers.sheets.fitness import FileIdentity, Fitness
+from drivers.sheets.fitness import FileIdentity, Fitness, told_by_sheet
 from drivers.timebase import NS_PER_US, Duration
 from drivers.vendors.families import quirks_for
 
@@ -52,7 +51,8 @@ def plan_for(
     if chosen is None:
         return None
     try:
-        result = plan_pdos(capability_of(loaded), node_id, PlanWish(chosen, stamp=fitness.identity.stamp.key))
+        told = told_by_sheet(loaded)
+        result = plan_pdos(told.capability, node_id, PlanWish(chosen, stamp=told.stamp))
     except PlanImpossible as error:
         return Planned(chosen.title, None, None, error.evidence or error.summary)
     budget = budget_of([result.plan], Duration(period_us * NS_PER_US), bitrate)

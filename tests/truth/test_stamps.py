@@ -75,13 +75,15 @@ def test_a_stamp_too_coarse_to_tell_is_no_worse_than_none(plan: Plan) -> None:
     assert result.uncertain <= without.uncertain <= 5
 
 
-def test_a_makers_stamp_is_mapped_and_used(tmp_path: Path) -> None:
-    """Elmo: the microseconds at the end of the last SYNC are in 2F31h, and there is no 1013h."""
+@pytest.mark.parametrize("index", [0x2F31, 0x1013])
+def test_a_makers_stamp_is_mapped_and_used(tmp_path: Path, index: int) -> None:
+    """Elmo: the microseconds at the end of the last SYNC are in 2F31h; a drive without it may have 1013h."""
     sheet = MadeSheet()
     sheet.by(0x9A)
-    sheet.drop(0x1013)
-    sheet.add(0x2F31, {0: DataType.UNSIGNED32})
-    sheet.set(0x2F31, AccessType="ro", PDOMapping="1")
+    if index == 0x2F31:
+        sheet.drop(0x1013)
+        sheet.add(index, {0: DataType.UNSIGNED32})
+        sheet.set(index, AccessType="ro", PDOMapping="1")
     path = tmp_path / "elmo.eds"
     path.write_text(sheet.text())
     plan = Plan("elmo", LOSS, drift_ppm=120, deadline_us=5000)

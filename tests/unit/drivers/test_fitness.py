@@ -238,3 +238,14 @@ def test_the_plan_by_a_sheet_has_its_makers_stamp() -> None:
     assert [entry.index for entry in speed.entries] == [0x606C, 0x2F31]
     assert 0x1013 not in {lack.index for lack in found.lacks}
     assert 0x1013 in {lack.index for lack in fitness(also=record).lacks}
+
+
+def test_a_drive_without_its_makers_stamp_may_have_the_standards() -> None:
+    record = "[1018]\nParameterName=I\nObjectType=9\nSubNumber=2\n"
+    record += sub(0x1018, 0, U8, "ro", "1") + sub(0x1018, 1, U32, "ro", "0x9A")
+    found = fitness(also=record + variable(0x1013, U32, "rw"))
+    assert found.best is not None
+    assert found.best.plan is not None
+    speed = found.best.plan.plan.tpdo_with(0x606C)
+    assert speed is not None
+    assert [entry.index for entry in speed.entries] == [0x606C, 0x1013]
