@@ -66,7 +66,8 @@ def judged(plan: DrawnPlan, cycles: int = CYCLES) -> Verdict:
     try:
         run = run_with_taps(config, Surroundings(plan.clock_starts_at_us, plan.adapter))
         verdict.ended_by = run.ended_by
-        _judge(run, config, verdict)
+        if run.rows.size:
+            _judge(run, config, verdict)
     except BenchError as error:
         verdict.ended_by = f"{error}"
     except CRASHES as error:
