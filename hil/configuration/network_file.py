@@ -81,7 +81,7 @@ class Network(Section):
     losses_in_a_row_max: int = Field(ge=0, le=1000, description="most readings missing in a row")
     delay_max_us: int = Field(ge=0, description="largest delay from sample to actuator, us")
     command_losses_in_a_row_max: int = Field(default=0, ge=0, le=1000)
-    """Most commands lost in a row."""
+    """Most commands lost in a row, or passed over: the most that were lost."""
     commands: Literal["stated", "measured", "not measured"] = "stated"
     """How the way of the commands is known: stated by whoever wrote the file, told by the drive (6074h), or
     not at all; then nothing can be certified on it."""
@@ -108,11 +108,16 @@ class Network(Section):
     commands_acting: int = Field(default=0, ge=0)
     """Commands that the drive was seen to follow."""
     commands_lost: int = Field(default=0, ge=0)
-    """Commands that it was seen not to follow."""
+    """Commands that it cannot have followed at any instant."""
     commands_not_identifiable: int = Field(default=0, ge=0)
-    """Commands that equal a neighbour: neither can be said."""
+    """Commands of which neither can be said: they equal a neighbour, or were not asked for in time."""
+    commands_passed_over: int = Field(default=0, ge=0)
+    """Those among them that were there at a SYNC, not followed then, and replaced: lost, or followed between
+    two SYNCs only."""
     command_loss_percent: float | None = Field(default=None, ge=0, le=100)
-    """Of those of which it can be said."""
+    """Lost or passed over, of those and the ones acting: the most that were lost."""
+    command_loss_least_percent: float | None = Field(default=None, ge=0, le=100)
+    """Lost, of the same."""
     histogram: DelayHistogram | None = None
     """Of the readings' delay."""
     command_histogram: DelayHistogram | None = None

@@ -133,7 +133,7 @@ def axis(
         horizon=config.loop.horizon_periods,
         tell=tell,
         stamp_resolution=config.drive[name].stamp_resolution or drive.assembler.stamp.resolution_at(bitrate),
-        settles=timing.period if timing.actuation is Actuation.ON_SYNC else Duration(0),
+        acts_at_syncs=timing.actuation is Actuation.ON_SYNC,
         acts_later=Duration(later),
     )
     return Axis(number, parts, timing.period, record)

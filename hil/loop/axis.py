@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from drivers.errors import LimitExceeded
-from drivers.exchange import DemandChange, Drive, Readback, Reading
+from drivers.exchange import DemandChange, Drive, Reading
 from drivers.record import replaced
 from drivers.timebase import Duration, Instant, MonotonicClock
 from hil.loop.attribution import HELD_FOR, HELD_MAX
@@ -17,6 +17,7 @@ from hil.loop.context import Context
 from hil.loop.decision import Decision, Tick
 from hil.loop.delay import DelayMeter, Fate
 from hil.loop.order_attribution import OrderAttribution
+from hil.loop.readback_tie import ReadbackTie, Telling
 from hil.loop.safety import SafetyGuard
 from hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Sending
 from hil.loop.scenario import Quantity, ReferenceProfile
@@ -30,8 +31,6 @@ COARSE_PARTS: Final = 10
 both be off by a step, and twice both, the bound of a sample, is half a period then. Order knows more."""
 STANDS_STILL: Final = 3
 """Equal stamps of SYNCs that were learned from in a row: one may be a frame that came twice."""
-READINGS_REMEMBERED: Final = 64
-"""Readings that a read-back may come after."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +60,8 @@ class AxisParts:
     """Takes what is to be said of the drive's clock."""
     stamp_resolution: Duration = STAMP_RESOLUTION
     """By how much the drive's stamp advances at a time."""
-    settles: Duration = Duration(0)  # noqa: RUF009 - an int
-    """From a command's arrival until it shows at a SYNC."""
+    acts_at_syncs: bool = False
+    """The drive takes a command at the first SYNC after it came."""
     acts_later: Duration = Duration(0)  # noqa: RUF009 - an int
     """A command takes so much longer on this axis's segment than the loop reckons."""
 
@@ -80,10 +79,10 @@ class Axis:
         self.by_order = OrderAttribution(syncs, period, transit, parts.tell)
         """For readings without a stamp."""
         self.meter = DelayMeter(parts.deadline, parts.horizon)
-        self.commands = CommandMeter(parts.horizon, syncs, parts.settles)
+        self.commands = CommandMeter(parts.horizon, syncs, parts.acts_at_syncs)
+        self.readbacks = ReadbackTie(syncs, period, parts.horizon)
         self._number = number
         self._period = period
-        self._half_period = period // 2
         self._held_max = max(REVOKED, min(HELD_MAX, HELD_FOR // period))
         self._record = record
         self._asks_speeds = parts.reference.quantity is Quantity.SPEED
@@ -108,11 +107,8 @@ class Axis:
         self._settled: list[Decision] = []
         """Of those whose commands' fates still are."""
         self._load_nm = 0.0
-        self._readings = 0
         self._kept: list[Reading] = []
         """Readings that came and are not taken in yet, in their order."""
-        self._placed: list[tuple[Instant, Instant] | None] = [None] * READINGS_REMEMBERED
-        """Of the last readings, by their count: their SYNC's instant and their own; None if uncertain."""
 
     @property
     def wants_probe(self) -> bool:
@@ -134,7 +130,7 @@ class Axis:
         readings = self._drive.take_readings()
         self._drive.take_readbacks()
         self._drive.take_demand_changes()
-        self._readings += len(readings)
+        self.readbacks.pass_over(len(readings))
         alone = len({reading.device_time_ns or reading.received_at for reading in readings}) == 1
         if alone and self._alone and mark.on_bus_at is not None:
             self._learn(readings[0], mark)
@@ -157,7 +153,7 @@ class Axis:
 
     def discard(self) -> None:
         """Let go of what has come: it answers SYNCs from before."""
-        self._readings += len(self._drive.take_readings()) + len(self._kept)
+        self.readbacks.pass_over(len(self._drive.take_readings()) + len(self._kept))
         self._kept.clear()
         self._drive.take_readbacks()
         self._drive.take_demand_changes()
@@ -202,15 +198,16 @@ class Axis:
         while kept and kept[0].received_at < at:
             self._take(kept.pop(0))
 
-    def _collect_demands(self) -> None:
+    def _collect_demands(self, *, at_end: bool) -> None:
         """Take in what the drive told of its torque demand."""
-        readbacks = self._drive.take_readbacks()
+        tellings = self.readbacks.take(self._drive.take_readbacks(), at_end=at_end)
+        self.commands.patient = self.readbacks.doubtful
         for change in self._drive.take_demand_changes():
-            while readbacks and readbacks[0].received_at < change.received_at:
-                self._take_readback(readbacks.pop(0))
+            while tellings and tellings[0].received_at < change.received_at:
+                self._take_telling(tellings.pop(0))
             self._take_change(change)
-        for readback in readbacks:
-            self._take_readback(readback)
+        for telling in tellings:
+            self._take_telling(telling)
 
     def has_expected(self, sequence: int, decide_after: Duration) -> bool:
         """Whether nothing more is to be expected before the decision of this cycle: a reading that usually
@@ -258,7 +255,10 @@ class Axis:
 
     def settle(self, now: int) -> None:
         """Record the cycles of which everything is known in cycle ``now``."""
-        self._collect_demands()
+        self._collect_demands(at_end=False)
+        self._settle(now)
+
+    def _settle(self, now: int) -> None:
         for fate in self.meter.settle(self.parts.syncs.heard_ns):
             self._hold(fate)
         settled = self._settled
@@ -276,10 +276,11 @@ class Axis:
 
     def settle_all(self, now: int) -> None:
         """End of the run: record what is left, with what is known; ``now``: beyond any horizon."""
+        self._collect_demands(at_end=True)
         for fate in self.meter.settle_all(self.parts.syncs.heard_ns):
             if self._decisions:
                 self._hold(fate)
-        self.settle(now)
+        self._settle(now)
 
     def _asked(self, tick: Tick) -> Decision:
         """A new cycle, and what is asked for in it."""
@@ -296,13 +297,12 @@ class Axis:
         return decision
 
     def _take(self, reading: Reading) -> None:
-        self._readings += 1
         by_stamp = self._by_stamps and reading.device_time_ns is not None
         question = self.by_stamp.question if by_stamp else self.by_order.question
-        was_open = question.open
+        was_open, duplicates = question.open, self.by_stamp.health.duplicates
         sample = self.by_stamp.place(reading) if by_stamp else self.by_order.place(reading)
-        place = (self._readings - 1) % READINGS_REMEMBERED
-        self._placed[place] = None
+        again = self.by_stamp.health.duplicates > duplicates
+        self.readbacks.reading(sample, reading.received_at, again)
         if question.cleared:
             question.cleared = False
             self.meter.forget_doubts()
@@ -313,28 +313,20 @@ class Axis:
             self.meter.doubt(newest if question.since is None else question.since, newest)
         if sample is None or not self.meter.arrived(sample):
             return
-        if sample.certain:
-            self._placed[place] = (sample.sampled_at, reading.received_at)
         self._check(self.parts.guard.check_speed(reading.velocity_rad_s))
         self._context.samples.append(sample)
         self._compensator.receive(sample)
 
-    def _take_readback(self, readback: Readback) -> None:
-        """The torque demand at a SYNC: it goes with the last reading, if it came within half a period of it.
-
-        Later it would be that of the next SYNC, whose reading was lost.
-        """
-        behind = self._readings - readback.readings
-        placed = self._placed[(readback.readings - 1) % READINGS_REMEMBERED]
-        if placed is not None and 0 <= behind < READINGS_REMEMBERED:
-            sync_at, received_at = placed
-            if 0 <= readback.received_at - received_at < self._half_period:
-                self.commands.told(readback.demand_raw, sync_at)
+    def _take_telling(self, telling: Telling) -> None:
+        out_of_order = self.commands.out_of_order
+        self.commands.told(telling.demand_raw, telling.since, telling.until, telling.sync)
+        if self.commands.out_of_order > out_of_order:
+            self.readbacks.doubt()
 
     def _take_change(self, change: DemandChange) -> None:
         """The torque demand when it changed."""
         clock = self.by_stamp.clock
-        if clock.ready:
+        if clock.ready and not self.by_stamp.question.open:
             at = clock.place(change.device_time_ns)
             self.commands.changed(change.demand_raw, at, Duration(clock.error_ns))
 

@@ -1,17 +1,21 @@
 """What became of each command of an axis, from its echo and from the torque demand that the drive tells.
 
     SYNC ends           s1              s2              s3
-    commands        1       2               3                handed over
-    0x6074             1           1              3          told with the reading of that SYNC
-    fate                2: lost, as the drive never followed it; 3: acts after s2, by s3
+    commands        1       2               3                on the bus
+    0x6074             1           1              3          followed at that SYNC
+    fate                2: not identifiable, passed over; 3: acting after s2, by s3
 
-0x6074 tells which command is in force when a SYNC ends; told at every change, with a stamp, it tells when the
-command began to act. A command that equals the one before or after it cannot be told from that; and one that
-was replaced before the next telling is not seen at all: both are *not identifiable*, and counted apart from
-those that were lost.
+A telling says that the drive followed a command at some instant *from* one *to* another: an exact one at the
+end of a SYNC, one whose SYNC is not known over a longer time. Commands arrive in the order in which they were
+sent, each once, until a telling shows that they do not. From that alone:
 
-Where an echo tells of which frame it is, a command without one was not on the bus: it cannot act, and is lost
-once the bus has been heard of for longer than a frame may take.
+- *acting*: a telling that only this command explains. It began to act after it could be there first, and
+  after the last telling of an older one; it acted by the end of the telling.
+- *lost*: it never was on the bus; or the drive takes set-points at SYNCs, and between its arrival and the
+  command that replaced it every SYNC has a telling, none of which it explains.
+- *not identifiable*: all others. It equals a neighbour, or the drive was not asked in time. One that was
+  there at a SYNC and not followed then was *passed over*: lost, or followed between two SYNCs only, which no
+  telling excludes.
 """
 
 from typing import Final
@@ -21,29 +25,65 @@ from drivers.timebase import Duration, Instant
 from drivers.wire.frame_port import EchoBasis
 from hil.loop.delay import UNHEARD_MAX
 from hil.loop.samples import CommandFate, Sending
-from hil.loop.syncs import SyncLog
+from hil.loop.syncs import ECHO_ERROR, SyncLog, SyncMark
 
 FOLLOWED_MAX: Final = 256
 """Commands followed at a time: more than there are cycles for which a row waits, the longest horizon and
 :data:`UNHEARD_MAX` together."""
 ECHO_CYCLES: Final = 2
 """A command's echo is there within so many cycles, or it is of no use to wait for it."""
+REPLACED_CYCLES: Final = 5
+"""A command that was replaced is open for so many cycles. Its successor is sent in the next, taken at the
+SYNC after that and told at the one after that, which is taken in with the reading of the next; a stamped
+change is there earlier."""
 
 
 class _Followed:
     """A command and what is known of its effect."""
 
+    __slots__ = (
+        "acts_by",
+        "excluded",
+        "fate",
+        "heard_ns",
+        "judged",
+        "not_before",
+        "passed",
+        "possible",
+        "raw",
+        "reached_by",
+        "replaced",
+        "sent",
+        "shows",
+        "stamped",
+    )
+
     def __init__(self, sent: SentCommand, shows: bool, heard_ns: int) -> None:
         """``shows``: its own echo tells when it is on the bus. ``heard_ns``: for how long the bus had been
         heard of."""
         self.sent = sent
+        self.raw = sent.raw
         self.shows = shows
         self.heard_ns = heard_ns
         self.fate: CommandFate | None = None
-        """None while it is open."""
-        self.acts_after: Instant | None = None
-        """The latest SYNC at which it was there, and not followed yet."""
+        """Acting, or None."""
+        self.not_before: Instant | None = None
+        """The latest instant at which an older one was followed."""
         self.acts_by: Instant | None = None
+        self.reached_by: Instant | None = None
+        """By then the drive followed this one or a newer one."""
+        self.possible = False
+        """Whether a telling may have been of it."""
+        self.passed = False
+        """Whether it was there at a SYNC by which it should have acted, and an older one was followed."""
+        self.replaced = False
+        """Whether a newer one is known to be followed."""
+        self.judged = False
+        """Whether it is known if it is excluded."""
+        self.excluded = False
+        """Whether it can have acted at no SYNC before it was replaced."""
+        self.stamped = False
+        """Whether the drive has stamped the change to it."""
 
     def was_there(self, at: Instant) -> bool:
         """Whether it was on the bus by ``at``; where no echo tells, whether it had been handed over."""
@@ -56,104 +96,235 @@ class _Followed:
 class CommandMeter:
     """Follows the commands of one axis."""
 
-    def __init__(
-        self,
-        horizon: int,
-        syncs: SyncLog,
-        settles: Duration = Duration(0),  # noqa: B008 - an int
-    ) -> None:
+    def __init__(self, horizon: int, syncs: SyncLog, acts_at_syncs: bool = False) -> None:
         """``horizon``: cycles after which a command is settled with what is known by then. ``syncs``: of the
-        axis's segment; it tells what was heard of the bus. ``settles``: a command that came less than this
-        before a SYNC need not show at it: a period where set-points act at SYNCs, as the drive tells before
-        it takes them."""
+        axis's segment; it tells what was heard of the bus. ``acts_at_syncs``: set-points are taken at the
+        first SYNC after they came, and the drive may tell before it takes them."""
         self.unexplained = 0
-        """Read-backs that equal no command on its way: the drive limits or shapes its set-point."""
+        """Tellings that equal no command on its way: the drive limits or shapes its set-point."""
+        self.out_of_order = 0
+        """Tellings that equal a command older than one that had been followed by then."""
+        self.patient = False
+        """Whether a telling may come later than a newer one: a command that was replaced is open until the
+        horizon."""
         self._horizon = horizon
+        self._window = horizon + REPLACED_CYCLES
         self._syncs = syncs
         self._shows = syncs.echoes is EchoBasis.BUS
-        self._settles = settles
+        self._echo_error = ECHO_ERROR[syncs.echoes]
+        self._at_syncs = acts_at_syncs
         self._followed: list[_Followed] = []
-        """In the order of sending, from the oldest whose fate was not asked for."""
-        self._acting: _Followed | None = None
-        self._told_raw: int | None = None
+        """In the order of sending."""
+        self._asked = 0
+        """So many of them have been asked for."""
+        self._past = 0
+        """So many of them are older than any that may still be followed."""
+        self._before_raw: int | None = None
+        """What may be followed of those in the past, or before the first command; None: not known."""
         self._telling = False
+        self._stamping = False
+        """Whether changes are told with a stamp."""
+        self._unordered = False
+        """Whether commands have overtaken one another on the way, by the drive's own stamps."""
+        self._exact: SyncMark | None = None
+        """The last SYNC with an exact telling."""
+        self._seen_since = Instant(0)
+        """From the SYNC that ended then every SYNC up to ``_exact`` has an exact telling."""
 
     def sent(self, command: SentCommand) -> None:
         """A command has been handed over."""
         followed = self._followed
         followed.append(_Followed(command, self._shows, self._syncs.heard_ns))
-        if len(followed) > FOLLOWED_MAX:
+        if len(followed) - self._past > self._window:
+            leaving = followed[self._past]
+            if leaving.possible:
+                self._before_raw = leaving.raw
+            self._past += 1
+        while self._past and (self._asked or len(followed) > FOLLOWED_MAX):
             del followed[0]
+            self._past -= 1
+            self._asked = max(0, self._asked - 1)
 
-    def told(self, demand_raw: int, sync_at: Instant) -> None:
-        """The drive followed ``demand_raw`` when the SYNC of ``sync_at`` ended; in order of SYNCs."""
+    def told(self, demand_raw: int, since: Instant, until: Instant, sync: SyncMark | None = None) -> None:
+        """The drive followed ``demand_raw`` at an instant from ``since`` to ``until``.
+
+        ``sync``: the SYNC that it is of; None if that is not known.
+        """
         self._telling = True
-        before, self._told_raw = self._told_raw, demand_raw
-        if self._follows_in_order(demand_raw, sync_at):
+        if sync is not None and self._at_syncs:
+            self._note_sync(sync)
+        if self._follows_in_order(demand_raw, since, until, sync):
             return
-        candidates = self._candidates(sync_at)
-        if not candidates:
-            return
-        equal = [one for one in candidates if one.sent.raw == demand_raw]
-        self._note_not_yet(candidates, equal[-1] if equal else self._acting, sync_at)
+        equal = self._explaining(demand_raw, since, until)
         if not equal:
-            if self._acting is None or self._acting.sent.raw != demand_raw:
-                self.unexplained += 1
+            self._exact = None
             return
-        acting = equal[-1]
-        if acting is self._acting:
+        self._note_not_yet(equal[-1], since, sync)
+        self._note_possible(equal)
+        if equal[0] < 0:
             return
-        if acting.fate is not CommandFate.ACTING:
-            last_raw = before if self._acting is None else self._acting.sent.raw
-            if len(equal) > 1 or last_raw is None or last_raw == demand_raw:
-                acting.fate = CommandFate.NOT_IDENTIFIABLE
-            else:
-                self._note_acting(acting, sync_at)
-        self._replace(acting, candidates)
+        if len(equal) == 1:
+            self._note_acting(self._followed[equal[0]], until)
+        self._reach(equal[0], until)
+        self._exclude(equal[0], sync)
 
     def changed(self, demand_raw: int, at: Instant, error: Duration) -> None:
         """The drive began to follow ``demand_raw`` at ``at``, which is right within ``error``."""
         self._telling = True
-        candidates = self._candidates(Instant(at + error))
-        equal = [one for one in candidates if one.sent.raw == demand_raw]
-        if len(equal) == 1 and equal[0] is not self._acting:
-            command = equal[0]
-            command.fate = CommandFate.ACTING
-            command.acts_after, command.acts_by = Instant(at - error), Instant(at + error)
-            self._replace(command, candidates)
+        since, until = Instant(at - error), Instant(at + error)
+        followed = self._followed
+        in_force = self._in_force(since)
+        equal = [
+            place
+            for place in range(max(in_force, self._past), len(followed))
+            if followed[place].raw == demand_raw
+            and followed[place].was_there(Instant(until + self._echo_error))
+            and not _acted_before(followed[place], since)
+        ]
+        if not equal:
+            self._unordered = self._unordered or self._equals_older(demand_raw, in_force)
+            return
+        self._note_possible(equal)
+        if len(equal) == 1:
+            command = followed[equal[0]]
+            self._note_acting(command, until)
+            if command.not_before is None or command.not_before < since:
+                command.not_before = since
+            command.stamped = self._stamping = True
+            self._reach(equal[0], until)
 
-    def _note_not_yet(self, candidates: list[_Followed], acting: _Followed | None, sync_at: Instant) -> None:
-        """Commands newer than the one in force did not act at this SYNC, though they should have shown."""
-        for newer in reversed(candidates):
-            if newer is acting:
-                return
-            if newer.was_there(Instant(sync_at - self._settles)):
-                newer.acts_after = sync_at
+    # ---- what a telling shows -----------------------------------------------------------------------------
 
-    def _follows_in_order(self, demand_raw: int, sync_at: Instant) -> bool:
-        """The usual case, without a detour: the newest command follows the one that acted, and acts now."""
-        followed, acting = self._followed, self._acting
+    def _follows_in_order(
+        self, demand_raw: int, since: Instant, until: Instant, sync: SyncMark | None
+    ) -> bool:
+        """The usual case, without a detour: the newest command follows one that acted before, and acts."""
+        followed = self._followed
         last = len(followed) - 1
-        while last >= 0 and not followed[last].was_there(sync_at):
+        there = Instant(until + self._echo_error)
+        while last >= 0 and not followed[last].was_there(there):
             last -= 1
-        if last < 1 or acting is None or followed[last - 1] is not acting:
+        if last <= self._past or self._unordered:
             return False
-        newest = followed[last]
-        if newest.sent.raw != demand_raw or acting.sent.raw == demand_raw or newest.fate is not None:
+        newest, before = followed[last], followed[last - 1]
+        if newest.raw != demand_raw or before.raw == demand_raw or newest.possible:
             return False
-        self._note_acting(newest, sync_at)
-        self._acting = newest
+        if before.reached_by is None or before.reached_by > since:
+            return False
+        newest.possible = True
+        self._note_acting(newest, until)
+        self._reach(last, until)
+        self._exclude(last, sync)
         return True
 
-    def _replace(self, acting: _Followed, candidates: list[_Followed]) -> None:
-        """The drive follows ``acting`` now; older ones that it was seen not to follow were lost."""
-        for older in candidates:
-            if older is acting:
-                break
-            if older.fate is None:
-                seen_off = older.acts_after is not None and older.sent.raw != acting.sent.raw
-                older.fate = CommandFate.LOST if seen_off else CommandFate.NOT_IDENTIFIABLE
-        self._acting = acting
+    def _in_force(self, at: Instant) -> int:
+        """Place of the newest command of which it is known that it, or a newer one, was followed by ``at``;
+        -1: of none."""
+        if self._unordered:
+            return -1
+        followed = self._followed
+        for place in range(len(followed) - 1, self._past - 1, -1):
+            reached_by = followed[place].reached_by
+            if reached_by is not None and reached_by <= at:
+                return place
+        return -1
+
+    def _explaining(self, demand_raw: int, since: Instant, until: Instant) -> list[int]:
+        """Places of the commands that may have been followed, the oldest first, -1 for what was before them;
+        empty if nothing explains the demand."""
+        followed = self._followed
+        in_force = self._in_force(since)
+        there = Instant(until + self._echo_error)
+        equal = [
+            place
+            for place in range(max(in_force, self._past), len(followed))
+            if followed[place].raw == demand_raw and followed[place].was_there(there)
+        ]
+        if in_force < 0 and self._before_raw in (None, demand_raw):
+            self._before_raw = demand_raw
+            equal.insert(0, -1)
+        if equal:
+            return equal
+        if self._equals_older(demand_raw, in_force):
+            self.out_of_order += 1
+        else:
+            self.unexplained += 1
+        return equal
+
+    def _equals_older(self, demand_raw: int, place: int) -> bool:
+        return any(older.raw == demand_raw for older in self._followed[: max(0, place)])
+
+    def _note_not_yet(self, place: int, since: Instant, sync: SyncMark | None) -> None:
+        """No command newer than the one at ``place`` was followed at ``since``."""
+        followed = self._followed
+        settled = Instant(since - self._echo_error)
+        if self._at_syncs:
+            previous = None if sync is None else self._previous_of(sync)
+            settled = Instant(-(1 << 62)) if previous is None else Instant(previous - self._echo_error)
+        for newer in reversed(followed[max(place + 1, self._past) :]):
+            if newer.was_there(since) and (newer.not_before is None or newer.not_before < since):
+                newer.not_before = since
+            if newer.was_there(settled):
+                newer.passed = True
+
+    def _note_possible(self, places: list[int]) -> None:
+        for place in places:
+            if place >= 0:
+                self._followed[place].possible = True
+
+    def _note_acting(self, command: _Followed, until: Instant) -> None:
+        command.fate = CommandFate.ACTING
+        if command.acts_by is None or until < command.acts_by:
+            command.acts_by = until
+
+    def _reach(self, place: int, until: Instant) -> None:
+        """The command at ``place``, or a newer one, was followed by ``until``."""
+        followed = self._followed
+        reached = followed[place]
+        if reached.reached_by is None or until < reached.reached_by:
+            reached.reached_by = until
+        for older in range(place - 1, -1, -1):
+            if followed[older].replaced:
+                return
+            followed[older].replaced = True
+
+    def _exclude(self, place: int, sync: SyncMark | None) -> None:
+        """The command at ``place``, or a newer one, was followed at ``sync``: which ones before it can have
+        acted at no SYNC is known now."""
+        if sync is None or not self._at_syncs:
+            return
+        followed = self._followed
+        for older in range(place - 1, -1, -1):
+            command = followed[older]
+            if command.judged:
+                return
+            command.judged = True
+            on_bus_at = command.sent.on_bus_at
+            first = command.sent.handed_at if on_bus_at is None else on_bus_at - self._echo_error
+            command.excluded = not command.possible and first > self._seen_since + self._echo_error
+
+    def _note_sync(self, sync: SyncMark) -> None:
+        """The telling of ``sync`` is known."""
+        if sync is self._exact:
+            return
+        marks = self._syncs.marks
+        place = sync.number - marks[0].number - 1
+        while place >= 0 and marks[place].on_bus_at is None and self._shows:
+            place -= 1  # it has no echo, so it never was on the bus
+        if place < 0 or marks[place] is not self._exact:
+            self._seen_since = sync.handed_at if sync.on_bus_at is None else sync.on_bus_at
+        self._exact = sync
+
+    def _previous_of(self, sync: SyncMark) -> Instant | None:
+        """The end of the last SYNC on the bus before ``sync``; None if it is not remembered."""
+        marks = self._syncs.marks
+        for place in range(sync.number - marks[0].number - 1, -1, -1):
+            on_bus_at = marks[place].on_bus_at
+            if on_bus_at is not None:
+                return on_bus_at
+        return None
+
+    # ---- fates --------------------------------------------------------------------------------------------
 
     def outcome(self, sequence: int, now: int) -> Sending | None:
         """What became of the command of cycle ``sequence``, seen from cycle ``now``; None while it is open.
@@ -161,23 +332,33 @@ class CommandMeter:
         To be asked in order of the cycles that sent one; what was told of is forgotten.
         """
         followed = self._followed
-        while followed and followed[0].sent.sequence < sequence:
-            del followed[0]
-        if not followed or followed[0].sent.sequence != sequence:
+        while self._asked < len(followed) and followed[self._asked].sent.sequence < sequence:
+            self._asked += 1
+        if self._asked == len(followed) or followed[self._asked].sent.sequence != sequence:
             return None
-        first = followed[0]
-        fate = first.fate
-        if fate is None:
-            fate = self._outcome_unseen(first, now - sequence)
+        command = followed[self._asked]
+        fate = command.fate
+        if fate is not None:
+            if self._stamping and self.patient and not command.stamped and now - sequence < self._horizon:
+                return None
+        else:
+            fate = self._outcome_unseen(command, now - sequence)
             if fate is None:
                 return None
-        del followed[0]
-        sent = first.sent
-        return Sending(sent.raw, sent.handed_at, sent.on_bus_at, fate, first.acts_after, first.acts_by)
+        self._asked += 1
+        sent = command.sent
+        return Sending(
+            sent.raw, sent.handed_at, sent.on_bus_at, fate, self._acts_after(command, fate), command.acts_by
+        )
 
     def _outcome_unseen(self, command: _Followed, age: int) -> CommandFate | None:
-        """Of a command that the drive was seen neither to follow nor to pass over, after ``age`` cycles."""
+        """Of a command that no telling was certainly of, after ``age`` cycles."""
         missing = command.shows and command.sent.on_bus_at is None
+        if command.replaced and not missing:
+            if age < (self._horizon if command.excluded or self.patient else REPLACED_CYCLES):
+                return None
+            sure = command.excluded and not (command.possible or self.patient or self._unordered)
+            return CommandFate.LOST if sure else CommandFate.NOT_IDENTIFIABLE
         if age < (self._horizon if self._telling or missing else ECHO_CYCLES):
             return None
         if missing:
@@ -187,20 +368,18 @@ class CommandMeter:
                 return None
         return CommandFate.NOT_IDENTIFIABLE if self._telling else CommandFate.NOT_MEASURED
 
-    def _candidates(self, sync_at: Instant) -> list[_Followed]:
-        """The commands that may act at ``sync_at`` in place of the one that acted before, oldest first."""
-        start = 0
-        followed = self._followed
-        for place in range(len(followed) - 1, -1, -1):
-            if followed[place] is self._acting:
-                start = place
-                break
-        return [one for one in followed[start:] if one.was_there(sync_at)]
+    def _acts_after(self, command: _Followed, fate: CommandFate) -> Instant | None:
+        """The latest instant known at which it did not act yet."""
+        if fate is not CommandFate.ACTING:
+            passed = command.passed and command.replaced and not command.possible
+            return command.not_before if passed else None
+        sent = command.sent
+        on_bus_at, not_before = sent.on_bus_at, command.not_before
+        first = sent.handed_at
+        if on_bus_at is not None:
+            first = max(first, Instant(on_bus_at - self._echo_error))
+        return first if not_before is None or self._unordered else max(first, not_before)
 
-    def _note_acting(self, command: _Followed, sync_at: Instant) -> None:
-        command.fate = CommandFate.ACTING
-        command.acts_by = sync_at
-        on_bus_at = command.sent.on_bus_at
-        there = command.sent.handed_at if on_bus_at is None else on_bus_at
-        if command.acts_after is None or command.acts_after < there:
-            command.acts_after = there
+
+def _acted_before(command: _Followed, at: Instant) -> bool:
+    return command.acts_by is not None and command.acts_by < at

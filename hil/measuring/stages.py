@@ -19,7 +19,7 @@ from hil.loop.samples import CommandFate, DropoutCause
 from hil.measuring.loss_model import CAME, LOST, UNKNOWN, Outcomes
 from hil.measuring.probe import TimedDemandChange, on_its_way
 from hil.reviewing.histogram import TimeHistogram
-from hil.reviewing.network_meter import action_delays_ns
+from hil.reviewing.network_meter import action_delays_ns, passed_over
 from hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
 
 NO_ECHO: Final = "no echo of own frames on this bus"
@@ -139,14 +139,14 @@ def refined(rows: Rows, changes: Mapping[int, TimedDemandChange], sent: Sequence
     A command whose fate was not identifiable stays so, though it is known to have acted: of those that did
     not act there is no such telling, and the rate of losses would come out too small.
     """
-    better = rows.copy()
+    better, passed = rows.copy(), passed_over(rows)
     place_of = {int(sequence): place for place, sequence in enumerate(better["sequence"])}
     for command in sent:
         if command.on_bus_at is not None:
             better["command_on_bus_at"][place_of[command.sequence]] = command.on_bus_at
     for sequence, change in changes.items():
         place = place_of[sequence]
-        if better["command_fate"][place] in (_ACTING, _COMMAND_LOST):
+        if better["command_fate"][place] in (_ACTING, _COMMAND_LOST) or passed[place]:
             better["command_fate"][place] = _ACTING
             there = max(better["command_on_bus_at"][place], better["command_handed_at"][place])
             better["command_acts_after"][place] = max(there, change.at - change.error_ns)
@@ -165,8 +165,9 @@ def ways(rows: Rows, echoes: EchoBasis, *, acting: bool) -> dict[str, Outcomes]:
     sent, there = rows["command_handed_at"] != NOTHING, rows["command_on_bus_at"] != NOTHING
     reading = _outcomes(rows["fate"] != _MISSED, rows["fate"] == _LOST)
     fate = rows["command_fate"]
-    identified = (fate == _ACTING) | (fate == _COMMAND_LOST)
-    command = _outcomes(identified & acting, fate == _COMMAND_LOST)
+    lost = (fate == _COMMAND_LOST) | passed_over(rows)
+    identified = (fate == _ACTING) | lost
+    command = _outcomes(identified & acting, lost)
     behind, of_reading = command.copy(), reading.copy()
     if echoed:
         behind[~there] = UNKNOWN

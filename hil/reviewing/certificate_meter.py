@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from drivers.cia402.profile import Status
 from drivers.timebase import NS_PER_US
-from hil.reviewing.network_meter import ACTING, LOST, NetworkMeter, action_delays_ns
+from hil.reviewing.network_meter import ACTING, LOST, NetworkMeter, action_delays_ns, passed_over
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan
 from hil.rows.records import FATE_SAMPLE, NOTHING, Rows
 
@@ -52,13 +52,15 @@ class PremisesMeter:
         self._command_nm = 0.0
         self.saturated = 0
         """Cycles of the stretches that are held against the certificate with a command at a limit."""
-        self._commands_lost = 0
+        self._commands_lost = self._commands_passed = 0
         self._shortest_us = math.inf
         """From sample to actuator: the shortest was so long at most."""
         self.delay_least_us: float | None = None
         self.delay_most_us: float | None = None
         """From sample to actuator: the longest was at least, and at most, so long; None: not known."""
         self.losses: int | None = None
+        """In a row, readings and commands added: the most that they may be."""
+        self.losses_least: int | None = None
 
     def add(self, rows: Rows) -> None:
         """Take in rows: (n,) of ROW_DTYPE, at least one."""
@@ -95,6 +97,7 @@ class PremisesMeter:
         self.delay_least_us = None if least is None else least.max
         self.delay_most_us = None if most is None else most.max
         self.losses = network.losses_max
+        self.losses_least = network.losses_in_a_row_max + self._network.command_losses_least
 
     def left(self) -> Iterator[str]:
         """Premises that certainly were not kept, in words; of the rows at the last :meth:`look`."""
@@ -102,11 +105,11 @@ class PremisesMeter:
         yield from certified.left
         delay, losses, age = certified.delay_us, certified.losses_in_a_row, certified.age_us
         long = delay is not None and self.delay_least_us is not None and self.delay_least_us > delay
-        often = losses is not None and self.losses is not None and self.losses > losses
+        often = losses is not None and self.losses_least is not None and self.losses_least > losses
         if long:
             yield f"delay: {self.delay_least_us:.1f} us from sample to actuator, made for {delay:g} us"
         if often:
-            yield f"losses: {self.losses} in a row, made for at most {losses}"
+            yield f"losses: {self.losses_least} in a row, made for at most {losses}"
         if not (long or often) and age is not None and self._age_us > age:
             yield f"age: a sample that acts for {self._age_us:.1f} us, made for at most {age:g} us"
         if certified.samples_alone:
@@ -128,6 +131,14 @@ class PremisesMeter:
         """Premises of which the rows do not tell whether they were kept, in words."""
         yield from self._certified.unknown
         limit, most = self._certified.delay_us, self.delay_most_us
+        losses, least = self._certified.losses_in_a_row, self.losses_least
+        if losses is not None and least is not None and least <= losses < (self.losses or 0):
+            yield f"losses: {least} to {self.losses} in a row, made for at most {losses}"
+        if self._certified.samples_alone and self._commands_passed:
+            yield (
+                f"commands: {self._commands_passed} lost, or followed between two SYNCs only; "
+                "certified where every one arrives"
+            )
         if limit is None:
             return
         if most is None:
@@ -145,6 +156,7 @@ class PremisesMeter:
         """A sample acts until the next one does: its own delay, a period, and one more for each loss."""
         period_ns = self._certified.period_us * NS_PER_US
         self._commands_lost += int(np.count_nonzero(rows["command_fate"] == LOST))
+        self._commands_passed += int(np.count_nonzero(passed_over(rows)))
         came = np.flatnonzero(rows["fate"] == FATE_SAMPLE)
         if not came.size:
             self._missing += rows.size

@@ -66,7 +66,9 @@ class NetworkMeter:
         self._unstamped = np.zeros(axes, np.int64)
         """Acting commands without such a stamp less those with one, by axis."""
         self._command_fates = np.zeros(len(COMMAND_FATES), np.int64)
-        self._command_runs = LossRuns(axes)
+        self._command_runs, self._command_runs_least = LossRuns(axes), LossRuns(axes)
+        """Of commands that were lost or passed over; of those that were lost for certain."""
+        self._passed = 0
         self._uncertain = 0
         self._fates = np.zeros(len(CAUSES) + 1, np.int64)
         self._runs = LossRuns(axes)
@@ -91,11 +93,20 @@ class NetworkMeter:
         np.add.at(self._unstamped, acting["axis"], np.where(stamped, -1, 1))
         fates = rows["command_fate"]
         self._command_fates += np.bincount(fates[fates != NOTHING], minlength=len(COMMAND_FATES))
+        self._passed += int(np.count_nonzero(passed_over(rows)))
         for axis in range(self._unstamped.size):
             mine = rows[rows["axis"] == axis]
             self._runs.add(axis, mine["fate"] != FATE_SAMPLE)
             told = mine["command_fate"]
-            self._command_runs.add(axis, told[(told == ACTING) | (told == LOST)] == LOST)
+            passed = passed_over(mine)
+            known = (told == ACTING) | (told == LOST) | passed
+            self._command_runs.add(axis, (told != ACTING)[known])
+            self._command_runs_least.add(axis, (told == LOST)[known])
+
+    @property
+    def command_losses_least(self) -> int:
+        """Most commands that were lost in a row for certain."""
+        return len(self._command_runs_least.counts())
 
     def network(self) -> Network | None:
         """The network so far; None before the first reading."""
@@ -106,6 +117,7 @@ class NetworkMeter:
         stamped = bool((self._unstamped <= 0).all())
         action = delays_of(self._stamped if stamped else self._action)
         acting, lost = (int(self._command_fates[place]) for place in (ACTING, LOST))
+        told = acting + lost + self._passed
         count = {cause: int(self._fates[place]) for place, cause in enumerate(CAUSES, start=1)}
         total = int(self._fates.sum())
         return Network(
@@ -128,10 +140,21 @@ class NetworkMeter:
             command_delay_us=delays_of(self._command),
             commands_acting=acting,
             commands_lost=lost,
+            commands_passed_over=self._passed,
             commands_not_identifiable=int(self._command_fates[_NOT_IDENTIFIABLE]),
-            command_loss_percent=100.0 * lost / (acting + lost) if acting + lost else None,
+            command_loss_percent=100.0 * (lost + self._passed) / told if told else None,
+            command_loss_least_percent=100.0 * lost / told if told else None,
             histogram=histogram_of(self._reading),
         )
+
+
+def passed_over(rows: Rows) -> NDArray[np.bool_]:
+    """Which commands, (n,), were lost or followed between two SYNCs only: they were there at a SYNC, not
+    followed then, and replaced."""
+    passed: NDArray[np.bool_] = (rows["command_fate"] == _NOT_IDENTIFIABLE) & (
+        rows["command_acts_after"] != NOTHING
+    )
+    return passed
 
 
 def runs_of(lost: NDArray[np.bool_]) -> tuple[int, ...]:

@@ -79,13 +79,14 @@ def _print(outcome: Outcome) -> None:
 
 def _print_commands(outcome: Outcome) -> None:
     found = outcome.commands
+    least, most = found.told_loss_percent
     delays = ", ".join(
         f"{label} {told:.0f} ({true:.0f})"
         for label, percentile in (("p50", 50), ("p99", 99), ("max", 100))
         for told, true in [found.delay_us(percentile)]
     )
     print(
-        f"{'':32} commands told (true): lost {found.told_loss_percent:.1f} ({found.true_loss_percent:.1f}) %,"
+        f"{'':32} commands told (true): lost {least:.1f} to {most:.1f} ({found.true_loss_percent:.1f}) %,"
         f" delay us {delays}; {found.wrong} wrong, {found.outside} outside of their interval"
     )
 

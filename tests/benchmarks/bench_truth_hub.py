@@ -82,13 +82,14 @@ def _print(plan: Plan, found: HubOutcome) -> None:
     )
     print(f"  SYNCs that ended on the bus before they were handed over: {spacings.too_early}")
     commands = found.commands
+    least, most = commands.told_loss_percent
     delays = ", ".join(
         f"{label} {told:.0f} ({true:.0f})"
         for label, percentile in (("p50", 50), ("p99", 99), ("max", 100))
         for told, true in [commands.delay_us(percentile)]
     )
     print(
-        f"  {commands.handed} commands, told (true): lost {commands.told_loss_percent:.1f}"
+        f"  {commands.handed} commands, told (true): lost {least:.1f} to {most:.1f}"
         f" ({commands.true_loss_percent:.1f}) %, delay us {delays}"
     )
     print(f"  of them {commands.wrong} wrong, {commands.outside} outside of their interval")

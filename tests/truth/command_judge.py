@@ -23,6 +23,8 @@ class CommandJudgement:
     """In truth, on the way or replaced before they acted."""
     told_acting: int = 0
     told_lost: int = 0
+    told_passed: int = 0
+    """Told to have been passed over: lost, or followed between two SYNCs only."""
     wrong: int = 0
     """Told lost and acted, or told acting and were lost."""
     unknown: int = 0
@@ -48,6 +50,7 @@ class CommandJudgement:
             "lost",
             "told_acting",
             "told_lost",
+            "told_passed",
             "wrong",
             "unknown",
             "outside",
@@ -61,10 +64,12 @@ class CommandJudgement:
         return 100.0 * self.lost / max(1, self.handed)
 
     @property
-    def told_loss_percent(self) -> float:
-        """Of those told one way or the other; NaN if none was."""
-        told = self.told_acting + self.told_lost
-        return 100.0 * self.told_lost / told if told else float("nan")
+    def told_loss_percent(self) -> tuple[float, float]:
+        """The least and the most, of those told one way or the other; NaN if none was."""
+        told = self.told_acting + self.told_lost + self.told_passed
+        if not told:
+            return float("nan"), float("nan")
+        return 100.0 * self.told_lost / told, 100.0 * (self.told_lost + self.told_passed) / told
 
     def delay_us(self, percentile: float) -> tuple[float, float]:
         """As told, and in truth."""
@@ -111,6 +116,8 @@ def judge_commands(
             )
         if fate == COMMAND_LOST:
             result.told_lost += 1
+        elif fate == NOT_IDENTIFIABLE:
+            result.told_passed += int(row["command_acts_after"]) != NO_INSTANT
         elif fate == ACTING:
             result.told_acting += 1
             if command.acts_at is None:

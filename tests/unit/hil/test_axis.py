@@ -137,12 +137,8 @@ def test_what_had_come_by_an_instant_is_taken_in_and_the_rest_in_its_order() -> 
     assert len(rig.compensator.told) == 4
 
 
-@pytest.mark.parametrize(
-    ("late", "follows"), [(0, True), (PERIOD // 2 - 1, True), (PERIOD // 2, False), (-1, False)]
-)
-def test_a_readback_goes_with_the_reading_that_it_follows_by_less_than_half_a_period(
-    late: int, follows: bool
-) -> None:
+@pytest.mark.parametrize("late", [0, PERIOD // 2, PERIOD - DELAY - 1])
+def test_a_readback_goes_with_the_reading_before_it_until_the_next_sync_ends(late: int) -> None:
     rig = Rig(Sending())
     rig.cycle(1)
     rig.read_back(0, 1, 1)
@@ -152,19 +148,22 @@ def test_a_readback_goes_with_the_reading_that_it_follows_by_less_than_half_a_pe
     rig.read_back(1000, 2, 2, DELAY + late)
     rig.axis.collect()
     rig.axis.settle_all(2 + HORIZON)
-    assert (acting(rig, 1) is CommandFate.ACTING) is follows
+    assert acting(rig, 1) is CommandFate.ACTING
+    assert (rig.axis.readbacks.exact, rig.axis.readbacks.inexact) == (2, 0)
 
 
-@pytest.mark.parametrize(("readings", "known"), [(1, True), (2, True), (0, False), (3, False)])
-def test_a_readback_after_readings_that_are_not_known_tells_nothing(readings: int, known: bool) -> None:
+@pytest.mark.parametrize(("readings", "placed"), [(1, (1, 0)), (2, (1, 0)), (0, (0, 1)), (3, (0, 0))])
+def test_a_readback_after_a_reading_that_is_not_known_is_of_no_one_sync(
+    readings: int, placed: tuple[int, int]
+) -> None:
     rig = Rig(Sending())
     for number in (1, 2):
         rig.begin(number)
         rig.answer(number)
     rig.axis.collect()
     rig.read_back(77, readings, readings)
-    rig.axis.settle(2)
-    assert rig.axis.commands._telling is known
+    rig.axis.settle_all(2 + HORIZON)
+    assert (rig.axis.readbacks.exact, rig.axis.readbacks.inexact) == placed
 
 
 def test_a_change_is_told_between_the_readbacks_before_and_after_it() -> None:

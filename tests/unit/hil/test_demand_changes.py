@@ -48,9 +48,7 @@ def test_a_change_is_of_a_command_that_may_have_been_there(early: int, acts: boo
     meter = meter_with(5)
     meter.changed(5, Instant(on_bus_at(0) - early), ERROR)
     assert told(meter.outcome(0, HORIZON)) == (
-        (ACTING, on_bus_at(0) - early - ERROR, on_bus_at(0) - early + ERROR)
-        if acts
-        else (UNKNOWN, None, None)
+        (ACTING, on_bus_at(0), on_bus_at(0) - early + ERROR) if acts else (UNKNOWN, None, None)
     )
 
 
@@ -81,60 +79,58 @@ def test_commands_that_a_change_passes_over_were_not_seen_to_be_lost() -> None:
     meter.changed(5, Instant(on_bus_at(0) + 10), ERROR)
     at = Instant(on_bus_at(2) + 10)
     meter.changed(7, at, ERROR)
-    assert [told(meter.outcome(number, 3)) for number in (0, 1, 2)] == [
-        (ACTING, on_bus_at(0) + 10 - ERROR, on_bus_at(0) + 10 + ERROR),
+    assert [told(meter.outcome(number, 3 + HORIZON)) for number in (0, 1, 2)] == [
+        (ACTING, on_bus_at(0), on_bus_at(0) + 10 + ERROR),
         (UNKNOWN, None, None),
-        (ACTING, at - ERROR, at + ERROR),
+        (ACTING, on_bus_at(2), at + ERROR),
     ]
 
 
-def test_what_was_not_followed_at_a_sync_and_is_passed_over_by_a_change_was_lost() -> None:
+def test_what_was_not_followed_at_a_sync_and_is_replaced_by_a_change_was_passed_over() -> None:
     meter = meter_with(5)
     meter.changed(5, Instant(on_bus_at(0) + 10), ERROR)
     meter.sent(command(1, 6))
-    meter.told(5, sync_at(2))
+    meter.told(5, sync_at(2), sync_at(2))
     meter.sent(command(2, 7))
     at = Instant(on_bus_at(2) + 10)
     meter.changed(7, at, ERROR)
-    assert [told(meter.outcome(number, 3)) for number in (0, 1, 2)] == [
-        (ACTING, on_bus_at(0) + 10 - ERROR, on_bus_at(0) + 10 + ERROR),
-        (LOST, sync_at(2), None),
-        (ACTING, at - ERROR, at + ERROR),
+    assert [told(meter.outcome(number, 3 + HORIZON)) for number in (0, 1, 2)] == [
+        (ACTING, on_bus_at(0), on_bus_at(0) + 10 + ERROR),
+        (UNKNOWN, sync_at(2), None),
+        (ACTING, on_bus_at(2), at + ERROR),
     ]
 
 
 # ---- at SYNCs -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("settles", "seen_off"), [(0, True), (ON_BUS, True), (660_000, True), (660_001, False)]
-)
-def test_a_command_need_not_show_before_it_is_settled(settles: int, seen_off: bool) -> None:
-    """Command 1 came 660 us before SYNC 2, at which the drive followed another."""
+@pytest.mark.parametrize(("missing", "fate"), [(None, LOST), (1, LOST), (3, UNKNOWN), (4, UNKNOWN)])
+def test_where_commands_act_at_syncs_one_is_lost_that_none_of_them_shows(
+    missing: int | None, fate: CommandFate
+) -> None:
+    """Command 2 was there at SYNC 3, so SYNC 4 would show it; SYNC 5 shows the next one."""
     _, syncs = meter_on(EchoBasis.BUS)
-    meter = CommandMeter(HORIZON, syncs, Duration(settles))
-    meter.sent(command(0, 5))
-    meter.told(AT_REST, sync_at(0))
-    meter.told(5, sync_at(1))
-    meter.sent(command(1, 6))
-    meter.told(5, sync_at(2))
-    meter.sent(command(2, 7))
-    meter.told(7, sync_at(3))
-    assert [told(meter.outcome(number, 3)) for number in (0, 1, 2)] == [
-        (ACTING, on_bus_at(0), sync_at(1)),
-        (LOST, sync_at(2), None) if seen_off else (UNKNOWN, None, None),
-        (ACTING, on_bus_at(2), sync_at(3)),
-    ]
+    meter = CommandMeter(HORIZON, syncs, acts_at_syncs=True)
+    acting = [None, 0, 1, 1, 3, 4]
+    for number in range(1, 7):
+        mark = syncs.heard(number, sync_at(number))
+        shown = acting[number - 1]
+        if number != missing:
+            meter.told(AT_REST if shown is None else 10 + shown, sync_at(number), sync_at(number), mark)
+        meter.sent(command(number - 1, 9 + number))
+    fates = [told(meter.outcome(number, 6 + HORIZON)) for number in (0, 1, 2)]
+    assert fates[2] is not None
+    assert fates[2][0] is fate
 
 
 def test_of_two_equal_commands_the_newer_is_in_force_and_neither_is_known_to_act() -> None:
     meter = meter_with(5)
-    meter.told(AT_REST, sync_at(0))
+    meter.told(AT_REST, sync_at(0), sync_at(0))
     meter.sent(command(1, 5))
-    meter.told(5, sync_at(2))
+    meter.told(5, sync_at(2), sync_at(2))
     meter.sent(command(2, 6))
-    meter.told(6, sync_at(3))
-    assert [told(meter.outcome(number, 3)) for number in (0, 1, 2)] == [
+    meter.told(6, sync_at(3), sync_at(3))
+    assert [told(meter.outcome(number, 3 + HORIZON)) for number in (0, 1, 2)] == [
         (UNKNOWN, None, None),
         (UNKNOWN, None, None),
         (ACTING, on_bus_at(2), sync_at(3)),
@@ -144,7 +140,7 @@ def test_of_two_equal_commands_the_newer_is_in_force_and_neither_is_known_to_act
 def test_what_the_drive_goes_on_to_follow_is_explained() -> None:
     meter = meter_with(5)
     for number, raw in enumerate((AT_REST, 5, 5, 4, 5), start=0):
-        meter.told(raw, sync_at(number))
+        meter.told(raw, sync_at(number), sync_at(number))
     assert meter.unexplained == 1, "the 4; before the first command there was none on its way"
 
 

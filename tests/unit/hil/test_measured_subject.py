@@ -244,7 +244,7 @@ def test_the_axis_of_a_drive_follows_no_reference_and_loses_nothing_early(bench:
     assert (parts.horizon, parts.deadline) == (50, 50 * NS_PER_MS)
     # 44 bits and the data of the frame with the speed, none of them stuffed, at 1 Mbit/s
     assert parts.transit == (44 + 8 * bench.drive.reading_bytes) * 1_000
-    assert (parts.settles, parts.acts_later) == (0, 0)
+    assert (parts.acts_at_syncs, parts.acts_later) == (False, 0)
     parts.tell("a clock that was set")
     assert said == ["node 1: a clock that was set"]
     assert subject.notes[-1] == "a clock that was set"

@@ -136,6 +136,7 @@ def test_what_is_known_better_takes_the_bracket_s_place() -> None:
     rows = rows_of(3)
     rows["command_fate"][1] = COMMAND_FATES.index(CommandFate.LOST)
     rows["command_fate"][2] = COMMAND_FATES.index(CommandFate.NOT_IDENTIFIABLE)
+    rows["command_acts_after"][2] = NOTHING
     changes = {cycle: change(cycle, cycle * PERIOD_NS + 500_000, 1_500) for cycle in (1, 2, 3)}
     better = refined(rows, changes, [sent(cycle, cycle) for cycle in (1, 2, 3)])
     fates = [COMMAND_FATES[fate] for fate in better["command_fate"]]

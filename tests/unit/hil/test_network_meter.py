@@ -56,6 +56,8 @@ def rows(*fates: tuple[int, int], axis: int = 0) -> Rows:
         made[name] = sampled + after_us * US
     made["fate"] = [fate for fate, _ in fates]
     made["command_fate"] = [fate for _, fate in fates]
+    for name in ("command_acts_after", "command_acts_by"):
+        made[name][made["command_fate"] != ACTING] = NOTHING
     return made
 
 
@@ -102,6 +104,7 @@ def test_a_run_counted_by_hand() -> None:
         commands_lost=3,
         commands_not_identifiable=1,
         command_loss_percent=300 / 7,
+        command_loss_least_percent=300 / 7,
         histogram=DelayHistogram(
             edges_us=tuple(3.0 * edge for edge in range(33, 85)), counts=(4, *[0] * 49, 1)
         ),
@@ -142,6 +145,15 @@ def test_commands_lost_in_a_row_are_those_of_which_it_is_known() -> None:
         600 / 7,
     )
     assert (both.losses_in_a_row, both.cycles, both.loss_percent) == ((1,), 9, 100 / 9)
+
+
+def test_commands_passed_over_count_as_the_most_that_were_lost() -> None:
+    run = rows((SAMPLE, ACTING), (SAMPLE, LOST), (SAMPLE, UNKNOWN), (SAMPLE, UNKNOWN), (SAMPLE, ACTING))
+    run["command_acts_after"][2] = run["sampled_at"][2] + PERIOD_NS
+    found = network(run)
+    assert (found.commands_lost, found.commands_passed_over, found.commands_not_identifiable) == (1, 1, 2)
+    assert (found.command_loss_least_percent, found.command_loss_percent) == (25.0, 50.0)
+    assert found.command_losses_in_a_row_max == 2
 
 
 def test_no_rows_are_no_network_and_change_none() -> None:

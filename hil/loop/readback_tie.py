@@ -1,0 +1,244 @@
+"""Of which SYNC a drive told its torque demand.
+
+A frame that carries the speed beside the demand is its reading, and so is its SYNC. A frame of its own has no
+stamp; as the drive sends one behind each reading, its place among them tells:
+
+    SYNC ends      1          2          3          4          5
+    readings         |1         |2                    |4         |5     3 was lost
+    demands            :1         :2         :?         :4         :5
+                                              3: behind reading 2, before 4, and 3 had ended by then
+
+A demand may only be of a SYNC that ended before it came. So where order tells less, as with readings that
+overtake one another, come twice or were lost, it is of an instant from one to another. It is placed when the
+next reading has come, as two demands behind one reading show that they are not in order.
+"""
+
+from typing import Final
+
+from drivers.exchange import Readback
+from drivers.timebase import Duration, Instant
+from hil.loop.samples import Sample
+from hil.loop.syncs import ECHO_ERROR, REMEMBERED, SyncLog, SyncMark
+
+READINGS_REMEMBERED: Final = 64
+"""Readings that a demand may come behind."""
+DOUBTED_FOR: Final = 1000
+"""Readings without a frame that came twice or was overtaken until order is trusted again: what does so once
+in a thousand frames does it to two neighbours once in a million, and one alone is seen."""
+SILENT_PERIODS: Final = 4
+"""A demand waits so long for the next reading: longer than a few losses in a row, shorter than a row does."""
+
+
+class Telling:
+    """The drive followed ``demand_raw`` at an instant from ``since`` to ``until``."""
+
+    __slots__ = ("demand_raw", "received_at", "since", "sync", "until")
+
+    def __init__(self, readback: Readback, since: Instant, until: Instant, sync: SyncMark | None) -> None:
+        """``sync``: its SYNC; None if that is not known."""
+        self.demand_raw = readback.demand_raw
+        self.received_at = readback.received_at
+        self.since = since
+        self.until = until
+        self.sync = sync
+
+
+class _Placed:
+    """A reading whose SYNC is certain."""
+
+    __slots__ = ("mark", "received_at", "since", "until")
+
+    def __init__(self, mark: SyncMark, received_at: Instant, since: Instant, until: Instant) -> None:
+        """``since``, ``until``: it was sampled between them."""
+        self.mark = mark
+        self.received_at = received_at
+        self.since = since
+        self.until = until
+
+
+class ReadbackTie:
+    """Places the demands of one drive that come with its SYNCs."""
+
+    def __init__(self, syncs: SyncLog, period: Duration, horizon: int) -> None:
+        """``horizon``: periods after which nothing is on its way any more."""
+        self.readings = 0
+        """Readings taken in, those of the calibration too."""
+        self.exact = 0
+        """Demands whose SYNC was found."""
+        self.inexact = 0
+        """Demands of which only a time is known from which to which they may be."""
+        self._syncs = syncs
+        self._period = period
+        self._horizon = Duration(horizon * period)
+        self._echo_error = ECHO_ERROR[syncs.echoes]
+        self._by_count: list[_Placed | None] = [None] * READINGS_REMEMBERED
+        self._by_sync: list[_Placed | None] = [None] * REMEMBERED
+        self._pending: list[Readback] = []
+        self._newest = 0
+        """Number of the newest SYNC that has its reading."""
+        self._doubted_until = 0
+        """Order is not trusted before so many readings have come."""
+        self._behind = False
+        """Whether a demand has been seen to come behind the reading of its SYNC."""
+        self._last = 0
+        """Number of the newest SYNC of which the last demand may be; 0 before the first."""
+        self._spacing = 0
+        """SYNCs from one demand to the next: the fewest seen; 0: not known."""
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the order of frames tells nothing, as some overtook others or came twice lately."""
+        return self.readings < self._doubted_until
+
+    def pass_over(self, readings: int) -> None:
+        """So many readings came that no demand is to be placed by."""
+        for _ in range(readings):
+            self.readings += 1
+            self._by_count[self.readings % READINGS_REMEMBERED] = None
+
+    def reading(self, sample: Sample | None, received_at: Instant, again: bool) -> None:
+        """The next reading has been taken in; ``sample``: where it was placed, None: nowhere. ``again``: it
+        came for the second time."""
+        self.readings += 1
+        placed = None
+        mark = self._syncs.last_of(sample.sequence) if sample is not None and sample.certain else None
+        if sample is not None and mark is not None:
+            error_ns = sample.sampled_at_error_ns
+            since, until = Instant(sample.sampled_at - error_ns), Instant(sample.sampled_at + error_ns)
+            placed = _Placed(mark, received_at, since, until)
+            self._by_sync[mark.number % REMEMBERED] = placed
+            again = mark.number <= self._newest
+            self._newest = max(self._newest, mark.number)
+        if again:
+            self.doubt()
+        self._by_count[self.readings % READINGS_REMEMBERED] = placed
+
+    def take(self, readbacks: list[Readback], *, at_end: bool) -> list[Telling]:
+        """What these demands, and those that waited, tell; ``at_end``: no reading comes any more."""
+        pending = self._pending
+        pending.extend(readbacks)
+        tellings: list[Telling] = []
+        while pending:
+            first = pending[0]
+            count = first.readings
+            if count > self.readings:
+                break
+            behind = self._placed_at(count)
+            if behind is not None and behind.received_at == first.received_at:
+                self.exact += 1
+                tellings.append(Telling(first, behind.since, behind.until, behind.mark))
+                del pending[0]
+                continue
+            if count == self.readings and not (at_end or self.doubtful or self._silent_since(first)):
+                break
+            size = 1
+            while size < len(pending) and pending[size].readings == count:
+                size += 1
+            slot = pending[:size]
+            del pending[:size]
+            self._place(slot, behind, tellings)
+        if at_end:
+            pending.clear()
+        return tellings
+
+    def _silent_since(self, readback: Readback) -> bool:
+        return self._syncs.last_on_bus - readback.received_at > SILENT_PERIODS * self._period
+
+    def _placed_at(self, count: int) -> _Placed | None:
+        """The reading that was the ``count``-th; None if its SYNC is not certain, or it is forgotten."""
+        if not 0 <= self.readings - count < READINGS_REMEMBERED:
+            return None
+        return self._by_count[count % READINGS_REMEMBERED]
+
+    def doubt(self) -> None:
+        """Frames are not in order."""
+        self._doubted_until = self.readings + DOUBTED_FOR
+
+    def _place(self, slot: list[Readback], behind: _Placed | None, tellings: list[Telling]) -> None:
+        """The demands that came behind one reading and before the next."""
+        if behind is not None and not self.doubtful:
+            places = self._places(slot, behind.mark.number, self._placed_at(slot[0].readings + 1))
+            if places is not None:
+                for readback, (first, last) in zip(slot, places, strict=True):
+                    tellings.append(self._telling(readback, first, last))
+                return
+            self.doubt()
+        for readback in slot:
+            newest = self._newest_before(readback)
+            since = Instant(readback.received_at - self._horizon)
+            until = self._until(newest, readback)
+            self.inexact += 1
+            self._last = max(self._last, newest)
+            tellings.append(Telling(readback, since, until, None))
+
+    def _places(
+        self, slot: list[Readback], number: int, after: _Placed | None
+    ) -> list[tuple[int, int]] | None:
+        """First and last SYNC that each may be of, by number; None if they cannot be in order.
+
+        ``number``: of the SYNC of the reading before them; ``after``: the next reading.
+        """
+        limit = None
+        if after is not None:
+            limit = after.mark.number - 1 if self._behind else after.mark.number
+        first = number
+        if self._last and self._spacing:
+            # One that is missing may have been overtaken by its reading alone.
+            first = max(1, min(number, self._last + self._spacing), number - READINGS_REMEMBERED)
+        places = []
+        for left, readback in enumerate(reversed(slot)):
+            last = self._newest_before(readback)
+            if limit is not None:
+                last = min(last, limit - left)
+            places.append(last)
+        found: list[tuple[int, int]] = []
+        for last in reversed(places):
+            first = self._on_bus_from(first, last)
+            if last < first or last < number:
+                return None
+            found.append((first, last))
+            first += 1
+        if found[0] == (number, number):
+            self._behind = True
+        return found
+
+    def _telling(self, readback: Readback, first: int, last: int) -> Telling:
+        known = self._last
+        self._last = max(known, last)
+        if first < last:
+            self.inexact += 1
+            return Telling(readback, self._since(first), self._until(last, readback), None)
+        self.exact += 1
+        if known and last > known and (not self._spacing or last - known < self._spacing):
+            self._spacing = last - known
+        return Telling(readback, self._since(first), self._until(last, readback), self._mark(last))
+
+    def _since(self, number: int) -> Instant:
+        """No drive sampled at this SYNC before."""
+        placed = self._by_sync[number % REMEMBERED]
+        if placed is not None and placed.mark.number == number:
+            return placed.since
+        mark = self._mark(number)
+        return Instant((mark.handed_at if mark.on_bus_at is None else mark.on_bus_at) - self._echo_error)
+
+    def _until(self, number: int, readback: Readback) -> Instant:
+        """No drive sampled at this SYNC later, if ``readback`` is of it or of one before."""
+        placed = self._by_sync[number % REMEMBERED]
+        if placed is not None and placed.mark.number == number:
+            return placed.until
+        return readback.received_at
+
+    def _mark(self, number: int) -> SyncMark:
+        marks = self._syncs.marks
+        return marks[max(0, number - marks[0].number)]
+
+    def _newest_before(self, readback: Readback) -> int:
+        """Number of the last SYNC that had ended when a demand came; 0: of none that is remembered."""
+        mark = self._syncs.newest_before(Instant(readback.received_at + self._echo_error))
+        return 0 if mark is None else mark.number
+
+    def _on_bus_from(self, number: int, last: int) -> int:
+        """The first SYNC from ``number`` on that was on the bus, but none beyond ``last``."""
+        while number < last and self._mark(number).on_bus_at is None:
+            number += 1
+        return number
