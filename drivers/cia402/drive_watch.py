@@ -125,7 +125,7 @@ class DriveWatch:
         self._follow.mode_told(int.from_bytes(data[:1], "little", signed=True), at)
 
     def check(self, commanded: bool) -> None:
-        """Raise if the drive is not what it should be; waits only if it raises, or if an EMCY has come.
+        """Raise if the drive is not what it should be; waits only if it raises.
 
         NoAnswer: its heartbeat is lost, or its statusword was not told for too long. DriveInFault: it was
         enabled and reports a fault, has left OPERATION ENABLED or the NMT state OPERATIONAL (which silences

@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Final
 
 from drivers.canopen.error_codes import fault_text, register_text
@@ -44,8 +43,6 @@ _GIVEN: Final = frozenset(
 """What the bench gives a value to before an RPDO is sent; a torque or speed of another mode is 0."""
 _RESEND_NS = 50 * NS_PER_MS
 """A controlword that shows no effect for so long is sent again."""
-_ASK_S = 0.01
-"""Wait for a statusword that is asked for in the middle of a cycle: ten SDO transfers on a full bus."""
 _OLDER_WORDS_LIMIT = Duration(50 * NS_PER_MS)
 """A statusword told by PDO is not longer on its way than this; if it was lost, its event timer repeats it."""
 _FAULT_SPAN = Duration(100 * NS_PER_MS)
@@ -99,12 +96,16 @@ class StateControl:
         return word
 
     def ask_after_emergency(self) -> None:
-        """Ask for the statusword, once: an EMCY may be a warning, and what told of a fault be lost."""
+        """Ask for the statusword: an EMCY may be a warning, and what told of a fault be lost.
+
+        Waits for nothing, as a cycle is under way.
+        """
         self.emergency_came = False
-        with suppress(PeerFault):
-            node, status = self.objects.node_id, int(Object.STATUSWORD)
-            data = self.network.upload(node, status, timeout_s=_ASK_S, attempts=1)
-            self._told.take(int.from_bytes(data[:2], "little"), self.network.clock.now())
+
+        def answered(data: bytes, at: Instant) -> None:
+            self._told.take(int.from_bytes(data[:2], "little"), at)
+
+        self.network.polls.once(self.objects.node_id, int(Object.STATUSWORD), 0, answered)
 
     def command(self, command: DriveCommand) -> None:
         """Put a controlword in force: by RPDO, so that none that waits for a SYNC undoes it, and by SDO."""

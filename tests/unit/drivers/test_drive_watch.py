@@ -161,6 +161,8 @@ def test_a_fault_whose_statusword_is_lost_is_asked_for_when_the_emergency_comes(
     servo.lost_tpdos.add(3)
     servo.fault(0x2310)
     cycle(bench)
+    drive.check()
+    cycle(bench)
     with pytest.raises(DriveInFault, match="is in fault"):
         drive.check()
 
