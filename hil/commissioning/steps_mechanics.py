@@ -50,6 +50,8 @@ _WINDOW_PERIODS: Final = 20
 """At a long period a window needs samples more than it needs to be short."""
 _SLOWEST: Final = 0.03
 """Of the top speed: slower windows may hold a moment at rest, where sliding friction is not what acts."""
+_REACHED: Final = 0.8
+"""Of the top speed: a loop that settles within a plateau is nearer; the next plateau lies at 0.65."""
 _UNCERTAIN: Final = 0.05
 """An inertia with a larger relative error fails the step."""
 _COMMANDED: Final = 0.05
@@ -91,6 +93,8 @@ class MechanicsStep(Step):
         if session.torque_mode() is not None:
             recordings += _coasts(session, speed)
         refuse_losses(sum(each.lost for each in recordings), sum(each.cycles for each in recordings))
+        if session.torque_mode() is None:
+            _refuse_cut_speeds(session, recordings, speed)
         mechanics = identified(
             session,
             recordings,
@@ -135,6 +139,27 @@ def identified(
         return session.meanwhile(identify_mechanics, records, window_s, held_s=_held_s(session), **options)
     except NotIdentifiable as error:
         raise StepFailed(failure, str(error)) from error
+
+
+def _refuse_cut_speeds(session: Session, recordings: list[Recording], speed: float) -> None:
+    """A drive that cuts its set-points shows one speed, by which viscous and Coulomb friction are one.
+
+    Raises StepFailed with the drive's limits of speed.
+    """
+    reached = min(float(np.abs(each.speed).max()) for each in recordings)
+    if reached >= _REACHED * speed:
+        return
+    told = [f"{reached:.3g} of {speed:.3g} rad/s"]
+    told += [
+        f"{index:04X}h = {held}"
+        for index in (Object.MAX_PROFILE_VELOCITY, Object.MAX_MOTOR_SPEED)
+        if (held := session.objects.read_if_there(index)) is not None
+    ]
+    raise StepFailed(
+        "the shaft does not reach the speeds that the drive is given",
+        "; ".join(told),
+        "raise the drive's limits of speed with the maker's tool",
+    )
 
 
 def _held_s(session: Session) -> float | None:

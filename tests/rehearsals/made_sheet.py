@@ -37,6 +37,10 @@ class MadeSheet:
                 words = [word for word in self.mapping(index) if word >> 16 not in indices]
                 self.map(index, words)
 
+    def has(self, index: int) -> bool:
+        """The object is there."""
+        return f"{index:04X}" in self._sections
+
     def drop_sub(self, index: int, sub: int) -> None:
         """Take a sub-index out, if it is there."""
         self._sections.remove_section(f"{index:04X}sub{sub:X}")
@@ -85,11 +89,12 @@ class MadeSheet:
         count = int(self._sections[f"{index:04X}sub0"]["DefaultValue"])
         return [int(self._sections[f"{index:04X}sub{n:X}"]["DefaultValue"]) for n in range(1, count + 1)]
 
-    def map(self, index: int, words: Iterable[int], access: str = "rw") -> None:
-        """Make it the default mapping; ``ro``: for good."""
+    def map(self, index: int, words: Iterable[int], access: str | None = None) -> None:
+        """Make it the default mapping; ``ro``: for good, None: as it was."""
         if f"{index:04X}sub0" not in self._sections:
             return
         held = list(words)
+        access = access or self._sections[f"{index:04X}sub0"]["AccessType"]
         self.set(index, 0, default=len(held), AccessType=access)
         for number in range(1, 9):
             word = held[number - 1] if number <= len(held) else 0

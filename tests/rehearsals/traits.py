@@ -139,7 +139,7 @@ def _slows_by_its_acceleration(sheet: MadeSheet) -> None:
     sheet.by(0x1A3)
     sheet.set(0x1008, default="iPOS")
     _no_units(sheet)
-    sheet.drop(0x6084)
+    sheet.drop(0x6084, 0x607F)
     _modes(Mode.PROFILE_VELOCITY)(sheet)
 
 
@@ -153,7 +153,8 @@ def _not_mappable(*indices: int) -> Callable[[MadeSheet], None]:
             for index in range(base, base + 4):
                 sheet.map(index, [word for word in sheet.mapping(index) if word >> 16 not in indices])
         for index in indices:
-            sheet.set(index, PDOMapping=0)
+            if sheet.has(index):
+                sheet.set(index, PDOMapping=0)
 
     return change
 
@@ -270,7 +271,10 @@ TRAITS: Final[dict[str, Trait]] = {
     "6083h is 0": Trait(_ramp_in(Mode.PROFILE_VELOCITY, 0x6083, default=0, LowLimit=0), without=_NO_TORQUE),
     "6083h is tiny": Trait(_ramp_in(Mode.PROFILE_VELOCITY, 0x6083, default=1), without=_NO_TORQUE),
     "6083h is limited": Trait(
-        _ramp_in(Mode.PROFILE_VELOCITY, 0x6083, default=10, HighLimit=2000), without=_NO_TORQUE
+        _ramp_in(Mode.PROFILE_VELOCITY, 0x6083, default=10, HighLimit=2000),
+        "too slow.*6083h = 2000 ",  # beside a unit that is finer than the sheet's
+        _NO_TORQUE,
+        mendable=True,
     ),
     "6083h is 1 at most": Trait(
         _ramp_in(Mode.PROFILE_VELOCITY, 0x6083, default=1, HighLimit=1),
@@ -279,6 +283,9 @@ TRAITS: Final[dict[str, Trait]] = {
         mendable=True,
     ),
     "6084h is 0": Trait(_ramp_in(Mode.PROFILE_VELOCITY, 0x6084, default=0, LowLimit=0), without=_NO_TORQUE),
+    "607Fh is 70 r/min": Trait(
+        _ramp_in(Mode.PROFILE_VELOCITY, 0x607F, default=70_000), without=_NO_TORQUE | {"mechanics"}
+    ),
     "no 6084h": Trait(_slows_by_its_acceleration, without=_NO_TORQUE, finds=_UNTOLD),
     "60C5h is tiny": Trait(_ramp_in(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, 0x60C5, default=1), without=_NO_TORQUE),
     "6087h is 0": Trait(_ramp_in(Mode.PROFILE_TORQUE, 0x6087, default=0, LowLimit=0), without=_SLOPED),

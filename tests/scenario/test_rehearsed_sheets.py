@@ -66,10 +66,21 @@ def test_an_encoder_that_nobody_set_is_disbelieved_in_every_unit(tmp_path: Path)
     assert result.moved
 
 
-def test_a_ramp_that_is_too_slow_is_set_before_the_first_motion(tmp_path: Path) -> None:
-    result = rehearsed(made_sheet(["6087h is 1000 at most"], tmp_path), tmp_path, last_step="stop_proof")
-    assert complaints(("6087h is 1000 at most",), result) == []
-    assert result.moved
+@pytest.mark.parametrize("name", ["6087h is 1000 at most", "6083h is limited"])
+def test_a_ramp_that_is_too_slow_is_set_before_the_first_motion(name: str, tmp_path: Path) -> None:
+    result = rehearsed(made_sheet([name], tmp_path), tmp_path, last_step="stop_proof")
+    assert complaints((name,), result) == []
+    assert (result.reason, result.moved) == ("", True)
+
+
+def test_a_drive_that_cuts_its_speeds_tells_no_inertia(tmp_path: Path) -> None:
+    result = rehearsed(made_sheet(["607Fh is 70 r/min"], tmp_path), tmp_path, last_step="mechanics")
+    assert result.reason == ""
+    reason = result.not_done["mechanics"]
+    assert reason.startswith(
+        "the shaft does not reach the speeds that the drive is given; 7.33 of 70.7 rad/s"
+    )
+    assert "607Fh = 70000" in reason
 
 
 def test_a_ramp_is_made_steeper_where_the_shaft_does_not_move_by_its_unit(tmp_path: Path) -> None:

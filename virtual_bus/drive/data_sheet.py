@@ -17,6 +17,7 @@ from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.device.vendor_dictionary import overlay
 from virtual_bus.drive.servo_parameters import current_per_rms
 
+_BOUNDLESS: Final = 0xFFFF_FFFF
 _RAMPS: Final = (
     Object.PROFILE_ACCELERATION,
     Object.PROFILE_DECELERATION,
@@ -39,6 +40,7 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
             and the position unit stays the simulated encoder's
     ramps   a sheet's 0 in 6083h to 6085h, 6087h and 609Ah is shown; the drive then has the slowest ramp that
             there is, until it is written
+    607Fh   bounds nothing where the sheet has none
     rating  6075h and 6076h are those of the simulated motor: the sheet's are of another one, or of none
     """
     modes = dictionary.variable(Object.SUPPORTED_DRIVE_MODES)
@@ -47,7 +49,10 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     rated = [variable.default for variable in ratings]
     resolution = [dictionary.variable(Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
     counts = [variable.default for variable in resolution]
+    bound = dictionary.variable(Object.MAX_PROFILE_VELOCITY)
     overlay(dictionary, vendor)
+    if Object.MAX_PROFILE_VELOCITY not in dictionary:
+        bound.default = bound.value = _BOUNDLESS
     for variable, own in zip(ratings, rated, strict=True):
         variable.default = variable.value = own
     _take_modes(dictionary, modes, held_number(vendor, Object.SUPPORTED_DRIVE_MODES))
