@@ -19,6 +19,7 @@ from hil.configuration.config_files import Section
 from hil.configuration.quantities import HeartbeatTimeout, Torque
 from hil.configuration.references import Load, Reference
 from hil.configuration.toml_text import toml_text
+from hil.loop.syncs import HORIZON_MAX
 from hil.verdict.verdict import VerdictLimits
 from virtual_bus.faults.fault_log import FAULTS_FILE
 from virtual_bus.faults.fault_plan import FaultPlan
@@ -119,7 +120,7 @@ class LoopConfig(Section):
     """The command is computed no later than this after the tick."""
     deadline_us: int = Field(default=2000, gt=0)
     """A reading older than this when it arrives is LATE."""
-    horizon_periods: int = Field(default=20, ge=1, le=100)
+    horizon_periods: int = Field(default=20, ge=1, le=HORIZON_MAX)
     """A reading not there after so many periods is LOST."""
     actuation: Literal["on_arrival", "on_sync"] = "on_arrival"
     """When the drive applies a set-point: as soon as it has it, or at the next SYNC."""

@@ -26,8 +26,10 @@ ECHO_ERROR: Final = {
 }
 """How far the instant of an echo may lie from the end of its frame: none where it is computed, a tick of the
 adapter's clock, the latency of an interrupt, that of a wake-up. Without echoes: jitter of the hand-over."""
+HORIZON_MAX: Final = 100
+"""Periods after which a reading is lost at the latest."""
 REMEMBERED: Final = 128
-"""SYNCs that a reading may still answer: more than any horizon, which is 50 periods at most."""
+"""SYNCs that a reading may still answer: more than any horizon is long."""
 GIVEN_UP_AFTER_PERIODS: Final = 2
 """An echo that is so late will not come: a frame of the highest priority waits for one frame at most, so its
 bus has been stopped or has lost it. The bench goes on, as a drive without SYNC stands still."""
