@@ -9,6 +9,9 @@ ACTUAL_MARGIN_RAW: Final = 100
 """6077h is measured: ripple, friction of the current loop and its lag come in."""
 ACTUAL_SHARE: Final = 4
 """And a fourth of the command: the torque constant is warm or cold, and known to some ten percent."""
+TOLD_THE_SAME: Final = 8
+"""Torque demands, each behind a further command, that are one by chance once in some million: thousandths of
+the rated torque are so coarse that of commands that vary at all one in nine equals the one before."""
 _WORD: Final = 1 << 32
 _HALF_WORD: Final = 1 << 31
 
@@ -22,8 +25,8 @@ class CommandWatch:
     raise no alarm: the old one is as good as the new.
 
     A demand that stays the same to the last digit, for as long as half of the ``cycles``, while the commands
-    do not, is followed neither, whatever they are. That alone is asked of speeds and positions, which a drive
-    may reach by a ramp.
+    do not, is followed neither, whatever they are; one of torque :data:`TOLD_THE_SAME` times, too. That alone
+    is asked of speeds and positions, which a drive may reach by a ramp.
     """
 
     def __init__(self, cycles: int, margin_raw: int, *, equal: bool = True, share: int = 0) -> None:
@@ -41,6 +44,10 @@ class CommandWatch:
         self._told_raw = 0
         self._changed = -1
         """Commands sent before the demand took its present value; -1: it was told but once, or measured."""
+        self._same = 0
+        """How often it was told since, each time behind a further command."""
+        self._heard = 0
+        """Commands sent before it was told last."""
         self.follows = True
         """False once ``cycles`` commands went by unfollowed, and the drive has told so."""
 
@@ -60,9 +67,12 @@ class CommandWatch:
             return
         followed = not self._equal or self._among(raw, limited)
         if raw != self._told_raw or self._changed < 0:
-            self._told_raw, self._changed = raw, self._sent
-        elif followed and not (limited or self._share) and self._sent - self._changed >= self._half:
-            followed = not self._vary()
+            self._told_raw, self._changed, self._same = raw, self._sent, 0
+        else:
+            self._same += self._sent != self._heard
+            if followed and not (limited or self._share) and self._stays():
+                followed = not self._vary()
+        self._heard = self._sent
         if followed:
             self._followed = self._sent
         elif self._sent - self._followed >= self._half:
@@ -77,6 +87,11 @@ class CommandWatch:
             if limited and min(command, 0) - margin <= raw <= max(command, 0) + margin:
                 return True
         return False
+
+    def _stays(self) -> bool:
+        """The demand has stayed the same for longer than chance has it."""
+        often = self._same >= TOLD_THE_SAME or not self._equal
+        return often and self._sent - self._changed >= self._half
 
     def _vary(self) -> bool:
         """The middle half of the last commands spreads over more than one demand may stand for."""
