@@ -23,6 +23,7 @@ from drivers.canopen.sdo import (
     AnswerQueue,
     BrokenOff,
     PostedDownload,
+    PostedUpload,
     PumpedSdoClient,
     TransferPost,
     abort_text,
@@ -271,6 +272,11 @@ class CanopenNetwork(canopen.Network):
         self._plan_housekeeping()
         return download
 
+    def post_upload(self, node_id: int, index: int, sub: int, told: Callable[[bytes, Instant], None]) -> None:
+        """Read 1 to 4 bytes by SDO without waiting; ``told`` is given them, or nothing if no answer comes."""
+        self._post(node_id).post(PostedUpload(node_id, index, sub, told))
+        self._plan_housekeeping()
+
     def poll(self, polled: Polled) -> ObjectPoll:
         """Read an object again and again; the pump looks after it. Until ``polls.end``."""
         now = self.clock.now()
@@ -325,7 +331,8 @@ class CanopenNetwork(canopen.Network):
         client.MAX_RETRIES = attempts
         post = self._posts.get(node_id)
         while post is not None and post.in_flight is not None:
-            self.pump_one(post.in_flight.deadline)
+            if not self.pump_one(post.in_flight.deadline):
+                self._keep_house(self.clock.now())  # at its deadline it is repeated or given up
         return client
 
     def _on_sdo_answer(self, node_id: int, data: bytes, at: Instant) -> None:

@@ -62,10 +62,6 @@ class ObjectPolls:
         self._polls.append(poll)
         return poll
 
-    def once(self, node_id: int, index: int, sub: int, told: Callable[[bytes, Instant], None]) -> None:
-        """Read an object as soon as the node's channel is free; nobody is told if it does not answer."""
-        self._post_of(node_id).post(PostedUpload(node_id, index, sub, told))
-
     def end(self, poll: ObjectPoll) -> None:
         """Read it no more; a read that is under way comes to its end."""
         if poll in self._polls:

@@ -105,7 +105,7 @@ class StateControl:
         def answered(data: bytes, at: Instant) -> None:
             self._told.take(int.from_bytes(data[:2], "little"), at)
 
-        self.network.polls.once(self.objects.node_id, int(Object.STATUSWORD), 0, answered)
+        self.network.post_upload(self.objects.node_id, int(Object.STATUSWORD), 0, answered)
 
     def command(self, command: DriveCommand) -> None:
         """Put a controlword in force: by RPDO, so that none that waits for a SYNC undoes it, and by SDO."""
