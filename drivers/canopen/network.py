@@ -394,12 +394,6 @@ class CanopenNetwork(canopen.Network):
         self._plan_housekeeping()
 
     def _plan_housekeeping(self) -> None:
-        due = min(self.life_signs.due, self.polls.due)
-        for status in self._status.values():
-            expires_at = status.expires_at()
-            if expires_at is not None and expires_at < due:
-                due = expires_at
-        for post in self._posts.values():
-            if post.in_flight is not None and post.in_flight.deadline < due:
-                due = post.in_flight.deadline
-        self.frame_pump.housekeeping_at = due
+        expiries = [at for status in self._status.values() if (at := status.expires_at()) is not None]
+        flying = [post.in_flight.deadline for post in self._posts.values() if post.in_flight is not None]
+        self.frame_pump.housekeeping_at = min(self.life_signs.due, self.polls.due, *expiries, *flying)
