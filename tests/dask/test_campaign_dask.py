@@ -23,6 +23,7 @@ from hil.campaign.worker import Answer, Workshop
 from hil.cli import app
 from hil.configuration.toml_text import toml_text
 from hil.machine.stopping import Interrupted, StopRequest
+from hil.verdict.verdict import ExitStatus
 from tests.scenario.test_campaign import CHANGES
 from virtual_bus.child_python import python_command, python_environment
 
@@ -200,8 +201,9 @@ def test_a_worker_that_comes_to_other_results_is_refused(
     honest = Workshop.row
     monkeypatch.setattr(Workshop, "row", lambda *given: honest(*given) | {"digest": "0" * 32})
     told = rf"worker {WORKER}: run 0 comes to another result .* \(digest\)"
-    with pytest.raises(WorkerDied, match=told):
+    with pytest.raises(RunRefused, match=told) as caught:
         run_campaign(done.plan, tmp_path / "out", dask=cluster.scheduler_address)
+    assert caught.value.exit_status == ExitStatus.DEFECT
 
 
 def broken(_order: on_dask.Order, _chunk: list[int]) -> list[Answer]:
