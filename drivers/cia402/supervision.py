@@ -106,8 +106,7 @@ class CommandSupervision:
         if target is None or plan.rpdo_with(target.index, target.sub) is None:
             return ""
         torque = target.index == Object.TARGET_TORQUE
-        sloped = not torque or mode is Mode.PROFILE_TORQUE
-        """The drive goes to a command by a ramp."""
+        sloped = not torque or mode is Mode.PROFILE_TORQUE  # the drive goes to a command by a ramp
         if torque:
             self._offset = objects.read_if_there(Object.TORQUE_OFFSET, 0, "h") or 0
             if features_of(plan).demand:

@@ -14,6 +14,7 @@
 The object is an UNSIGNED32. What no source tells is left out and is as CiA 301 (7.5.2.16) has 1013h.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -28,6 +29,8 @@ _KEYS: Final = {
 BIT_TIME: Final = "bit time"
 LATCHED: Final = ("sampling", "arrival")
 BITS: Final = range(16, 33)
+_INDEXES: Final = range(0x1000, 0x10000)
+_SUBS: Final = range(256)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,28 +75,36 @@ def read_stamp(table: Mapping[str, Any], name: str) -> StampProfile:
     """The ``[stamp]`` of the file ``name``. Raises BadInput."""
     refuse_unknown(table, _KEYS, name, "stamp.")
     source = one_line(table.get("source"))
-    index, unit_us, bits = table.get("index", 0x1013), table.get("unit_us", 1.0), table.get("bits", 32)
-    latched = table.get("latched", "sampling")
-    resolution_us = table.get("resolution_us", unit_us)
-    bit_times = table.get("resolution")
+    index, sub, bits = table.get("index", 0x1013), table.get("sub", 0), table.get("bits", 32)
+    unit_us, latched = table.get("unit_us", 1.0), table.get("latched", "sampling")
+    resolution_us, bit_times = table.get("resolution_us", unit_us), table.get("resolution")
+    by_master = table.get("set_by_master", False)
+    counted = _is_number(unit_us) and unit_us > 0.0
+    finer = counted and not (_is_number(resolution_us) and resolution_us >= unit_us)
     for key, value, right, expected in (
         ("source", table.get("source"), bool(source), "where the stamp is described"),
-        ("index", index, isinstance(index, int), "the index of an object"),
-        ("unit_us", unit_us, unit_us > 0.0, "a value > 0"),
-        ("resolution_us", resolution_us, resolution_us >= unit_us, f"at least unit_us = {unit_us:g}"),
+        ("index", index, index in _INDEXES, "the index of an object"),
+        ("sub", sub, sub in _SUBS, "a sub-index, 0..255"),
+        ("unit_us", unit_us, counted, "a value > 0"),
+        ("resolution_us", resolution_us, not finer, f"at least unit_us = {unit_us}"),
         ("resolution", bit_times, bit_times in (None, BIT_TIME), f'"{BIT_TIME}", or resolution_us'),
         ("bits", bits, bits in BITS, f"{BITS[0]}..{BITS[-1]}"),
         ("latched", latched, latched in LATCHED, f"one of {', '.join(LATCHED)}"),
+        ("set_by_master", by_master, isinstance(by_master, bool), "true or false"),
     ):
         if not right:
             raise BadInput(name, f"stamp.{key}", value, expected)
     return StampProfile(
         source=source,
         index=index,
-        sub=table.get("sub", 0),
+        sub=sub,
         unit_ns=round(unit_us * NS_PER_US),
         resolution_ns=0 if bit_times else round(resolution_us * NS_PER_US),
         bits=bits,
         latched=latched,
-        set_by_master=bool(table.get("set_by_master", False)),
+        set_by_master=by_master,
     )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -8,6 +8,7 @@ from drivers.cia402.command_watch import (
     ACTUAL_MARGIN_RAW,
     ACTUAL_SHARE,
     DEMAND_MARGIN_RAW,
+    TOLD_THE_SAME,
     CommandWatch,
 )
 
@@ -123,6 +124,22 @@ def test_a_demand_that_stands_still_among_commands_that_do_not_is_not_followed()
     at = run(CommandWatch(CYCLES, 0), commands, told)
     assert at is not None
     assert 100 + HALF <= at <= 100 + CYCLES
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_a_torque_that_is_read_seldom_is_missed_when_more_are_equal_than_chance_has(frozen: bool) -> None:
+    """Every third cycle, as by SDO: a drive that follows tells like commands by chance now and then."""
+    random.seed(5)
+    watch = CommandWatch(10, DEMAND_MARGIN_RAW)
+    for cycle in range(30_000):
+        command = random.randint(-5, 5)
+        watch.sent(command)
+        if cycle % 3 == 0:
+            watch.told(0 if frozen else command)
+        if frozen and not watch.follows:
+            assert 3 * TOLD_THE_SAME <= cycle <= 3 * TOLD_THE_SAME + 20
+            break
+    assert watch.follows is not frozen
 
 
 def test_a_few_commands_that_differ_prove_nothing() -> None:

@@ -226,26 +226,16 @@ def test_a_ramp_is_remarked_whose_greatest_value_every_mode_obeys(
     assert [remark for remark in found.remarks if "6083h" in remark] == said
 
 
-def test_the_plan_by_a_sheet_has_its_makers_stamp() -> None:
-    """Elmo's drives have 2F31h and no 1013h."""
+@pytest.mark.parametrize("index", [0x2F31, 0x1013])
+def test_the_plan_by_a_sheet_has_its_makers_stamp_or_the_standards(index: int) -> None:
+    """Elmo's drives have 2F31h and no 1013h, but for those that have it the other way round."""
     record = "[1018]\nParameterName=I\nObjectType=9\nSubNumber=2\n"
     record += sub(0x1018, 0, U8, "ro", "1") + sub(0x1018, 1, U32, "ro", "0x9A")
-    found = fitness(also=record + variable(0x2F31, U32, "ro"))
+    found = fitness(also=record + variable(index, U32, "rw"))
     assert found.best is not None
     assert found.best.plan is not None
     speed = found.best.plan.plan.tpdo_with(0x606C)
     assert speed is not None
-    assert [entry.index for entry in speed.entries] == [0x606C, 0x2F31]
+    assert [entry.index for entry in speed.entries] == [0x606C, index]
     assert 0x1013 not in {lack.index for lack in found.lacks}
     assert 0x1013 in {lack.index for lack in fitness(also=record).lacks}
-
-
-def test_a_drive_without_its_makers_stamp_may_have_the_standards() -> None:
-    record = "[1018]\nParameterName=I\nObjectType=9\nSubNumber=2\n"
-    record += sub(0x1018, 0, U8, "ro", "1") + sub(0x1018, 1, U32, "ro", "0x9A")
-    found = fitness(also=record + variable(0x1013, U32, "rw"))
-    assert found.best is not None
-    assert found.best.plan is not None
-    speed = found.best.plan.plan.tpdo_with(0x606C)
-    assert speed is not None
-    assert [entry.index for entry in speed.entries] == [0x606C, 0x1013]

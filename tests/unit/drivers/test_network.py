@@ -9,6 +9,7 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt import Emergency
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
+from drivers.canopen.sdo import TransferPost
 from drivers.errors import BusDown, NoAnswer, TransferAborted
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
@@ -263,6 +264,18 @@ def test_posted_download_is_given_up(rig: Rig) -> None:
     network.pump(Instant(NS_PER_S))
     assert isinstance(posted.failure, NoAnswer)
     assert posted.done_at == 100 * NS_PER_MS
+
+
+def test_a_posted_upload_is_repeated_and_given_up_with_nobody_told(rig: Rig) -> None:
+    bus, servo, network = rig
+    servo.silent = True
+    told: list[bytes] = []
+    network.post_upload(1, 0x6041, 0, lambda data, _at: told.append(data))
+    network.pump(Instant(NS_PER_S))
+    assert len(bus.sent_to(0x601)) == TransferPost.ATTEMPTS
+    with pytest.raises(NoAnswer):  # its channel is free again
+        network.upload(1, 0x6041)
+    assert told == []
 
 
 def test_posted_download_that_is_refused(rig: Rig) -> None:

@@ -49,6 +49,11 @@ def test_epos2_counts_bit_times(bitrate: int, resolution_ns: int) -> None:
         ("bits = 8", "stamp.bits", "16..32"),
         ('latched = "later"', "stamp.latched", "one of sampling, arrival"),
         ('index = "2F31"', "stamp.index", "the index of an object"),
+        ('unit_us = "1"', "stamp.unit_us", "a value > 0"),
+        ("unit_us = nan", "stamp.unit_us", "a value > 0"),
+        ('resolution_us = "1"', "stamp.resolution_us", "at least unit_us = 1.0"),
+        ("sub = 256", "stamp.sub", "a sub-index"),
+        ("set_by_master = 1", "stamp.set_by_master", "true or false"),
         ("width = 3", "stamp.width", "one of bits, index"),
     ],
 )
