@@ -187,9 +187,7 @@ class _Guard:
             raise OwnCodeFailed(
                 f"{self._what} did not come back within {self._patience_s:g} s: {self._line_of(error)}"
             ) from error
-        except (
-            BaseException
-        ) as error:  # stop signals are no exceptions during a run: this is the object's own
+        except BaseException as error:  # stop signals raise nothing during a run: it is the object's own
             raise OwnCodeFailed(f"{self._what} failed: {self._line_of(error)}: {told(error)}") from error
         finally:
             _WATCHDOG.end()

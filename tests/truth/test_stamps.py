@@ -75,6 +75,14 @@ def test_a_stamp_too_coarse_to_tell_is_no_worse_than_none(plan: Plan) -> None:
     assert result.uncertain <= without.uncertain <= 5
 
 
+@pytest.mark.parametrize(("resolution_us", "by_order"), [(100.0, 0), (101.0, CYCLES)])
+def test_order_places_what_a_tenth_of_a_period_leaves_open(resolution_us: float, by_order: int) -> None:
+    config = with_stamp(bench_config(Plan("quiet"), CYCLES), resolution_us, stamp_resolution_us=resolution_us)
+    summary = run_bench(config, bus_spec="simulated", keep=False, privileged=False)
+    assert summary.timing is not None
+    assert summary.timing["axes"]["axis1"]["by_order"] == by_order
+
+
 @pytest.mark.parametrize("index", [0x2F31, 0x1013])
 def test_a_makers_stamp_is_mapped_and_used(tmp_path: Path, index: int) -> None:
     """Elmo: the microseconds at the end of the last SYNC are in 2F31h; a drive without it may have 1013h."""
