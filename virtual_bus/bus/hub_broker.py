@@ -6,10 +6,12 @@ so a late wake-up delays a delivery but never bends the bus's own timing.
 
 What goes to a client is sent at the end of each turn, several frames in one packet if it takes batches.
 
-No client can hurt another. Nothing blocks: a client that does not fetch its frames fills
-its socket, then a bounded outbox, and is then dropped; one that sends faster than the bus
+No client can hurt another. Nothing blocks: a client that stops fetching its frames fills
+its socket, then a bounded outbox, and is then dropped. One that has not begun to fetch is
+still starting, and keeps the newest frames only. One that sends faster than the bus
 is no longer read until its transmit queue has room, so that its own ``send`` fails. What a
 client had sent before it died still goes out, as from a controller with a full queue.
+Connections without a hello are few: a further one takes the place of the oldest.
 
 The broker leaves when no client was there for ``LINGER_NS``, under the same lock under
 which it is started.
@@ -52,6 +54,11 @@ CLIENTS_MAX: Final = 64
 """More than a lab has on one bus; each costs the broker a copy of every frame."""
 OUTBOX_MAX: Final = 8_192
 """Frames kept for a client beyond what its socket holds: about a second of a full bus at 1 Mbit/s."""
+STARTING_MAX: Final = OUTBOX_MAX // 2
+"""Frames kept, beyond its socket's, for a client that has not begun to read; half, so that they are thinned
+out once in thousands of frames."""
+KNOCKING_MAX: Final = 32
+"""Connections that have not said hello: with :data:`CLIENTS_MAX` below the 1024 descriptors of ``select``."""
 LINGER_NS: Final = 2 * NS_PER_S
 """Between the end of a run and the next one the bus stays, with its place and its clock."""
 _HELLO_PATIENCE_NS: Final = 5 * NS_PER_S
@@ -79,6 +86,9 @@ class Client(Listener):
         """When to send from the outbox; never while the socket is full."""
         self.full = False
         """Its socket takes nothing for now."""
+        self.reading = False
+        """It has made room in a full socket: it fetches its frames."""
+        self.thinned_out = False
         self.deaf = False
         """Its end is closed or it was too slow: it gets nothing more, and what it sent is still read."""
         self.hello_deadline: Event | None = None
@@ -111,11 +121,12 @@ class Client(Listener):
         """Send from the outbox what its socket takes."""
         outbox = self.outbox
         self.due = NEVER
-        self.full = False
+        was_full, self.full = self.full, False
         try:
             while outbox:
                 count = self._next_batch()
                 self.socket.send(outbox[0] if count == 1 else b"".join(islice(outbox, count)))
+                self.reading |= was_full
                 for _ in range(count):
                     outbox.popleft()
         except BlockingIOError:
@@ -123,6 +134,13 @@ class Client(Listener):
         except OSError:
             self.deaf = True
             outbox.clear()
+
+    def thin_out(self) -> None:
+        """Keep the newest :data:`STARTING_MAX` packets of the outbox, and of the older all but frames."""
+        self.thinned_out = True
+        older = len(self.outbox) - STARTING_MAX
+        packets = enumerate(self.outbox)
+        self.outbox = deque(packet for n, packet in packets if n >= older or len(packet) != FRAME_BYTES)
 
     def _next_batch(self) -> int:
         """How many records at the head of the outbox go into one packet."""
@@ -218,6 +236,9 @@ class Broker:
         except OSError:  # it went away again
             return
         connection.setblocking(False)
+        knocking = [client for client in self._clients if client.port is None]
+        if len(knocking) >= KNOCKING_MAX:
+            self._drop(knocking[0], "said no hello")
         self._accepted += 1
         client = Client(connection, self._accepted)
         self._clients.append(client)
@@ -266,7 +287,7 @@ class Broker:
         except MalformedRecord as error:
             self._refuse(client, str(error))
             return
-        if len(self._clients) > CLIENTS_MAX:
+        if sum(other.port is not None for other in self._clients) >= CLIENTS_MAX:
             self._refuse(client, f"hub {self._place.name!r} has {CLIENTS_MAX} clients already; no more fit")
             return
         bitrate = self._segment.bitrate_bit_s
@@ -318,21 +339,28 @@ class Broker:
         self._part(client)
 
     def _dismiss(self) -> None:
-        """Part from the clients that let their outbox overflow."""
+        """Part from the clients that let their outbox overflow, but not from those that still start."""
         for client in [client for client in self._clients if len(client.outbox) > OUTBOX_MAX]:
-            self._drop(client, f"did not take its frames: {OUTBOX_MAX} are waiting")
+            if client.reading:
+                self._drop(client, f"did not take its frames: {OUTBOX_MAX} are waiting")
+                continue
+            if not client.thinned_out:
+                print(
+                    f"{client} has not begun to read: older frames are not kept", file=sys.stderr, flush=True
+                )
+            client.thin_out()
 
     def _part(self, client: Client) -> None:
         """Close the connection; what is in its transmit queue still goes out."""
         if client not in self._clients:
             return
         self._clients.remove(client)
-        if client.port is not None:
-            client.port.detach()
         if client.hello_deadline is not None:
             client.hello_deadline.cancel()
         client.socket.close()
-        gc.collect()
+        if client.port is not None:
+            client.port.detach()
+            gc.collect()  # some milliseconds, which one that only knocks may not cost
         if not self._clients:
             self._start_leaving()
 

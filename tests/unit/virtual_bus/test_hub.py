@@ -4,6 +4,7 @@ Real time, as this is what is tested; every wait is bounded by a deadline and en
 """
 
 import os
+import resource
 import select
 import signal
 import socket
@@ -205,18 +206,12 @@ def test_killed_client_harms_nobody_and_its_frames_still_go_out(buses: list[HubB
     assert last.arbitration_id == 0x123
 
 
-@pytest.mark.parametrize("batches", [False, True])
-def test_client_that_takes_no_frames_is_dropped_and_the_others_go_on(
-    place: HubPlace, buses: list[HubBus], batches: bool
-) -> None:
-    """Some 9000 frames of 50 us: half a second of a full bus."""
-    sender, listener = join(buses), join(buses, batches=batches)
-    sleeper = join(buses, batches=batches)
-    frame = Frame(0x2AA)
+def flood(sender: HubBus, listener: HubBus, frames: int) -> None:
+    """Numbered frames without data, some 50 us each; ``listener`` takes them all."""
     sent = heard = 0
-    while sent < 12_000:
+    while sent < frames:
         try:
-            sender.frame_port.transmit(frame)
+            sender.frame_port.transmit(Frame(sent % 0x800))
             sent += 1
         except can.CanOperationError:
             heard += listener.recv(PATIENCE_S) is not None
@@ -225,11 +220,47 @@ def test_client_that_takes_no_frames_is_dropped_and_the_others_go_on(
     while heard < sent:
         assert listener.recv(PATIENCE_S) is not None
         heard += 1
+
+
+FULL_SOCKET = 4_000
+"""Frames that fill the socket of a client for certain: it holds some 3000 in batches and 280 one by one."""
+
+
+@pytest.mark.parametrize("batches", [False, True])
+def test_client_that_takes_no_more_frames_is_dropped_and_the_others_go_on(
+    place: HubPlace, buses: list[HubBus], batches: bool
+) -> None:
+    """Half a second of a full bus."""
+    sender, listener = join(buses), join(buses, batches=batches)
+    sleeper = join(buses, batches=batches)
+    flood(sender, listener, FULL_SOCKET)
+    for _ in range(FULL_SOCKET):
+        assert sleeper.recv(PATIENCE_S) is not None
+    flood(sender, listener, 12_000)
     taken: list[can.Message] = []
     with pytest.raises(can.CanOperationError, match="not taking its frames"):
         taken.extend(sleeper)
-    assert 0 < len(taken) < sent
+    assert 0 < len(taken) < 12_000
     assert "did not take its frames" in place.log.read_text()
+
+
+@pytest.mark.parametrize("batches", [False, True])
+def test_client_that_joins_a_busy_bus_and_starts_slowly_has_the_newest_frames(
+    place: HubPlace, buses: list[HubBus], batches: bool
+) -> None:
+    """As a bench does that joins, then waits for its logger, for longer than an outbox lasts."""
+    sender, listener = join(buses), join(buses, batches=batches)
+    starter = join(buses, batches=batches)
+    frames = 20_000
+    flood(sender, listener, frames)
+    sender.frame_port.transmit(Frame(0x7FF, b"last"))
+    numbers = []
+    while (message := starter.recv(PATIENCE_S)) is not None and message.data != b"last":
+        numbers.append(message.arbitration_id)
+    newest = numbers[-4_000:]
+    assert newest == [number % 0x800 for number in range(frames - 4_000, frames)]
+    assert len(numbers) < frames
+    assert "has not begun to read" in place.log.read_text()
 
 
 def test_client_that_sends_garbage_is_dropped(place: HubPlace, buses: list[HubBus]) -> None:
@@ -251,6 +282,29 @@ def test_client_that_only_knocks_holds_up_nobody(place: HubPlace, buses: list[Hu
     one.frame_port.transmit(Frame(0x100))
     assert other.recv(PATIENCE_S) is not None
     silent.close()
+
+
+def test_a_thousand_idle_connections_do_not_end_the_hub(place: HubPlace, buses: list[HubBus]) -> None:
+    """More than a process may watch by ``select``."""
+    one = join(buses)
+    process = broker_process(place)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, 2_048), hard))
+    idle: list[socket.socket] = []
+    try:
+        for _ in range(1_100):
+            idle.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+            idle[-1].connect(str(place.socket))
+        other = participant("bus.send(can.Message(arbitration_id=0x100, is_extended_id=False))")
+        heard = one.recv(PATIENCE_S)
+        assert heard is not None
+        assert heard.arbitration_id == 0x100
+        end(other)
+        assert broker_process(place) == process
+    finally:
+        for each in idle:
+            each.close()
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def test_program_of_another_version_is_told_so(place: HubPlace, buses: list[HubBus]) -> None:
