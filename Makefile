@@ -5,6 +5,7 @@
 #   make check       format, lint, types, import rules
 #   make test        the tests that need no SocketCAN
 #   make unit        the unit tests of one room, ROOM=drivers, virtual_bus, design or hil
+#   make edits       edit the files of a campaign EDITS times between its runs: no row may rest on another content
 #   make test-dask   campaigns on a Dask cluster of this machine
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make truth       hold the rows of runs against the truth: of given plans, then of drawn ones, for at most
@@ -44,7 +45,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit test-dask test-vcan truth swarm rehearsals sheets mistakes mutate pictures exits bench docs lock clean
+.PHONY: help setup compile pure wheel demo check format test unit edits test-dask test-vcan truth swarm rehearsals sheets mistakes mutate pictures exits bench docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -113,6 +114,11 @@ ROOM ?= $(error which room? make unit ROOM=drivers, virtual_bus, design or hil)
 
 unit: $(TOOLS)
 	@$(BIN)/pytest --quiet --numprocesses=2 --dist=loadgroup -m "not long" tests/unit/$(ROOM)
+
+EDITS ?= 1000
+
+edits: $(TOOLS) compile
+	@EDITS=$(EDITS) $(BIN)/pytest tests/scenario/test_campaign_identity.py -k no_edit
 
 test-dask: $(TOOLS) compile
 	@$(BIN)/pytest tests/dask

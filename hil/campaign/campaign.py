@@ -19,7 +19,7 @@ from hil.campaign.on_dask import dask_client, rows_on_dask
 from hil.campaign.plan import CampaignPlan, GridAxis
 from hil.campaign.pool import RowSource, rows_of
 from hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson, weighted_rate
-from hil.campaign.store import RunStore, open_campaign, plan_in, schema_of
+from hil.campaign.store import RunStore, open_campaign, plan_in, schema_of, stored_runs
 from hil.campaign.worker import Finished, NotTheSame, Row, Workshop
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.reviewing.certificate_meter import CertificateState
@@ -71,7 +71,7 @@ class Campaign:
     @cached_property
     def table(self) -> pa.Table:
         """A row a run, in order of their numbers; units and meanings are metadata of the fields."""
-        return RunStore(self.folder, schema_of(self.plan)).table()
+        return stored_runs(self.folder, schema_of(self.plan))
 
     def column(self, name: str) -> NDArray[Any]:
         """(n,) of a column; NaN where a figure was not measured."""
@@ -271,8 +271,11 @@ def run_campaign(
     """
     plan = sweep if isinstance(sweep, CampaignPlan) else CampaignPlan.load(Path(sweep))
     campaign = Campaign(Path(out), plan)
-    with stop_signals(stop) as asked, _row_maker(plan, workers, dask, asked) as make_rows:
-        store = open_campaign(campaign.folder, plan, resume)
+    with (
+        stop_signals(stop) as asked,
+        _row_maker(plan, workers, dask, asked) as make_rows,
+        open_campaign(campaign.folder, plan, resume) as store,
+    ):
         _run(plan, store, make_rows, progress, Enough(plan, against_certificate), seconds)
         _record_failures(campaign)
     return campaign
@@ -315,9 +318,12 @@ def _run(
     clock = MonotonicClock()
     began = stored_at = clock.now()
     first, fresh = store.count, list[Row]()
-    rows = make_rows(range(first, plan.count))
+    rows = make_rows(range(max(0, first - 1), plan.count))  # the last that is stored once more
     try:
         for row in rows:
+            if row["run"] < first:
+                _require_same(row, store)
+                continue
             fresh.append(row)
             if plan.rounds is not None:
                 plan.rounds.take([row])
@@ -333,6 +339,20 @@ def _run(
     finally:
         store.append(fresh)
         rows.close()
+
+
+def _require_same(row: Row, store: RunStore) -> None:
+    """Raises NotTheSame for a run that came to another row when it was stored.
+
+    What a check of one's own says of it is left out: it may name files and times.
+    """
+    (stored,) = store.table().slice(row["run"], 1).to_pylist()
+    if others := [name for name, value in stored.items() if name != "findings" and row[name] != value]:
+        was, now = (", ".join(f"{name} {each[name]}" for name in others) for each in (stored, row))
+        raise NotTheSame(
+            f"run {row['run']} comes to another row than is stored in {store.folder}: {now}; stored: {was}. "
+            "Something that it rests on is in no file that is watched, or the processor computes otherwise"
+        )
 
 
 def _record_failures(campaign: Campaign) -> None:

@@ -75,9 +75,11 @@ class Chunks:
         self._again.extend(chunks)
 
     def take(self, answer: dict[str, Any]) -> int:
-        """The run that an answer of a worker is of. Raises RunRefused if it is an error."""
+        """The run that an answer of a worker is of. Raises RunRefused if it is an error, BadInput for a file
+        that was another one in another run."""
         if "row" not in answer:
             raise RunRefused(answer["error"], answer["status"])
+        self._plan.files.meet(answer["files"])
         row: Row = answer["row"]
         number: int = row["run"]
         self._done[number] = row

@@ -56,6 +56,7 @@ class Order(NamedTuple):
     """A name of this campaign alone: none goes on with what a worker has read for another."""
     sweep: str
     identity: str
+    """JSON of :data:`hil.campaign.identity.Identity`."""
     witness: str
     """JSON of the number of a run, what it draws, and its row as it came out here."""
 
@@ -156,7 +157,8 @@ def order_of(client: "Client", plan: CampaignPlan, number: int, stop: StopReques
     """With run ``number`` as it comes out here. Raises as :meth:`hil.campaign.worker.Workshop.row`."""
     drawn = plan.drawn(number)
     row = Workshop(plan, stop).row(number, drawn)
-    return Order(client.id, str(plan.source.absolute()), plan.identity, json.dumps([number, drawn, row]))
+    witness, identity = json.dumps([number, drawn, row]), json.dumps(plan.identity)
+    return Order(client.id, str(plan.source), identity, witness)
 
 
 class _Cluster:
@@ -233,7 +235,7 @@ def run_chunk(order: Order, chunk: list[Any]) -> list[Answer]:
 @lru_cache(maxsize=4)
 def _workshop(order: Order) -> Workshop:
     """Raises as :meth:`Workshop.of_sweep`, and NotTheSame for a worker that must not take part."""
-    workshop = Workshop.of_sweep(order.sweep, order.identity)
+    workshop = Workshop.of_sweep(order.sweep, json.loads(order.identity))
     number, drawn, expected = json.loads(order.witness)
     (answer,) = workshop.answers([[number, drawn]])
     if json.dumps(answer["row"]) != json.dumps(expected):

@@ -30,8 +30,7 @@ class OwnFunctions:
         self._names = {
             key: str(source.parent / name) if ".py:" in name else name for key, name in given.items()
         }
-        self.digests = [self._digest(key) for key in self._names]
-        """BLAKE2b of their files."""
+        self._digests = {key: self._digest(key) for key in self._names}
         self.checks = "check" in self._names
 
     def changes(self, seed: int) -> dict[str, Any]:
@@ -48,7 +47,7 @@ class OwnFunctions:
     def _called(self, key: str, seed: int, call: Callable[[Any], T]) -> T:
         name = self._names[key]
         try:
-            function = _function(name)
+            function = _function(name, self._digests[key])
         except FAILURES as error:
             raise BadInput(self._source, f"own.{key}", name, EXPECTED, told(error)) from error
         try:
@@ -68,5 +67,6 @@ class OwnFunctions:
 
 
 @cache
-def _function(name: str) -> Any:
+def _function(name: str, _digest: str) -> Any:
+    """Loaded once, and again when its file is another one: in a notebook campaigns follow each other."""
     return object_of(name)

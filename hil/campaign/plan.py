@@ -23,6 +23,7 @@ from scipy.stats import norm, qmc
 from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput
 from hil.campaign.adaptive import Drawn, Rounds
+from hil.campaign.identity import Identity, SourceFiles, program
 from hil.campaign.own_functions import OwnFunctions
 from hil.campaign.sweep_file import RUNS_MAX, Draw, SweepFile, Vary, sweep_from
 from hil.configuration.bench_tables import Bench
@@ -62,10 +63,19 @@ class PlannedRun(NamedTuple):
 class CampaignPlan:
     """All runs of a sweep."""
 
-    def __init__(self, sweep: SweepFile, source: Path) -> None:
-        """``source``: the sweep file. Raises BadInput or BadInputs: the bench, or a key that it has not."""
+    def __init__(self, sweep: SweepFile, source: Path, files: SourceFiles | None = None) -> None:
+        """``source``: the sweep file; ``files``: what is known of it and of those that it names.
+
+        Raises BadInput or BadInputs: the bench, a key that it has not, a file that is not as it is known.
+        """
         self.sweep = sweep
-        self.source = source
+        self.source = source.absolute()
+        """Whatever the working directory is by then."""
+        self.files = files or SourceFiles(self.source)
+        with self.files.noting():
+            self._read(sweep, self.source)
+
+    def _read(self, sweep: SweepFile, source: Path) -> None:
         self.own = OwnFunctions(sweep.own, source)
         self.axes = tuple(_axis(vary) for vary in sweep.vary)
         self._points = list(itertools.product(*(range(len(axis.choices)) for axis in self.axes)))
@@ -85,9 +95,15 @@ class CampaignPlan:
         self._check_choices()
 
     @classmethod
-    def load(cls, path: Path) -> "CampaignPlan":
-        """Of the sweep file at ``path``. Raises BadInput or BadInputs."""
-        return cls(sweep_from(read_toml(path, "sweep file"), str(path)), path)
+    def load(cls, path: Path, identity: Identity | None = None) -> "CampaignPlan":
+        """Of the sweep file at ``path``; ``identity``: of the campaign that it must be of.
+
+        Raises BadInput or BadInputs.
+        """
+        files = SourceFiles(path, None if identity is None else identity["files"])
+        with files.noting():
+            sweep = sweep_from(read_toml(path, "sweep file"), str(path))
+        return cls(sweep, path, files)
 
     @property
     def known(self) -> int:
@@ -125,18 +141,22 @@ class CampaignPlan:
             for key, value in shown.items()
         )
 
+    @property
+    def identity(self) -> Identity:
+        """What its rows depend on, as far as files were opened by now: a campaign goes on with the same."""
+        return {"sweep": self._sweep_digest, "program": dict(program()), "files": dict(self.files.digests)}
+
+    def require(self, identity: Identity) -> None:
+        """Raises BadInput for a sweep, or a file that runs have opened, that is another in ``identity``."""
+        self.files.require(identity["files"])
+        if identity["sweep"] != self._sweep_digest:
+            expected = "the sweep as it was when the campaign began"
+            raise BadInput(str(self.source), "", f"BLAKE2b {self._sweep_digest}", expected)
+
     @cached_property
-    def identity(self) -> str:
-        """BLAKE2b over the sweep and all that the files say that it names: a campaign goes on with the same
-        one alone."""
-        digest = hashlib.blake2b(digest_size=16)
-        digest.update(json.dumps(self.sweep.model_dump(mode="json"), sort_keys=True).encode())
-        digest.update(self.bench.config.resolved_text().encode())
-        digest.update("".join(self.own.digests).encode())
-        for choice in (choice for axis in self.axes for choice in axis.choices):
-            if not all(isinstance(value, int | float) for value in choice.values()):
-                digest.update(self.bench.changed(choice).config.resolved_text().encode())
-        return digest.hexdigest()
+    def _sweep_digest(self) -> str:
+        said = json.dumps(self.sweep.model_dump(mode="json"), sort_keys=True)
+        return hashlib.blake2b(said.encode(), digest_size=16).hexdigest()
 
     def _check_choices(self) -> None:
         """Each choice, the others at their first: no key that the bench has not, no value out of range."""

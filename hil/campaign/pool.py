@@ -47,7 +47,7 @@ class Worker:
         """Handed to it, and not yet done."""
         self.ready = False
         self._partial = b""
-        self.send({"sweep": str(plan.source.absolute()), "identity": plan.identity})
+        self.send({"sweep": str(plan.source), "identity": plan.identity})
 
     def send(self, what: Any) -> None:
         assert self.process.stdin is not None
@@ -148,7 +148,8 @@ class WorkerPool:
             worker.ready = True
             self._starts_lost = 0
             return
-        worker.chunks[0].remove(chunks.take(line))
+        number = chunks.take(line)  # before its chunks are looked at: one that refuses the sweep has none
+        worker.chunks[0].remove(number)
         if not worker.chunks[0]:
             worker.chunks.popleft()
 

@@ -6,41 +6,62 @@ a file ends with the BLAKE2b of its bytes, which is checked whenever it is read:
 the pages, and not what says how to read them.
 """
 
+import fcntl
 import hashlib
 import json
+import os
+import platform
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from drivers.bounded_file import parse_json, read_text
+from drivers.bounded_file import parse_json, read_text, writing
 from drivers.errors import BadInput
+from hil.campaign.identity import Identity, require_program
 from hil.campaign.plan import CampaignPlan
 from hil.campaign.worker import FIGURES, Row
 from hil.machine.on_disk import sync_folder, write_synced
 
-FORMAT: Final = "1"
+FORMAT: Final = "2"
 PLAN_FILE: Final = "campaign.json"
 RUNS_FOLDER: Final = "runs"
+LOCK_FILE: Final = "campaign.lock"
+_HOLDER_BYTES: Final = 200
+"""Of the lock file: a process and the name of a host, 64 characters on Linux."""
 _PART: Final = "part-{:09d}-{}.parquet"
 _SUFFIX: Final = ".writing"
 
 
 class RunStore:
-    """Of one campaign, below its folder."""
+    """Of one campaign, below its folder, which nobody else writes to meanwhile."""
 
-    def __init__(self, folder: Path, schema: pa.Schema) -> None:
-        """``folder``: of the campaign, which is there. Raises BadInput for one whose files are not whole."""
+    def __init__(self, folder: Path, plan: CampaignPlan, lock: int) -> None:
+        """``folder``: of the campaign, which is there; ``lock``: a descriptor to be closed with the store.
+        Raises BadInput for one whose files are not whole."""
+        self.folder, self._plan, self._lock = folder, plan, lock
         self._runs = folder / RUNS_FOLDER
-        self.schema = schema
+        self.schema = schema_of(plan)
         self._runs.mkdir(exist_ok=True)
         for left in self._runs.glob(f"*{_SUFFIX}"):
             left.unlink()
         self.count = self.table().num_rows
         """Runs that are stored: 0 to ``count`` - 1."""
+
+    def close(self) -> None:
+        """Let others write to the folder; a second time is no harm."""
+        lock, self._lock = self._lock, -1
+        if lock >= 0:
+            os.close(lock)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def append(self, rows: Sequence[Row]) -> None:
         """Store the next runs. Error: OSError."""
@@ -49,6 +70,8 @@ class RunStore:
             raise ValueError(f"runs {numbers[:3]}..., expected those from {self.count} on")
         if not rows:
             return
+        if self._plan.files.fresh():  # before the rows that rest on them
+            _write_plan(self.folder, self._plan)
         sink = pa.BufferOutputStream()
         pq.write_table(pa.Table.from_pylist(list(rows), schema=self.schema), sink, compression="zstd")
         data = sink.getvalue().to_pybytes()
@@ -61,18 +84,26 @@ class RunStore:
         self.count += len(rows)
 
     def table(self) -> pa.Table:
-        """All runs in order. Raises BadInput for a file that is damaged, or missing between others."""
-        parts = []
-        expected = 0
-        for path in sorted(self._runs.glob("part-*.parquet")):
-            data = path.read_bytes()
-            if path.name != _PART.format(expected, _checksum(data)):
-                due = f"the part that begins with run {expected}, and BLAKE2b {_checksum(data)} in its name"
-                raise BadInput(str(path), "", path.name, due, "it is damaged, or one before it is missing")
-            part = pq.read_table(pa.BufferReader(data), schema=self.schema)
-            expected += part.num_rows
-            parts.append(part)
-        return pa.concat_tables(parts) if parts else self.schema.empty_table()
+        """As :func:`stored_runs`."""
+        return stored_runs(self.folder, self.schema)
+
+
+def stored_runs(folder: Path, schema: pa.Schema) -> pa.Table:
+    """All runs in order of the campaign in ``folder``, also while it goes on.
+
+    Raises BadInput for a file that is damaged, or missing between others.
+    """
+    parts = []
+    expected = 0
+    for path in sorted((folder / RUNS_FOLDER).glob("part-*.parquet")):
+        data = path.read_bytes()
+        if path.name != _PART.format(expected, _checksum(data)):
+            due = f"the part that begins with run {expected}, and BLAKE2b {_checksum(data)} in its name"
+            raise BadInput(str(path), "", path.name, due, "it is damaged, or one before it is missing")
+        part = pq.read_table(pa.BufferReader(data), schema=schema)
+        expected += part.num_rows
+        parts.append(part)
+    return pa.concat_tables(parts) if parts else schema.empty_table()
 
 
 def _checksum(data: bytes) -> str:
@@ -95,7 +126,6 @@ def schema_of(plan: CampaignPlan) -> pa.Schema:
     metadata = {
         "format": FORMAT,
         "campaign": plan.sweep.campaign.name,
-        "identity": plan.identity,
         "sweep": json.dumps(plan.sweep.model_dump(mode="json", by_alias=True)),
         "bench": plan.bench.config.resolved_text(),
         "servobench": version("servobench"),
@@ -129,49 +159,89 @@ def _field(name: str, kind: Any, unit: str, meaning: str) -> pa.Field:
 def open_campaign(folder: Path, plan: CampaignPlan, resume: bool) -> RunStore:
     """The store of a campaign in ``folder``: a new one, or that of the same sweep to go on with.
 
-    Raises BadInput: there is another campaign in it, or the same one and it is not to be resumed; or the
-    guide of its draws is no figure.
+    Raises BadInput: there is another campaign in it, or the same one and it is not to be resumed; one of its
+    files, or the program, is not as it was; somebody writes to it; or the guide of its draws is no figure.
     """
     adaptive = plan.sweep.adaptive
     if adaptive is not None and adaptive.guide not in FIGURES:
         raise BadInput(str(plan.source), "adaptive.guide", adaptive.guide, f"one of {', '.join(FIGURES)}")
-    place = folder / PLAN_FILE
-    identity = {"sweep": str(plan.source.absolute()), "identity": plan.identity}
-    if place.exists():
-        sweep, stored = _stored(place)
-        if stored != plan.identity:
-            expected = "a folder of its own, or the sweep and the files it names as they were"
-            held = f"it holds the campaign of {sweep}"
-            raise BadInput("--out", "", str(folder), expected, held)
-        if not resume:
-            raise BadInput("--out", "", str(folder), "a new or empty folder", "--resume goes on with it")
-    else:
+    with writing("--out", folder):
         folder.mkdir(parents=True, exist_ok=True)
-        if any(each.suffix != _SUFFIX for each in folder.iterdir()):
+        lock = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        _lock(folder, lock)
+        _begin(folder, plan, resume)
+        return RunStore(folder, plan, lock)
+    except BaseException:
+        os.close(lock)
+        raise
+
+
+def _lock(folder: Path, lock: int) -> None:
+    """Whoever dies leaves no lock behind: the kernel holds it, the file says whose it is."""
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        holder = os.pread(lock, _HOLDER_BYTES, 0).decode(errors="replace").strip()
+        expected = "a folder to which no other campaign is writing"
+        raise BadInput("--out", "", str(folder), expected, f"{holder or 'another process'} does") from None
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise BadInput("--out", "", str(folder), "a folder on a file system that has flock", reason) from None
+    os.ftruncate(lock, 0)
+    os.pwrite(lock, f"process {os.getpid()} on {platform.node()}\n".encode(), 0)
+
+
+def _begin(folder: Path, plan: CampaignPlan, resume: bool) -> None:
+    place = folder / PLAN_FILE
+    if not place.exists():
+        if any(each.suffix != _SUFFIX and each.name != LOCK_FILE for each in folder.iterdir()):
             raise BadInput("--out", "", str(folder), "a new or empty folder, or that of a campaign")
-        beside = place.with_suffix(_SUFFIX)
-        beside.write_text(json.dumps(identity), encoding="utf-8")
-        beside.rename(place)
-    return RunStore(folder, schema_of(plan))
+        _write_plan(folder, plan)
+        return
+    sweep, identity = _stored(place)
+    if sweep.name != plan.source.name:
+        expected = "a folder of its own, or the sweep of that campaign"
+        raise BadInput("--out", "", str(folder), expected, f"it holds the campaign of {sweep}")
+    plan.require(identity)
+    if not resume:
+        raise BadInput("--out", "", str(folder), "a new or empty folder", "--resume goes on with it")
+    require_program(identity["program"], str(place))
+
+
+def _write_plan(folder: Path, plan: CampaignPlan) -> None:
+    plan.files.fresh()
+    place = folder / PLAN_FILE
+    beside = place.with_suffix(_SUFFIX)
+    told = {"sweep": str(plan.source), "identity": plan.identity}
+    with beside.open("wb") as file:
+        write_synced(file, json.dumps(told, indent=1).encode())
+    beside.rename(place)
+    sync_folder(folder)
 
 
 def plan_in(folder: Path) -> CampaignPlan:
-    """Of the campaign in ``folder``. Raises BadInput: there is none, or its sweep has changed since."""
+    """Of the campaign in ``folder``. Raises BadInput: there is none, or a file that its runs have opened, the
+    sweep among them, is another one by now."""
     place = folder / PLAN_FILE
     if not place.exists():
         raise BadInput("DIR", "", str(folder), "the folder of a campaign: --out of hil campaign")
-    sweep, stored = _stored(place)
-    plan = CampaignPlan.load(Path(sweep))
-    if plan.identity != stored:
-        expected = "the sweep and the files that it names as they were when the campaign ran"
-        raise BadInput(sweep, "", plan.identity, expected)
+    sweep, identity = _stored(place)
+    plan = CampaignPlan.load(sweep)
+    plan.require(identity)
     return plan
 
 
-def _stored(place: Path) -> tuple[str, str]:
-    """Path of the sweep, and the identity of its campaign. Raises BadInput."""
+def _stored(place: Path) -> tuple[Path, Identity]:
+    """Path of the sweep, and what its campaign rests on. Raises BadInput."""
     table = parse_json(read_text(place, "campaign"), str(place), "what hil campaign wrote")
     match table:
-        case {"sweep": str(sweep), "identity": str(identity)}:
-            return sweep, identity
+        case {
+            "sweep": str(sweep),
+            "identity": {"sweep": str(), "program": dict() as program, "files": dict() as files} as identity,
+        } if all(isinstance(value, str) for value in (*program.values(), *files.values())):
+            return Path(sweep), identity
+        case {"sweep": str(), "identity": str()}:
+            expected = "a campaign of this version: the older one kept no account of files and program"
+            raise BadInput(str(place), "identity", table["identity"], expected)
     raise BadInput(str(place), "", table, "the sweep and the identity of a campaign")

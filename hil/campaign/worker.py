@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 from drivers.errors import BadInput, BenchError
 from drivers.timebase import MonotonicClock
 from hil.campaign.adaptive import Drawn
+from hil.campaign.identity import Identity, require_program
 from hil.campaign.plan import CampaignPlan, PlannedRun, refuse_real_time
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_errors import BadInputs
@@ -103,13 +104,8 @@ FIGURES: Final[Mapping[str, Figure]] = {
 Row = dict[str, Any]
 """A row of the table of a campaign: plain values by column."""
 Answer = dict[str, Any]
-"""Of a worker, plain values: ``row`` and ``took_ns`` of a run; or ``error`` and ``status``: there is none."""
-
-
-class SweepChanged(BenchError):
-    """A worker has read another sweep than the campaign."""
-
-    exit_status = 2
+"""Of a worker, plain values: ``row`` and ``took_ns`` of a run, and ``files`` that were opened since the last
+answer; or ``error`` and ``status``: there is none."""
 
 
 class NotTheSame(BenchError):
@@ -139,11 +135,12 @@ class Workshop:
         gc.freeze()
 
     @classmethod
-    def of_sweep(cls, path: str, identity: str) -> "Workshop":
-        """Of a worker, which reads the sweep by itself. Raises SweepChanged, BadInput or BadInputs."""
-        plan = CampaignPlan.load(Path(path))
-        if plan.identity != identity:
-            raise SweepChanged(f"{path}, or a file that it names, is not as it was when the campaign began")
+    def of_sweep(cls, path: str, identity: Identity) -> "Workshop":
+        """Of a worker, which reads the sweep by itself. Raises BadInput or BadInputs: a file that it
+        names, or the program here, is not that of the campaign."""
+        require_program(identity["program"], path)
+        plan = CampaignPlan.load(Path(path), identity)
+        plan.require(identity)
         return cls(plan, StopRequest())
 
     def answers(self, chunk: Iterable[Any]) -> Iterator[Answer]:
@@ -151,15 +148,18 @@ class Workshop:
         for number, drawn in chunk:
             began = self._clock.now()
             row = self.row(number, Drawn(*drawn))
-            yield {"row": row, "took_ns": self._clock.now() - began}
+            took_ns = self._clock.now() - began
+            yield {"row": row, "took_ns": took_ns, "files": self._plan.files.fresh()}
 
     def row(self, number: int, drawn: Drawn | None = None) -> Row:
         """Run ``number``; ``drawn``: as :meth:`CampaignPlan.run` takes it.
 
-        Raises BadInput or BadInputs for one that cannot be run, Interrupted.
+        Raises BadInput or BadInputs for one that cannot be run, and for a file that it opens and that is not
+        as other runs met it; Interrupted.
         """
-        planned = self._plan.run(number, drawn)
-        done = self.finished(planned)
+        with self._plan.files.noting():
+            planned = self._plan.run(number, drawn)
+            done = self.finished(planned)
         self._since_collected += 1
         if self._since_collected == COLLECTED_EVERY:
             self._since_collected = 0

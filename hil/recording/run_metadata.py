@@ -38,7 +38,7 @@ def run_metadata(plan: RecordingPlan, zero: Instant, drives: Mapping[str, str]) 
         BENCH_START: str(plan.started_at - zero),
         "host": json.dumps(_host()),
         "servobench": _version(),
-        "commit": _commit(),
+        "commit": source_commit(),
     }
 
 
@@ -61,7 +61,7 @@ def _version() -> str:
 
 
 @cache
-def _commit() -> str:
+def source_commit() -> str:
     """Of the source tree that runs, with "-dirty" if it was changed since; empty if it is none of git's."""
     if not (_ROOT / ".git").exists():
         return ""

@@ -187,7 +187,7 @@ campaign.run_campaign(sys.argv[1], sys.argv[2], workers=1)
 """The third argument: at which sync of a file, or of the folder that it is then in, it is killed."""
 
 
-@pytest.mark.parametrize(("sync", "stored"), [(7, 3), (8, 4)])
+@pytest.mark.parametrize(("sync", "stored"), [(9, 3), (10, 4)])
 def test_a_campaign_that_was_killed_goes_on_to_the_same_table(
     done: Campaign, tmp_path: Path, sync: int, stored: int
 ) -> None:

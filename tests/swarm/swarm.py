@@ -49,7 +49,7 @@ def warm() -> None:
     """Do what each case would do anew: load the compiled plant, ask for the commit, look through what there
     is for garbage, which would copy it all."""
     SimulatedServo(1, LING, DriveParameters(), 0)
-    run_metadata._commit()
+    run_metadata.source_commit()
     gc.collect()
     gc.freeze()
 

@@ -14,13 +14,18 @@ from drivers.errors import BusDown
 from drivers.timebase import NS_PER_S, Instant
 from hil.campaign import on_dask
 from hil.campaign.chunks import RunRefused, WorkerDied
+from hil.campaign.identity import SourceFiles
 from hil.campaign.on_dask import ClusterLost, Order, order_of, rows_on_dask, run_chunk
 from hil.campaign.worker import NotTheSame
 from hil.machine.stopping import Interrupted, StopRequest
 
-HERE = Order("client-1", "/sweep.toml", "abc", json.dumps([0, [[], 1.0, True], {"run": 0, "x": 1.5}]))
+HERE = Order("client-1", "/sweep.toml", '"abc"', json.dumps([0, [[], 1.0, True], {"run": 0, "x": 1.5}]))
 PLAN: Any = SimpleNamespace(
-    known=10_000, identity="abc", source=Path("/sweep.toml"), drawn=lambda number: [[number], 1.0, True]
+    known=10_000,
+    identity="abc",
+    source=Path("/sweep.toml"),
+    files=SourceFiles(Path("/sweep.toml")),
+    drawn=lambda number: [[number], 1.0, True],
 )
 
 
@@ -90,7 +95,10 @@ class Client:
             future.set_exception(error or OSError("gone"))
         else:
             future.set_result(
-                [{"row": {"run": number, "drawn": drawn}, "took_ns": NS_PER_S} for number, drawn in chunk]
+                [
+                    {"row": {"run": number, "drawn": drawn}, "took_ns": NS_PER_S, "files": {}}
+                    for number, drawn in chunk
+                ]
             )
         return SimpleNamespace(status=status, future=future)
 
@@ -276,7 +284,7 @@ def test_an_order_has_a_run_as_it_is_here(
     monkeypatch.undo()
     monkeypatch.setattr(on_dask, "Workshop", shop)
     order = order_of(client, PLAN, 7, StopRequest())
-    assert order[:3] == ("client-1", "/sweep.toml", "abc")
+    assert order[:3] == ("client-1", "/sweep.toml", '"abc"')
     drawn = [[7], 1.0, True]
     assert json.loads(order.witness) == [7, drawn, {"run": 7, "drawn": drawn}]
 
@@ -304,6 +312,6 @@ def test_a_worker_that_comes_to_another_result_takes_no_part(shop: type[Shop]) -
 
 @pytest.mark.usefixtures("shop")
 def test_an_error_of_a_worker_names_it() -> None:
-    other = HERE._replace(identity="other")
+    other = HERE._replace(identity='"other"')
     status = BusDown.exit_status
     assert run_chunk(other, []) == [{"error": "worker tcp://w:1: another sweep", "status": status}]

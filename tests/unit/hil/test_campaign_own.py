@@ -1,6 +1,5 @@
 """Functions of one's own beside a sweep file: how they are called, and what is said of their failures."""
 
-from hashlib import blake2b
 from pathlib import Path
 
 import pytest
@@ -42,7 +41,7 @@ def sweep(tmp_path: Path) -> Path:
 def test_without_functions_nothing_is_changed_or_checked(sweep: Path) -> None:
     own = OwnFunctions(Own(), sweep)
     assert own.changes(4) == {}
-    assert (own.checks, own.digests) == (False, [])
+    assert not own.checks
 
 
 def test_a_function_changes_the_bench_by_the_seed_and_its_tables_stay(sweep: Path) -> None:
@@ -64,14 +63,6 @@ def test_a_module_that_is_installed_is_named_as_it_is(sweep: Path) -> None:
     own = OwnFunctions(Own(changes="collections:Counter"), sweep)
     with pytest.raises(OwnCodeFailed, match=r"^collections:Counter, seed 4: .*'int' object is not iterable"):
         own.changes(4)
-
-
-def test_the_digests_are_those_of_the_files(sweep: Path) -> None:
-    own = OwnFunctions(Own(changes="own.py:changes", check="own.py:check"), sweep)
-    assert len(own.digests) == 2
-    assert own.digests[0] == own.digests[1]
-    size = len(own.digests[0]) // 2
-    assert own.digests[0] == blake2b(CODE.encode(), digest_size=size).hexdigest()
 
 
 def test_a_failure_names_the_function_the_seed_and_the_line(sweep: Path) -> None:

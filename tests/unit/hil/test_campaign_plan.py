@@ -147,7 +147,7 @@ def test_a_sweep_is_known_again_by_all_that_it_names(tmp_path: Path) -> None:
     motor = tmp_path / "motor.toml"
     motor.write_text(motors.read_text())
 
-    def identity() -> str:
+    def identity() -> Any:
         return plan(campaign={"bench": str(bench)}).identity
 
     before = identity()

@@ -11,17 +11,24 @@ import pytest
 from drivers.timebase import NS_PER_MS, NS_PER_S
 from hil.campaign import pool
 from hil.campaign.chunks import Chunks, RunRefused, WorkerDied
+from hil.campaign.identity import SourceFiles
 from hil.campaign.pool import WorkerPool, rows_of
 from hil.machine.stopping import Interrupted, StopRequest
 
 
 def plan(known: int = 10_000, source: Path = Path("sweep.toml")) -> Any:
     """Of which run n draws 10 n."""
-    return SimpleNamespace(known=known, identity="abc", source=source, drawn=lambda number: 10 * number)
+    return SimpleNamespace(
+        known=known,
+        identity="abc",
+        source=source.absolute(),
+        files=SourceFiles(source),
+        drawn=lambda number: 10 * number,
+    )
 
 
 def answer(number: int, took_ns: int = NS_PER_S) -> dict[str, Any]:
-    return {"row": {"run": number}, "took_ns": took_ns}
+    return {"row": {"run": number}, "took_ns": took_ns, "files": {}}
 
 
 def test_the_first_chunks_are_one_run_each() -> None:
@@ -124,7 +131,7 @@ tell({{"ready": True}})
 for line in sys.stdin:
     for number, drawn in json.loads(line):
         {each}
-        tell({{"row": {{"run": number, "drawn": drawn, "by": os.getpid()}}, "took_ns": 10**9}})
+        tell({{"row": {{"run": number, "drawn": drawn, "by": os.getpid()}}, "took_ns": 10**9, "files": {{}}}})
 """
 KILL = "os.kill(os.getpid(), signal.SIGKILL)"
 

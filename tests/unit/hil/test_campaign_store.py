@@ -1,5 +1,8 @@
 """The table of a campaign on disk: whole at any moment, and what is damaged is told."""
 
+import os
+import platform
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -42,18 +45,22 @@ def row(number: int) -> dict[str, Any]:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> RunStore:
-    return open_campaign(tmp_path / "campaign", plan(), resume=False)
+def store(tmp_path: Path) -> Iterator[RunStore]:
+    with open_campaign(tmp_path / "campaign", plan(), resume=False) as it:
+        yield it
 
 
-def reopened(tmp_path: Path) -> RunStore:
-    return open_campaign(tmp_path / "campaign", plan(), resume=True)
+def reopened(store: RunStore) -> RunStore:
+    """Both are unlocked, and can be read and appended to."""
+    store.close()
+    with open_campaign(store.folder, plan(), resume=True) as again:
+        return again
 
 
-def test_what_was_appended_is_read_with_units(store: RunStore, tmp_path: Path) -> None:
+def test_what_was_appended_is_read_with_units(store: RunStore) -> None:
     store.append([row(number) for number in range(3)])
     store.append([row(number) for number in range(3, 5)])
-    table = reopened(tmp_path).table()
+    table = reopened(store).table()
     assert table.to_pylist() == [row(number) for number in range(5)]
     assert table.schema.field("torque_rms_nm").metadata[b"unit"] == b"N m"
     assert table.schema.metadata[b"campaign"] == b"try"
@@ -69,7 +76,7 @@ def test_runs_are_appended_in_order_and_once(store: RunStore) -> None:
 def test_a_file_that_was_being_written_is_not_there(store: RunStore, tmp_path: Path) -> None:
     store.append([row(0)])
     (tmp_path / "campaign" / "runs" / "part-000000001.writing").write_bytes(b"PAR1 half a fi")
-    again = reopened(tmp_path)
+    again = reopened(store)
     assert again.count == 1
     again.append([row(1)])
     assert [path.suffix for path in (tmp_path / "campaign" / "runs").iterdir()] == [".parquet"] * 2
@@ -83,9 +90,9 @@ def test_every_byte_that_changes_is_noticed(store: RunStore, tmp_path: Path) -> 
     for place in range(0, len(whole), 97):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
         with pytest.raises(BadInput, match="it is damaged"):
-            reopened(tmp_path)
+            reopened(store)
     path.write_bytes(whole)
-    assert reopened(tmp_path).count == 50
+    assert reopened(store).count == 50
 
 
 def test_a_missing_or_shortened_file_is_told(store: RunStore, tmp_path: Path) -> None:
@@ -94,19 +101,24 @@ def test_a_missing_or_shortened_file_is_told(store: RunStore, tmp_path: Path) ->
     paths = sorted((tmp_path / "campaign" / "runs").iterdir())
     paths[2].write_bytes(paths[2].read_bytes()[:-20])
     with pytest.raises(BadInput, match="it is damaged"):
-        reopened(tmp_path)
+        reopened(store)
     paths[2].unlink()
-    assert reopened(tmp_path).count == 2
+    assert reopened(store).count == 2
     paths[0].unlink()
     with pytest.raises(BadInput, match="expected the part that begins with run 0"):
-        reopened(tmp_path)
+        reopened(store)
 
 
 def test_a_folder_is_of_one_campaign(store: RunStore, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=rf"process {os.getpid()} on {platform.node()} does"):
+        open_campaign(tmp_path / "campaign", plan(), resume=True)
+    store.close()
     with pytest.raises(BadInput, match="--resume goes on with it"):
         open_campaign(tmp_path / "campaign", plan(), resume=False)
-    with pytest.raises(BadInput, match=r"it holds the campaign of .*sweep.toml"):
+    with pytest.raises(BadInput, match="expected the sweep as it was when the campaign began"):
         open_campaign(tmp_path / "campaign", plan(seeds=7), resume=True)
+    with pytest.raises(BadInput, match=r"it holds the campaign of .*sweep.toml"):
+        open_campaign(tmp_path / "campaign", plan(source="other.toml"), resume=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").touch()
     with pytest.raises(BadInput, match="a new or empty folder"):

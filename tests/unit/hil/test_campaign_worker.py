@@ -19,7 +19,6 @@ from hil.campaign.plan import CampaignPlan, PlannedRun
 from hil.campaign.worker import (
     FIGURES,
     Finished,
-    SweepChanged,
     Workshop,
     certificate_state,
     refusal,
@@ -179,7 +178,7 @@ def test_runs_of_a_chunk_are_run_with_their_seeds_and_nothing_is_kept(bench: Ben
         (4, 1, 31, 1.0, True),
         (0, 0, 30, 0.5, False),
     ]
-    assert all(answer.keys() == {"row", "took_ns"} and answer["took_ns"] >= 0 for answer in answers)
+    assert all(answer.keys() == {"row", "took_ns", "files"} and answer["took_ns"] >= 0 for answer in answers)
     first = bench.asked[0]
     assert (first["seed"], first["record"], first["keep"], first["stop"]) == (31, None, False, stop)
     assert (first["allow_uncertified"], first["privileged"]) == (True, False)
@@ -293,10 +292,9 @@ def test_a_worker_refuses_a_sweep_that_has_changed(tmp_path: Path) -> None:
     path.write_text(toml_text(tables()))
     identity = CampaignPlan.load(path).identity
     assert isinstance(Workshop.of_sweep(str(path), identity), Workshop)
-    with pytest.raises(SweepChanged) as caught:
-        Workshop.of_sweep(str(path), "another")
-    told = f"{path}, or a file that it names, is not as it was when the campaign began"
-    assert (str(caught.value), caught.value.exit_status) == (told, 2)
+    path.write_text(toml_text(tables(campaign={"seeds": 9})))
+    with pytest.raises(BadInput, match=f"{path}: found .BLAKE2b .*, expected BLAKE2b "):
+        Workshop.of_sweep(str(path), identity)
 
 
 @pytest.fixture
@@ -341,6 +339,10 @@ def test_a_worker_runs_chunks_until_nothing_more_comes(bench: Bench, said: Any, 
 def test_a_worker_that_cannot_go_on_says_why(bench: Bench, said: Any, tmp_path: Path) -> None:
     path = tmp_path / "sweep.toml"
     path.write_text(toml_text(tables()))
-    told = f"{path}, or a file that it names, is not as it was when the campaign began"
-    assert said({"sweep": str(path), "identity": "another"}) == (2, [{"error": told, "status": 2}])
+    identity = CampaignPlan.load(path).identity
+    identity["program"]["numpy"] = "1.0"
+    status, answers = said({"sweep": str(path), "identity": identity})
+    answer = answers[-1]
+    assert (status, answer["status"]) == (2, 2)
+    assert f"{path}: identity.program.numpy: found '1.0'" in answer["error"]
     assert bench.asked == []

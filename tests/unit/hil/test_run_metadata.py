@@ -28,9 +28,9 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def told() -> str:
-    run_metadata._commit.cache_clear()
+    run_metadata.source_commit.cache_clear()
     commit = run_metadata.run_metadata(plan_for(Path()), Instant(0), {})["commit"]
-    run_metadata._commit.cache_clear()
+    run_metadata.source_commit.cache_clear()
     return commit
 
 
