@@ -4,7 +4,6 @@ Real time, as this is what is tested; every wait is bounded by a deadline and en
 """
 
 import os
-import resource
 import select
 import signal
 import socket
@@ -18,19 +17,25 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock, instant_after
+from drivers.timebase import Instant, instant_after
 from drivers.wire.frame_port import EchoBasis
 from tests.ports import fetched
+from tests.unit.virtual_bus.hub_processes import (
+    CLOCK,
+    PATIENCE_S,
+    REPOSITORY,
+    broker_process,
+    end,
+    join,
+    participant,
+    wait_for_end,
+)
 from virtual_bus.bus.hub import HubBus
 from virtual_bus.bus.hub_place import HubPlace, checked_name, known_hubs, runtime_directory, try_lock
 from virtual_bus.bus.hub_protocol import Hello, encode_hello
 from virtual_bus.frame import Frame
 
 pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time")]
-
-PATIENCE_S = 10.0
-CLOCK = MonotonicClock()
-REPOSITORY = Path(__file__).parents[3]
 
 
 @pytest.fixture(autouse=True)
@@ -51,48 +56,6 @@ def buses() -> Iterator[list[HubBus]]:
     yield opened
     for bus in opened:
         bus.shutdown()
-
-
-def join(buses: list[HubBus], **options: bool | int) -> HubBus:
-    buses.append(HubBus("bench", **options))  # type: ignore[arg-type]
-    return buses[-1]
-
-
-def broker_process(place: HubPlace) -> int:
-    return int(place.alive.read_text())
-
-
-def wait_for_end(process: int) -> None:
-    """Until the process is gone (it is nobody's child here)."""
-    deadline = instant_after(CLOCK.now(), PATIENCE_S)
-    while Path(f"/proc/{process}").exists():
-        assert CLOCK.now() < deadline, f"process {process} still runs"
-        CLOCK.sleep_until(Instant(CLOCK.now() + 10 * NS_PER_MS))
-
-
-def participant(script: str) -> subprocess.Popen[str]:
-    """Another process that joined the hub as ``bus``; it says so on its standard output."""
-    source = (
-        "import can, sys\n"
-        "bus = can.Bus(interface='hub', channel='bench', ignore_config=True)\n"
-        f"print('joined', flush=True)\n{script}\nbus.shutdown()\n"
-    )
-    process = subprocess.Popen(
-        [sys.executable, "-c", source],
-        cwd=REPOSITORY,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "joined\n"
-    return process
-
-
-def end(process: subprocess.Popen[str]) -> str:
-    """Wait for a participant; what it said since."""
-    output, _ = process.communicate(timeout=PATIENCE_S)
-    return output
 
 
 def test_processes_that_join_at_once_share_one_broker(buses: list[HubBus]) -> None:
@@ -204,107 +167,6 @@ def test_killed_client_harms_nobody_and_its_frames_still_go_out(buses: list[HubB
     last = one.recv(PATIENCE_S)
     assert last is not None
     assert last.arbitration_id == 0x123
-
-
-def flood(sender: HubBus, listener: HubBus, frames: int) -> None:
-    """Numbered frames without data, some 50 us each; ``listener`` takes them all."""
-    sent = heard = 0
-    while sent < frames:
-        try:
-            sender.frame_port.transmit(Frame(sent % 0x800))
-            sent += 1
-        except can.CanOperationError:
-            heard += listener.recv(PATIENCE_S) is not None
-        while fetched(listener, Instant(0)) is not None:
-            heard += 1
-    while heard < sent:
-        assert listener.recv(PATIENCE_S) is not None
-        heard += 1
-
-
-FULL_SOCKET = 4_000
-"""Frames that fill the socket of a client for certain: it holds some 3000 in batches and 280 one by one."""
-
-
-@pytest.mark.parametrize("batches", [False, True])
-def test_client_that_takes_no_more_frames_is_dropped_and_the_others_go_on(
-    place: HubPlace, buses: list[HubBus], batches: bool
-) -> None:
-    """Half a second of a full bus."""
-    sender, listener = join(buses), join(buses, batches=batches)
-    sleeper = join(buses, batches=batches)
-    flood(sender, listener, FULL_SOCKET)
-    for _ in range(FULL_SOCKET):
-        assert sleeper.recv(PATIENCE_S) is not None
-    flood(sender, listener, 12_000)
-    taken: list[can.Message] = []
-    with pytest.raises(can.CanOperationError, match="not taking its frames"):
-        taken.extend(sleeper)
-    assert 0 < len(taken) < 12_000
-    assert "did not take its frames" in place.log.read_text()
-
-
-@pytest.mark.parametrize("batches", [False, True])
-def test_client_that_joins_a_busy_bus_and_starts_slowly_has_the_newest_frames(
-    place: HubPlace, buses: list[HubBus], batches: bool
-) -> None:
-    """As a bench does that joins, then waits for its logger, for longer than an outbox lasts."""
-    sender, listener = join(buses), join(buses, batches=batches)
-    starter = join(buses, batches=batches)
-    frames = 20_000
-    flood(sender, listener, frames)
-    sender.frame_port.transmit(Frame(0x7FF, b"last"))
-    numbers = []
-    while (message := starter.recv(PATIENCE_S)) is not None and message.data != b"last":
-        numbers.append(message.arbitration_id)
-    newest = numbers[-4_000:]
-    assert newest == [number % 0x800 for number in range(frames - 4_000, frames)]
-    assert len(numbers) < frames
-    assert "has not begun to read" in place.log.read_text()
-
-
-def test_client_that_sends_garbage_is_dropped(place: HubPlace, buses: list[HubBus]) -> None:
-    one, other = join(buses), join(buses)
-    rogue = join(buses)
-    rogue._socket.send(b"\xff" * 22)
-    with pytest.raises(can.CanOperationError, match="hub is gone"):
-        rogue.recv(PATIENCE_S)
-    one.frame_port.transmit(Frame(0x100))
-    assert other.recv(PATIENCE_S) is not None
-    assert "malformed" in place.log.read_text()
-
-
-def test_client_that_only_knocks_holds_up_nobody(place: HubPlace, buses: list[HubBus]) -> None:
-    one = join(buses)
-    silent = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    silent.connect(str(place.socket))
-    other = join(buses)
-    one.frame_port.transmit(Frame(0x100))
-    assert other.recv(PATIENCE_S) is not None
-    silent.close()
-
-
-def test_a_thousand_idle_connections_do_not_end_the_hub(place: HubPlace, buses: list[HubBus]) -> None:
-    """More than a process may watch by ``select``."""
-    one = join(buses)
-    process = broker_process(place)
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, 2_048), hard))
-    idle: list[socket.socket] = []
-    try:
-        for _ in range(1_100):
-            idle.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
-            idle[-1].connect(str(place.socket))
-        other = participant("bus.send(can.Message(arbitration_id=0x100, is_extended_id=False))")
-        heard = one.recv(PATIENCE_S)
-        assert heard is not None
-        assert heard.arbitration_id == 0x100
-        end(other)
-        assert broker_process(place) == process
-    finally:
-        for each in idle:
-            each.close()
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def test_program_of_another_version_is_told_so(place: HubPlace, buses: list[HubBus]) -> None:
