@@ -9,14 +9,13 @@ HeardSync     SYNC      |        |                  |  |     the grid follows th
 """
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
-from statistics import median
 from typing import Final
 
 from drivers.errors import NoAnswer, PeerFault
 from drivers.exchange import Master
 from drivers.timebase import NS_PER_S, NS_PER_US, Clock, Duration, Instant
 from hil.loop.axis import Axis
+from hil.loop.sync_period import period_of
 from hil.loop.syncs import SURPLUS, SyncLog, SyncMark
 
 CALIBRATION_SYNCS: Final = 16
@@ -300,15 +299,12 @@ class HeardSync(Pace):
 
     def _check_period(self, heard_at: Sequence[Instant]) -> None:
         """Raises PeerFault if SYNCs do not come with the loop's period; one that was lost does not matter."""
-        spacings = [later - earlier for earlier, later in pairwise(heard_at)]
-        typical = median(spacings)
-        periods = sum(max(1, round(spacing / typical)) for spacing in spacings)
-        period = (heard_at[-1] - heard_at[0]) / periods
+        period = period_of(heard_at, self._period)
         if abs(period - self._period) > PERIOD_ERROR_MAX * self._period:
             raise PeerFault(
                 f"SYNC comes every {period / NS_PER_US:.1f} us,"
                 f" and loop.period_us is {self._period // NS_PER_US}",
-                f"the mean of {len(spacings)} spacings; {PERIOD_ERROR_MAX:.0%} are let pass",
+                f"a line through {len(heard_at)} of them; {PERIOD_ERROR_MAX:.0%} are let pass",
                 "set loop.period_us or the producer's 1006h to the other; only one node may produce SYNC",
             )
 

@@ -1,6 +1,7 @@
 """The rows of ``hil run`` on a hub, drives in another process, beside what a third, passive client heard.
 
 Half an hour: ``python -m tests.benchmarks.bench_truth_hub --axes 1 --commands nowhere --cycles 1800000``.
+At a further client's SYNCs: ``--jitter-us 0``, as on time as a process can be, or later by up to so much.
 """
 
 import argparse
@@ -30,6 +31,7 @@ def main() -> None:
     )
     parser.add_argument("--stalls", type=int, metavar="SEED", help="let the processes stand still at times")
     parser.add_argument("--longest-ms", type=float, default=15.0, help="for how long at most")
+    parser.add_argument("--jitter-us", type=int, help="at another node's SYNCs, so late at most")
     options = parser.parse_args()
     stalls = None if options.stalls is None else Stalls(options.stalls, longest_ms=options.longest_ms)
     for axes in options.axes or (1, 3):
@@ -41,7 +43,10 @@ def main() -> None:
                 at_host,
                 axes=axes,
                 period_us=PERIODS_US[axes],
-                commands=True,
+                commands=options.jitter_us is None,
+                sync="own" if options.jitter_us is None else "foreign",
+                producer_period_us=PERIODS_US[axes],
+                producer_jitter_us=options.jitter_us or 0,
             )
             with tempfile.TemporaryDirectory() as scratch:
                 with watching() as holdings:

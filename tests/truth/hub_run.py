@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -22,8 +23,9 @@ from tests.truth.hub_truth import Spacings, hub_truth, sync_spacings
 from tests.truth.judge import Judgement, Timing, judge_axis
 from tests.truth.plans import Plan
 from tests.truth.rows import USED, Told, told_by
-from tests.truth.runner import ROOT, bench_config
+from tests.truth.runner import ROOT, SEED, bench_config
 from tests.truth.stalls import Stalls, stalling
+from tests.truth.sync_process import making_syncs
 from virtual_bus.bus.hub_place import HubPlace
 
 FRAMES, COMMANDS = "frames.bin", "commands.bin"
@@ -54,11 +56,11 @@ def run_beside_a_listener(
     ``folder``: of the run's files. ``drive_faults``: TOML, a fault plan of the drives' side. ``stalls``: of
     host, drives and the hub's broker.
     """
-    config = bench_config(plan, cycles)
+    config = bench_config(plan, cycles, on_hub=True)
     hub = f"truth-{os.getpid()}"
     bench = folder / "bench.toml"
     bench.write_text(config.as_run(f"hub:{hub}", None).resolved_text(), encoding="utf-8")
-    with listening(hub, folder / FRAMES):
+    with listening(hub, folder / FRAMES), _producer(plan, hub):
         drives = DriveProcess(_simulate(hub, plan.axes, folder, drive_faults), folder / "drives.log")
         try:
             process = start_run(bench, f"hub:{hub}", folder / "run")
@@ -69,6 +71,13 @@ def run_beside_a_listener(
             drives.stop()
     summary = json.loads(out) if out.strip() else {}
     return _outcome(config, folder, process.returncode, said, summary)
+
+
+def _producer(plan: Plan, hub: str) -> AbstractContextManager[None]:
+    """Who makes the SYNCs of a plan that does not leave them to the loop."""
+    if not plan.heard:
+        return nullcontext()
+    return making_syncs(hub, plan.producer_period_us, plan.producer_jitter_us, seed=SEED)
 
 
 def _simulate(hub: str, axes: int, folder: Path, faults: str) -> list[str]:
@@ -87,12 +96,13 @@ def _outcome(
     records = folder / "run" / RECORDS_FILE
     first_cycle = int(read_metadata(records)["first_cycle_bench_ns"])
     rows = np.concatenate([np.empty(0, ROW_DTYPE), *read_records(records, first_cycle)])
-    timing = Timing(config.loop.period, config.loop.deadline, config.loop.horizon_periods)
+    heard_syncs = config.loop.sync != "own"
+    timing = Timing(config.loop.period, config.loop.deadline, config.loop.horizon_periods, heard_syncs)
     readings, commands, negative, delays = Judgement(), CommandJudgement(), 0, list[int]()
     plans = pdo_plans(config)
     for axis, name in enumerate(config.axes):
         told = told_by(rows, axis, timing.period)
-        truth = hub_truth(frames, told, plans[name], heard_commands)
+        truth = hub_truth(frames, told, plans[name], heard_commands, heard_syncs)
         readings.add(judge_axis(told, truth, timing))
         commands.add(judge_commands(told, truth))
         negative += int((_used_delays(told) < 0).sum())

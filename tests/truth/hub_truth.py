@@ -60,27 +60,57 @@ def layout_of(plan: PdoPlan) -> PdoLayout:
     return PdoLayout(each, sent, command.cob_id, command.synchronous)
 
 
-def hub_truth(frames: FrameTable, told: Told, plan: PdoPlan, heard_commands: FrameTable) -> AxisTruth:
-    """What happened to one axis. ``heard_commands``: the RPDOs that its drive heard. Raises OutOfOrder."""
+def hub_truth(
+    frames: FrameTable, told: Told, plan: PdoPlan, heard_commands: FrameTable, heard_syncs: bool = False
+) -> AxisTruth:
+    """What happened to one axis. ``heard_commands``: the RPDOs that its drive heard. ``heard_syncs``: the
+    loop makes none, and a SYNC is handed to it with its end on the bus. Raises OutOfOrder."""
     layout = layout_of(plan)
     sync_ends = frames["at"][frames["can_id"] == SYNC_ID]
-    handed_at = label_hand_overs(sync_ends, told)
+    handed_at = [Instant(at) for at in sync_ends.tolist()]
+    if not heard_syncs:
+        handed_at = label_hand_overs(sync_ends, told)
     by_id = {can_id: frames[frames["can_id"] == can_id] for can_id in layout.each_sync}
+    firsts = {
+        can_id: _first_answered(sync_ends, found["at"]) if heard_syncs else 0
+        for can_id, found in by_id.items()
+    }
     for can_id, found in by_id.items():
+        if heard_syncs:
+            continue
         if found.size != sync_ends.size or (found["at"] < sync_ends).any():
             raise OutOfOrder(f"{sync_ends.size} SYNCs and {found.size} frames {can_id:03X}h")
     completing = max(layout.each_sync) if READING_IS_A_SET else layout.sent[SPEED].can_id
     syncs: list[SyncTruth] = []
     answered_at: dict[int, list[tuple[int, Heard]]] = defaultdict(list)
     for place, end in enumerate(sync_ends.tolist()):
-        answers = [_frame(found[place]) for found in by_id.values()]
-        heard = Heard(Instant(end), _SYNC, answers, end)
-        came = Instant(int(by_id[completing]["at"][place]))
+        rows = {
+            can_id: found[place - firsts[can_id]]
+            for can_id, found in by_id.items()
+            if 0 <= place - firsts[can_id] < found.size
+        }
+        heard = Heard(Instant(end), _SYNC, [_frame(row) for row in rows.values()], end)
+        if completing not in rows:
+            syncs.append(SyncTruth(handed_at[place], Instant(end), None, False))
+            continue
+        came = Instant(int(rows[completing]["at"]))
         syncs.append(SyncTruth(handed_at[place], Instant(end), Reading(came, place, heard), False))
         answered_at[came].append((place, heard))
     places: dict[int, int] = {sync.handed_at: place for place, sync in enumerate(syncs)}
     commands = _command_truths(layout, frames, heard_commands, told)
     return AxisTruth(layout, tuple(syncs), places, answered_at, (), commands)
+
+
+def _first_answered(sync_ends: Instants, came: Instants) -> int:
+    """The SYNC that the first of a drive's frames answers, where SYNCs come before it is set up and after.
+
+    It answers each SYNC from then on, at some time within the period before the next. So it is the last of
+    the SYNCs from which every frame comes behind its own. Raises OutOfOrder if it is none.
+    """
+    for first in reversed(range(1 + sync_ends.size - came.size)):
+        if (came >= sync_ends[first : first + came.size]).all():
+            return first
+    raise OutOfOrder(f"{sync_ends.size} SYNCs and {came.size} frames that answer them")
 
 
 def label_hand_overs(sync_ends: Instants, told: Told) -> list[Instant]:

@@ -115,9 +115,12 @@ def _run(config: BenchConfig, outcome: Outcome) -> None:
     outcome.bursts_on_bus = spacings_below([at for at in on_bus if at >= begin], half)
 
 
-def bench_config(plan: Plan, cycles: int) -> BenchConfig:
-    """The bench of a plan. Raises BadInput or BadInputs."""
-    return bench_from(_tables(plan, cycles), plan.name, ROOT / "examples")
+def bench_config(plan: Plan, cycles: int, on_hub: bool = False) -> BenchConfig:
+    """The bench of a plan. ``on_hub``: other nodes are other processes'. Raises BadInput or BadInputs."""
+    tables = _tables(plan, cycles)
+    if on_hub:
+        tables.pop("bus", None)
+    return bench_from(tables, plan.name, ROOT / "examples")
 
 
 def _tables(plan: Plan, cycles: int) -> dict[str, Any]:
