@@ -1,5 +1,4 @@
-"""The one reader of files that a user names: regular files only, bounded in size, depth and length. And what
-is said of a place that cannot be written to.
+"""The one reader of files that a user names: regular files only, bounded in size, depth and length.
 
 Every limit holds before a parser sees the text, so that no file can stop the parser or keep it busy; what
 the parser has made of it is finite, fits 64 bits (TOML v1.0, "Integer") and can be printed.
@@ -125,22 +124,6 @@ def parse_json(text: str, source: str, what: str, place: str = "") -> Any:
         raise BadInput(source, place, text[:60], what, str(error)) from None
     _check_values(value, source, place)
     return value
-
-
-@contextmanager
-def writing(option: str, path: Path) -> Iterator[None]:
-    """Raises BadInput for an OSError inside, where ``path`` is written; ``option``: which names it."""
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise BadInput(option, "", str(path), "a place to write to", reason) from None
-
-
-def write_file(option: str, path: Path, content: str | bytes) -> None:
-    """``content``, text in UTF-8, into the file that ``option`` names. Raises BadInput."""
-    with writing(option, path):
-        path.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 @contextmanager

@@ -19,8 +19,9 @@ from typing import Any, Final, Self
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from drivers.bounded_file import parse_json, read_text, writing
+from drivers.bounded_file import parse_json, read_text
 from drivers.errors import BadInput
+from drivers.written_file import writing
 from hil.campaign.identity import Identity, require_program
 from hil.campaign.plan import CampaignPlan
 from hil.campaign.worker import FIGURES, Row

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.bounded_file import writing
 from drivers.canopen.objects import RemoteObjects
 from drivers.canopen.objects301 import Cia301
 from drivers.cia402.drive_setup import read_identity
@@ -15,6 +14,7 @@ from drivers.errors import BadInput, BenchError, PeerFault
 from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from drivers.wire.adapters import parse_bus_spec
+from drivers.written_file import DiskFull, writing
 from hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
 from hil.commissioning.drive_left import DriveLeft
 from hil.commissioning.files import set_objects, write_files
@@ -177,12 +177,12 @@ def _write(session: Session, result: Commissioned) -> None:
         with writing("--out", request.out):
             if not request.dry_run:
                 write_files(session)
-    except BadInput as error:
+    except (BadInput, DiskFull) as error:
         result.error = result.error or error
     try:
         with writing("--out", request.out):
             write_report(request, result)
-    except BadInput as error:
+    except (BadInput, DiskFull) as error:
         result.error = result.error or error
         session.dialog.tell(f"the report is not whole: {error}")
     for sentence in result.left.sentences(request):

@@ -9,9 +9,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from drivers.bounded_file import write_file
 from drivers.cia402.scaling import ENCODER_COUNTS_MIN
 from drivers.wire.adapters import shared_bus
+from drivers.written_file import write_file
 from hil.commissioning.request import Rehearsal
 from hil.configuration.toml_text import toml_text
 from hil.execution.device_files import DeviceFiles

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from design.motor import PmsmParameters
-from drivers.bounded_file import write_file
 from drivers.canopen.objects301 import Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.quirky_units import apply_quirks
@@ -16,6 +15,7 @@ from drivers.sheets.dictionary import held, load_dictionary
 from drivers.sheets.eds.information import Commissioning
 from drivers.sheets.identity import told_identity
 from drivers.vendors.families import quirks_for
+from drivers.written_file import write_file
 from virtual_bus.device.eds_export import export_eds
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import FileStore

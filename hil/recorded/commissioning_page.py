@@ -17,11 +17,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from drivers.bounded_file import NoSuchFile, parse_json, read_text, writing
+from drivers.bounded_file import NoSuchFile, parse_json, read_text
 from drivers.cia402.objects402 import Object
 from drivers.errors import BadInput
 from drivers.rotation import RPM_PER_RAD_S
 from drivers.timebase import NS_PER_S
+from drivers.written_file import written
 from hil.configuration.drive_file import load_drive_file
 from hil.recording.lanes import lane_colors
 from hil.recording.page_series import BLUE, GREEN, GREY, Color
@@ -132,15 +133,12 @@ def _write(folder: Path, page: Path) -> None:
     zero_ns = next((at_ns for event in events if (at_ns := _zero_ns(event)) is not None), None)
     bus = _Bus(RecordedBus(page.parent), _known(folder), zero_ns)
     end_ns = max([bus.end_ns, *(event["at_ns"] for event in events)])
-    part = page.with_suffix(".part")
-    with writing("RUN", page):
-        with stream_into(part, _APPLICATION) as stream:
-            _send_steps(stream, events, figures)
-            _send_bus(stream, bus)
-            text = rr.TextDocument(_markdown(folder, figures), media_type=rr.MediaType.MARKDOWN)
-            stream.log(_FIGURES, text, static=True)
-            stream.send_blueprint(_layout(bus, end_ns / NS_PER_S))
-        part.replace(page)
+    with written("RUN", page) as part, stream_into(part, _APPLICATION) as stream:
+        _send_steps(stream, events, figures)
+        _send_bus(stream, bus)
+        text = rr.TextDocument(_markdown(folder, figures), media_type=rr.MediaType.MARKDOWN)
+        stream.log(_FIGURES, text, static=True)
+        stream.send_blueprint(_layout(bus, end_ns / NS_PER_S))
 
 
 def _figures(folder: Path) -> _Figures:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S, NS_PER_US
+from drivers.written_file import written
 from hil.recorded.recorded_run import RunSignals
 
 SUFFIXES: Final = (".svg", ".pdf", ".png")
@@ -99,11 +100,11 @@ def histogram_figure(run: RunSignals) -> Figure:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Raises BadInput for a path that ends otherwise, OSError."""
+    """Raises BadInput for a path that ends otherwise or cannot be written to, DiskFull."""
     if path.suffix not in SUFFIXES:
         raise BadInput("OUT", "", str(path), f"a file that ends in {', '.join(SUFFIXES)}")
-    with mpl.rc_context({"svg.hashsalt": "servobench"}):
-        figure.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else None)
+    with written("OUT", path) as place, mpl.rc_context({"svg.hashsalt": "servobench"}):
+        figure.savefig(place, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
 def svg_text(figure: Figure) -> str:

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from drivers.bounded_file import write_file
 from drivers.errors import BadInput
 from drivers.printable import printable
 from drivers.timebase import NS_PER_S
+from drivers.written_file import write_file
 from hil.recorded.judgement import Judged
 from hil.recorded.paper import histogram_figure, paper_figure, svg_text
 from hil.rows.event_lines import read_events

@@ -20,9 +20,9 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from drivers.bounded_file import writing
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S
+from drivers.written_file import written
 from hil.reviewing.export_format import ExportFormat
 from hil.rows.records import NOTHING, Column
 from hil.rows.records_file import RECORDS_FILE, column_of, is_whole, refuse_later_format
@@ -91,19 +91,16 @@ class Exported(NamedTuple):
 def export_run(run: Path, wanted: ExportFormat, out: Path | None = None) -> Exported:
     """Write the rows of ``run`` to ``out``, by default records.ENDING in its folder.
 
-    The file is there as a whole or not at all. Raises BadInput.
+    The file is there as a whole or not at all; what is no regular file gets its content. Raises BadInput or
+    DiskFull.
     """
     rows = RecordedRows(run)
     path = out or run / f"records.{wanted.value}"
-    part = path.with_name(f"{path.name}.part.{wanted.value}")
-    try:
-        with writing("--out", path):
-            _WRITERS[wanted](rows, part)
-            part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    with written("--out", path, f".{wanted.value}") as part:
+        _WRITERS[wanted](rows, part)
+        size = part.stat().st_size
     count = sum(chunk.num_rows for chunk in rows.chunks([_AXIS]))
-    return Exported(str(path), count, len(rows.columns), path.stat().st_size)
+    return Exported(str(path), count, len(rows.columns), size)
 
 
 # ---- CSV and Parquet ----------------------------------------------------------------------------------

@@ -96,7 +96,7 @@ def report(folder: DirArgument, as_json: JsonOption = False) -> None:
     """Write DIR/report.html: rates with their intervals, heat maps, worst cases, what matters; and
     DIR/campaign.rrd, which hil view opens.
     """
-    from drivers.bounded_file import writing
+    from drivers.written_file import written
     from hil.campaign.campaign import Campaign
     from hil.campaign.page import write_page
     from hil.campaign.report import write_report
@@ -104,9 +104,10 @@ def report(folder: DirArgument, as_json: JsonOption = False) -> None:
 
     done = Campaign.load(folder)
     place = folder / "report.html"
-    with writing("DIR", folder):
-        write_report(done, place)
-        write_page(done, folder / CAMPAIGN_PAGE)
+    with written("DIR", place) as part:
+        write_report(done, part)
+    with written("DIR", folder / CAMPAIGN_PAGE) as part:
+        write_page(done, part)
     _print(done, as_json)
     say_written(place)
     say_written(folder / CAMPAIGN_PAGE)

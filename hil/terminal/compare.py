@@ -45,11 +45,11 @@ def compare(
     lines = comparison_lines(compared)
     put(comparison_json(compared), as_json, lambda _figures: typer.echo("\n".join(lines)))
     if rrd is not None:
-        from drivers.bounded_file import writing
+        from drivers.written_file import written
         from hil.recorded.comparison_page import write_comparison
 
-        with writing("--rrd", rrd):
-            write_comparison(compared, "```\n" + "\n".join(lines) + "\n```\n", rrd)
+        with written("--rrd", rrd) as place:
+            write_comparison(compared, "```\n" + "\n".join(lines) + "\n```\n", place)
         say_written(rrd)
     raise typer.Exit(_status(compared))
 

@@ -75,9 +75,9 @@ class CurrentDesignOptions:
 def current(asked: CurrentDesignOptions) -> None:
     """Design a current controller: synthesis, reduction, sampling, margins and robustness."""
     from design.hinf.reduction import Method
-    from drivers.bounded_file import write_file
     from drivers.errors import BadInput
     from drivers.rotation import RAD_S_PER_RPM
+    from drivers.written_file import write_file
     from hil.configuration.weights_file import load_weights
     from hil.studies.current.design import controller_text, design_current
     from hil.studies.current.figures import CurrentRequest

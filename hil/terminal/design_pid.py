@@ -40,7 +40,7 @@ class PidOptions:
 def pid(asked: PidOptions) -> None:
     """Tune a PID speed loop: Td from the current loop, the crossover from the phase margin and the delay."""
     from design.speed.speed_pid import pid_by_rule
-    from drivers.bounded_file import write_file
+    from drivers.written_file import write_file
     from hil.studies.speed.controller_text import controller_text
     from hil.studies.speed.pid import controller_of, current_loop_of, pid_figures
     from hil.terminal.current_report import print_current

@@ -115,7 +115,7 @@ def speed(asked: SpeedDesignOptions) -> None:
     result = design(asked, motor, inner.bandwidth_hz, network)
     put({"current_bandwidth_from": inner.key, **result.figures}, asked.as_json, print_figures)
     if asked.out is not None:
-        from drivers.bounded_file import write_file
+        from drivers.written_file import write_file
         from hil.studies.speed.controller_text import controller_text
 
         write_file("--out", asked.out, controller_text(_controller(result)))

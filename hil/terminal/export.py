@@ -18,7 +18,8 @@ def export(
 ) -> None:
     """Write every cycle of a recording as CSV, Parquet, MDF 4 or MAT, with units and codes.
 
-    Exit status: 0 written; 2 no recording, one that has no end yet, or a file that cannot be written.
+    Exit status: 0 written; 2 no recording, one that has no end yet, or a file that cannot be written; 5 the
+    disk is full.
     """
     from hil.reviewing.export import export_run
 

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from drivers.bounded_file import writing
 from drivers.errors import BadInput
+from drivers.written_file import writing
 from hil.machine.examples import examples_folder
 from hil.terminal.options import flag
 from hil.terminal.output import say_written

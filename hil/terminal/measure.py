@@ -122,7 +122,7 @@ def _require_places(asked: MeasureOptions) -> None:
 
 def _write_files(measured: "Measured", asked: MeasureOptions) -> None:
     """Write what is asked for. Raises BadInput for a file that cannot be written."""
-    from drivers.bounded_file import write_file, writing
+    from drivers.written_file import write_file, written
     from hil.configuration.network_file import network_text
     from hil.measuring.figures import fault_plan_text
     from hil.measuring.picture import draw_stages
@@ -135,6 +135,6 @@ def _write_files(measured: "Measured", asked: MeasureOptions) -> None:
         write_file("--faults-out", asked.faults_out, fault_plan_text(measured))
         say(f"written: {asked.faults_out}")
     if asked.picture is not None:
-        with writing("--picture", asked.picture):
-            draw_stages(asked.picture, measured)
+        with written("--picture", asked.picture) as place:
+            draw_stages(place, measured)
         say(f"written: {asked.picture}")

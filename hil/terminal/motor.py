@@ -44,7 +44,7 @@ def new(
     Figures that cannot be true at once are refused, and the convention is named in which they agree. On a
     terminal what is missing is asked for.
     """
-    from drivers.bounded_file import write_file
+    from drivers.written_file import write_file
     from hil.studies.motor.sheet import SOURCE, Sheet, motor_text
     from hil.terminal.design_errors import refused
 

@@ -38,17 +38,15 @@ def picture(
     if paper:
         if page is not None:
             raise BadInput("--page", "", page, "no --paper beside it")
-        from drivers.bounded_file import writing
         from hil.recorded.paper import paper_figure, save_figure
         from hil.recorded.recorded_run import open_run, signals_of
 
         figure = paper_figure(signals_of(open_run(run)), *window)
-        with writing("OUT", out):
-            save_figure(figure, out)
+        save_figure(figure, out)
     else:
         if out.suffix != ".png":
             raise BadInput("OUT", "", str(out), "a file that ends in .png, or --paper")
-        from drivers.bounded_file import write_file
+        from drivers.written_file import write_file
         from hil.recorded.viewer import draw_page
 
         write_file("OUT", out, draw_page(run, page, at, window))

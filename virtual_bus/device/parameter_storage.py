@@ -114,9 +114,10 @@ class FileStore:
         text = json.dumps(
             {f"{i:04X}:{s:02X}": raw.hex() for (i, s), raw in sorted(parameters.items())}, indent=0
         )
-        beside = self._path.with_name(self._path.name + ".new")
+        place = Path(os.path.realpath(self._path))  # a link stays one
+        beside = place.with_name(place.name + ".new")
         beside.write_text(text + "\n", encoding="ascii")
-        os.replace(beside, self._path)
+        os.replace(beside, place)
 
 
 class ParameterStorage:

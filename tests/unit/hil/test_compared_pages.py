@@ -243,10 +243,11 @@ def test_an_event_that_lacks_something_is_passed_over(tmp_path: Path) -> None:
 
 def test_a_place_that_takes_no_page_is_bad_input(tmp_path: Path) -> None:
     folder = folder_of(tmp_path)
-    (folder / "recording" / "run.part").mkdir()
+    page = folder / "recording" / "run.rrd"
+    page.mkdir()
+    os.utime(page, (0.0, 0.0))  # older than what it would be made of
     with pytest.raises(BadInput) as caught:
         commissioning_page(folder)
-    page = folder / "recording" / "run.rrd"
     assert (caught.value.source, caught.value.value) == ("RUN", str(page))
     assert caught.value.expected == "a place to write to"
 

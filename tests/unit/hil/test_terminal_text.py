@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from drivers.bounded_file import writing
 from drivers.errors import BadInput, BenchError
+from drivers.written_file import writing
 from hil.campaign.campaign import CampaignProgress
 from hil.terminal.campaign import _duration, _ProgressLine
 from hil.terminal.current_report import advice, print_current, root_text
@@ -211,8 +211,7 @@ def test_errors_are_one_line_each() -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "reason"),
-    [(OSError(28, "No space left on device"), "No space left on device"), (OSError("odd"), "odd")],
+    ("error", "reason"), [(OSError(13, "Permission denied"), "Permission denied"), (OSError("odd"), "odd")]
 )
 def test_a_place_that_cannot_be_written_to_is_bad_input(error: OSError, reason: str) -> None:
     with pytest.raises(BadInput) as caught, writing("--rrd", Path("a/b.rrd")):
