@@ -6,6 +6,7 @@ the statusword ceases       the host, by the event timer of the TPDO
 nothing stops the drive     the host withholds its heartbeat: 1016h and 6007h of the drive
 """
 
+import math
 from contextlib import suppress
 from typing import Final, NamedTuple
 
@@ -19,8 +20,9 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import TARGETS, features_of
 from drivers.cia402.profile import Mode, State
 from drivers.cia402.readings import ReadingAssembler
+from drivers.cia402.velocity_mode import velocity_mode_ramp, velocity_mode_unit
 from drivers.errors import BusDown, PeerFault, TransferAborted
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 LATER: Final = 10
 """A drive with a timer of its own is to stop by itself, and to say so; the host waits a tenth longer."""
@@ -29,6 +31,10 @@ READS: Final = 4
 followed is recent, and two when it is not."""
 READ_EVERY_MIN: Final = Duration(10 * NS_PER_MS)
 """Two frames of at most 135 bits are then 3 % of 1 Mbit/s."""
+VL_MARGIN_RAW: Final = 1
+"""6042h and 6043h count in the same whole units: a demand is the set-point, or rounded to its neighbour."""
+LEAST_SHARE: Final = 0.01
+"""Of the highest speed: a drive may make rest of a slower one."""
 _DEMANDS: Final[dict[int, PdoEntry]] = {
     Object.TARGET_TORQUE: PdoEntry(Object.TORQUE_DEMAND, 0, "h"),
     Object.VL_TARGET_VELOCITY: PdoEntry(Object.VL_VELOCITY_DEMAND, 0, "h"),
@@ -114,7 +120,7 @@ class CommandSupervision:
                 return "6074h"
         demand = _DEMANDS.get(target.index)
         if demand is not None and objects.read_if_there(demand.index, 0, demand.code) is not None:
-            self._watch = CommandWatch(cycles, DEMAND_MARGIN_RAW, equal=not sloped)
+            self._watch = self._watch_of(demand, cycles, period_ns, sloped=sloped)
             every = Duration(max(-(-READ_EVERY_MIN // period_ns), -(-cycles // READS)) * period_ns)
             self._polled = Polled(objects.node_id, demand.index, 0, every, self._demand_read)
             return f"{demand.index:04X}h, read by SDO every {every / NS_PER_MS:.3g} ms"
@@ -122,6 +128,25 @@ class CommandSupervision:
             return ""
         self._watch_torque(CommandWatch(cycles, ACTUAL_MARGIN_RAW, share=ACTUAL_SHARE))
         return "6077h"
+
+    def _watch_of(self, demand: PdoEntry, cycles: int, period_ns: int, *, sloped: bool) -> CommandWatch:
+        """For a demand that is read: of a torque, speed or position."""
+        objects, settings, assembler = self._objects, self._settings, self._assembler
+        assert settings is not None
+        assert assembler is not None
+        margin, unit, unit_cycles = DEMAND_MARGIN_RAW, 0.0, 0
+        if demand.index == Object.VL_VELOCITY_DEMAND:
+            margin, unit = VL_MARGIN_RAW, abs(velocity_mode_unit(objects))
+            ramps = (Object.VL_VELOCITY_ACCELERATION, Object.VL_VELOCITY_DECELERATION)
+            slowest = min(
+                filter(None, (velocity_mode_ramp(objects, each) for each in ramps)), default=math.inf
+            )
+            unit_cycles = math.ceil(NS_PER_S * unit / slowest / period_ns)
+        elif demand.index == Object.VELOCITY_DEMAND_VALUE:
+            unit = abs(assembler.scaling.velocity_rad_s)
+        fastest = settings.speed_max_rad_s
+        least = math.ceil(LEAST_SHARE * fastest / unit) if unit and fastest else None
+        return CommandWatch(cycles, margin, equal=not sloped, least_raw=least, unit_cycles=unit_cycles)
 
     def _demand_read(self, data: bytes, at: Instant) -> None:  # noqa: ARG002
         watch, assembler = self._watch, self._assembler

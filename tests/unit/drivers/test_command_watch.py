@@ -195,3 +195,55 @@ def test_what_is_excused_counts_from_then_on() -> None:
     watch.sent(1)
     watch.told(5000)
     assert not watch.follows
+
+
+@pytest.mark.parametrize(
+    ("commands", "told", "noticed"),
+    [
+        ([1500], [0], True),
+        ([1500], [-20], True),
+        ([-1500], [0], True),
+        ([1500], [900], False),
+        ([20], [30], False),
+        ([14], [0], False),
+        ([1500, 1], [0], False),
+    ],
+    ids=["at rest", "the other way", "backwards", "cut", "raised", "slower than counts", "about rest"],
+)
+def test_a_speed_that_is_on_the_way_to_no_command_is_noticed_though_they_are_constant(
+    commands: list[int], told: list[int], noticed: bool
+) -> None:
+    watch = CommandWatch(CYCLES, DEMAND_MARGIN_RAW, equal=False, least_raw=15)
+    at = run(watch, commands * (200 // len(commands)), told * 200)
+    assert (at is not None and at < 2 * CYCLES) is noticed
+
+
+def test_commands_that_sway_about_a_demand_are_followed_by_it() -> None:
+    """As read every 28 cycles, of a position loop at a constant speed."""
+    watch = CommandWatch(110, DEMAND_MARGIN_RAW, equal=False)
+    for cycle in range(2000):
+        watch.sent(-308845 + (cycle * 7) % 51 - 25)
+        if cycle % 28 == 0:
+            watch.told(-308845)
+        assert watch.follows
+
+
+@pytest.mark.parametrize("rpm_s", [10, 20, 100, 1000])
+def test_a_slow_ramp_in_whole_units_is_missed_once_it_is_two_units_away(rpm_s: int) -> None:
+    """At 1 kHz: 110 cycles, 28 until it is read, and what the ramp takes for three units."""
+    watch, left = CommandWatch(110, 1, equal=False), 0
+    for cycle in range(3000):
+        watch.sent(300 + max(0, cycle - 500) * rpm_s // 1000)
+        if cycle % 28 == 0:
+            watch.told(300)
+        if not watch.follows:
+            left = cycle - 500
+            break
+    assert 0 < left <= 110 + 28 + 3 * 1000 // rpm_s
+
+
+def test_a_drive_whose_own_ramp_is_slow_is_given_the_time_for_two_units() -> None:
+    commands = [300] * 50 + [600] * 950
+    told = [300] * 50 + [300 + cycle // 100 for cycle in range(950)]
+    assert run(CommandWatch(CYCLES, 1, equal=False, unit_cycles=100), commands, told) is None
+    assert run(CommandWatch(CYCLES, 1, equal=False), commands, told) is not None
