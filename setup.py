@@ -50,7 +50,9 @@ GROUPS = {
         *_below(
             "hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context decision"
         ),
-        *_below("hil/loop", "delay loop order_attribution pace position_path safety samples scenario"),
+        *_below(
+            "hil/loop", "delay loop order_attribution pace position_path safety samples scenario way_back"
+        ),
         *_below("hil/loop", "readback_tie stamp_attribution syncs"),
         *_below("hil/recording", "ring row_writer"),
         *_below("hil/rows", "records side_rows"),

@@ -30,8 +30,8 @@ class PidGains:
 class Pid(Controller):
     """PID with the derivative on the measurement, filtered, and back-calculation against windup.
 
-    While the drive does not follow, the integral is such that the output would be the torque that acts: a
-    transfer without a bump. Else it advances by backward Euler; the torque that the limits cut off is
+    While the drive does not follow, the integral is frozen: it holds the load, and the reference is the speed
+    of the shaft. Else it advances by backward Euler; the torque that the limits cut off is
     fed back into it with time constant Tt (Astrom and Hagglund, Advanced PID
     Control, 2006, 3.5). The derivative is taken between the instants at which the
     estimates are valid, so a dropout neither repeats nor inflates it.
@@ -67,7 +67,6 @@ class Pid(Controller):
         self._derivative_nm = self._next_derivative(estimate)
         self._last = estimate
         if not context.follows:
-            self._integral_nm += command.torque_nm - self._demand_nm
             return
         self._integral_nm += (
             self._gains.integral_nm_rad * self._period_s * self._error_rad_s
@@ -94,8 +93,7 @@ class StateFeedback(Controller):
     K_t i_q* = feedforward_load_nm + viscous_friction omega*. A step of the
     reference therefore needs no integral action, a step of the load leaves an error. K3 (A/rad), if
     there is one, acts on the integral of the speed error, summed once a period, and not while a
-    limit cuts the torque off. While the drive does not follow, its sum is such that the output would be the
-    torque that acts.
+    limit cuts the torque off or the drive does not follow.
     """
 
     def __init__(
@@ -132,10 +130,5 @@ class StateFeedback(Controller):
 
     def update(self, context: Context, command: Command) -> None:
         """Advance the integral; without one there is nothing to advance."""
-        if self._integral_gain_a_rad == 0.0:
-            return
-        if not context.follows:
-            excess_a = (self._demand_nm - command.torque_nm) / self._torque_constant_nm_a
-            self._integral_rad += excess_a / self._integral_gain_a_rad
-        elif command.torque_nm == self._demand_nm:
+        if self._integral_gain_a_rad != 0.0 and context.follows and command.torque_nm == self._demand_nm:
             self._integral_rad += self._period_s * self._error_rad_s

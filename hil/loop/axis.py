@@ -23,6 +23,7 @@ from hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Se
 from hil.loop.scenario import Quantity, ReferenceProfile
 from hil.loop.stamp_attribution import REVOKED, StampAttribution
 from hil.loop.syncs import SyncLog, SyncMark
+from hil.loop.way_back import WayBack
 
 _SHOWN_BY_OTHERS: Final = (DropoutCause.LOST, DropoutCause.STALE)
 """What a cycle's reading is known to be by the places of other readings."""
@@ -92,6 +93,7 @@ class Axis:
         self._controller = parts.controller
         self._compensator = parts.compensator
         self._context = Context(period, parts.reference)
+        self._way_back = WayBack(parts.reference, period, *parts.guard.path_limits)
         self._host = MonotonicClock()
         """For what compensator and controller take, also where time is simulated."""
         self.uncertain = 0
@@ -230,6 +232,8 @@ class Axis:
         if decision.reference_nm is not None:
             context.reference_nm = decision.reference_nm
         context.follows = decision.follows = follows = self._drive.follows()
+        if not follows or self._way_back.active:
+            self._way_back.lead(context, tick.time_s)
         began = self._host.now()
         context.estimate = estimate = self._compensator.estimate(context)
         demand = guard.demand(self._controller.output(context))

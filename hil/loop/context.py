@@ -97,7 +97,8 @@ class Context:
         """Cycles in a row, up to this one, in which no usable reading has come."""
         self.follows = True
         """Whether the drive follows its commands, as far as it tells. While it does not, ``update`` and
-        ``sent`` are given what acts in place of the command."""
+        ``sent`` are given what acts in place of the command, and the reference is where the shaft is; from
+        there it comes back afterwards, see :mod:`hil.loop.way_back`."""
         self.sent: Command | None = None
         """The last command that was handed to the bus, after all limits; None before the first."""
         self.reference_rad_s = 0.0
@@ -106,6 +107,10 @@ class Context:
         """The position that is asked for now, counted as in a reading; NaN of any other reference."""
         self.reference_nm = math.nan
         """The torque that is asked for now; NaN of any other reference."""
+
+    def ask(self, reference: ReferenceProfile) -> None:
+        """From now on it is asked for what ``reference`` has; for the axis alone to call."""
+        self._reference = reference
 
     def begin(
         self,

@@ -13,15 +13,21 @@ class PositionPath:
     """
 
     def __init__(self, rate_max_rad_s: float, acceleration_max_rad_s2: float | None, period_s: float) -> None:
-        self._step_max = rate_max_rad_s * period_s
-        self._change = math.inf if acceleration_max_rad_s2 is None else acceleration_max_rad_s2 * period_s**2
-        """Largest change of a step."""
+        self._period_s = period_s
+        self.limit(rate_max_rad_s, acceleration_max_rad_s2)
         self.start_from(0.0)
 
-    def start_from(self, position_rad: float) -> None:
-        """The path begins there, at rest."""
+    def limit(self, rate_max_rad_s: float, acceleration_max_rad_s2: float | None) -> None:
+        """Keep these limits from the next set-point on; None: any acceleration."""
+        self._step_max = rate_max_rad_s * self._period_s
+        acceleration = math.inf if acceleration_max_rad_s2 is None else acceleration_max_rad_s2
+        self._change = acceleration * self._period_s**2
+        """Largest change of a step."""
+
+    def start_from(self, position_rad: float, rate_rad_s: float = 0.0) -> None:
+        """The path begins there, at that speed."""
         self._position = self._demand = position_rad
-        self._step = self._moved = self._rate = 0.0
+        self._step = self._moved = self._rate = rate_rad_s * self._period_s
 
     def towards(self, demand_rad: float) -> float:
         """The next set-point, rad; the last one again for what is not a number."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from drivers.exchange import Command, PositionCommand, SpeedCommand
-from drivers.timebase import Instant
+from drivers.timebase import NS_PER_S, Instant
 from hil.loop.context import PositionSetPoint, SetPoint, SpeedSetPoint, TorqueSetPoint, WrongSetPoint
 from hil.loop.position_path import PositionPath
 from hil.loop.samples import Sample, StateEstimate
@@ -64,12 +64,16 @@ class SafetyGuard:
         self._path: PositionPath | None = None
         self._set_point_max = math.inf
         slew: float | None = None
+        self.path_limits: tuple[float, float | None] = (limits.speed_max_rad_s, None)
+        """Of positions that are asked for: highest speed, rad/s, and acceleration, rad/s^2; None: any."""
         if isinstance(limits, SpeedLimits):
             self._set_point_max, slew = limits.set_point_max_rad_s, limits.acceleration_max_rad_s2
+            self.path_limits = self._set_point_max, slew
         elif isinstance(limits, TorqueLimits):
             self._set_point_max, slew = limits.torque_max_nm, limits.torque_slew_max_nm_s
         else:
-            self._path = PositionPath(limits.rate_max_rad_s, limits.acceleration_max_rad_s2, period_s)
+            self.path_limits = limits.rate_max_rad_s, limits.acceleration_max_rad_s2
+            self._path = PositionPath(*self.path_limits, period_s)
         self._step_max = math.inf if slew is None else slew * period_s
         self._speed_max_rad_s = limits.speed_max_rad_s
         self._dropouts_max = limits.dropouts_consecutive_max
@@ -77,10 +81,10 @@ class SafetyGuard:
         """The last one, like its limits in N m or rad/s."""
         self._dropouts = 0
 
-    def start_from(self, position_rad: float) -> None:
+    def start_from(self, position_rad: float, rate_rad_s: float = 0.0) -> None:
         """Where the shaft is before the first set-point; for an axis that is given positions."""
         if self._path is not None:
-            self._path.start_from(position_rad)
+            self._path.start_from(position_rad, rate_rad_s)
 
     def demand(self, asked: SetPoint) -> float:
         """A controller's set-point in the unit of the limits. Raises WrongSetPoint for another quantity."""
@@ -123,9 +127,11 @@ class SafetyGuard:
         reading = None if newest is None else newest.reading
         sequence, effective_at, expires_at = command.sequence, command.effective_at, command.expires_at
         if isinstance(command, PositionCommand):
-            if reading is None:
+            if reading is None or newest is None:
                 return command
-            self.start_from(reading.position_rad)
+            speed = reading.velocity_rad_s
+            ahead_s = (expires_at - newest.sampled_at) / NS_PER_S  # a set-point is reached when it expires
+            self.start_from(reading.position_rad + speed * ahead_s, speed)
             return PositionCommand(sequence, reading.position_rad, effective_at, expires_at)
         if isinstance(command, SpeedCommand):
             self._set_point = 0.0 if reading is None else reading.velocity_rad_s
