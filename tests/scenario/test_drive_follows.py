@@ -33,8 +33,8 @@ STAY_AWAY = 110
 READ_S = 0.056
 """Two reads by SDO, a fourth of 110 cycles apart, in whole cycles."""
 SAME_S = {("speed_vl", "last"): 0.25, ("speed_vl", "zero"): 0.12}
-"""Set-points of whole r/min stay the same for so long, which proves nothing of a drive that goes on with them;
-so long one that is asked for none is on its way to rest, by its own ramp."""
+"""Set-points of whole r/min stay the same for so long, which proves nothing of a drive that goes on with it.
+One that follows none is on its way to rest by its own ramp for so long."""
 NOT_FOLLOWED = [fate.value for fate in COMMAND_FATES].index("not followed")
 MODES = {"pv": Mode.PROFILE_VELOCITY, "pp": Mode.PROFILE_POSITION, "pt": Mode.PROFILE_TORQUE}
 
