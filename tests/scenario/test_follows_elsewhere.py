@@ -1,16 +1,20 @@
 """A drive that leaves its mode is noticed in a measurement and in a commissioning as in a run."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from drivers.cia402.profile import State
 from drivers.errors import DriveInFault
 from drivers.wire.adapters import parse_bus_spec
+from hil.cli import app
 from hil.commissioning.commission import commission
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.steps import all_steps
+from hil.configuration.toml_text import toml_text
 from hil.execution.world import WorldPlan, open_world
 from tests.scenario.foreign_node import ForeignNode, put_on_the_bus
 from tests.scenario.measuring import measuring_rig
@@ -24,14 +28,50 @@ STEPS = 8
 """From the first question to a drive that was enabled."""
 
 
-def test_a_measurement_with_enabled_drives_ends(tmp_path: Path) -> None:
-    faults = {"mode_change": [{"nodes": [1], "mode": "pv", "at_s": 0.1}]}
+LEAVES = {"mode_change": [{"nodes": [1], "mode": "pv", "at_s": 0.1}]}
+COMES_BACK = {"mode_change": [{"nodes": [1], "mode": "pv", "at_s": 0.1, "duration_s": 0.005}]}
+IGNORES = {"ignored_commands": [{"nodes": [1], "holds": "zero", "at_s": 0.1}]}
+SILENT = {"ignored_commands": [{"nodes": [1], "holds": "last", "at_s": 0.1, "bit_12_cleared": False}]}
+STUCK = {"signal": [{"object": "target_torque", "how": "stuck", "from_s": 0.1}]}
+ENDS = [
+    (LEAVES, f"{LEFT}; 6061h is 3, 10 was commanded"),
+    (COMES_BACK, f"{LEFT}; 6061h is 3, 10 was commanded"),
+    (IGNORES, "ignores the commands of cyclic synchronous torque; bit 12 of its statusword is 0"),
+    (SILENT, "follows no command any more"),
+    (STUCK, "follows no command any more"),
+]
+
+
+@pytest.mark.parametrize(
+    ("faults", "why"), ENDS, ids=["left", "came back", "bit 12", "no word", "stuck frames"]
+)
+def test_a_measurement_with_enabled_drives_ends(tmp_path: Path, faults: dict[str, Any], why: str) -> None:
     with measuring_rig(tmp_path, faults) as rig:
-        with pytest.raises(DriveInFault, match=f"{LEFT}.*6061h is 3, 10 was commanded"):
+        with pytest.raises(DriveInFault, match=why):
             rig.measure(cycles=500, enable=True)
         drive = rig.servos[0].drive
         assert drive.power.state is State.SWITCH_ON_DISABLED
         assert abs(drive.firmware.speed_rad_s) < 1.0
+
+
+def test_the_command_leaves_with_3_and_names_the_mode(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(toml_text(LEAVES), encoding="utf-8")
+    asked = [
+        "measure",
+        "--bus",
+        "simulated",
+        "--node",
+        "1",
+        "--enable",
+        "--cycles",
+        "500",
+        "--faults",
+        str(plan),
+    ]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 3
+    assert LEFT in done.stderr
 
 
 def test_a_step_of_commissioning_ends_with_the_drive_at_rest(tmp_path: Path) -> None:
