@@ -81,8 +81,8 @@ FIGURES: Final[Mapping[str, Figure]] = {
         "cycles without a usable reading",
         lambda s, axes: 100.0 * s.dropouts.total / (s.cycles * axes) if s.cycles else None,
     ),
-    "delay_p99_us": Figure("us", "delay of the readings, 99 %", lambda s, _: s.delay_us.p99),
-    "delay_max_us": Figure("us", "delay of the readings, largest", lambda s, _: s.delay_us.max),
+    "delay_p99_us": Figure("us", "delay of the readings, 99 %", lambda s, _: s.reading_delay_us.p99),
+    "delay_max_us": Figure("us", "delay of the readings, largest", lambda s, _: s.reading_delay_us.max),
     "bus_load_percent": Figure("%", "bus load", lambda s, _: s.bus_load_percent),
     "load_gain_rad_s_nm": Figure(
         "rad/s per N m",

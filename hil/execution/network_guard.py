@@ -138,7 +138,8 @@ class NetworkGuard:
             if self._missing > self.limits.losses_max and not self._told_loss:
                 self._told_loss = True
                 self._object(
-                    f"{self._missing} readings missing in a row, made for at most {self.limits.losses_max}"
+                    f"{self._missing} readings lost in a row, made for at most {self.limits.losses_max} "
+                    "readings and commands"
                 )
             return
         delay = self._action_delay(record, observation)
@@ -288,7 +289,7 @@ class Certificates:
         return CertifiedPlan(
             period_us=config.loop.period_us,
             delay_us=limits.delay_max / NS_PER_US,
-            losses_in_a_row=limits.losses_max,
+            losses_together=limits.losses_max,
             gain=None if certificate is None else certificate.gain,
             bandwidths_hz=None
             if certified is None

@@ -23,7 +23,7 @@ from hil.measuring.stamp_probe import StampFigures
 from hil.measuring.subject import MeasureRequest
 from hil.reviewing.histogram import TimeHistogram
 from hil.reviewing.network_meter import NetworkMeter, delays_of, histogram_of
-from hil.rows.records import COMMAND_FATES, FATE_SAMPLE, Rows
+from hil.rows.records import COMMAND_FATES, NOTHING, Rows
 
 Json = dict[str, Any]
 _APART: Final = 1000
@@ -218,7 +218,7 @@ def network_of(period_us: int, rows: Sequence[Rows], ways: Sequence[dict[str, Ou
         return None
     readings, commands = (losses_of(_joined(ways, key)) for key in ("readings", "commands"))
     assert readings.interval is not None
-    came = sum(int((each["fate"] == FATE_SAMPLE).sum()) for each in rows)
+    came = sum(int((each["delay_ns"] != NOTHING).sum()) for each in rows)
     acting = [each[each["command_fate"] == _ACTING] for each in rows]
     acted = sum(each.size for each in acting)
     effect = TimeHistogram()

@@ -46,8 +46,10 @@ class Tolerances(Section):
     recovery_time_ms: Tolerance = None
     torque_rms_nm: Tolerance = None
     dropouts_percent: Tolerance = None
-    losses_in_a_row: Tolerance = None
-    delay_p99_us: Tolerance = None
+    reading_losses_in_a_row: Tolerance = None
+    command_losses_in_a_row: Tolerance = None
+    reading_delay_p99_us: Tolerance = None
+    action_delay_p99_us: Tolerance = None
     lateness_p99_us: Tolerance = None
     speed_difference_rms_rad_s: Tolerance = None
     """Of the measured speeds, cycle by cycle."""
@@ -131,8 +133,12 @@ class Against:
             "recovery_time_ms": steps.recovery_time_ms,
             "torque_rms_nm": figures.torque_rms_nm,
             "dropouts_percent": figures.dropouts_percent,
-            "losses_in_a_row": float(figures.losses_in_a_row),
-            "delay_p99_us": figures.delay_us.p99,
+            "reading_losses_in_a_row": float(figures.reading_losses_in_a_row),
+            "command_losses_in_a_row": None
+            if figures.command_losses_in_a_row is None
+            else float(figures.command_losses_in_a_row),
+            "reading_delay_p99_us": figures.reading_delay_us.p99,
+            "action_delay_p99_us": figures.action_delay_us.p99,
             "lateness_p99_us": figures.lateness_us.p99,
         }
 

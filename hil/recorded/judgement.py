@@ -109,10 +109,10 @@ def _certified(figures: Figures) -> Iterator[Demand]:
     Where a premise was left its own line says so; the certified figure is not asked for then.
     """
     for axis, certificate in figures.certificates.items():
-        for name in ("delay_us", "losses_in_a_row"):
+        for name, seen in (("action_delay_us", "seen"), ("losses_together", "seen_at_most")):
             pair: dict[str, Any] = certificate[name]
             if pair["certified"] is not None:
-                yield Demand(f"certified_{name}", axis, pair["seen"], pair["certified"])
+                yield Demand(f"certified_{name}", axis, pair[seen], pair["certified"])
         gain: dict[str, Any] = certificate["gain_rad_s_nm"]
         if gain["certified"] is None:
             continue

@@ -16,7 +16,7 @@ from hil.recorded.paper import histogram_figure, paper_figure, svg_text
 from hil.rows.event_lines import read_events
 from hil.rows.run_files import EVENTS_FILE
 from hil.verdict.summary import Percentiles, metric_title
-from hil.verdict.summary_text import certificate_rows, timing_lines
+from hil.verdict.summary_text import certificate_rows, loss_text, timing_lines
 from hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
 
 SUFFIXES: Final = (".html", ".md")
@@ -67,10 +67,11 @@ def _figures(judged: Judged) -> Iterator[tuple[str, str]]:
     summary = judged.summary
     lost, steps = summary.dropouts, summary.step_response
     yield "cycles", f"{summary.cycles} of {judged.run.cycles_planned} planned, {len(judged.run.axes)} axes"
-    yield "delay p50 / p99 / max", _times(summary.delay_us)
+    yield "delay of readings p50 / p99 / max", _times(summary.reading_delay_us)
+    yield "delay to actuation p50 / p99 / max", _times(summary.action_delay_us)
     yield "lateness p50 / p99 / max", _times(summary.lateness_us)
     yield "dropouts", f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed"
-    yield "dropouts in a row", str(summary.losses_in_a_row)
+    yield "lost in a row", loss_text(summary)
     yield (
         "settling, overshoot",
         f"{_number(steps.settling_time_ms, 'ms')}, {_number(steps.overshoot_percent, '%')}",

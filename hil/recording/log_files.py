@@ -19,7 +19,7 @@ from hil.recording.faults_file import FaultEntries
 from hil.recording.run_metadata import run_metadata
 from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
 from hil.recording.telemetry import RERUN_FILE, Telemetry
-from hil.reviewing.network_meter import NetworkMeter, clocks_of
+from hil.reviewing.network_meter import clocks_of
 from hil.reviewing.review import Review
 from hil.rows.event_lines import event_json
 from hil.rows.frame_order import FrameOrder
@@ -253,15 +253,15 @@ class NetworkKeeper(Keeper):
 
     name = NETWORK_FILE
 
-    def __init__(self, folder: Path, period_us: int, axes: int) -> None:
+    def __init__(self, folder: Path, review: Review) -> None:
         self._path = folder / NETWORK_FILE
-        self._meter = NetworkMeter(period_us, axes)
+        self._review = review
 
-    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
-        self._meter.add(rows)
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
+        """The review takes the rows."""
 
     def finish(self, summary: Summary) -> None:
-        network = self._meter.network()
+        network = self._review.network.network()
         if network is not None:
             told = network.model_copy(update={"clocks": clocks_of(summary)})
             self._path.write_text(network_text(told), encoding="utf-8")
@@ -358,7 +358,7 @@ def open_keepers(plan: RecordingPlan, review: Review) -> list[Keeper]:
     if plan.frames:
         keepers.append(FramesKeeper(plan, plan.folder))
     if plan.period_us:
-        keepers.append(NetworkKeeper(plan.folder, plan.period_us, len(plan.review.axes)))
+        keepers.append(NetworkKeeper(plan.folder, review))
     # last, so that on a full disk what is kept for the end is not Rerun's
     keepers.append(RerunKeeper(plan, plan.folder, recording_id, review))
     if plan.view and plan.real_time:

@@ -75,12 +75,10 @@ def recover(
         told += _keep_faults(plan, folder, rings)
     told += whole_records(plan, folder, rings)
     review = Review(plan.review)
-    network = NetworkKeeper(folder, plan.period_us, len(plan.review.axes)) if plan.period_us else None
+    network = NetworkKeeper(folder, review) if plan.period_us else None
     zero = first_cycle(plan, folder / RECORDS_FILE, rings)
     for rows in read_records(folder / RECORDS_FILE, zero.at):
         review.add(rows)
-        if network is not None:
-            network.take(rows, np.empty(0, FRAME_DTYPE), [])
     figures = review.figures()
     if planned is not None and figures.cycles < planned:
         told.append(f"{figures.cycles} of {planned} planned cycles are recorded")

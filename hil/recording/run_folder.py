@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 from pathlib import Path
+from typing import Final
 
 from drivers.bounded_file import parse_json, read_text
 from drivers.errors import BadInput
@@ -16,6 +17,8 @@ _RESERVE_BYTES = 256 * 1024
 _SUMMARY_BYTES = 32 * 1024
 """summary.json has 3 kB, and a kilobyte for each step of a load machine."""
 _WHOLE = "a whole summary"
+_FORMERLY: Final = {"delay_us": "reading_delay_us", "losses_in_a_row": "reading_losses_in_a_row"}
+"""Keys of older recordings that have another name now."""
 
 
 class Reserve:
@@ -61,6 +64,8 @@ def read_summary(folder: Path) -> Summary:
     """Of the run in ``folder``. Raises BadInput, and of it NoSuchFile."""
     path = folder / SUMMARY_FILE
     plain = parse_json(read_text(path, "summary"), str(path), _WHOLE)
+    if isinstance(plain, dict):
+        plain = {_FORMERLY.get(key, key): value for key, value in plain.items()}
     try:
         return from_plain(Summary, plain)
     except ValueError as error:

@@ -10,7 +10,7 @@ from drivers.timebase import NS_PER_S
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.run_files import FIRST_CYCLE_EPOCH
 from hil.verdict.summary import Figures, Percentiles, Summary, metric_title
-from hil.verdict.summary_text import certificate_rows, timing_lines
+from hil.verdict.summary_text import certificate_rows, loss_text, timing_lines
 from hil.verdict.verdict import Check, LimitResult, verdict_title
 
 _CELL_COLUMNS: Final = 52
@@ -45,10 +45,11 @@ def running_markdown(plan: RecordingPlan, figures: Figures, metadata: Mapping[st
     lost, error, steps = figures.dropouts, figures.speed_error, figures.step_response
     shares = (
         ("cycles", str(figures.cycles)),
-        ("delay p50 / p99 / max", _times(figures.delay_us)),
+        ("delay of readings p50 / p99 / max", _times(figures.reading_delay_us)),
+        ("delay to actuation p50 / p99 / max", _times(figures.action_delay_us)),
         ("lateness p50 / p99 / max", _times(figures.lateness_us)),
         ("dropouts", f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed"),
-        ("dropouts in a row", str(figures.losses_in_a_row)),
+        ("lost in a row", loss_text(figures)),
         ("speed error, peak", _measured(error.peak_percent, " %")),
         ("overshoot", _measured(steps.overshoot_percent, " %")),
         ("settling", _measured(steps.settling_time_ms, " ms")),
@@ -89,7 +90,9 @@ def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
     readings = summary.cycles * len(plan.review.axes)
     share = 100.0 * lost.total / readings if readings else 0.0
     return [
-        f"| delay p50 / p99 / max | {_times(summary.delay_us)} |",
+        f"| delay of readings p50 / p99 / max | {_times(summary.reading_delay_us)} |",
+        f"| delay to actuation p50 / p99 / max | {_times(summary.action_delay_us)} |",
+        f"| lost in a row | {loss_text(summary)} |",
         f"| dropouts | {lost.total} of {readings} ({share:.1f} %) |",
         f"| | {lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed |",
         f"| wake-up lateness p50 / p99 / max | {_times(summary.lateness_us)} |",

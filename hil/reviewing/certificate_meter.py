@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from drivers.cia402.profile import Status
 from drivers.timebase import NS_PER_US
-from hil.reviewing.network_meter import ACTING, LOST, NetworkMeter, action_delays_ns, passed_over
+from hil.reviewing.histogram import TimeHistogram
+from hil.reviewing.network_meter import ACTING, LOST, AxisNetworkMeter, action_delays_ns
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan
 from hil.rows.records import FATE_SAMPLE, NOTHING, Rows
 
@@ -43,31 +44,37 @@ class PremisesMeter:
     Feed it rows of its axis in order of sequence; any division into chunks gives the same.
     """
 
-    def __init__(self, axis: AxisPlan, certified: CertifiedPlan) -> None:
-        self._axis, self._certified = axis, certified
-        self._network = NetworkMeter(certified.period_us, 1)
+    def __init__(self, axis: AxisPlan, certified: CertifiedPlan, network: AxisNetworkMeter) -> None:
+        """``network``: of the axis, which has been given the same rows whenever this one is asked."""
+        self._axis, self._certified, self._network = axis, certified, network
         self._missing = 0
         self._age_us = 0.0
         """The longest for which a sample acted, at least; losses included."""
         self._command_nm = 0.0
         self.saturated = 0
         """Cycles of the stretches that are held against the certificate with a command at a limit."""
-        self._commands_lost = self._commands_passed = 0
         self._shortest_us = math.inf
         """From sample to actuator: the shortest was so long at most."""
-        self.delay_least_us: float | None = None
-        self.delay_most_us: float | None = None
-        """From sample to actuator: the longest was at least, and at most, so long; None: not known."""
-        self.losses: int | None = None
-        """In a row, readings and commands added: the most that they may be."""
-        self.losses_least: int | None = None
 
     def add(self, rows: Rows) -> None:
         """Take in rows: (n,) of ROW_DTYPE, at least one."""
-        mine = rows.copy()
-        mine["axis"] = 0
-        self._network.add(mine)
-        self._add_ages(rows)
+        # a sample acts until the next one does: its own delay, a period, and one more for each loss
+        period_ns = self._certified.period_us * NS_PER_US
+        came = np.flatnonzero(rows["fate"] == FATE_SAMPLE)
+        if not came.size:
+            self._missing += rows.size
+            return
+        missing: NDArray[np.int64] = np.diff(came, prepend=-1) - 1
+        missing[0] += self._missing
+        self._missing = int(rows.size - 1 - came[-1])
+        samples = rows[came]
+        least, most = action_delays_ns(samples, period_ns)
+        if least.size:
+            self._shortest_us = min(self._shortest_us, float(most.min()) / NS_PER_US)
+            acting = samples["command_fate"] == ACTING
+            self._age_us = max(
+                self._age_us, float(((missing[acting] + 1) * period_ns + least).max()) / NS_PER_US
+            )
 
     def count_limited(self, rows: Rows, held: bool) -> None:
         """Take in the same rows once more, stretch by stretch; ``held``: whether this one is held against
@@ -88,28 +95,25 @@ class PremisesMeter:
         if command.size:
             self._command_nm = float(command[-1])
 
-    def look(self) -> None:
-        """Bring the figures up to the rows so far."""
-        network = self._network.network()
-        if network is None:
-            return
-        least, most = network.action_delay_least_us, network.action_delay_us
-        self.delay_least_us = None if least is None else least.max
-        self.delay_most_us = None if most is None else most.max
-        self.losses = network.losses_max
-        self.losses_least = network.losses_in_a_row_max + self._network.command_losses_least
+    @property
+    def delay_us(self) -> tuple[float | None, float | None]:
+        """Delay to actuation: the longest was at least, and at most, so long; None: not known."""
+        least, most = self._network.actions(self._network.stamped())
+        return _largest_us(least), _largest_us(most)
 
     def left(self) -> Iterator[str]:
-        """Premises that certainly were not kept, in words; of the rows at the last :meth:`look`."""
+        """Premises that certainly were not kept, in words."""
         certified = self._certified
         yield from certified.left
-        delay, losses, age = certified.delay_us, certified.losses_in_a_row, certified.age_us
-        long = delay is not None and self.delay_least_us is not None and self.delay_least_us > delay
-        often = losses is not None and self.losses_least is not None and self.losses_least > losses
+        delay, losses, age = certified.delay_us, certified.losses_together, certified.age_us
+        least_us, _ = self.delay_us
+        least, _ = self._network.losses_together
+        long = delay is not None and least_us is not None and least_us > delay
+        often = losses is not None and least > losses
         if long:
-            yield f"delay: {self.delay_least_us:.1f} us from sample to actuator, made for {delay:g} us"
+            yield f"delay: {least_us:.1f} us from sample to actuator, made for {delay:g} us"
         if often:
-            yield f"losses: {self.losses_least} in a row, made for at most {losses}"
+            yield f"losses: {least} in a row, readings and commands together, made for at most {losses}"
         if not (long or often) and age is not None and self._age_us > age:
             yield f"age: a sample that acts for {self._age_us:.1f} us, made for at most {age:g} us"
         if certified.samples_alone:
@@ -119,8 +123,8 @@ class PremisesMeter:
 
     def _left_by_commands(self, delay_us: float | None) -> Iterator[str]:
         """What a certificate for lost samples presumes of the commands."""
-        if self._commands_lost:
-            yield f"commands: {self._commands_lost} lost, certified where every one arrives"
+        if lost := int(self._network.command_fates[LOST]):
+            yield f"commands: {lost} lost, certified where every one arrives"
         if delay_us is not None and self._shortest_us < delay_us - _EXACT_US:
             yield (
                 f"constant delay: {self._shortest_us:.1f} us from sample to actuator, certified for "
@@ -130,48 +134,35 @@ class PremisesMeter:
     def unknown(self) -> Iterator[str]:
         """Premises of which the rows do not tell whether they were kept, in words."""
         yield from self._certified.unknown
-        limit, most = self._certified.delay_us, self.delay_most_us
-        losses, least = self._certified.losses_in_a_row, self.losses_least
-        if losses is not None and least is not None and least <= losses < (self.losses or 0):
-            yield f"losses: {least} to {self.losses} in a row, made for at most {losses}"
-        if self._certified.samples_alone and self._commands_passed:
+        limit, (least_us, most_us) = self._certified.delay_us, self.delay_us
+        losses, (least, most) = self._certified.losses_together, self._network.losses_together
+        if losses is not None and least <= losses < most:
             yield (
-                f"commands: {self._commands_passed} lost, or followed between two SYNCs only; "
+                f"losses: {least} to {most} in a row, readings and commands together, "
+                f"made for at most {losses}"
+            )
+        if self._certified.samples_alone and (passed := self._network.passed):
+            yield (
+                f"commands: {passed} lost, or followed between two SYNCs only; "
                 "certified where every one arrives"
             )
         if limit is None:
             return
-        if most is None:
+        if most_us is None:
             yield "delay: from sample to actuator nothing was measured"
         elif (
-            most > limit + (_EXACT_US if self._certified.samples_alone else 0.0)
-            and not (self.delay_least_us or 0.0) > limit
+            most_us > limit + (_EXACT_US if self._certified.samples_alone else 0.0)
+            and not (least_us or 0.0) > limit
         ):
             yield (
-                f"delay: {self.delay_least_us:.1f} to {most:.1f} us from sample to actuator, made for "
+                f"delay: {least_us:.1f} to {most_us:.1f} us from sample to actuator, made for "
                 f'{limit:g} us (loop.command_readback = "event" tells it)'
             )
 
-    def _add_ages(self, rows: Rows) -> None:
-        """A sample acts until the next one does: its own delay, a period, and one more for each loss."""
-        period_ns = self._certified.period_us * NS_PER_US
-        self._commands_lost += int(np.count_nonzero(rows["command_fate"] == LOST))
-        self._commands_passed += int(np.count_nonzero(passed_over(rows)))
-        came = np.flatnonzero(rows["fate"] == FATE_SAMPLE)
-        if not came.size:
-            self._missing += rows.size
-            return
-        missing: NDArray[np.int64] = np.diff(came, prepend=-1) - 1
-        missing[0] += self._missing
-        self._missing = int(rows.size - 1 - came[-1])
-        samples = rows[came]
-        least, most = action_delays_ns(samples, period_ns)
-        if least.size:
-            self._shortest_us = min(self._shortest_us, float(most.min()) / NS_PER_US)
-            acting = samples["command_fate"] == ACTING
-            self._age_us = max(
-                self._age_us, float(((missing[acting] + 1) * period_ns + least).max()) / NS_PER_US
-            )
+
+def _largest_us(times: TimeHistogram) -> float | None:
+    largest = times.largest_ns
+    return None if largest is None else largest / NS_PER_US
 
 
 _STEP_MIN: Final = 0.01
@@ -197,11 +188,11 @@ class CertificateState(StrEnum):
 class CertificateMeter:
     """Feed it rows of its axis in order of sequence; any division into chunks gives the same figures."""
 
-    def __init__(self, axis: AxisPlan, settling_ns: int) -> None:
-        """``axis``: one with a certified controller."""
+    def __init__(self, axis: AxisPlan, settling_ns: int, network: AxisNetworkMeter) -> None:
+        """``axis``: one with a certified controller; ``network``: see :class:`PremisesMeter`."""
         assert axis.certified is not None
-        self._certified = axis.certified
-        self._premises = PremisesMeter(axis, axis.certified)
+        self._certified, self._network = axis.certified, network
+        self._premises = PremisesMeter(axis, axis.certified, network)
         self._settling_ns = settling_ns
         self._step_min_nm = _STEP_MIN * (axis.rated_torque_nm or 0.0)
         self._reference = self._load = 0.0
@@ -229,15 +220,13 @@ class CertificateMeter:
     def figures(self) -> dict[str, Any]:
         """For JSON: certified and seen, by what is certified."""
         certified, premises = self._certified, self._premises
-        premises.look()
+        least_us, most_us = premises.delay_us
+        least, most = self._network.losses_together
         left, unknown = list(premises.left()), list(premises.unknown())
         return {
-            "delay_us": {
-                # by SYNC read-backs a command is known to act between two SYNCs only
-                **_pair(certified.delay_us, premises.delay_least_us),
-                "seen_at_most": premises.delay_most_us,
-            },
-            "losses_in_a_row": _pair(certified.losses_in_a_row, premises.losses),
+            # by SYNC read-backs a command is known to act between two SYNCs only
+            "action_delay_us": {**_pair(certified.delay_us, least_us), "seen_at_most": most_us},
+            "losses_together": {**_pair(certified.losses_together, least), "seen_at_most": most},
             "gain_rad_s_nm": {**_pair(certified.gain, self.gain_seen), "seen_at_least": self.gain_least},
             "current_bandwidth_hz": {
                 "certified": None if certified.bandwidths_hz is None else list(certified.bandwidths_hz),

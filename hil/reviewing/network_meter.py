@@ -1,4 +1,4 @@
-"""What the network did to the readings of a run, from its records."""
+"""What the network did to the readings and commands of a run, from its records."""
 
 import math
 from typing import Final
@@ -14,7 +14,7 @@ from hil.configuration.network_file import (
     Network,
 )
 from hil.loop.samples import CommandFate, DropoutCause
-from hil.reviewing.histogram import TimeHistogram
+from hil.reviewing.histogram import TimeHistogram, merged
 from hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
 from hil.verdict.summary import Summary
 
@@ -28,123 +28,174 @@ _RUN_MAX = 1000
 
 
 class LossRuns:
-    """How often so many in a row were lost, over all axes."""
+    """How often so many of an axis were lost in a row."""
 
-    def __init__(self, axes: int) -> None:
+    def __init__(self) -> None:
         self._ended = np.zeros(_RUN_MAX + 1, np.int64)
-        self._open = [0] * axes
-        """Losses in a row that have not ended yet, by axis."""
+        self._open = 0
+        """Losses in a row that have not ended yet."""
+        self.most = 0
+        self.at: int | None = None
+        """When the last of the most was due, ns."""
 
-    def add(self, axis: int, lost: NDArray[np.bool_]) -> None:
-        """Take in which of the next ones of an axis were lost, (n,)."""
-        kept = np.flatnonzero(~lost)
-        if not kept.size:
-            self._open[axis] += lost.size
+    def add(self, lost: NDArray[np.bool_], due_at: NDArray[np.int64]) -> None:
+        """Take in which of the next ones were lost, and when each was due: (n,) each."""
+        if not lost.size:
             return
-        lengths = np.diff(kept, prepend=-1) - 1
-        lengths[0] += self._open[axis]
-        self._ended += np.bincount(np.minimum(lengths[lengths > 0], _RUN_MAX), minlength=_RUN_MAX + 1)
-        self._open[axis] = int(lost.size - 1 - kept[-1])
+        numbers = np.arange(lost.size)
+        lengths = numbers - np.maximum.accumulate(np.where(lost, -1 - self._open, numbers))
+        place = int(lengths.argmax())
+        if lengths[place] > self.most:
+            self.most, self.at = int(lengths[place]), int(due_at[place])
+        before = np.concatenate(([self._open], lengths[:-1]))
+        ended = before[~lost & (before > 0)]
+        self._ended += np.bincount(np.minimum(ended, _RUN_MAX), minlength=_RUN_MAX + 1)
+        self._open = int(lengths[-1])
 
-    def counts(self) -> tuple[int, ...]:
-        """Of runs of 1, 2, ... to the longest, with those that have not ended."""
+    def counts(self) -> NDArray[np.int64]:
+        """Of runs of 0, 1, 2, ... 1000, with the one that has not ended; of 0 there is none."""
         counts = self._ended.copy()
-        for length in filter(None, self._open):
-            counts[min(length, _RUN_MAX)] += 1
-        return tuple(np.trim_zeros(counts[1:], "b").tolist())
+        if self._open:
+            counts[min(self._open, _RUN_MAX)] += 1
+        return counts
 
 
-class NetworkMeter:
-    """Feed it rows in the order of recording; any division into chunks gives the same network."""
+class AxisNetworkMeter:
+    """What the network did to one axis: the one count of its delays and losses.
 
-    def __init__(self, period_us: int, axes: int) -> None:
-        self._period_us = period_us
-        self._reading, self._command = TimeHistogram(), TimeHistogram()
+    Summary, network.toml, certificate, comparison and warnings take theirs from here (docs/timing.md, "Delay
+    and losses"). Feed it rows of the axis in order of sequence; any division into chunks gives the same.
+    """
+
+    def __init__(self, period_us: int) -> None:
+        self._period_ns = period_us * NS_PER_US
+        self.reading = TimeHistogram()
+        """Delay of the readings, of every one that came."""
+        self.command = TimeHistogram()
+        """Handed over to on the bus, of the commands."""
+        self.fates = np.zeros(len(CAUSES) + 1, np.int64)
+        """Cycles by the fate of their reading."""
+        self.command_fates = np.zeros(len(COMMAND_FATES), np.int64)
+        self.passed = 0
+        """Commands that were passed over."""
+        self.uncertain = 0
+        self.readings_lost = LossRuns()
+        self.commands_lost = LossRuns()
+        """Of those whose fate is known: lost or passed over."""
+        self.commands_lost_least = LossRuns()
+        """Of the same: lost for certain."""
         self._action_least, self._action = TimeHistogram(), TimeHistogram()
         self._stamped_least, self._stamped = TimeHistogram(), TimeHistogram()
         """The same of the commands whose acting the drive has stamped."""
-        self._unstamped = np.zeros(axes, np.int64)
-        """Acting commands without such a stamp less those with one, by axis."""
-        self._command_fates = np.zeros(len(COMMAND_FATES), np.int64)
-        self._command_runs, self._command_runs_least = LossRuns(axes), LossRuns(axes)
-        """Of commands that were lost or passed over; of those that were lost for certain."""
-        self._passed = 0
-        self._uncertain = 0
-        self._fates = np.zeros(len(CAUSES) + 1, np.int64)
-        self._runs = LossRuns(axes)
+        self._unstamped = 0
+        """Acting commands without such a stamp less those with one."""
 
     def add(self, rows: Rows) -> None:
-        """Take in ``rows``: (n,) of ROW_DTYPE, each axis in order of sequence."""
+        """Take in ``rows``: (n,) of ROW_DTYPE."""
         if not rows.size:
             return
-        self._fates += np.bincount(rows["fate"], minlength=self._fates.size)
-        self._uncertain += int(np.count_nonzero(rows["certain"] == 0))
-        came = rows[rows["fate"] == FATE_SAMPLE]
-        self._reading.add(came["received_at"] - came["sampled_at"])
+        self.fates += np.bincount(rows["fate"], minlength=self.fates.size)
+        self.uncertain += int(np.count_nonzero(rows["certain"] == 0))
+        self.reading.add(rows["delay_ns"][rows["delay_ns"] != NOTHING])
         on_bus = rows[rows["command_on_bus_at"] != NOTHING]
-        self._command.add(on_bus["command_on_bus_at"] - on_bus["command_handed_at"])
-        acting = came[came["command_fate"] == ACTING]
-        least, most = action_delays_ns(acting, self._period_us * NS_PER_US)
+        self.command.add(on_bus["command_on_bus_at"] - on_bus["command_handed_at"])
+        self._add_actions(rows[(rows["fate"] == FATE_SAMPLE) & (rows["command_fate"] == ACTING)])
+        self.readings_lost.add(rows["fate"] != FATE_SAMPLE, rows["due_at"])
+        told, passed = rows["command_fate"], passed_over(rows)
+        self.command_fates += np.bincount(told[told != NOTHING], minlength=len(COMMAND_FATES))
+        self.passed += int(np.count_nonzero(passed))
+        known = (told == ACTING) | (told == LOST) | passed
+        due_at = rows["due_at"][known]
+        self.commands_lost.add((told != ACTING)[known], due_at)
+        self.commands_lost_least.add((told == LOST)[known], due_at)
+
+    def _add_actions(self, acting: Rows) -> None:
+        least, most = action_delays_ns(acting, self._period_ns)
         self._action_least.add(least)
         self._action.add(most)
         stamped = _stamped(acting)
         self._stamped_least.add(least[stamped])
         self._stamped.add(most[stamped])
-        np.add.at(self._unstamped, acting["axis"], np.where(stamped, -1, 1))
-        fates = rows["command_fate"]
-        self._command_fates += np.bincount(fates[fates != NOTHING], minlength=len(COMMAND_FATES))
-        self._passed += int(np.count_nonzero(passed_over(rows)))
-        for axis in range(self._unstamped.size):
-            mine = rows[rows["axis"] == axis]
-            self._runs.add(axis, mine["fate"] != FATE_SAMPLE)
-            told = mine["command_fate"]
-            passed = passed_over(mine)
-            known = (told == ACTING) | (told == LOST) | passed
-            self._command_runs.add(axis, (told != ACTING)[known])
-            self._command_runs_least.add(axis, (told == LOST)[known])
+        self._unstamped += int(acting.size - 2 * np.count_nonzero(stamped))
 
     @property
-    def command_losses_least(self) -> int:
-        """Most commands that were lost in a row for certain."""
-        return len(self._command_runs_least.counts())
+    def commands_known(self) -> bool:
+        """Whether the fate of any command is known."""
+        return self.passed + int(self.command_fates[[ACTING, LOST]].sum()) > 0
+
+    @property
+    def losses_together(self) -> tuple[int, int]:
+        """Readings and commands lost in a row, added, D of [Ling2012] (2.13): at least, and at most."""
+        readings = self.readings_lost.most
+        return readings + self.commands_lost_least.most, readings + self.commands_lost.most
+
+    def stamped(self) -> bool:
+        """Whether the drive has stamped the acting of most commands."""
+        return self._unstamped <= 0
+
+    def actions(self, stamped: bool) -> tuple[TimeHistogram, TimeHistogram]:
+        """Delay to actuation: the least and the most that it may be; ``stamped``: of stamped ones alone."""
+        return (self._stamped_least, self._stamped) if stamped else (self._action_least, self._action)
+
+
+class NetworkMeter:
+    """All axes of a run; feed it rows in the order of recording, in any division into chunks."""
+
+    def __init__(self, period_us: int, axes: int) -> None:
+        self._period_us = period_us
+        self.axes = [AxisNetworkMeter(period_us) for _ in range(axes)]
+
+    def add(self, rows: Rows) -> None:
+        """Take in ``rows``: (n,) of ROW_DTYPE, each axis in order of sequence."""
+        for number, axis in enumerate(self.axes):
+            axis.add(rows if len(self.axes) == 1 else rows[rows["axis"] == number])
+
+    def action_delays(self) -> tuple[TimeHistogram, TimeHistogram]:
+        """Delay to actuation over all axes: the least and the most that it may be."""
+        stamped = all(axis.stamped() for axis in self.axes)
+        least, most = zip(*(axis.actions(stamped) for axis in self.axes), strict=True)
+        return merged(least), merged(most)
 
     def network(self) -> Network | None:
         """The network so far; None before the first reading."""
-        reading = delays_of(self._reading)
+        reading_times = merged(axis.reading for axis in self.axes)
+        reading = delays_of(reading_times)
         if reading is None:
             return None
-        runs = self._runs.counts()
-        stamped = bool((self._unstamped <= 0).all())
-        action = delays_of(self._stamped if stamped else self._action)
-        acting, lost = (int(self._command_fates[place]) for place in (ACTING, LOST))
-        told = acting + lost + self._passed
-        count = {cause: int(self._fates[place]) for place, cause in enumerate(CAUSES, start=1)}
-        total = int(self._fates.sum())
+        runs = np.sum([axis.readings_lost.counts() for axis in self.axes], axis=0)[1:]
+        action_least, action = map(delays_of, self.action_delays())
+        fates = np.sum([axis.fates for axis in self.axes], axis=0)
+        command_fates = np.sum([axis.command_fates for axis in self.axes], axis=0)
+        acting, lost = (int(command_fates[place]) for place in (ACTING, LOST))
+        passed = sum(axis.passed for axis in self.axes)
+        told = acting + lost + passed
+        count = {cause: int(fates[place]) for place, cause in enumerate(CAUSES, start=1)}
+        total = int(fates.sum())
         return Network(
             period_us=self._period_us,
-            losses_in_a_row_max=len(runs),
+            losses_in_a_row_max=min(_RUN_MAX, max(axis.readings_lost.most for axis in self.axes)),
             delay_max_us=math.ceil(reading.max if action is None else action.max),
             commands="not measured" if action is None else "measured",
-            command_losses_in_a_row_max=len(self._command_runs.counts()),
+            command_losses_in_a_row_max=min(_RUN_MAX, max(axis.commands_lost.most for axis in self.axes)),
             cycles=total,
             lost=count[DropoutCause.LOST],
             late=count[DropoutCause.LATE],
             stale=count[DropoutCause.STALE],
             missed=count[DropoutCause.MISSED],
-            uncertain_percent=100.0 * self._uncertain / total,
+            uncertain_percent=100.0 * sum(axis.uncertain for axis in self.axes) / total,
             loss_percent=100.0 * sum(count.values()) / total,
-            losses_in_a_row=runs,
+            losses_in_a_row=tuple(np.trim_zeros(runs, "b").tolist()),
             reading_delay_us=reading,
             action_delay_us=action,
-            action_delay_least_us=delays_of(self._stamped_least if stamped else self._action_least),
-            command_delay_us=delays_of(self._command),
+            action_delay_least_us=action_least,
+            command_delay_us=delays_of(merged(axis.command for axis in self.axes)),
             commands_acting=acting,
             commands_lost=lost,
-            commands_passed_over=self._passed,
-            commands_not_identifiable=int(self._command_fates[_NOT_IDENTIFIABLE]),
-            command_loss_percent=100.0 * (lost + self._passed) / told if told else None,
+            commands_passed_over=passed,
+            commands_not_identifiable=int(command_fates[_NOT_IDENTIFIABLE]),
+            command_loss_percent=100.0 * (lost + passed) / told if told else None,
             command_loss_least_percent=100.0 * lost / told if told else None,
-            histogram=histogram_of(self._reading),
+            histogram=histogram_of(reading_times),
         )
 
 

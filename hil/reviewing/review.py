@@ -9,9 +9,10 @@ from drivers.timebase import NS_PER_US, Instant
 from hil.reviewing.certificate_meter import CertificateMeter
 from hil.reviewing.histogram import TimeHistogram, merged
 from hil.reviewing.largest import Largest, largest
+from hil.reviewing.network_meter import AxisNetworkMeter, NetworkMeter
 from hil.reviewing.position_error import PositionErrorMeter
 from hil.reviewing.speed_error import SpeedErrorMeter, worst
-from hil.reviewing.step_response import LossRun, StepMeter, worst_steps
+from hil.reviewing.step_response import StepMeter, worst_steps
 from hil.reviewing.torque_swing import TorqueSwingMeter
 from hil.rows.recording_plan import AxisPlan, ReviewPlan
 from hil.rows.records import CAUSES, NAMES, NOTHING, ROW_DTYPE, Rows
@@ -26,15 +27,14 @@ DIGEST_BYTES = 16
 class _AxisMeters:
     """Of one axis."""
 
-    def __init__(self, axis: AxisPlan, plan: ReviewPlan) -> None:
+    def __init__(self, axis: AxisPlan, plan: ReviewPlan, network: AxisNetworkMeter) -> None:
         self.axis = axis
-        self.delay = TimeHistogram()
+        self.network = network
         self.error = SpeedErrorMeter(axis, plan.settling)
         self.steps = StepMeter(axis, plan.band_percent)
-        self.losses = LossRun()
         self.swing = TorqueSwingMeter(axis, plan.settling)
         self.position = PositionErrorMeter(axis, plan.settling, plan.period)
-        self.certificate = None if axis.certified is None else CertificateMeter(axis, plan.settling)
+        self.certificate = None if axis.certified is None else CertificateMeter(axis, plan.settling, network)
         self.rows = 0
         self.dense = 0
         """Cycles up to the first that is missing or double."""
@@ -45,12 +45,9 @@ class _AxisMeters:
             wrong = np.flatnonzero(rows["sequence"] != np.arange(self.rows + 1, self.rows + 1 + rows.size))
             self.dense += int(wrong[0]) if wrong.size else rows.size
         self.rows += rows.size
-        delay = rows["delay_ns"]
-        self.delay.add(delay[delay != NOTHING])
         if self.axis.quantity == "speed":
             self.error.add(rows)
             self.steps.add(rows)
-        self.losses.add(rows)
         if self.axis.mode == "cst":
             self.swing.add(rows)
         self.position.add(rows)
@@ -69,15 +66,16 @@ class _AxisMeters:
         at one instant."""
         error, steps = self.error.figures(), self.steps.figures()
         settling_at, over_at, recovery_at = self.steps.instants
+        lost = self.network.readings_lost
         return {
             "settling_time_ms_max": (steps.settling_time_ms, settling_at),
             "overshoot_percent_max": (steps.overshoot_percent, over_at),
             "recovery_time_ms_max": (steps.recovery_time_ms, recovery_at),
-            "losses_in_a_row_max": (self.losses.most or None, self.losses.at),
+            "losses_in_a_row_max": (lost.most or None, lost.at),
             "speed_error_peak_percent_max": (error.peak_percent, self.error.counted.peak.at),
             "after_load_percent_max": (error.after_load_percent, self.error.after_load.at),
             "speed_error_rms_rad_s_max": (error.rms_rad_s, None),
-            "delay_p99_us_max": (self.delay.quantile_ns(0.99), None),
+            "delay_p99_us_max": (self.network.reading.quantile_ns(0.99), None),
             "torque_rms_nm_max": (self.swing.worst.value, self.swing.worst.at),
         }
 
@@ -90,8 +88,12 @@ class Review:
     """
 
     def __init__(self, plan: ReviewPlan) -> None:
-        self._axes = [_AxisMeters(axis, plan) for axis in plan.axes]
-        self.delays = [axis.delay for axis in self._axes]
+        self.network = NetworkMeter(plan.period // NS_PER_US, len(plan.axes))
+        self._axes = [
+            _AxisMeters(axis, plan, network)
+            for axis, network in zip(plan.axes, self.network.axes, strict=True)
+        ]
+        self.delays = [network.reading for network in self.network.axes]
         """Of the readings of each axis."""
         self.errors = [axis.error for axis in self._axes]
         self.positions = [axis.position for axis in self._axes]
@@ -117,6 +119,7 @@ class Review:
         self._digest.update(np.ascontiguousarray(packed[:, self._digested]).data)
         self._fates += np.bincount(rows["fate"], minlength=self._fates.size)
         self._add_host_times(rows)
+        self.network.add(rows)
         for number, axis in enumerate(self._axes):
             axis.add(rows if len(self._axes) == 1 else rows[rows["axis"] == number])
 
@@ -138,12 +141,17 @@ class Review:
     def figures(self) -> Figures:
         """The figures of all rows so far."""
         count = {cause: int(self._fates[place]) for place, cause in enumerate(CAUSES, start=1)}
+        least, most = self.network.action_delays()
+        networks = self.network.axes
+        known = any(each.commands_known for each in networks)
         return Figures(
             cycles=max((axis.rows for axis in self._axes), default=0),
             rows=int(self._fates.sum()),
             dense=min((axis.dense for axis in self._axes), default=0),
             dropouts=DropoutCounts(**{cause.value: number for cause, number in count.items()}),
-            delay_us=_percentiles_us(merged(self.delays)),
+            reading_delay_us=_percentiles_us(merged(self.delays)),
+            action_delay_us=_percentiles_us(most),
+            action_delay_least_us=_percentiles_us(least),
             speed_error=worst(SpeedError, [meter.figures() for meter in self.errors]),
             lateness_us=_percentiles_us(self._lateness),
             compute_us=_percentiles_us(self._compute),
@@ -151,7 +159,11 @@ class Review:
             position_error=worst(PositionError, [meter.figures() for meter in self.positions]),
             torque_rms_nm=largest(axis.swing.worst.value for axis in self._axes),
             step_response=worst_steps([axis.steps for axis in self._axes]),
-            losses_in_a_row=max((axis.losses.most for axis in self._axes), default=0),
+            reading_losses_in_a_row=max(each.readings_lost.most for each in networks),
+            command_losses_in_a_row=max(each.commands_lost.most for each in networks) if known else None,
+            command_losses_in_a_row_least=max(each.commands_lost_least.most for each in networks)
+            if known
+            else None,
             certificates={
                 axis.axis.name: axis.certificate.figures()
                 for axis in self._axes

@@ -135,25 +135,3 @@ def worst_steps(meters: Sequence[StepMeter]) -> StepResponse:
         settling_time_ms=response.settling_time_ms if settled else None,
         recovery_time_ms=response.recovery_time_ms if recovered else None,
     )
-
-
-class LossRun:
-    """The most cycles of an axis in a row without a usable reading."""
-
-    def __init__(self) -> None:
-        self._open = 0
-        self.most = 0
-        self.at: int | None = None
-        """When the last of them was due, ns."""
-
-    def add(self, rows: Rows) -> None:
-        """Take in rows of the axis: (n,) of ROW_DTYPE."""
-        if not rows.size:
-            return
-        numbers = np.arange(rows.size)
-        came = rows["fate"] == FATE_SAMPLE
-        runs = numbers - np.maximum.accumulate(np.where(came, numbers, -1 - self._open))
-        place = int(runs.argmax())
-        if runs[place] > self.most:
-            self.most, self.at = int(runs[place]), int(rows["due_at"][place])
-        self._open = int(runs[-1])

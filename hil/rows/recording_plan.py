@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from drivers.timebase import NS_PER_S, Duration, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.rows.records import DIGESTED
 from hil.verdict.verdict import VerdictLimits
 
@@ -24,8 +24,9 @@ class CertifiedPlan:
 
     period_us: int
     delay_us: float | None = None
-    """From sample to actuator, at most."""
-    losses_in_a_row: int | None = None
+    """To actuation, at most."""
+    losses_together: int | None = None
+    """Readings and commands lost in a row, added, at most."""
     gain: float | None = None
     """From load torque to speed error, rad/s per N m, at most."""
     bandwidths_hz: tuple[float, float] | None = None
@@ -78,8 +79,8 @@ class ReviewPlan:
     """How long after a reference step speed and position errors are not counted."""
     band_percent: float = SETTLING_BAND_PERCENT
     """Of a step: within it the speed has settled."""
-    period: Duration = Duration(0)  # noqa: RUF009 - an int
-    """Of the loop; for the errors of drives that are given positions."""
+    period: Duration = Duration(NS_PER_MS)  # noqa: RUF009 - an int
+    """Of the loop."""
     digested: tuple[int, ...] = DIGESTED
     """Places of the columns that the digest covers."""
 

@@ -14,7 +14,7 @@ from rich.text import Text
 from hil.configuration.config import BenchConfig
 from hil.terminal.output import columns, titled
 from hil.verdict.summary import Percentiles, Summary, metric_title
-from hil.verdict.summary_text import certificate_lines, timing_lines
+from hil.verdict.summary_text import certificate_lines, loss_text, timing_lines
 from hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
 
 WIDTH_MAX = 100
@@ -65,11 +65,13 @@ def _figures(config: BenchConfig, summary: Summary, bus_spec: str | None) -> Tab
         "Torque": f"{_number(summary.torque_rms_nm)} N m rms about its mean while reference and load stay"
         if summary.torque_rms_nm is not None
         else "never steady for long enough to be judged",
-        "Delay": _percentiles(summary.delay_us),
+        "Reading delay": _percentiles(summary.reading_delay_us),
+        "Action delay": _percentiles(summary.action_delay_us),
         "Lateness": _percentiles(summary.lateness_us),
         "Computing": _percentiles(summary.compute_us),
         "Dropouts": f"{dropouts.total}{share}: "
         f"{dropouts.lost} lost, {dropouts.late} late, {dropouts.stale} stale, {dropouts.missed} missed",
+        "Lost in a row": loss_text(summary),
         **timing_lines(summary.timing),
         **certificate_lines(summary.certificates),
         **({"Load machine": _load_machine(summary.load_machine)} if summary.load_machine else {}),

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from drivers.cia402.profile import State, state_of
 from drivers.rotation import RPM_PER_RAD_S
 from drivers.timebase import NS_PER_S, NS_PER_US
+from hil.reviewing.network_meter import LossRuns
 from hil.rows.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
 
 Floats = NDArray[np.float64]
@@ -25,13 +26,6 @@ class Stretch(NamedTuple):
     """When the change was complete."""
     what: str
     """It, in words."""
-
-
-class Gap(NamedTuple):
-    """Cycles in a row without a usable reading."""
-
-    first: int
-    length: int
 
 
 class AxisHistory:
@@ -88,11 +82,11 @@ class AxisHistory:
             if end > first + 1
         ]
 
-    def gaps(self) -> list[Gap]:
-        """Every run of dropouts, in order."""
-        edges = np.diff(np.concatenate(([0], (~self.sampled).astype(np.int8), [0])))
-        starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-        return [Gap(int(start), int(end - start)) for start, end in zip(starts, ends, strict=True)]
+    def readings_lost(self) -> LossRuns:
+        """Losses of readings in a row; ``at`` is in run time."""
+        losses = LossRuns()
+        losses.add(~self.sampled, self._rows["due_at"])
+        return losses
 
     def dropouts(self) -> dict[str, int]:
         """How many cycles were dropped, by cause."""

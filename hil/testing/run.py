@@ -243,7 +243,7 @@ class Run:
         """
         self._assert_completed()
         history = self.axis(axis)
-        causes, gaps = history.dropouts(), history.gaps()
+        causes, lost = history.dropouts(), history.readings_lost()
         counted = ", ".join(f"{count} {cause}" for cause, count in causes.items())
         if sum(causes.values()) < at_least:
             raise AssertionError(
@@ -256,11 +256,10 @@ class Run:
                 f"{history.name}: no set-point was sent in {silent.size} of {history.time_s.size} cycles, "
                 f"first at {silent[0]:.3f} s ({counted})"
             )
-        longest = max(gaps, key=lambda gap: gap.length, default=None)
-        if in_a_row_max is not None and longest is not None and longest.length > in_a_row_max:
+        if in_a_row_max is not None and lost.at is not None and lost.most > in_a_row_max:
             raise AssertionError(
-                f"{history.name}: {longest.length} dropouts in a row from {history.time_s[longest.first]:.3f}"
-                f" s on, at most {in_a_row_max} asked for ({counted})"
+                f"{history.name}: {lost.most} readings lost in a row, the last at {lost.at / NS_PER_S:.3f} "
+                f"s, at most {in_a_row_max} asked for ({counted})"
             )
         _stayed(history, State.OPERATION_ENABLED)
 

@@ -31,6 +31,9 @@ class Percentiles:
     max: float | None
 
 
+NO_TIMES = Percentiles(None, None, None)
+
+
 @dataclass(frozen=True, slots=True)
 class DropoutCounts:
     """Cycles without a usable reading, over all axes, by cause."""
@@ -93,8 +96,12 @@ class Figures:
     dense: int
     """Cycles up to the first that is missing or double in an axis."""
     dropouts: DropoutCounts
-    delay_us: Percentiles
+    reading_delay_us: Percentiles
     """Sampled to received, of every reading that came, late ones included."""
+    action_delay_us: Percentiles
+    """Sampled to the actuation that can first rest on it: the most that it may be."""
+    action_delay_least_us: Percentiles
+    """The same: the least."""
     speed_error: SpeedError
     lateness_us: Percentiles
     """Woke minus due, of every cycle."""
@@ -109,8 +116,12 @@ class Figures:
     certificates: Mapping[str, Any] = field(default_factory=dict)
     """By axis with a certified controller: certified and seen (:mod:`hil.reviewing.certificate_meter`)."""
     step_response: StepResponse = StepResponse()
-    losses_in_a_row: int = 0
+    reading_losses_in_a_row: int = 0
     """Cycles in a row without a usable reading, worst axis."""
+    command_losses_in_a_row: int | None = None
+    """Commands in a row that were lost or passed over, worst axis; None: the fate of none is known."""
+    command_losses_in_a_row_least: int | None = None
+    """Of the same: lost for certain."""
     worst: Mapping[str, WorstPlace] = field(default_factory=dict)
     """By the names of :class:`VerdictLimits`: where the worst value comes from, as far as it has a place."""
 
@@ -131,7 +142,7 @@ _LIMITED: dict[str, tuple[str, Callable[[Figures, RunOutcome], float | None]]] =
     ),
     "speed_error_rms_rad_s_max": ("speed error, RMS [rad/s]", lambda run, _: run.speed_error.rms_rad_s),
     "dropouts_percent_max": ("dropouts [%]", lambda run, _: run.dropouts_percent),
-    "delay_p99_us_max": ("delay p99 [us]", lambda run, _: run.delay_us.p99),
+    "delay_p99_us_max": ("delay of readings, p99 [us]", lambda run, _: run.reading_delay_us.p99),
     "bus_load_percent_max": ("bus load [%]", lambda _, outcome: outcome.bus_load_percent),
     "missed_percent_max": ("cycles without SYNC [%]", lambda run, _: run.missed_percent),
     "lateness_us_max": ("lateness, largest [us]", lambda run, _: run.lateness_us.max),
@@ -143,7 +154,10 @@ _LIMITED: dict[str, tuple[str, Callable[[Figures, RunOutcome], float | None]]] =
         "recovery after a load step [ms]",
         lambda run, _: run.step_response.recovery_time_ms,
     ),
-    "losses_in_a_row_max": ("dropouts in a row", lambda run, _: run.losses_in_a_row if run.rows else None),
+    "losses_in_a_row_max": (
+        "readings lost in a row",
+        lambda run, _: run.reading_losses_in_a_row if run.rows else None,
+    ),
     "position_error_peak_rad_max": ("position error, peak [rad]", lambda run, _: run.position_error.peak_rad),
     "position_error_rms_rad_max": ("position error, RMS [rad]", lambda run, _: run.position_error.rms_rad),
     "following_error_peak_rad_max": (
@@ -153,8 +167,8 @@ _LIMITED: dict[str, tuple[str, Callable[[Figures, RunOutcome], float | None]]] =
 }
 """By the names of the limits: title with unit, and the value that is held against it; None: not measured."""
 _TITLES = {key: title for key, (title, _) in _LIMITED.items()} | {
-    "certified_delay_us": "certified: delay [us]",
-    "certified_losses_in_a_row": "certified: losses in a row",
+    "certified_action_delay_us": "certified: delay to actuation [us]",
+    "certified_losses_together": "certified: lost in a row, together",
     "certified_commands_at_a_limit": "certified: commands at a limit",
     "certified_gain_rad_s_nm": "certified: gain [rad/s per N m]",
 }
@@ -171,7 +185,7 @@ class Summary:
 
     cycles: int
     dropouts: DropoutCounts
-    delay_us: Percentiles
+    reading_delay_us: Percentiles
     speed_error: SpeedError
     bus_load_percent: float | None
     realtime_factor: float | None
@@ -186,7 +200,11 @@ class Summary:
     """How each was found when the cycles were over."""
     torque_rms_nm: float | None = None
     step_response: StepResponse = StepResponse()
-    losses_in_a_row: int = 0
+    action_delay_us: Percentiles = NO_TIMES
+    action_delay_least_us: Percentiles = NO_TIMES
+    reading_losses_in_a_row: int = 0
+    command_losses_in_a_row: int | None = None
+    command_losses_in_a_row_least: int | None = None
     position_error: PositionError = NO_POSITIONS
     certificates: Mapping[str, Any] = field(default_factory=dict)
     recording_faults: tuple[str, ...] = ()
@@ -241,16 +259,15 @@ def summarise(
 
 def summary_without_run(outcome: VerdictKind, reason: str) -> Summary:
     """Of what ended before there was a run: no cycle, and nothing measured."""
-    none = Percentiles(None, None, None)
     return Summary(
         cycles=0,
         dropouts=DropoutCounts(0, 0, 0, 0),
-        delay_us=none,
+        reading_delay_us=NO_TIMES,
         speed_error=SpeedError(None, None, None, None),
         bus_load_percent=None,
         realtime_factor=None,
-        lateness_us=none,
-        compute_us=none,
+        lateness_us=NO_TIMES,
+        compute_us=NO_TIMES,
         verdict=not_run(outcome, reason),
         recording="",
         seed=None,

@@ -3,6 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+from hil.verdict.summary import Figures, Summary
+
 _SYNC_TEXTS = {
     "none": "no echo: the instant is that of its hand-over",
     "receipt": "by its echo, stamped when this process had it",
@@ -19,10 +21,19 @@ _AXIS_COUNTS = {
     "commands_unexplained": "demands of no command",
 }
 _CERTIFIED: Final = {
-    "delay_us": "delay [us]",
-    "losses_in_a_row": "losses in a row",
+    "action_delay_us": "delay to actuation [us]",
+    "losses_together": "lost in a row, together",
     "gain_rad_s_nm": "gain [rad/s per N m]",
 }
+
+
+def loss_text(run: Figures | Summary) -> str:
+    """Losses in a row of readings and of commands, apart."""
+    least, most = run.command_losses_in_a_row_least, run.command_losses_in_a_row
+    if most is None:
+        return f"{run.reading_losses_in_a_row} readings, commands not measured"
+    commands = f"{most}" if least == most else f"{least} to {most}"
+    return f"{run.reading_losses_in_a_row} readings, {commands} commands"
 
 
 def timing_lines(timing: Mapping[str, Any] | None) -> dict[str, str]:

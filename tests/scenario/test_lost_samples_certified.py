@@ -59,7 +59,7 @@ def test_with_as_many_readings_lost_as_are_certified_the_gain_is_kept(
     status, held = certificate_of(tmp_path, bench(name, lost))
     assert status == 0
     assert held["state"] == "kept", held
-    assert held["losses_in_a_row"] == {"certified": lost, "seen": lost}
+    assert held["losses_together"] == {"certified": lost, "seen": lost, "seen_at_most": lost}
     told = tomllib.loads(FILES[name].read_text())["controller"]["certificate"]["sequences"]
     gain = held["gain_rad_s_nm"]
     assert gain["certified"] == told["gain_certified"] > told["gain_found"] > gain["seen_at_least"] > 0.3
@@ -71,7 +71,8 @@ def test_more_losses_than_are_certified_leave_the_premises(
     monkeypatch.chdir(tmp_path)
     _, held = certificate_of(tmp_path, bench("predictor", 6), "--allow-uncertified")
     assert held["state"] == "premise left"
-    assert held["premises_left"][0] == "losses: 6 in a row, made for at most 5"
+    left = "losses: 6 in a row, readings and commands together, made for at most 5"
+    assert held["premises_left"][0] == left
 
 
 def test_the_gain_is_for_the_current_loop_of_the_design_alone() -> None:

@@ -78,10 +78,10 @@ def test_from_measured_network_to_running_controller(tmp_path: Path) -> None:
     again = load_bench(tmp_path / "good" / "bench.toml")
     assert again.drive["axis1"].controller == made
 
-    with pytest.raises(LimitExceeded, match="readings missing in a row"):
+    with pytest.raises(LimitExceeded, match="readings lost in a row"):
         _bench(_designed_bench(controller, 0.6), tmp_path / "worse")
     noted = _bench(_designed_bench(controller, 0.6), tmp_path / "warned", allow_uncertified=True)
-    assert any("readings missing in a row" in note for note in noted["network_notes"])
+    assert any("readings lost in a row" in note for note in noted["network_notes"])
     bench_toml = str(tmp_path / "good" / "bench.toml")
     worse = str(tmp_path / "warned" / "network.toml")
     status, _, err = run("run", bench_toml, "--network", worse, "--record", str(tmp_path / "refused"))

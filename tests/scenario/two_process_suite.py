@@ -22,7 +22,7 @@ class TwoProcesses:
         assert drive.stop() == 0
         assert summary["verdict"]["passed"] is True
         assert summary["cycles"] > 0.9 * CYCLES
-        assert summary["delay_us"]["p50"] > 0
+        assert summary["reading_delay_us"]["p50"] > 0
         names = {path.name for path in (tmp_path / "run").iterdir()}
         assert {"run.rrd", "frames.log", "bench.toml", "summary.json"} <= names
         assert (tmp_path / "run" / "frames.log").stat().st_size > 0

@@ -148,7 +148,7 @@ def _run(case: str, name: str, folder: Path, tell: Callable[[str], None]) -> Pap
         raise Interrupted("; ".join(ended_by))
     time_s, error = _errors(record)
     figures = _figures(time_s, error, loaded=case == "case3") | {
-        "delay_p99_us": summary.delay_us.p99,
+        "delay_p99_us": summary.reading_delay_us.p99,
         "recording": str(record),
     }
     return PaperRun(case, name, time_s, error, figures)

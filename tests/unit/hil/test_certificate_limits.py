@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from drivers.timebase import NS_PER_MS
-from hil.reviewing.certificate_meter import CertificateMeter
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan
 from hil.rows.records import NOTHING, Rows
 from tests.unit.hil.row_tools import plain_rows
@@ -29,8 +28,7 @@ def step(gain: float, torque_nm: float = 0.5) -> Rows:
 
 
 def seen(rows: Rows, axis: AxisPlan = AXIS) -> tuple[float | None, float | None]:
-    meter = CertificateMeter(axis, SETTLING)
-    meter.add(rows)
+    meter = meter_of(rows, axis=axis)
     return meter.gain_seen, meter.gain_least
 
 
@@ -41,8 +39,8 @@ def certified(**changes: object) -> AxisPlan:
 
 def test_the_figures_of_a_run_are_whole() -> None:
     assert meter_of(step(12.0)).figures() == {
-        "delay_us": {"certified": 800.0, "seen": 500.0, "seen_at_most": 500.0},
-        "losses_in_a_row": {"certified": 2, "seen": 0},
+        "action_delay_us": {"certified": 800.0, "seen": 500.0, "seen_at_most": 500.0},
+        "losses_together": {"certified": 2, "seen": 0, "seen_at_most": 0},
         "gain_rad_s_nm": {"certified": 17.0, "seen": 12.0, "seen_at_least": 12.0},
         "current_bandwidth_hz": {"certified": [504.0, 1269.0], "drive": 800.0},
         "commands_at_a_limit": 0,
@@ -54,8 +52,8 @@ def test_the_figures_of_a_run_are_whole() -> None:
 
 def test_before_the_first_row_nothing_is_known() -> None:
     unknown = {
-        "delay_us": {"certified": None, "seen": None, "seen_at_most": None},
-        "losses_in_a_row": {"certified": None, "seen": None},
+        "action_delay_us": {"certified": None, "seen": None, "seen_at_most": None},
+        "losses_together": {"certified": None, "seen": 0, "seen_at_most": 0},
         "gain_rad_s_nm": {"certified": None, "seen": None, "seen_at_least": None},
         "current_bandwidth_hz": {"certified": None, "drive": None},
         "commands_at_a_limit": 0,
@@ -64,8 +62,7 @@ def test_before_the_first_row_nothing_is_known() -> None:
         "state": "not measured",
     }
     bare = replace(AXIS, certified=CertifiedPlan(period_us=1_000))
-    meter = CertificateMeter(bare, SETTLING)
-    meter.add(plain_rows(0))
+    meter = meter_of(plain_rows(0), axis=bare)
     assert meter.figures() == unknown
     assert meter_of().figures()["premises_unknown"] == ["delay: from sample to actuator nothing was measured"]
 
@@ -123,8 +120,7 @@ def test_a_gain_beyond_the_certified_one_is_told_once_with_its_instant(gain: flo
 
 
 def test_a_certificate_without_a_gain_is_not_exceeded() -> None:
-    meter = CertificateMeter(certified(gain=None), SETTLING)
-    meter.add(step(1_000.0))
+    meter = meter_of(step(1_000.0), axis=certified(gain=None))
     assert (meter.take_exceeded(), meter.gain_seen) == (None, 1_000.0)
     assert meter.figures()["state"] == "not measured"
 
@@ -166,13 +162,10 @@ def test_a_step_of_the_command_is_from_the_one_before_whatever_the_stretch() -> 
     rows["command_torque_nm"][STRETCH - 1 :] = 2.0
     axis = certified(torque_step_max_nm=1.0)
     for size in (1, STRETCH, 2 * STRETCH):
-        meter = CertificateMeter(axis, SETTLING)
-        for at in range(0, rows.size, size):
-            meter.add(rows[at : at + size])
+        meter = meter_of(*[rows[at : at + size] for at in range(0, rows.size, size)], axis=axis)
         assert meter.figures()["commands_at_a_limit"] == 0, "it changed before the load did"
     rows["command_torque_nm"][-1] = 3.0
-    meter = CertificateMeter(axis, SETTLING)
-    meter.add(rows)
+    meter = meter_of(rows, axis=axis)
     assert meter.figures()["premises_left"] == ["saturation: 1 commands at a limit after a load step"]
 
 
@@ -192,8 +185,7 @@ def test_a_step_of_the_command_is_from_the_one_before_whatever_the_stretch() -> 
     ],
 )
 def test_premises_are_left_by_the_least_that_is_too_much(changes: dict[str, object], left: list[str]) -> None:
-    meter = CertificateMeter(certified(**changes), SETTLING)
-    meter.add(step(12.0))
+    meter = meter_of(step(12.0), axis=certified(**changes))
     figures = meter.figures()
     assert (figures["premises_left"], figures["premises_unknown"]) == (left, [])
     assert figures["state"] == ("premise left" if left else "kept")

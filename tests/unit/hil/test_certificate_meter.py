@@ -9,6 +9,7 @@ import pytest
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from hil.loop.samples import CommandFate
 from hil.reviewing.certificate_meter import CertificateMeter
+from hil.reviewing.network_meter import AxisNetworkMeter
 from hil.reviewing.review import Review
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan, ReviewPlan
 from hil.rows.records import COMMAND_FATES, Rows
@@ -22,7 +23,7 @@ STEP_AT, COUNT = 500, 2_000
 CERTIFIED = CertifiedPlan(
     period_us=1_000,
     delay_us=800.0,
-    losses_in_a_row=2,
+    losses_together=2,
     gain=17.0,
     bandwidths_hz=(504.0, 1269.0),
     bandwidth_hz=800.0,
@@ -41,9 +42,11 @@ def loaded(gain: float, torque_nm: float = 0.5, offset_rad_s: float = 3.0) -> Ro
     return plain_rows(COUNT, REFERENCE_RAD_S, REFERENCE_RAD_S - error, load)
 
 
-def meter_of(*chunks: Rows) -> CertificateMeter:
-    meter = CertificateMeter(AXIS, SETTLING)
+def meter_of(*chunks: Rows, axis: AxisPlan = AXIS) -> CertificateMeter:
+    network = AxisNetworkMeter(1_000)
+    meter = CertificateMeter(axis, SETTLING, network)
     for chunk in chunks:
+        network.add(chunk)
         meter.add(chunk)
     return meter
 
@@ -68,8 +71,7 @@ def test_a_load_that_sets_in_slowly_makes_no_gain_of_the_noise() -> None:
     noise = np.random.default_rng(5).normal(0.0, 0.05, COUNT)
     load = np.interp(np.arange(COUNT), [STEP_AT, STEP_AT + 1_000], [0.0, 1e-3])
     rows = plain_rows(COUNT, REFERENCE_RAD_S, REFERENCE_RAD_S - 3.0 - noise, load)
-    meter = CertificateMeter(replace(AXIS, rated_torque_nm=1.0), SETTLING)
-    meter.add(rows)
+    meter = meter_of(rows, axis=replace(AXIS, rated_torque_nm=1.0))
     assert meter.gain_least is None
 
 
@@ -116,10 +118,7 @@ def exact(rows: Rows, delay_us: int = 500, error_us: int = 0) -> Rows:
 
 
 def state_of(rows: Rows, axis: AxisPlan = AXIS) -> tuple[str, str]:
-    meter = CertificateMeter(axis, SETTLING)
-    for at in range(0, COUNT, 333):
-        meter.add(rows[at : at + 333])
-    found = meter.figures()
+    found = meter_of(*[rows[at : at + 333] for at in range(0, COUNT, 333)], axis=axis).figures()
     return found["state"], "; ".join([*found["premises_left"], *found["premises_unknown"]])
 
 
@@ -149,7 +148,10 @@ def test_losses_and_the_age_of_a_sample_are_premises() -> None:
     assert state_of(rows, aged)[1] == "age: a sample that acts for 3500.0 us, made for at most 3400 us"
     assert state_of(rows, replace(AXIS, certified=replace(CERTIFIED, age_us=3_500.0)))[0] == "exceeded"
     rows["fate"][334] = 1
-    assert state_of(rows) == ("premise left", "losses: 3 in a row, made for at most 2")
+    assert state_of(rows) == (
+        "premise left",
+        "losses: 3 in a row, readings and commands together, made for at most 2",
+    )
 
 
 def test_a_certificate_for_lost_samples_presumes_a_constant_delay_and_every_command() -> None:
@@ -200,14 +202,14 @@ def test_delay_and_losses_are_of_its_own_axis() -> None:
     rows["fate"][100:102] = 1
     exact(rows, 500, 500)
     figures = meter_of(rows).figures()
-    assert figures["delay_us"] == {"certified": 800.0, "seen": 500.0, "seen_at_most": 1000.0}
-    assert figures["losses_in_a_row"] == {"certified": 2, "seen": 2}
+    assert figures["action_delay_us"] == {"certified": 800.0, "seen": 500.0, "seen_at_most": 1000.0}
+    assert figures["losses_together"] == {"certified": 2, "seen": 2, "seen_at_most": 2}
     (line,) = certificate_lines({"axis1": figures}).values()
-    assert "delay [us] 800, seen 500 to 1000;" in line
+    assert "delay to actuation [us] 800, seen 500 to 1000;" in line
     assert "current loop [Hz] 504 to 1269, the drive's 800" in line
     rows["command_fate"] = COMMAND_FATES.index(CommandFate.NOT_MEASURED)
     (line,) = certificate_lines({"axis1": meter_of(rows).figures()}).values()
-    assert "delay [us] 800, seen not known" in line
+    assert "delay to actuation [us] 800, seen not known" in line
 
 
 def test_a_plan_goes_to_the_logger_and_back() -> None:

@@ -35,7 +35,7 @@ def told(*delays_us: int | None, limits: Allowed = LIMITS) -> list[str]:
     ("delays_us", "said"),
     [
         ([None] * 3, []),
-        ([None] * 4, ["4 readings missing in a row, made for at most 3"]),
+        ([None] * 4, ["4 readings lost in a row, made for at most 3 readings and commands"]),
         ([None, None, 1000, None, None], []),
         ([1000], []),
         ([1001], ["1001.0 us from sample to actuation, made for at most 1000 us"]),
@@ -59,7 +59,10 @@ OLD = Allowed(3, Duration(7_000_000), Duration(9_000_000))
         ([None, None, None, 1001], ["a sample that acts for 9001.0 us, made for at most 9000 us"]),
         ([None, 5001, 1000], ["a sample that acts for 9001.0 us, made for at most 9000 us"]),
         # the losses were told already: the age that follows from them is not told again
-        ([None, None, None, None, 1000], ["4 readings missing in a row, made for at most 3"]),
+        (
+            [None, None, None, None, 1000],
+            ["4 readings lost in a row, made for at most 3 readings and commands"],
+        ),
         # each reading ends the losses before it
         ([None, 1000, None, None, 3000, 7000], []),
         ([None, 5001, 7001], ["a sample that acts for 9001.0 us, made for at most 9000 us"]),
@@ -271,7 +274,7 @@ def test_a_guarded_axis_notes_what_it_tells() -> None:
 PLAN = CertifiedPlan(
     period_us=2000,
     delay_us=1000.0,
-    losses_in_a_row=3,
+    losses_together=3,
     bandwidths_hz=(500.0, 1200.0),
     bandwidth_hz=800.0,
     age_us=9000.0,

@@ -121,7 +121,7 @@ def test_what_is_not_compared_is_no_divergence(name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name in NAMES[: NAMES.index("compute_ns")] if name != "sequence"])
 def test_every_other_column_of_the_digest_is_compared(name: str) -> None:
-    if name in ("axis", "clock_offset_ns", "device_time_ns", "fate"):
+    if name in ("axis", "clock_offset_ns", "device_time_ns", "fate", "command_fate"):
         return
     other = changed({(CYCLES - 1, name): 77})
     found = beside(made_run(random_rows(1, 1)), made_run(other)).divergence
@@ -199,8 +199,12 @@ def judged(base: Rows, other: Rows, **tolerances: float) -> dict[str, tuple[Any,
 @pytest.mark.parametrize(("tolerance", "kept"), [(2.0, True), (1.0, True), (0.99, False), (0.0, False)])
 def test_a_figure_may_be_worse_by_its_tolerance(tolerance: float, kept: bool) -> None:
     base, other = stepping(0.0, lost=1), stepping(0.0, lost=2)
-    assert judged(base, other, losses_in_a_row=tolerance) == {"losses_in_a_row": (1.0, 2.0, tolerance, kept)}
-    assert judged(other, base, losses_in_a_row=0.0) == {"losses_in_a_row": (2.0, 1.0, 0.0, True)}
+    assert judged(base, other, reading_losses_in_a_row=tolerance) == {
+        "reading_losses_in_a_row": (1.0, 2.0, tolerance, kept)
+    }
+    assert judged(other, base, reading_losses_in_a_row=0.0) == {
+        "reading_losses_in_a_row": (2.0, 1.0, 0.0, True)
+    }
 
 
 def test_speeds_apart_are_held_against_nothing() -> None:
@@ -230,11 +234,21 @@ def test_what_neither_run_has_is_kept_and_what_one_has_is_not_known() -> None:
     nothing = stepping(0.0)
     nothing["fate"] = 1
     nothing["delay_ns"] = -(2**63)
-    both = judged(nothing, nothing, delay_p99_us=0.0, speed_difference_max_rad_s=1.0)
-    assert both["delay_p99_us"] == (None, None, 0.0, True)
+    both = judged(nothing, nothing, reading_delay_p99_us=0.0, speed_difference_max_rad_s=1.0)
+    assert both["reading_delay_p99_us"] == (None, None, 0.0, True)
     assert both["speed_difference_max_rad_s"] == (0.0, None, 1.0, None)
-    assert judged(stepping(0.0), nothing, delay_p99_us=0.0)["delay_p99_us"] == (400.0, None, 0.0, None)
-    assert judged(nothing, stepping(0.0), delay_p99_us=0.0)["delay_p99_us"] == (None, 400.0, 0.0, None)
+    assert judged(stepping(0.0), nothing, reading_delay_p99_us=0.0)["reading_delay_p99_us"] == (
+        400.0,
+        None,
+        0.0,
+        None,
+    )
+    assert judged(nothing, stepping(0.0), reading_delay_p99_us=0.0)["reading_delay_p99_us"] == (
+        None,
+        400.0,
+        0.0,
+        None,
+    )
 
 
 def test_the_figures_are_those_of_a_review() -> None:
@@ -248,25 +262,27 @@ def test_the_figures_are_those_of_a_review() -> None:
         "recovery_time_ms": None,
         "torque_rms_nm": None,
         "dropouts_percent": 100.0 * 3 / CYCLES,
-        "losses_in_a_row": 3.0,
-        "delay_p99_us": 400.0,
+        "reading_losses_in_a_row": 3.0,
+        "command_losses_in_a_row": None,
+        "reading_delay_p99_us": 400.0,
+        "action_delay_p99_us": None,
         "lateness_p99_us": 0.0,
     }
 
 
 def test_tolerances_are_read_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "tolerances.toml"
-    path.write_text("losses_in_a_row = 2\ndelay_p99_us = 0.0\n")
+    path.write_text("reading_losses_in_a_row = 2\nreading_delay_p99_us = 0.0\n")
     found = load_tolerances(path)
     assert {name: value for name, value in found.model_dump().items() if value is not None} == {
-        "losses_in_a_row": 2.0,
-        "delay_p99_us": 0.0,
+        "reading_losses_in_a_row": 2.0,
+        "reading_delay_p99_us": 0.0,
     }
-    path.write_text("losses_in_a_row = -1.0\nno_figure = 1.0\n")
+    path.write_text("reading_losses_in_a_row = -1.0\nno_figure = 1.0\n")
     with pytest.raises(BadInputs) as caught:
         load_tolerances(path)
     assert [(error.source, error.key, error.value) for error in caught.value.errors] == [
-        (str(path), "losses_in_a_row", -1.0),
+        (str(path), "reading_losses_in_a_row", -1.0),
         (str(path), "no_figure", 1.0),
     ]
     with pytest.raises(BadInput) as missing:
@@ -281,29 +297,29 @@ def three() -> list[Against]:
     other["velocity_rad_s"][50] += 0.25
     other["torque_nm"][50] = 1.0
     runs = [made_run(rows, folder=name) for rows, name in ((base, "one"), (other, "two"), (base, "three"))]
-    return compare_runs(runs, Tolerances(speed_difference_max_rad_s=0.125, losses_in_a_row=1.0))
+    return compare_runs(runs, Tolerances(speed_difference_max_rad_s=0.125, reading_losses_in_a_row=1.0))
 
 
 def test_a_comparison_is_told_in_lines() -> None:
     lines = comparison_lines(three())
     assert lines[:5] == ["0  ling2012 (one)", "1  ling2012 (two)", "2  ling2012 (three)", "", lines[4]]
     assert lines[4] == " " * 28 + "           0           1           2"
-    assert [line[:28].strip() for line in lines[5:16]] == list(three()[0].figures)
+    assert [line[:28].strip() for line in lines[5:18]] == list(three()[0].figures)
     assert lines[12] == "dropouts_percent" + " " * 12 + "           0           0           0"
-    assert lines[14] == "delay_p99_us" + " " * 16 + "         400         400         400"
+    assert lines[15] == "reading_delay_p99_us" + " " * 8 + "         400         400         400"
     assert lines[11].split() == ["torque_rms_nm", "-", "-", "-"]
-    assert lines[16:] == [
+    assert lines[18:] == [
         "",
         "1 beside 0: 60 cycles of both",
         "  first divergence: axis1, cycle 51 at 0.050000 s, in velocity_rad_s, torque_nm",
         "  axis1 velocity_rad_s       rms    0.03227  largest       0.25 at 0.050 s",
         "  axis1 torque_nm            rms     0.1291  largest          1 at 0.050 s",
-        "  losses_in_a_row                       0, baseline          0 + 1: within",
+        "  reading_losses_in_a_row               0, baseline          0 + 1: within",
         "  speed_difference_max_rad_s         0.25, baseline          0 + 0.125: EXCEEDED",
         "",
         "2 beside 0: 60 cycles of both",
         "  every cycle of both is the same",
-        "  losses_in_a_row                       0, baseline          0 + 1: within",
+        "  reading_losses_in_a_row               0, baseline          0 + 1: within",
         "  speed_difference_max_rad_s            0, baseline          0 + 0.125: within",
     ]
 

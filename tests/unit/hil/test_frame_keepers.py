@@ -17,7 +17,8 @@ from hil.recording.log_files import (
     NetworkKeeper,
 )
 from hil.recording.tail import FRAMES_TAIL_FILE, read_tail
-from hil.rows.recording_plan import RecordingPlan
+from hil.reviewing.review import Review
+from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import (
     FRAME_DTYPE,
@@ -120,10 +121,12 @@ def test_a_frame_that_came_after_its_time_was_written_is_told(plan: RecordingPla
 
 
 def test_the_network_of_all_rows_is_written_at_the_end(tmp_path: Path) -> None:
-    keeper = NetworkKeeper(tmp_path, 1_000, 1)
+    review = Review(ReviewPlan((AxisPlan("axis1", 1.0),)))
+    keeper = NetworkKeeper(tmp_path, review)
     rows = rows_of(synthetic_records(300))
-    tell(keeper, rows=rows[:100])
-    tell(keeper, rows=rows[100:])
+    for chunk in (rows[:100], rows[100:]):
+        review.add(chunk)
+        tell(keeper, rows=chunk)
     assert list(tmp_path.iterdir()) == []
     keeper.finish(summary_of())
     network = load_network(tmp_path / "network.toml")
@@ -132,7 +135,7 @@ def test_the_network_of_all_rows_is_written_at_the_end(tmp_path: Path) -> None:
 
 
 def test_without_a_reading_there_is_no_network(tmp_path: Path) -> None:
-    NetworkKeeper(tmp_path, 1_000, 1).finish(summary_of())
+    NetworkKeeper(tmp_path, Review(ReviewPlan((AxisPlan("axis1", 1.0),)))).finish(summary_of())
     assert list(tmp_path.iterdir()) == []
 
 

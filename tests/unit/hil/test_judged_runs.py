@@ -61,7 +61,7 @@ def test_a_run_is_judged_by_its_rows_and_its_own_limits() -> None:
     judged = judge_run(run_of())
     assert judged.against == "the bench's own limits"
     found = judged.summary
-    assert (found.cycles, found.dropouts.lost, found.losses_in_a_row) == (CYCLES, 2, 2)
+    assert (found.cycles, found.dropouts.lost, found.reading_losses_in_a_row) == (CYCLES, 2, 2)
     assert (found.seed, found.recording) == (2012, "one")
     assert (found.bus_load_percent, found.realtime_factor) == (51.4, 38.2), "what rows cannot tell"
     assert found.verdict.limits == (
@@ -151,8 +151,8 @@ def test_a_run_that_was_cut_short_stays_so_with_its_cause() -> None:
 
 def certified(**changes: Any) -> list[Demand]:
     certificate = {
-        "delay_us": {"seen": 900.0, "certified": 1_000.0},
-        "losses_in_a_row": {"seen": 3, "certified": 2},
+        "action_delay_us": {"seen": 900.0, "certified": 1_000.0},
+        "losses_together": {"seen": 1, "seen_at_most": 3, "certified": 2},
         "gain_rad_s_nm": {"seen": 9.0, "seen_at_least": 7.0, "certified": 8.0},
         "commands_at_a_limit": 4,
         "premises_left": [],
@@ -161,8 +161,8 @@ def certified(**changes: Any) -> list[Demand]:
     return list(_certified(replace(FIGURES, certificates={"axis1": certificate})))
 
 
-DELAY = Demand("certified_delay_us", "axis1", 900.0, 1_000.0)
-LOSSES = Demand("certified_losses_in_a_row", "axis1", 3, 2)
+DELAY = Demand("certified_action_delay_us", "axis1", 900.0, 1_000.0)
+LOSSES = Demand("certified_losses_together", "axis1", 3, 2)
 AT_LIMIT = Demand("certified_commands_at_a_limit", "axis1", 4.0, 0.0)
 GAIN = Demand("certified_gain_rad_s_nm", "axis1", 7.0, 8.0)
 
@@ -172,7 +172,7 @@ GAIN = Demand("certified_gain_rad_s_nm", "axis1", 7.0, 8.0)
     [
         ({}, [DELAY, LOSSES, AT_LIMIT, GAIN]),
         ({"premises_left": ["losses"]}, [DELAY, LOSSES, AT_LIMIT]),
-        ({"delay_us": {"seen": 900.0, "certified": None}}, [LOSSES, AT_LIMIT, GAIN]),
+        ({"action_delay_us": {"seen": 900.0, "certified": None}}, [LOSSES, AT_LIMIT, GAIN]),
         ({"gain_rad_s_nm": {"seen": 9.0, "seen_at_least": 7.0, "certified": None}}, [DELAY, LOSSES]),
     ],
 )
@@ -201,8 +201,8 @@ def report(path: Path, its: Judged) -> str:
 
 def test_requirements_are_rows_of_words() -> None:
     assert list(limit_rows(judged())) == [
-        ("delay p99 [us]", "400", "500", "kept", "axis1"),
-        ("dropouts in a row", "2", "1", "broken", "axis1 at 0.301 s"),
+        ("delay of readings, p99 [us]", "400", "500", "kept", "axis1"),
+        ("readings lost in a row", "2", "1", "broken", "axis1 at 0.301 s"),
     ]
     cut = replace(summary(), verdict=summary(completed=False).verdict)
     assert [row[1:] for row in limit_rows(judged(cut))] == [
@@ -229,8 +229,8 @@ def test_a_report_in_markdown_is_whole(tmp_path: Path) -> None:
     assert parts[1:6] == [
         "## Requirements",
         "| requirement | value | at most |  | worst |\n|:--|:--|:--|:--|:--|\n"
-        "| delay p99 [us] | 400 | 500 | kept | axis1 |\n"
-        "| dropouts in a row | 2 | 1 | broken | axis1 at 0.301 s |",
+        "| delay of readings, p99 [us] | 400 | 500 | kept | axis1 |\n"
+        "| readings lost in a row | 2 | 1 | broken | axis1 at 0.301 s |",
         f"![Speed, error, torque and delay; dashed: limits]({picture})",
         f"![Delays of the readings]({picture})",
         "## Findings",
@@ -255,23 +255,24 @@ def test_a_report_in_markdown_is_whole(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("plain_pictures")
 def test_the_figures_of_a_report_are_those_of_the_summary(tmp_path: Path) -> None:
-    whole = replace(summary(), timing=timing(), losses_in_a_row=6, torque_rms_nm=0.12345)
+    whole = replace(summary(), timing=timing(), reading_losses_in_a_row=6, torque_rms_nm=0.12345)
     text = report(tmp_path / "r.md", judged(whole))
     table = text.split("## Figures\n\n")[1].split("\n\n")[0].splitlines()[2:]
-    assert table[:9] == [
+    assert table[:10] == [
         "| cycles | 2000 of 2000 planned, 1 axes |",
-        "| delay p50 / p99 / max | 612 / 988 / 1044 us |",
+        "| delay of readings p50 / p99 / max | 612 / 988 / 1044 us |",
+        "| delay to actuation p50 / p99 / max | - / - / - us |",
         "| lateness p50 / p99 / max | 0 / 0 / 0 us |",
         "| dropouts | 90 lost, 5 late, 1 stale, 0 missed |",
-        "| dropouts in a row | 6 |",
+        "| lost in a row | 6 readings, commands not measured |",
         "| settling, overshoot | not measured, not measured |",
         "| recovery after a load step | not measured |",
         "| speed error rms | 0.7 rad/s |",
         "| torque about its mean, rms | 0.1235 N m |",
     ]
-    assert [line.split(" | ")[0] for line in table[9:]] == ["| SYNC", "| Timing", "| digest"]
-    none = replace(summary(), delay_us=Percentiles(None, None, None))
-    assert "| delay p50 / p99 / max | - / - / - us |" in report(tmp_path / "n.md", judged(none))
+    assert [line.split(" | ")[0] for line in table[10:]] == ["| SYNC", "| Timing", "| digest"]
+    none = replace(summary(), reading_delay_us=Percentiles(None, None, None))
+    assert "| delay of readings p50 / p99 / max | - / - / - us |" in report(tmp_path / "n.md", judged(none))
 
 
 @pytest.mark.usefixtures("plain_pictures")
@@ -307,7 +308,7 @@ def test_a_requirement_has_the_style_of_its_result(tmp_path: Path) -> None:
         "<tr><th>requirement</th><th>value</th><th>at most</th><th></th><th>worst</th></tr>"
         + row("speed error, peak [%]", "4.25", "10", "kept", "kept")
         + row("speed error after load step [%]", "3", "5", "kept", "kept")
-        + row("delay p99 [us]", "2345", "2000", "broken", "broken")
+        + row("delay of readings, p99 [us]", "2345", "2000", "broken", "broken")
     )
 
 

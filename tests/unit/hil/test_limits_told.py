@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from hil.verdict.summary import (
+    NO_TIMES,
     DropoutCounts,
     Figures,
     Percentiles,
@@ -40,7 +41,9 @@ FIGURES = Figures(
     rows=200,
     dense=100,
     dropouts=DropoutCounts(lost=8, late=4, stale=2, missed=6),
-    delay_us=Percentiles(101.0, 102.0, 103.0),
+    reading_delay_us=Percentiles(101.0, 102.0, 103.0),
+    action_delay_us=NO_TIMES,
+    action_delay_least_us=NO_TIMES,
     speed_error=SpeedError(111.0, 112.0, 113.0, 114.0),
     lateness_us=Percentiles(121.0, 122.0, 123.0),
     compute_us=Percentiles(131.0, 132.0, 133.0),
@@ -48,7 +51,7 @@ FIGURES = Figures(
     torque_rms_nm=141.0,
     position_error=PositionError(151.0, 152.0, 153.0),
     step_response=StepResponse(161.0, 162.0, 163.0),
-    losses_in_a_row=17,
+    reading_losses_in_a_row=17,
     worst={"delay_p99_us_max": WorstPlace("left", 5), "dropouts_percent_max": WorstPlace("right")},
 )
 HELD = {
@@ -56,7 +59,7 @@ HELD = {
     "after_load_percent_max": ("speed error after load step [%]", 114.0),
     "speed_error_rms_rad_s_max": ("speed error, RMS [rad/s]", 113.0),
     "dropouts_percent_max": ("dropouts [%]", 10.0),
-    "delay_p99_us_max": ("delay p99 [us]", 102.0),
+    "delay_p99_us_max": ("delay of readings, p99 [us]", 102.0),
     "bus_load_percent_max": ("bus load [%]", 55.0),
     "missed_percent_max": ("cycles without SYNC [%]", 3.0),
     "lateness_us_max": ("lateness, largest [us]", 123.0),
@@ -65,7 +68,7 @@ HELD = {
     "settling_time_ms_max": ("settling after a step [ms]", 161.0),
     "overshoot_percent_max": ("overshoot of a step [%]", 162.0),
     "recovery_time_ms_max": ("recovery after a load step [ms]", 163.0),
-    "losses_in_a_row_max": ("dropouts in a row", 17.0),
+    "losses_in_a_row_max": ("readings lost in a row", 17.0),
     "position_error_peak_rad_max": ("position error, peak [rad]", 151.0),
     "position_error_rms_rad_max": ("position error, RMS [rad]", 152.0),
     "following_error_peak_rad_max": ("following error, peak [rad]", 153.0),
@@ -93,15 +96,15 @@ def test_a_limit_is_kept_up_to_its_value(metric: str, above: float, result: Limi
 
 def test_demands_of_a_certificate_are_held_as_limits_are() -> None:
     demands = [
-        Demand("certified_delay_us", "left", 5.0, 5.0),
-        Demand("certified_losses_in_a_row", "", None, 2.0),
+        Demand("certified_action_delay_us", "left", 5.0, 5.0),
+        Demand("certified_losses_together", "", None, 2.0),
     ]
     verdict = judge(OUTCOME, CycleCount(100, 200, 0), {}, VerdictLimits(), demands=demands)
     assert verdict.limits == (
-        Check("certified_delay_us", 5.0, 5.0, LimitResult.KEPT, "left"),
-        Check("certified_losses_in_a_row", None, 2.0, LimitResult.NOT_MEASURED),
+        Check("certified_action_delay_us", 5.0, 5.0, LimitResult.KEPT, "left"),
+        Check("certified_losses_together", None, 2.0, LimitResult.NOT_MEASURED),
     )
-    text = "certified_losses_in_a_row = 2, and nothing was measured"
+    text = "certified_losses_together = 2, and nothing was measured"
     assert verdict.findings == (Finding(VerdictKind.NOT_MEASURED, text),)
     assert (verdict.reason, verdict_title(verdict)) == (text, "NOT MEASURED")
 
@@ -168,34 +171,34 @@ def test_the_status_of_an_error_tells_its_kind(status: int) -> None:
 
 
 CERTIFICATE: dict[str, Any] = {
-    "delay_us": {"certified": 800.0, "seen": 500.0, "seen_at_most": 1000.04},
-    "losses_in_a_row": {"certified": 2, "seen": 3, "seen_at_most": None},
+    "action_delay_us": {"certified": 800.0, "seen": 500.0, "seen_at_most": 1000.04},
+    "losses_together": {"certified": 2, "seen": 3, "seen_at_most": None},
     "gain_rad_s_nm": {"certified": None, "seen": 12.34567, "seen_at_most": 12.34567},
     "current_bandwidth_hz": {"certified": (500.0, 1250.5), "drive": None},
 }
 SURE = CERTIFICATE | {
-    "losses_in_a_row": {"certified": 2, "seen": None},
+    "losses_together": {"certified": 2, "seen": None},
     "current_bandwidth_hz": {"certified": (800.0, 800.01), "drive": 800.0},
 }
 BARE = CERTIFICATE | {"current_bandwidth_hz": {"certified": None, "drive": 1.0}}
 
 
 def test_what_is_certified_stands_beside_what_was_seen() -> None:
-    seen = "delay [us] 800, seen 500 to 1000; losses in a row 2, seen 3; "
+    seen = "delay to actuation [us] 800, seen 500 to 1000; lost in a row, together 2, seen 3; "
     seen += "gain [rad/s per N m] not known, seen 12.35"
     line = f"{seen}; current loop [Hz] 500 to 1250, the drive's not known"
     assert certificate_lines({"a": CERTIFICATE}) == {"Certificate": line}
     assert certificate_lines({"a": BARE, "b": CERTIFICATE}) == {
         "Certificate of a": seen, "Certificate of b": line
     }  # fmt: skip
-    rows = [("delay [us]", "800", "500 to 1000"), ("losses in a row", "2", "not known")]
+    rows = [("delay to actuation [us]", "800", "500 to 1000"), ("lost in a row, together", "2", "not known")]
     rows += [("gain [rad/s per N m]", "not known", "12.35"), ("current loop [Hz]", "800", "800 (drive)")]
     assert certificate_rows({"a": SURE}) == rows
     both = certificate_rows({"a": SURE, "b": BARE})
     assert both[:4] == [(f"a: {words}", certified, seen) for words, certified, seen in rows]
     assert [words for words, _, _ in both[4:]] == [
-        "b: delay [us]",
-        "b: losses in a row",
+        "b: delay to actuation [us]",
+        "b: lost in a row, together",
         "b: gain [rad/s per N m]",
     ]
     assert (certificate_lines(None), certificate_lines({}), certificate_rows(None)) == ({}, {}, [])

@@ -291,7 +291,7 @@ def network(*rows: Rows, acting: bool = True) -> Any:
 
 def test_the_bounds_of_a_network_are_those_of_all_its_drives() -> None:
     rows = rows_of(400)
-    rows["fate"][10:400:80] = 1
+    rows["fate"][10:400:80], rows["delay_ns"][10:400:80] = 1, NOTHING
     rows["command_fate"][20] = COMMAND_FATES.index(CommandFate.LOST)
     found = network(rows)
     percent = [100.0 * end for end in clopper_pearson(5, 400)]
@@ -319,7 +319,7 @@ def test_losses_that_can_be_modelled_are() -> None:
 
 def test_without_readings_or_commands_less_is_known() -> None:
     rows = rows_of(20)
-    rows["fate"] = LOST
+    rows["fate"], rows["delay_ns"] = LOST, NOTHING
     assert network(rows) is None
     disabled = rows_of(20)
     disabled["command_fate"] = COMMAND_FATES.index(CommandFate.NOT_MEASURED)

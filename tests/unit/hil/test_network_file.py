@@ -10,8 +10,9 @@ from hil.configuration.network_file import ClockHealth, Network, load_network, n
 from hil.loop.samples import CommandFate
 from hil.recording.log_files import NetworkKeeper
 from hil.reviewing.network_meter import NetworkMeter
-from hil.rows.records import COMMAND_FATES, FATE_MISSED, ROW_DTYPE, Rows
-from hil.rows.side_rows import FRAME_DTYPE
+from hil.reviewing.review import Review
+from hil.rows.recording_plan import AxisPlan, ReviewPlan
+from hil.rows.records import COMMAND_FATES, FATE_MISSED, NOTHING, ROW_DTYPE, Rows
 from tests.unit.hil.test_summary import summary_with, timing
 from virtual_bus.faults.fault_plan import read_fault_plan
 
@@ -26,6 +27,7 @@ def rows_of(fates: list[int], axis: int = 0, first: int = 0) -> Rows:
     rows["axis"], rows["fate"] = axis, fates
     rows["sampled_at"] = sampled
     rows["received_at"] = sampled + 500_000
+    rows["delay_ns"] = np.where(rows["fate"] == LOST, NOTHING, 500_000)
     rows["command_handed_at"] = sampled + 550_000
     rows["command_on_bus_at"] = rows["command_acts_after"] = sampled + 580_000
     rows["command_acts_by"] = sampled + 600_000
@@ -115,8 +117,9 @@ def test_missed_cycles_are_losses_and_uncertain_rows_are_counted() -> None:
 
 
 def test_the_file_tells_each_axis_clock(tmp_path: Path) -> None:
-    keeper = NetworkKeeper(tmp_path, PERIOD_US, axes=1)
-    keeper.take(rows_of([0, 0]), np.zeros(0, FRAME_DTYPE), [])
+    review = Review(ReviewPlan((AxisPlan("a", 1.0),)))
+    review.add(rows_of([0, 0]))
+    keeper = NetworkKeeper(tmp_path, review)
     told = timing(clock_steps=2)
     told["axes"]["b"] = {key: value for key, value in told["axes"]["a"].items() if key != "clock"}
     keeper.finish(summary_with(timing=told))
@@ -134,6 +137,7 @@ def test_a_reading_that_misses_the_decision_acts_a_cycle_later() -> None:
     rows = rows_of([0, 0, 0])
     assert measured(rows).delay_max_us == 600
     rows["received_at"][1] += 100_000
+    rows["delay_ns"][1] += 100_000
     found = measured(rows)
     assert found.delay_max_us == 600 + PERIOD_US
     assert found.reading_delay_us is not None

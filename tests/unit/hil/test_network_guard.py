@@ -96,7 +96,7 @@ def test_a_network_within_its_bounds_passes() -> None:
 
 @pytest.mark.parametrize(
     ("delays_us", "found"),
-    [((500, None, None, None, None), "4 readings missing in a row"), ((500, 1001), "1001.0 us from sample")],
+    [((500, None, None, None, None), "4 readings lost in a row"), ((500, 1001), "1001.0 us from sample")],
 )
 def test_a_worse_network_stops_the_run_after_its_record_is_kept(
     delays_us: tuple[int | None, ...], found: str

@@ -55,6 +55,8 @@ def rows(*fates: tuple[int, int], axis: int = 0) -> Rows:
     ):
         made[name] = sampled + after_us * US
     made["fate"] = [fate for fate, _ in fates]
+    came = np.isin(made["fate"], [SAMPLE, LATE, STALE])
+    made["delay_ns"] = np.where(came, 100 * US, NOTHING)
     made["command_fate"] = [fate for _, fate in fates]
     for name in ("command_acts_after", "command_acts_by"):
         made[name][made["command_fate"] != ACTING] = NOTHING
@@ -81,6 +83,7 @@ def test_a_run_counted_by_hand() -> None:
     )  # fmt: skip
     run["certain"][[1, 4, 8]] = 0
     run["command_on_bus_at"][6] = run["command_handed_at"][6] = NOTHING
+    run["delay_ns"][9] += 150 * US
     run["received_at"][9] += 150 * US  # after the decision of its cycle
     expected = Network(
         period_us=1000,
@@ -106,7 +109,7 @@ def test_a_run_counted_by_hand() -> None:
         command_loss_percent=300 / 7,
         command_loss_least_percent=300 / 7,
         histogram=DelayHistogram(
-            edges_us=tuple(3.0 * edge for edge in range(33, 85)), counts=(4, *[0] * 49, 1)
+            edges_us=tuple(3.0 * edge for edge in range(33, 85)), counts=(6, *[0] * 49, 1)
         ),
     )
     measured = network(run)
@@ -127,6 +130,7 @@ def test_without_a_command_that_acts_the_largest_delay_is_that_of_the_readings()
     run = rows((SAMPLE, UNMEASURED), (SAMPLE, NOTHING))
     run["command_on_bus_at"] = NOTHING
     run["received_at"][1] += 1
+    run["delay_ns"][1] += 1
     measured = network(run)
     assert (measured.commands, measured.delay_max_us, measured.action_delay_us) == ("not measured", 101, None)
     assert (measured.action_delay_least_us, measured.command_delay_us) == (None, None)
@@ -219,26 +223,31 @@ def test_losses_in_a_row_by_brute_force(share: float, size: int) -> None:
     for _ in range(20):
         lost = random.random(size) < share
         pieces = np.split(lost, sorted(random.integers(0, size + 1, 3).tolist()))
-        counted = LossRuns(2)
+        counted, first = LossRuns(), 0
         for piece in pieces:
-            counted.add(1, piece)
-        assert counted.counts() == counted.counts() == runs_of(lost) == brute(lost.tolist())
+            counted.add(piece, np.arange(first, first + piece.size))
+            first += piece.size
+        lengths = brute(lost.tolist())
+        assert tuple(np.trim_zeros(counted.counts()[1:], "b").tolist()) == runs_of(lost) == lengths
+        assert counted.most == len(lengths)
+        if counted.at is None:
+            assert not lost.any()
+        else:
+            assert lost[counted.at - counted.most + 1 : counted.at + 1].all()
 
 
 def test_runs_of_two_axes_do_not_join() -> None:
-    counted = LossRuns(2)
-    counted.add(0, np.array([False, True]))
-    counted.add(1, np.array([True, True, False, True]))
-    counted.add(0, np.array([True, False]))
-    assert counted.counts() == (1, 2)
+    first, second = rows((GONE, ACTING), (SAMPLE, ACTING)), rows((GONE, ACTING), (GONE, ACTING), axis=1)
+    assert network(first[1:], first[:1], second, axes=2).losses_in_a_row == (1, 1)
 
 
 @pytest.mark.parametrize("length", [999, 1000, 1001, 5000])
 @pytest.mark.parametrize("ends", [False, True])
 def test_more_than_a_thousand_in_a_row_count_as_so_many(length: int, ends: bool) -> None:
-    counted = LossRuns(1)
-    counted.add(0, np.array([True] * length + [False] * ends))
-    assert counted.counts() == (*[0] * (min(length, 1000) - 1), 1)
+    counted = LossRuns()
+    counted.add(np.array([True] * length + [False] * ends), np.arange(length + ends))
+    assert np.flatnonzero(counted.counts()).tolist() == [min(length, 1000)]
+    assert (counted.most, counted.at) == (length, length - 1)
 
 
 # ---- figures ------------------------------------------------------------------------------------------

@@ -9,13 +9,14 @@ import pytest
 from drivers.timebase import NS_PER_US
 from hil.loop.samples import CommandFate
 from hil.reviewing.certificate_meter import PremisesMeter
+from hil.reviewing.network_meter import AxisNetworkMeter
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan
 from hil.rows.records import COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
 
 PERIOD_US = 1_000
 LIMIT_ACTIVE = 1 << 11
 AXIS = AxisPlan("axis1", 1e4, torque_max_nm=2.0)
-CERTIFIED = CertifiedPlan(PERIOD_US, delay_us=800.0, losses_in_a_row=2)
+CERTIFIED = CertifiedPlan(PERIOD_US, delay_us=800.0, losses_together=2)
 ACTING, LOST = (COMMAND_FATES.index(fate) for fate in (CommandFate.ACTING, CommandFate.LOST))
 
 
@@ -37,10 +38,11 @@ def judged(run: Rows, **certified: Any) -> tuple[list[str], list[str]]:
     """Premises left and not known; the same in whatever chunks the rows come."""
     results = []
     for size in (run.size, 1, 3):
-        meter = PremisesMeter(AXIS, replace(CERTIFIED, **certified))
+        network = AxisNetworkMeter(PERIOD_US)
+        meter = PremisesMeter(AXIS, replace(CERTIFIED, **certified), network)
         for at in range(0, run.size, size):
+            network.add(run[at : at + size])
             meter.add(run[at : at + size])
-        meter.look()
         results.append((list(meter.left()), list(meter.unknown())))
     assert results[1:] == results[:1] * 2
     return results[0]
@@ -91,8 +93,8 @@ def test_a_constant_delay_is_kept_as_near_as_two_clocks_tell(
 def test_commands_that_are_lost_count_only_where_every_one_has_to_arrive() -> None:
     run = rows(6)
     run["command_fate"][2:4] = LOST
-    assert judged(run, losses_in_a_row=2) == ([], [])
-    assert judged(run, samples_alone=True, losses_in_a_row=2, delay_us=500.0) == (
+    assert judged(run, losses_together=2) == ([], [])
+    assert judged(run, samples_alone=True, losses_together=2, delay_us=500.0) == (
         ["commands: 2 lost, certified where every one arrives"], []
     )  # fmt: skip
 
@@ -100,9 +102,11 @@ def test_commands_that_are_lost_count_only_where_every_one_has_to_arrive() -> No
 @pytest.mark.parametrize(("lost", "left"), [((1, 2, 4), []), ((0, 1, 2, 4), ["3"]), ((6, 7, 8, 9), ["4"])])
 def test_losses_in_a_row_are_at_most_those_it_is_made_for(lost: tuple[int, ...], left: list[str]) -> None:
     """Also those before the first reading, and behind the last."""
-    expected = [f"losses: {count} in a row, made for at most 2" for count in left]
+    expected = [
+        f"losses: {count} in a row, readings and commands together, made for at most 2" for count in left
+    ]
     assert judged(rows(10, lost=lost)) == (expected, [])
-    assert judged(rows(10, lost=lost), losses_in_a_row=None) == ([], [])
+    assert judged(rows(10, lost=lost), losses_together=None) == ([], [])
 
 
 @pytest.mark.parametrize(
@@ -118,14 +122,16 @@ def test_a_sample_acts_until_the_next_one_does(lost: tuple[int, ...], age_us: fl
 
 
 def test_an_age_beyond_its_limit_is_not_told_beside_what_makes_it() -> None:
-    assert judged(rows(10, lost=(3, 4, 5)), age_us=1.0)[0] == ["losses: 3 in a row, made for at most 2"]
+    assert judged(rows(10, lost=(3, 4, 5)), age_us=1.0)[0] == [
+        "losses: 3 in a row, readings and commands together, made for at most 2"
+    ]
     late = ["delay: 900.0 us from sample to actuator, made for 800 us"]
     assert judged(rows(10, 900.0, 900.0), age_us=1.0)[0] == late
 
 
 def test_without_a_reading_or_a_command_that_acts_nothing_is_measured() -> None:
     nothing = ["delay: from sample to actuator nothing was measured"]
-    assert judged(rows(4, lost=(0, 1, 2, 3))) == ([], nothing)
+    assert judged(rows(2, lost=(0, 1))) == ([], nothing)
     still = rows(4)
     still["command_fate"] = NOTHING
     assert judged(still, samples_alone=True, age_us=1.0) == ([], nothing)
@@ -157,10 +163,10 @@ def test_commands_at_a_limit_count_where_they_are_held_against_the_certificate(
 ) -> None:
     run = rows(3)
     run["command_torque_nm"], run["statusword"] = commands, status
-    meter = PremisesMeter(AXIS, replace(CERTIFIED, torque_step_max_nm=step_max))
+    meter = PremisesMeter(AXIS, replace(CERTIFIED, torque_step_max_nm=step_max), AxisNetworkMeter(PERIOD_US))
     meter.count_limited(run, held=False)
     assert (meter.saturated, list(meter.left())) == (0, [])
-    meter = PremisesMeter(AXIS, replace(CERTIFIED, torque_step_max_nm=step_max))
+    meter = PremisesMeter(AXIS, replace(CERTIFIED, torque_step_max_nm=step_max), AxisNetworkMeter(PERIOD_US))
     meter.count_limited(run, held=True)
     told = [f"saturation: {saturated} commands at a limit after a load step"] if saturated else []
     assert (meter.saturated, list(meter.left())) == (saturated, told)
@@ -169,10 +175,10 @@ def test_commands_at_a_limit_count_where_they_are_held_against_the_certificate(
 def test_a_step_between_two_stretches_counts_and_without_limits_none_does() -> None:
     run = rows(2)
     run["command_torque_nm"] = [1.0, 9.0]
-    free = PremisesMeter(replace(AXIS, torque_max_nm=None), CERTIFIED)
+    free = PremisesMeter(replace(AXIS, torque_max_nm=None), CERTIFIED, AxisNetworkMeter(PERIOD_US))
     free.count_limited(run, held=True)
     assert free.saturated == 0
-    meter = PremisesMeter(AXIS, replace(CERTIFIED, torque_step_max_nm=1.0))
+    meter = PremisesMeter(AXIS, replace(CERTIFIED, torque_step_max_nm=1.0), AxisNetworkMeter(PERIOD_US))
     meter.count_limited(run[:1], held=False)
     nothing = run[1:].copy()
     nothing["command_torque_nm"] = np.nan

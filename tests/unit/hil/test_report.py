@@ -38,7 +38,7 @@ def summary(
     return Summary(
         cycles=2000,
         dropouts=DropoutCounts(lost=90, late=5, stale=1, missed=0),
-        delay_us=Percentiles(612.0, 987.5, 1044.25),
+        reading_delay_us=Percentiles(612.0, 987.5, 1044.25),
         speed_error=SpeedError(6.68, 4.25, 0.7, None),
         bus_load_percent=51.4,
         realtime_factor=38.2,
@@ -79,8 +79,8 @@ def test_summary_holds_every_figure() -> None:
 def test_verdict_names_each_limit_and_what_became_of_it() -> None:
     lines = printed(summary(passed=False)).splitlines()
     assert "NOT PASSED" in lines[0]
-    row = next(line for line in lines if "delay p99" in line)
-    assert row.split()[1:-1] == ["delay", "p99", "[us]", "2345", "2000", "too", "high"]
+    row = next(line for line in lines if "delay of readings" in line)
+    assert row.split()[1:-1] == ["delay", "of", "readings,", "p99", "[us]", "2345", "2000", "too", "high"]
     assert any("speed error, peak [%]" in line and line.split()[-2] == "ok" for line in lines)
 
 
@@ -89,7 +89,7 @@ def test_a_run_cut_short_says_why() -> None:
     assert "ling2012: CUT SHORT" in text
     assert "Cut short: lost the bus" in text
     assert " ok " not in text, "of the part that was run nothing was kept"
-    assert text.count("not measured") == 4, "three limits, and the speed error after load"
+    assert text.count("not measured") == 5, "three limits, the speed error after load, and lost commands"
     assert "The recording lacks: 7 rows" in printed(summary(faults=("7 rows",)))
 
 

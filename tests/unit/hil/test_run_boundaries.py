@@ -15,7 +15,7 @@ from drivers.timebase import NS_PER_MS, Instant
 from hil.recording.run_folder import write_summary
 from hil.rows.records import NOTHING, Rows
 from hil.rows.records_file import RecordsWriter
-from hil.testing.history import AxisHistory, Gap, Stretch
+from hil.testing.history import AxisHistory, Stretch
 from hil.testing.run import Run
 from hil.testing.wire import SeenFrame, Wire
 from hil.verdict.verdict import Finding, VerdictKind, VerdictLimits
@@ -183,7 +183,7 @@ def test_dropouts_are_counted_and_their_rows_measured() -> None:
         f"axis1: {counts} in 500 cycles, at least 4 dropouts are needed to show how they are handled{PLACE}"
     )
     assert told(lambda: run.assert_dropouts_handled(in_a_row_max=1)) == (
-        f"axis1: 2 dropouts in a row from 0.200 s on, at most 1 asked for ({counts}){PLACE}"
+        f"axis1: 2 readings lost in a row, the last at 0.201 s, at most 1 asked for ({counts}){PLACE}"
     )
     dropping([]).assert_dropouts_handled(at_least=0, in_a_row_max=0)
 
@@ -292,7 +292,7 @@ def test_a_history_tells_stretches_gaps_and_what_came_of_readings() -> None:
     its["compute_ns"] = 15_500
     its["compute_ns"][3] = NOTHING
     history = AxisHistory("axis1", its)
-    assert history.gaps() == [Gap(0, 1), Gap(10, 3), Gap(CYCLES - 1, 1)]
+    assert (history.readings_lost().most, history.readings_lost().at) == (3, 12_000_000)
     assert history.dropouts() == {"lost": 2, "late": 1, "stale": 1, "missed": 1}
     assert history.stretches() == [
         Stretch(100, 300, 0.1, "the reference of 100 rad/s (954.9 r/min)"),

@@ -139,7 +139,7 @@ def test_dropouts_that_are_lived_with() -> None:
     run.assert_dropouts_handled(at_least=4, in_a_row_max=3)
     with pytest.raises(AssertionError, match="2 lost, 1 late, 1 stale, 0 missed in 1000 cycles, at least 5"):
         run.assert_dropouts_handled(at_least=5)
-    with pytest.raises(AssertionError, match=r"3 dropouts in a row from 0.300 s on, at most 2"):
+    with pytest.raises(AssertionError, match=r"3 readings lost in a row, the last at 0.302 s, at most 2"):
         run.assert_dropouts_handled(in_a_row_max=2)
     with pytest.raises(AssertionError, match="at least 1 dropouts are needed"):
         run_of(rows_of(decaying)).assert_dropouts_handled()

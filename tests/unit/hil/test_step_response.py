@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hil.reviewing.step_response import LossRun, StepMeter, worst_steps
+from hil.reviewing.step_response import StepMeter, worst_steps
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import Rows
 from hil.verdict.summary import StepResponse
@@ -76,12 +76,3 @@ def test_a_load_that_changes_from_cycle_to_cycle_makes_no_steps_but_at_its_end(c
     speed = np.where((cycle >= 350) & (cycle < 530), 45.0, 50.0)
     found = figures(plain_rows(CYCLES, reference=50.0, velocity=speed, load=load), chunk)
     assert found.recovery_time_ms == 29.0
-
-
-@pytest.mark.parametrize("chunk", [1, 2, 5, 12])
-def test_losses_in_a_row_against_a_count_by_hand(chunk: int) -> None:
-    rows = plain_rows(12, fate=[0, 1, 1, 0, 1, 2, 3, 4, 0, 1, 1, 0])
-    run = LossRun()
-    for start in range(0, 12, chunk):
-        run.add(rows[start : start + chunk])
-    assert (run.most, run.at) == (4, 7_000_000)

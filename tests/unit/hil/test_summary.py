@@ -11,6 +11,7 @@ from hil.recording.verdict_text import verdict_markdown
 from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import (
+    NO_TIMES,
     DropoutCounts,
     Figures,
     Percentiles,
@@ -39,14 +40,16 @@ FIGURES = Figures(
     rows=200,
     dense=200,
     dropouts=DropoutCounts(3, 2, 1, 2),
-    delay_us=Percentiles(400.0, 900.0, 1_500.0),
+    reading_delay_us=Percentiles(400.0, 900.0, 1_500.0),
+    action_delay_us=NO_TIMES,
+    action_delay_least_us=NO_TIMES,
     speed_error=SpeedError(8.0, 5.0, 1.5, 4.0),
     lateness_us=Percentiles(0.0, 0.0, 12.0),
     compute_us=Percentiles(20.0, 30.0, 45.0),
     digest="00",
     torque_rms_nm=0.5,
     step_response=StepResponse(120.0, 8.0, 40.0),
-    losses_in_a_row=3,
+    reading_losses_in_a_row=3,
     position_error=PositionError(0.3, 0.2, 0.4),
 )
 VALUES = {
@@ -97,7 +100,7 @@ def test_json_has_the_promised_keys() -> None:
     assert list(found) == [
         "cycles",
         "dropouts",
-        "delay_us",
+        "reading_delay_us",
         "speed_error",
         "bus_load_percent",
         "realtime_factor",
@@ -110,11 +113,15 @@ def test_json_has_the_promised_keys() -> None:
         "drives",
         "torque_rms_nm",
         "step_response",
-        "losses_in_a_row",
+        "action_delay_us",
+        "action_delay_least_us",
+        "reading_losses_in_a_row",
+        "command_losses_in_a_row",
+        "command_losses_in_a_row_least",
         "position_error",
     ]
     assert list(found["dropouts"]) == ["lost", "late", "stale", "missed"]
-    assert list(found["delay_us"]) == list(found["lateness_us"]) == ["p50", "p99", "max"]
+    assert list(found["reading_delay_us"]) == list(found["lateness_us"]) == ["p50", "p99", "max"]
     assert list(found["speed_error"]) == ["peak_rad_s", "peak_percent", "rms_rad_s", "after_load_percent"]
 
 
@@ -124,9 +131,9 @@ def test_what_ended_before_its_run_has_the_same_keys_and_measured_nothing() -> N
     assert from_plain(Summary, json.loads(json.dumps(summary.as_json()))) == summary
     assert (summary.verdict.exit_status, summary.verdict.reason) == (2, "no such file")
     nothing = Percentiles(None, None, None)
-    assert (summary.delay_us, summary.lateness_us, summary.compute_us) == (nothing, nothing, nothing)
+    assert (summary.reading_delay_us, summary.lateness_us, summary.compute_us) == (nothing, nothing, nothing)
     assert summary.speed_error == SpeedError(None, None, None, None)
-    assert (summary.cycles, summary.dropouts.total, summary.losses_in_a_row) == (0, 0, 0)
+    assert (summary.cycles, summary.dropouts.total, summary.reading_losses_in_a_row) == (0, 0, 0)
     assert summary.dropouts == DropoutCounts(0, 0, 0, 0)
     assert (summary.bus_load_percent, summary.realtime_factor, summary.seed) == (None, None, None)
     assert (summary.recording, summary.digest, summary.drives) == ("", "", ())
@@ -139,9 +146,9 @@ def test_what_is_found_after_the_end_is_in_the_verdict_and_nothing_else_changes(
 
 
 def test_losses_in_a_row_are_those_that_were_counted() -> None:
-    us = FIGURES.delay_us
-    bare = Figures(0, 0, 0, FIGURES.dropouts, us, FIGURES.speed_error, us, us, "")
-    assert (bare.losses_in_a_row, bare.dropouts_percent, bare.missed_percent) == (0, None, None)
+    us = FIGURES.reading_delay_us
+    bare = Figures(0, 0, 0, FIGURES.dropouts, us, us, us, FIGURES.speed_error, us, us, "")
+    assert (bare.reading_losses_in_a_row, bare.dropouts_percent, bare.missed_percent) == (0, None, None)
     (check,) = summarise(bare, whole_outcome(0), VerdictLimits(losses_in_a_row_max=0.0), "", 1).verdict.limits
     assert check.value is None, "without a row none was counted"
 
@@ -225,7 +232,7 @@ def test_the_page_tells_result_limits_and_notes(plan: RecordingPlan) -> None:
     page = verdict_markdown(plan, summary_with())
     assert page.startswith("# synthetic · NOT PASSED")
     assert "- not passed: **delay_p99_us_max = 800, found 900**" in page
-    assert "| delay p99 [us] | 900 | 800 | **BROKEN** |" in page
+    assert "| delay of readings, p99 [us] | 900 | 800 | **BROKEN** |" in page
     assert "| dropouts [%] | 4 | 10 | kept |" in page
     assert "| dropouts | 8 of 400 (2.0 %) |\n| | 3 lost, 2 late, 1 stale, 2 missed |" in page
     assert "controller `pid`" in page
@@ -237,5 +244,5 @@ def test_the_page_tells_result_limits_and_notes(plan: RecordingPlan) -> None:
     )
     cells = [row.split("|")[2].strip() for row in verdict_markdown(plan, long).splitlines() if "|" in row]
     assert max(map(len, cells)) <= 60, "a cell shows one line, and cuts off what is longer"
-    assert "| delay p99 [us] | 900 | 5 | not measured |" in verdict_markdown(plan, dead)
+    assert "| delay of readings, p99 [us] | 900 | 5 | not measured |" in verdict_markdown(plan, dead)
     assert verdict_markdown(plan, None).startswith("# synthetic · running")

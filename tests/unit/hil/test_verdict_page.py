@@ -51,7 +51,7 @@ def test_the_figures_so_far() -> None:
     figures = replace(
         FIGURES,
         dropouts=DropoutCounts(3, 2, 1, 4),
-        delay_us=Percentiles(400.0, 900.0, 1500.4),
+        reading_delay_us=Percentiles(400.0, 900.0, 1500.4),
         lateness_us=Percentiles(None, None, None),
         speed_error=SpeedError(8.0, None, 1.5, 4.0),
         step_response=StepResponse(120.0, 8.26, 40.0),
@@ -62,10 +62,11 @@ def test_the_figures_so_far() -> None:
         f"# synthetic · running\n\n{ORIGIN}\n\n"
         "| figure so far | value |\n|:--|:--|\n"
         "| cycles | 200 |\n"
-        "| delay p50 / p99 / max | 400 / 900 / 1500 us |\n"
+        "| delay of readings p50 / p99 / max | 400 / 900 / 1500 us |\n"
+        "| delay to actuation p50 / p99 / max | none / none / none us |\n"
         f"{lateness}\n"
         "| dropouts | 3 lost, 2 late, 1 stale, 4 missed |\n"
-        "| dropouts in a row | 3 |\n"
+        "| lost in a row | 3 readings, commands not measured |\n"
         "| speed error, peak | not measured |\n"
         "| overshoot | 8.3 % |\n"
         "| settling | 120.0 ms |\n"
@@ -108,11 +109,11 @@ def test_a_long_text_goes_on_in_the_next_row() -> None:
     [
         (
             Check("delay_p99_us_max", 901.23, 900.0, LimitResult.BROKEN, "left", 1_234_567_890),
-            "| delay p99 [us] | 901.2 | 900 | **BROKEN** | left at 1.235 s |",
+            "| delay of readings, p99 [us] | 901.2 | 900 | **BROKEN** | left at 1.235 s |",
         ),
         (
             Check("delay_p99_us_max", 0.1, 900.5, LimitResult.KEPT),
-            "| delay p99 [us] | 0.1 | 900.5 | kept |  |",
+            "| delay of readings, p99 [us] | 0.1 | 900.5 | kept |  |",
         ),
     ],
 )
@@ -125,8 +126,8 @@ def test_each_limit_has_a_row_with_its_worst_place(check: Check, row: str) -> No
 
 
 CERTIFICATE: Final = {
-    "delay_us": {"certified": 1000.0, "seen": 912.345},
-    "losses_in_a_row": {"certified": None, "seen": 2},
+    "action_delay_us": {"certified": 1000.0, "seen": 912.345},
+    "losses_together": {"certified": None, "seen": 2},
     "gain_rad_s_nm": {"certified": 8.0, "seen": 6.0, "seen_at_most": 7.5},
     "current_bandwidth_hz": {"certified": None, "drive": 1000.0},
 }
@@ -136,8 +137,8 @@ def test_certificates_are_told_beside_what_was_seen() -> None:
     page = verdict_markdown(PLAN, replace(summary_with(), certificates={"axis1": CERTIFICATE}))
     table = (
         "| certificate | certified | seen |\n|:--|--:|--:|\n"
-        "| delay [us] | 1000 | 912.3 |\n"
-        "| losses in a row | not known | 2 |\n"
+        "| delay to actuation [us] | 1000 | 912.3 |\n"
+        "| lost in a row, together | not known | 2 |\n"
         "| gain [rad/s per N m] | 8 | 6 to 7.5 |\n\n"
         "| figure | value |\n"
     )
@@ -157,7 +158,7 @@ def test_of_several_axes_each_certificate_has_its_name(certified: tuple[float, f
         for line in verdict_markdown(PLAN, replace(summary_with(), certificates=both)).splitlines()
         if line.startswith(("| left", "| right"))
     ]
-    seen = [" delay [us] | 1000 | 912.3 |", " losses in a row | not known | 2 |"]
+    seen = [" delay to actuation [us] | 1000 | 912.3 |", " lost in a row, together | not known | 2 |"]
     seen.append(" gain [rad/s per N m] | 8 | 6 to 7.5 |")
     assert rows == [
         *[f"| left:{row}" for row in seen],
@@ -179,7 +180,7 @@ def test_a_load_machine_s_steps_are_told_asked_and_measured() -> None:
 
 def test_times_and_shares_that_nobody_measured_are_told_so() -> None:
     nothing = Percentiles(None, None, None)
-    rows = rows_of_page(delay_us=nothing, bus_load_percent=None, realtime_factor=38.25)
-    assert "| delay p50 / p99 / max | none / none / none us |" in rows
+    rows = rows_of_page(reading_delay_us=nothing, bus_load_percent=None, realtime_factor=38.25)
+    assert "| delay of readings p50 / p99 / max | none / none / none us |" in rows
     assert "| bus load | not measured |" in rows
     assert "| times real time | 38.2 |" in rows
