@@ -4,7 +4,7 @@
 commissioned, if with steps left out or failed in ``without``.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from drivers.canopen.data_types import DataType
@@ -36,6 +36,8 @@ class Trait(NamedTuple):
     """A commissioning that sets it right, or finds a way round, may do the drive all the same."""
     finds: str = ""
     """The faults that the drive has by it, as a pattern: every other one is invented."""
+    faults: Mapping[str, Sequence[Mapping[str, object]]] = {}
+    """What no sheet can say of it, as tables of a fault plan."""
 
 
 def _lacks(*indices: int) -> Callable[[MadeSheet], None]:
@@ -191,6 +193,16 @@ def _node_32(sheet: MadeSheet) -> None:
     sheet.set(0x1014, default="0xA0")
 
 
+def _as_it_is(_sheet: MadeSheet) -> None:
+    """What is odd shows at the drive alone."""
+
+
+def _refuses(abort: int, sub: int, *bases: int) -> Mapping[str, Sequence[Mapping[str, object]]]:
+    """A write of that sub-index of each mapping is refused."""
+    places = [f"{index:04X}:{sub}" for base in bases for index in range(base, base + 4)]
+    return {"refused_mapping": [{"parameter": place, "abort": abort} for place in places]}
+
+
 _NO_TORQUE: Final = frozenset({"torque_constant", "voltage_constant", "response", "suggest", "verify"})
 _NO_CURRENT: Final = frozenset({"torque_constant"})
 """6078h finds no place beside the rest."""
@@ -318,4 +330,19 @@ TRAITS: Final[dict[str, Trait]] = {
     ),
     "no event timers": Trait(_no_event_timers),
     "a second axis": Trait(_second_axis),
+    "TPDO mappings refused at sub 1": Trait(
+        _as_it_is, without=_NO_CURRENT, faults=_refuses(0x06040041, 1, 0x1A00)
+    ),
+    "mappings refused at sub 1": Trait(
+        _as_it_is, without=_NO_CURRENT, faults=_refuses(0x06040041, 1, 0x1600, 0x1A00)
+    ),
+    "mappings refused at sub 0": Trait(
+        _as_it_is, without=_NO_CURRENT, faults=_refuses(0x08000022, 0, 0x1600, 0x1A00)
+    ),
+    "6078h refused in a mapping": Trait(
+        _as_it_is, without=_NO_CURRENT, faults={"refused_mapping": [{"mapped": "6078"}]}
+    ),
+    "EMCY 2310h again and again": Trait(
+        _as_it_is, faults={"repeated_emergency": [{"code": 0x2310, "at_s": 0.5, "period_ms": 10.0}]}
+    ),
 }

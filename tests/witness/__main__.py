@@ -77,6 +77,8 @@ SINGLES: Final = (
     "one TPDO",
     "no event timers",
     "a second axis",
+    "mappings refused at sub 1",
+    "EMCY 2310h again and again",
 )
 
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock
 from hil.configuration.motor_file import LING2012
 from hil.configuration.toml_text import toml_text
+from tests.rehearsals.rehearsal import fault_options
 from tests.witness.frames import Access, Frame, NodeListener
 from tests.witness.lateness import lateness
 from tests.witness.witness import Described, Key, Witness, described
@@ -102,7 +103,8 @@ def tried(sheet: Path, folder: Path, hub: str) -> Case:
     began = clock.now()
     case = Case(sheet, described(sheet), _ended(["eds", str(sheet), "--json"], folder / "eds"))
     bus = ["--bus", f"hub:{hub}"]
-    with Witness(hub, NODE) as witness, _simulated([*bus, "--node", str(NODE), "--eds", str(sheet)], folder):
+    drive = [*bus, "--node", str(NODE), "--eds", str(sheet), *fault_options(folder)]
+    with Witness(hub, NODE) as witness, _simulated(drive, folder):
         observed = _Observed(case, witness, folder)
         plate: dict[str, Any] = nameplate_of(LING2012.parameters)
         options: list[str] = []

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
+from tests.rehearsals.rehearsal import went_on
 from tests.witness.allowed import MAKERS, Documented
 from tests.witness.case import Case, Ended, mode_to_run
 from tests.witness.frames import Access
@@ -125,7 +126,7 @@ def _contradictions(case: Case) -> Iterator[Complaint]:
         yield from ((eds, text) for text in _other_modes(case))
     if run is None:
         return
-    runs = run.status == 0
+    runs = run.status == 0 or went_on(run.figures)
     if commissioned and mode_to_run(eds) and not runs:
         yield run, f"commissioned, hil run leaves with {run.status}: {run.reason}"
     if runs and not mode_to_run(eds):
