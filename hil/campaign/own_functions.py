@@ -10,6 +10,7 @@ from typing import Any, Final, TypeVar
 from drivers.errors import BadInput, BenchError
 from hil.campaign.sweep_file import Own
 from hil.control.own_code import FAILURES, OwnCodeFailed, object_of, source_of, told
+from hil.machine.held_process import held_process
 
 EXPECTED: Final = "a function, as MODULE:NAME or FILE.py:NAME beside the sweep file"
 T = TypeVar("T")
@@ -51,7 +52,8 @@ class OwnFunctions:
         except FAILURES as error:
             raise BadInput(self._source, f"own.{key}", name, EXPECTED, told(error)) from error
         try:
-            return call(function)
+            with held_process():
+                return call(function)
         except BenchError:
             raise
         except FAILURES as error:

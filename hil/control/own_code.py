@@ -29,12 +29,13 @@ from hil.control.setup import Setup
 from hil.loop.axis_roles import Compensator, Controller
 from hil.loop.context import CHANNELS_MAX, Context, SetPoint
 from hil.loop.samples import Sample, StateEstimate
+from hil.machine.held_process import LeftProcess, enter_call, held_process, leave_call
 
 OBJECT_PATTERN: Final = r"^([A-Za-z_][\w.]*|.+\.py):[A-Za-z_]\w*$"
 """MODULE:NAME or FILE.py:NAME."""
 DIGEST_BYTES: Final = 16
 """128 bits: of 2^64 files two are alike by chance."""
-FAILURES: Final = (Exception, SystemExit, GeneratorExit)
+FAILURES: Final = (Exception, SystemExit, GeneratorExit, LeftProcess)
 """What code of one's own may raise where Ctrl-C is still an exception: all but that. SystemExit would end the
 process with a status of its own, 0 among them."""
 _FILES: Final = "controller file "
@@ -87,7 +88,8 @@ def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Set
         raise BadInput(setup.source, f"{key}.object", name, expected)
     try:
         maker: Any = named
-        made: Role = maker(setup, **parameters)
+        with held_process():
+            made: Role = maker(setup, **parameters)
     except FAILURES as error:
         takes = f"what {name} takes beside the setup"
         raise BadInput(setup.source, f"{key}.parameters", dict(parameters), takes, told(error)) from error
@@ -96,7 +98,8 @@ def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Set
 
 def object_of(name: str) -> Any:
     """What ``name`` says, as :data:`OBJECT_PATTERN` has it; runs its module. Raises whatever that raises."""
-    return getattr(_module_of(name), name.rpartition(":")[2])
+    with held_process():
+        return getattr(_module_of(name), name.rpartition(":")[2])
 
 
 class _FromSource(SourceFileLoader):
@@ -191,6 +194,7 @@ class _Guard:
     @contextmanager
     def watching(self) -> Iterator[None]:
         """A call of the object. Raises OwnCodeFailed."""
+        enter_call()
         try:
             _WATCHDOG.begin(self._patience_s)
             yield
@@ -204,6 +208,7 @@ class _Guard:
             raise OwnCodeFailed(f"{self._what} failed: {self._line_of(error)}: {told(error)}") from error
         finally:
             _WATCHDOG.end()
+            leave_call()
 
     def refuse(self, method: str, answer: object, expected: str) -> None:
         """Raises OwnCodeFailed: what ``method`` returned is of no use."""

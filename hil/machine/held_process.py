@@ -1,0 +1,68 @@
+"""Code of the user's stays inside the call that was made of it, in the process that made the call.
+
+``os._exit(0)`` there would end pytest, a campaign's worker or a run with the status of a success; another
+program in this one's place would, too; and a copy that ``os.fork`` has left would come back a second time and
+command the same drives. Native code is left to the parent process (:mod:`hil.terminal.supervision`).
+"""
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+COPY_STATUS: Final = 70
+"""Of a copy that would have come back; nobody waits for it but the code that forked it."""
+
+
+class LeftProcess(BaseException):
+    """The user's code would have ended this process. No Exception: code that catches those goes on."""
+
+
+class _Calls(threading.local):
+    """Of one thread."""
+
+    depth = 0
+    process = 0
+
+
+_CALLS: Final = _Calls()
+
+
+def enter_call() -> None:
+    """A call of the user's code begins in this thread."""
+    if not _CALLS.depth:
+        _CALLS.process = os.getpid()
+    _CALLS.depth += 1
+
+
+def leave_call() -> None:
+    """It has come back; in a copy of the process it does not."""
+    _CALLS.depth -= 1
+    if os.getpid() != _CALLS.process:
+        os._exit(COPY_STATUS)
+
+
+@contextmanager
+def held_process() -> Iterator[None]:
+    """A call of the user's code. It raises LeftProcess instead of ending the process."""
+    enter_call()
+    try:
+        yield
+    finally:
+        leave_call()
+
+
+def _refusing(name: str) -> Callable[..., Any]:
+    leave = getattr(os, name)
+
+    def refuse(*arguments: Any) -> Any:
+        if _CALLS.depth and os.getpid() == _CALLS.process:
+            raise LeftProcess(f"os.{name}({', '.join(map(repr, arguments[:1]))})")
+        return leave(*arguments)
+
+    return refuse
+
+
+for _name in ("_exit", "execv", "execve"):  # all others of the family call one of these
+    setattr(os, _name, _refusing(_name))
