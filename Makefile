@@ -22,7 +22,8 @@
 #                    most SECONDS drawn ones anywhere; the tests must see them
 #   make pictures    draw every page of runs of every kind, for at most SECONDS, into build/pictures, and look in
 #                    the pixels for what has to be there
-#   make exits       end and hold up each process of a run in each of its phases, for at most SECONDS
+#   make exits       end and hold up each process of a run in each of its phases, then have code of the user's end
+#                    its command in every way, for at most SECONDS each
 #   make bench       print the benchmarks' figures
 #   make compile     compile what has changed of the hot modules; test and bench do it by themselves
 #   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command leaves them unused)
@@ -159,6 +160,7 @@ pictures: $(TOOLS) compile
 
 exits: $(TOOLS) compile
 	@$(BIN)/python -m tests.exits --seconds $(SECONDS)
+	@$(BIN)/python -m tests.exits.misuse --runs 10000 --seconds $(SECONDS)
 
 # What the benchmarks compare with has an environment of its own, and nothing else needs it.
 $(PEERS)/.installed: requirements-bench.lock | $(BIN)/python

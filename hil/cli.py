@@ -23,6 +23,7 @@ import typer
 
 from drivers.compiled import notice, use_fresh
 from drivers.errors import BadInput
+from hil.machine.parent_process import messages, tell_parent
 from hil.terminal import analyse_speed, design_speed
 from hil.terminal.adapter import adapter
 from hil.terminal.campaign import campaign
@@ -39,6 +40,7 @@ from hil.terminal.fault import fault
 from hil.terminal.init import init
 from hil.terminal.measure import measure
 from hil.terminal.motor import motor
+from hil.terminal.output import say
 from hil.terminal.picture import picture
 from hil.terminal.recover import recover
 from hil.terminal.reproduce import azaiz2007, ling2012
@@ -48,11 +50,14 @@ from hil.terminal.runs import runs
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
 from hil.terminal.stop import stop
+from hil.terminal.supervision import is_supervised, supervised
 from hil.terminal.trace import trace
 from hil.terminal.view import missing_display, view
 
 if TYPE_CHECKING:
     from hil.configuration.config import BenchConfig
+    from hil.recording.run_recorder import RunRecorder
+    from hil.rows.recording_plan import RecordingPlan
 
 app = typer.Typer(
     name="hil",
@@ -155,7 +160,7 @@ def run(asked: RunOptions) -> None:
         if asked.no_record and (asked.record is not None or asked.live):
             raise BadInput("--no-record", "", True, "neither --record nor --view beside it")
         if asked.live and missing_display():
-            typer.echo("hil: note: --view: no display here; the recording is kept, see hil view", err=True)
+            say("hil: note: --view: no display here; the recording is kept, see hil view")
         config = _bench_to_run(asked)
 
         from hil.configuration.quantities import odd_values
@@ -163,12 +168,15 @@ def run(asked: RunOptions) -> None:
 
         doubts = Certificates(config.as_run(asked.bus or config.bus.spec, asked.seed)).doubts()
         for note in (*odd_values(config), *doubts):
-            typer.echo(f"hil: note: {note}", err=True)
+            say(f"hil: note: {note}")
 
         from hil.execution.bench import run_bench
         from hil.machine.progress import TerminalProgress
 
-        progress = TerminalProgress(sys.stderr, config.bench.duration_s)
+        nodes = [drive.node for drive in config.drive.values()]
+        tell_parent(bus=asked.bus or config.bus.spec, bitrate=config.bus.bitrate_bit_s, nodes=nodes)
+
+        progress = TerminalProgress(messages(), config.bench.duration_s)
         try:
             summary = run_bench(
                 config,
@@ -181,6 +189,7 @@ def run(asked: RunOptions) -> None:
                 progress=progress,
                 network=asked.network,
                 allow_uncertified=asked.allow_uncertified,
+                recording=_recorder,
                 concluded=run_object.concluded,
             )
         finally:
@@ -191,6 +200,15 @@ def run(asked: RunOptions) -> None:
 
             print_run(config, summary, bus_spec=asked.bus)
         raise typer.Exit(summary.verdict.exit_status)
+
+
+def _recorder(plan: "RecordingPlan") -> "RunRecorder":
+    from hil.recording.recorder import Recorder, recorder_of
+
+    recorder = recorder_of(plan)
+    if plan.folder is not None and isinstance(recorder, Recorder):
+        tell_parent(recording=str(plan.folder.absolute()), logger=recorder.logger_process_id)
+    return recorder
 
 
 def _bench_to_run(asked: RunOptions) -> "BenchConfig":
@@ -221,9 +239,16 @@ add_commands(app, doctor)
 
 def main() -> None:
     """Entry point of the command ``hil``."""
-    if said := notice(use_fresh()):
-        typer.echo(f"hil: note: {said}", err=True)
-    app()
+    note, arguments = notice(use_fresh()), sys.argv[1:]
+
+    def command() -> None:
+        if note:
+            say(f"hil: note: {note}")
+        app()
+
+    if is_supervised(arguments):
+        sys.exit(supervised(command, arguments))
+    command()
 
 
 if __name__ == "__main__":

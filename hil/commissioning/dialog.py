@@ -5,7 +5,6 @@ While an answer is awaited the bench goes on: heartbeats are sent and stop signa
 
 import os
 import select
-import sys
 import termios
 import tty
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ from contextlib import contextmanager, suppress
 from enum import Enum
 from typing import IO, Any
 
+from hil.machine.parent_process import messages
 from hil.machine.stopping import StopRequest
 
 Idle = Callable[[], None]
@@ -133,4 +133,4 @@ def _terminal(source: IO[Any] | None) -> int:
 def say(text: str) -> None:
     """On stderr; a reader that is gone is no reason to leave a drive as it is."""
     with suppress(OSError):
-        print(text, file=sys.stderr, flush=True)
+        print(text, file=messages(), flush=True)

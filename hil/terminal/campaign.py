@@ -1,16 +1,16 @@
 """``hil campaign``: thousands of runs, what they tell, and one of them again."""
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.core import TyperGroup
 
+from hil.machine.parent_process import messages, results
 from hil.terminal.commands import add_commands
 from hil.terminal.options import JsonOption, flag, valued
-from hil.terminal.output import columns, say, say_written
+from hil.terminal.output import columns, echo, say, say_written
 from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
@@ -130,11 +130,11 @@ def replay(
     done = Campaign.load(folder).replay(number, record)
     summary = done.summary
     if as_json:
-        typer.echo(json.dumps(summary.as_json(), allow_nan=False))
+        echo(json.dumps(summary.as_json(), allow_nan=False))
     else:
-        typer.echo(f"run {number}: {summary.verdict.outcome}; digest {summary.digest}, as in the campaign")
+        echo(f"run {number}: {summary.verdict.outcome}; digest {summary.digest}, as in the campaign")
         for text in done.findings or ():
-            typer.echo(f"found: {text}")
+            echo(f"found: {text}")
         say_written(Path(summary.recording))
     raise typer.Exit(summary.verdict.exit_status)
 
@@ -148,7 +148,7 @@ class _ProgressLine:
     def __init__(self) -> None:
         self._percent = -1
         self._last: CampaignProgress | None = None
-        self._on_terminal = sys.stderr.isatty()
+        self._on_terminal = messages().isatty()
 
     def show(self, at: "CampaignProgress") -> None:
         self._last = at
@@ -161,13 +161,13 @@ class _ProgressLine:
             f"{_duration(at.left_s)} left at most"
         )
         if self._on_terminal:
-            print(f"\r{text:<78}", end="", file=sys.stderr, flush=True)
+            print(f"\r{text:<78}", end="", file=messages(), flush=True)
         else:
             say(text)
 
     def end(self) -> None:
         if self._last is not None and self._on_terminal:
-            print(file=sys.stderr, flush=True)
+            print(file=messages(), flush=True)
         if self._last is not None:
             say(f"{self._last.runs_per_s:.1f} runs a second")
 
@@ -183,7 +183,7 @@ def _print(done: "Campaign", as_json: bool) -> None:
 
     figures = figures_of(done)
     if as_json:
-        typer.echo(json.dumps(figures, allow_nan=False))
+        echo(json.dumps(figures, allow_nan=False))
         return
     from rich.console import Console
 
@@ -193,16 +193,14 @@ def _print(done: "Campaign", as_json: bool) -> None:
         shown = "-" if rate is None else f"{100 * rate:.2f} %"
         counts = (str(point[name]) for name in ("runs", "passed"))
         table.add_row(point["point"] or "all", *counts, shown, f"{100 * low:.2f} to {100 * high:.2f} %")
-    Console(width=110, soft_wrap=True).print(table)
-    typer.echo(f"{figures['passed']} of {figures['runs']} runs passed, {figures['planned']} were planned")
+    Console(width=110, soft_wrap=True, file=results()).print(table)
+    echo(f"{figures['passed']} of {figures['runs']} runs passed, {figures['planned']} were planned")
     if "failure" in figures:
-        typer.echo(failure_line(figures["failure"]))
+        echo(failure_line(figures["failure"]))
     if done.plan.own.checks:
-        typer.echo(f"the check found something in {len(done.found)} runs")
+        echo(f"the check found something in {len(done.found)} runs")
     for line in done.found_lines()[:FOUND_SHOWN]:
-        typer.echo(line)
+        echo(line)
     for title, each in figures["certificate"].get("runs", {}).items():
-        typer.echo(f"certificate {title}: {each} runs")
-    typer.echo(
-        f"intervals of {100 * figures['confidence']:g} %, {figures['interval']}; campaign {done.folder}"
-    )
+        echo(f"certificate {title}: {each} runs")
+    echo(f"intervals of {100 * figures['confidence']:g} %, {figures['interval']}; campaign {done.folder}")

@@ -1,6 +1,5 @@
 """What the process tells its caller, and how an error becomes that."""
 
-import sys
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,6 +8,8 @@ import typer
 
 from drivers.errors import BenchError
 from drivers.printable import printable
+from hil.machine.parent_process import messages, tell_parent
+from hil.terminal.output import say
 from hil.verdict.verdict import ExitStatus
 
 
@@ -21,16 +22,20 @@ def reported_errors(conclude: Callable[[int, str], int] = lambda status, _text: 
     try:
         yield
     except BenchError as error:
-        print(error_text(error), file=sys.stderr)
+        say(error_text(error))
+        tell_parent(error=str(error))
         raise typer.Exit(conclude(error.exit_status, str(error))) from None
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        say("interrupted")
+        tell_parent(error="interrupted")
         raise typer.Exit(conclude(ExitStatus.INTERRUPTED, "interrupted")) from None
     except (typer.Exit, typer.Abort, typer.BadParameter):
         raise
     except (Exception, SystemExit, GeneratorExit) as error:  # noqa: BLE001 - top of the process: a defect, or code of the user's that calls sys.exit(), must not leave with the status of a verdict
-        traceback.print_exc()
-        raise typer.Exit(conclude(ExitStatus.DEFECT, f"{type(error).__name__}: {error}")) from None
+        traceback.print_exc(file=messages())
+        text = f"{type(error).__name__}: {error}"
+        tell_parent(error=text)
+        raise typer.Exit(conclude(ExitStatus.DEFECT, text)) from None
 
 
 def error_text(error: BenchError) -> str:

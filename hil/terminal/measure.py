@@ -1,6 +1,5 @@
 """``hil measure``: what a network does to a cycle, stage by stage."""
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import BadInput
+from hil.machine.parent_process import messages
 from hil.terminal.options import (
     EVERY_STREAM,
     BitrateOption,
@@ -104,7 +104,7 @@ def _measured(request: "MeasureRequest") -> "Measured":
     from hil.machine.progress import TerminalProgress
     from hil.measuring.measure import run_measurement
 
-    progress = TerminalProgress(sys.stderr, request.cycles * request.period_us * 1e-6)
+    progress = TerminalProgress(messages(), request.cycles * request.period_us * 1e-6)
     try:
         return run_measurement(request, lambda text: say(f"hil: {text}"), progress)
     finally:

@@ -5,6 +5,7 @@ from rich.table import Table
 from rich.text import Text
 
 from design.confidence import CONFIDENCE, share_within_largest
+from hil.machine.parent_process import results
 from hil.measuring.figures import Measured, MeasuredDrive
 from hil.measuring.loss_model import Losses, LossModel
 from hil.measuring.stages import WAYS, Stage
@@ -17,7 +18,7 @@ RUNS_SHOWN = 8
 
 def print_measured(measured: Measured) -> None:
     """Stages, losses and clocks of every drive, and how sure they are."""
-    console = Console(highlight=False)
+    console = Console(highlight=False, file=results())
     request = measured.request
     state = "enabled" if request.enable else "disabled"
     console.print(

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
+from hil.machine.parent_process import messages, results
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -17,7 +19,7 @@ T = TypeVar("T", bound="dict[str, Any]")
 def put(figures: T, as_json: bool, show: Callable[[T], None]) -> None:
     """``figures`` as one JSON object, or as ``show`` prints them."""
     if as_json:
-        typer.echo(json.dumps(figures, allow_nan=False))
+        echo(json.dumps(figures, allow_nan=False))
     else:
         show(figures)
 
@@ -29,20 +31,25 @@ def write_line(text: str) -> None:
         sys.stdout.flush()
 
 
+def echo(text: str) -> None:
+    """A line of a command's results, on stdout."""
+    typer.echo(text, file=results())
+
+
 def say(text: str) -> None:
     """On stderr, at once."""
-    print(text, file=sys.stderr, flush=True)
+    print(text, file=messages(), flush=True)
 
 
 def on_terminal(text: str) -> None:
     """On stderr, if somebody looks on: what is being done."""
-    if sys.stderr.isatty():
+    if messages().isatty():
         say(text)
 
 
 def say_written(path: Path) -> None:
     """Which file there is now, on stderr."""
-    typer.echo(f"written {path}", err=True)
+    say(f"written {path}")
 
 
 def columns(*titles: str, right: tuple[str, ...] = (), **options: Any) -> "Table":
@@ -77,15 +84,15 @@ def print_figures(
     text = text or figure_text
     for key, value in figures.items():
         if isinstance(value, dict):
-            typer.echo(f"{indent}{key}")
+            echo(f"{indent}{key}")
             print_figures(value, indent + "  ", text=text, width=width, gap=gap)
         elif isinstance(value, list) and value and isinstance(value[0], dict):
-            typer.echo(f"{indent}{key}")
+            echo(f"{indent}{key}")
             for item in value:
-                typer.echo(f"{indent}  " + gap.join(f"{name} {text(part)}" for name, part in item.items()))
+                echo(f"{indent}  " + gap.join(f"{name} {text(part)}" for name, part in item.items()))
         else:
             shown = "  ".join(map(text, value)) if isinstance(value, list) else text(value)
-            typer.echo(f"{indent}{key:<{width}} {shown}")
+            echo(f"{indent}{key:<{width}} {shown}")
 
 
 def figure_text(value: Any) -> str:

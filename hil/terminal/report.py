@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.configuration.config import BenchConfig
+from hil.machine.parent_process import results
 from hil.terminal.output import columns, titled
 from hil.verdict.summary import Percentiles, Summary, metric_title
 from hil.verdict.summary_text import certificate_lines, loss_text, timing_lines
@@ -36,7 +37,7 @@ def print_run(
     console: Console | None = None,
 ) -> None:
     """One screen: what was run, how well it went, the verdict, and where the recording is."""
-    console = console or Console(highlight=False)
+    console = console or Console(highlight=False, file=results())
     panel = Panel(
         Group(_figures(config, summary, bus_spec), Text(), _verdict_table(summary), *_notes(summary)),
         title=Text(f"{config.bench.name}: {verdict_title(summary.verdict)}", style="bold"),

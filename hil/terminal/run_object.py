@@ -7,6 +7,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
+from hil.machine.parent_process import results, tell_parent
 from hil.verdict.summary import Summary, summary_without_run
 from hil.verdict.verdict import ExitStatus, Finding, outcome_of_status
 
@@ -24,6 +25,7 @@ class RunObject:
     def concluded(self, summary: Summary) -> None:
         """The run has ended, and this came of it."""
         self._summary = summary
+        self._tell(summary)
 
     def failed(self, status: int, text: str) -> int:
         """The command leaves with an error: print what came of the run, if there was one.
@@ -41,8 +43,13 @@ class RunObject:
 
     def print(self, summary: Summary) -> None:
         """Print it, if it was asked for."""
+        self._tell(summary)
         if self._as_json:
-            typer.echo(json.dumps(summary.as_json(), allow_nan=False))
+            typer.echo(json.dumps(summary.as_json(), allow_nan=False), file=results())
+
+    def _tell(self, summary: Summary) -> None:
+        status, digest = summary.verdict.exit_status, summary.digest
+        tell_parent(concluded={"status": status, "digest": digest, "recording": summary.recording})
 
 
 def not_begun(status: int, text: str) -> None:

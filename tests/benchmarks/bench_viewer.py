@@ -25,7 +25,7 @@ import numpy as np
 import pyarrow as pa
 
 from drivers.timebase import NS_PER_S, NS_PER_US, Instant, MonotonicClock
-from tests.scenario.processes import EXAMPLES, hub_name, logger_of, simulated_drive, start_run
+from tests.scenario.processes import EXAMPLES, hub_name, logger_of, loop_of, simulated_drive, start_run
 from virtual_bus.child_python import python_command, python_environment
 
 CASES = ("none", "gone", "follows", "slow", "stopped")
@@ -80,11 +80,11 @@ def _run(bench: Path, case: str, folder: Path) -> Figures:
     process = start_run(bench, hub_name("viewer"), folder, *options)
     while not (folder / "frames.log").exists():
         _sleep(0.05)
-    logger = logger_of(process.pid)
+    loop, logger = loop_of(process.pid), logger_of(process.pid)
     with _viewer(case, logger):
-        before, began = _cpu_s(process.pid), CLOCK.now()
+        before, began = _cpu_s(loop), CLOCK.now()
         _sleep(SECONDS - 4.0)
-        percent = 100.0 * (_cpu_s(process.pid) - before) / ((CLOCK.now() - began) / NS_PER_S)
+        percent = 100.0 * (_cpu_s(loop) - before) / ((CLOCK.now() - began) / NS_PER_S)
         resident = _resident_mb(logger)
         told = process.communicate()[1]
     if "stopped" not in told:

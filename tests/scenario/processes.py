@@ -80,11 +80,14 @@ def start_run(bench: Path, bus: str, folder: Path, *options: str) -> subprocess.
 
 
 def in_background(
-    command: Sequence[str], stdin: int | None = None, stdout: int = subprocess.PIPE
+    command: Sequence[str],
+    stdin: int | None = None,
+    stdout: int = subprocess.PIPE,
+    stderr: int = subprocess.PIPE,
 ) -> subprocess.Popen[str]:
     """A command whose outputs are read by the test; it ends with the test."""
     process = subprocess.Popen(
-        command, stdin=stdin, stdout=stdout, stderr=subprocess.PIPE, text=True, env=quiet_environment()
+        command, stdin=stdin, stdout=stdout, stderr=stderr, text=True, env=quiet_environment()
     )
     _in_background.append(process)
     return process
@@ -107,13 +110,28 @@ def on_disk_of(size: str, disk: Path, kept: Path, command: Sequence[str]) -> lis
     return ["unshare", "-rm", "sh", "-c", _ON_DISK, "sh", size, str(disk), str(kept), *command]
 
 
-def logger_of(process_id: int) -> int:
-    """The process that records a run."""
-    for task in Path(f"/proc/{process_id}/task").iterdir():
-        for child in (task / "children").read_text().split():
-            if b"hil.recording.logger" in Path(f"/proc/{child}/cmdline").read_bytes():
-                return int(child)
+def loop_of(command: int) -> int:
+    """The process of a command's loop, whose parent is the command; waits until it is there."""
+    clock = MonotonicClock()
+    limit = clock.now() + round(START_LIMIT_S * NS_PER_S)
+    while not (children := _children(command)):
+        assert clock.now() < limit, "the command has no child"
+        clock.sleep_until(Instant(clock.now() + NS_PER_MS))
+    return children[0]
+
+
+def logger_of(command: int) -> int:
+    """The process that records a run; ``command``: it, or its loop."""
+    for child in _children(command):
+        for process in (child, *_children(child)):
+            if b"hil.recording.logger" in Path(f"/proc/{process}/cmdline").read_bytes():
+                return process
     raise AssertionError("no logger runs")
+
+
+def _children(process_id: int) -> list[int]:
+    tasks = Path(f"/proc/{process_id}/task").iterdir()
+    return [int(child) for task in tasks for child in (task / "children").read_text().split()]
 
 
 def broker_of(bus: str) -> int:

@@ -32,7 +32,7 @@ from hil.restoring.journal import JournaledNetwork
 from hil.write_lists import COMMISSION
 from tests.commissioning import WrappedStep
 from tests.motors import LING
-from tests.scenario.processes import hub_name, in_background
+from tests.scenario.processes import hub_name, in_background, loop_of
 from tests.scenario.test_commissioning_exits import TIMEOUT_MS, command, witness
 from virtual_bus.drive.lacks import take_away
 from virtual_bus.drive.motor_kernel import S_SPEED
@@ -248,15 +248,15 @@ def test_a_process_that_is_stopped_at_a_prompt_and_while_the_shaft_turns(tmp_pat
             process = in_background(words, terminal, subprocess.DEVNULL)
             somebody = Somebody(process, keyboard)
             somebody.go_on_until("Direction")
-            process.send_signal(signal.SIGSTOP)
+            os.kill(loop_of(process.pid), signal.SIGSTOP)
             watching.network.pump(Instant(watching.now() + 2 * TIMEOUT_MS * 1_000_000))
-            process.send_signal(signal.SIGCONT)
+            os.kill(loop_of(process.pid), signal.SIGCONT)
             os.write(keyboard, b"\n")
             watching.until_turning()
             at = watching.now()
-            process.send_signal(signal.SIGSTOP)
+            os.kill(loop_of(process.pid), signal.SIGSTOP)
             watching.time_to_rest(at, 1e-3 * TIMEOUT_MS + 2.0, asking=True)
-            process.send_signal(signal.SIGCONT)
+            os.kill(loop_of(process.pid), signal.SIGCONT)
             somebody.answer("failed: the host stood still", "r")
             somebody.answer("Velocity against position", "q")
             process.communicate(timeout=30)

@@ -10,7 +10,7 @@ import pytest
 from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_S
 from hil.pytest_plugin import StartDrive
-from tests.scenario.processes import broker_of, changed_bench, long_bench, observer, start_run
+from tests.scenario.processes import broker_of, changed_bench, long_bench, loop_of, observer, start_run
 
 pytestmark = [pytest.mark.servo_bus("hub"), pytest.mark.xdist_group("real time")]
 
@@ -82,11 +82,12 @@ def test_a_stopped_controller_is_a_lost_host_too(
         process = start_run(long_bench(tmp_path), servo_bus, tmp_path / "run")
         watching.until_turning(TURNING_RAD_S)
         at = watching.now()
-        process.send_signal(signal.SIGSTOP)
+        loop = loop_of(process.pid)
+        os.kill(loop, signal.SIGSTOP)
         try:
             watching.time_to_rest(at, HEARTBEAT_TIMEOUT_S + QUICK_STOP_S + MARGIN_S)
         finally:
-            process.send_signal(signal.SIGCONT)
+            os.kill(loop, signal.SIGCONT)
         _, said = process.communicate(timeout=20)
         assert process.returncode == 3, said
         assert watching.state() is not State.OPERATION_ENABLED

@@ -1,12 +1,13 @@
 """A host that stands still across the end of its run: what it did not see cannot have passed."""
 
 import json
+import os
 import signal
 from pathlib import Path
 
 import pytest
 
-from tests.scenario.processes import changed_bench, hub_name, observer, simulated_drive, start_run
+from tests.scenario.processes import changed_bench, hub_name, loop_of, observer, simulated_drive, start_run
 from tests.stillness import Untrue
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -26,10 +27,11 @@ def test_a_host_stopped_across_the_end_never_passes(tmp_path: Path) -> None:
         process = start_run(bench, bus, tmp_path / "run")
         watching.until_turning(50.0)  # rad/s: 0.44 s after the run began
         watching.wait(DURATION_S - 0.44 - LEFT_S)
-        process.send_signal(signal.SIGSTOP)
+        loop = loop_of(process.pid)
+        os.kill(loop, signal.SIGSTOP)
         watching.wait(STOPPED_S)
         speed_rad_s = watching.velocity_rad_s()
-        process.send_signal(signal.SIGCONT)
+        os.kill(loop, signal.SIGCONT)
         out, said = process.communicate(timeout=60)
     assert abs(speed_rad_s) < 1.0, "the drive stopped itself"
     told = json.loads(out)

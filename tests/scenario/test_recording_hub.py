@@ -18,6 +18,7 @@ from tests.scenario.processes import (
     changed_bench,
     logger_of,
     long_bench,
+    loop_of,
     observer,
     start_run,
     summary_of,
@@ -106,7 +107,7 @@ def test_the_loop_and_its_logger_stay_small(
     with observer(servo_bus) as watching:
         process = start_run(long_bench(tmp_path), servo_bus, tmp_path / "run")
         watching.until_turning(TURNING_RAD_S)
-        resident = [resident_kb(process.pid), resident_kb(logger_of(process.pid))]
+        resident = [resident_kb(loop_of(process.pid)), resident_kb(logger_of(process.pid))]
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=60)
     with capsys.disabled():

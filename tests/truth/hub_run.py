@@ -16,7 +16,7 @@ from hil.rows.records import ROW_DTYPE
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.testing.hosted import DriveProcess
 from hil.testing.wire import pdo_plans
-from tests.scenario.processes import RUN_TIMEOUT_S, start_run
+from tests.scenario.processes import RUN_TIMEOUT_S, loop_of, start_run
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.hub_listener import heard, listening
 from tests.truth.hub_truth import Spacings, hub_truth, sync_spacings
@@ -65,7 +65,7 @@ def run_beside_a_listener(
         try:
             process = start_run(bench, f"hub:{hub}", folder / "run")
             broker = int(HubPlace(hub).alive.read_text())
-            with stalling(stalls, [process.pid, drives.pid, broker]):
+            with stalling(stalls, [loop_of(process.pid), drives.pid, broker]):
                 out, said = process.communicate(timeout=RUN_TIMEOUT_S + config.bench.duration_s)
         finally:
             drives.stop()

@@ -24,6 +24,7 @@ from hil.verdict.verdict import ExitStatus, Finding, VerdictKind
 from tests.unit.hil.test_report import summary
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
+HOOKS = ("progress", "recording", "concluded")
 BENCH = str(EXAMPLES / "ling2012.toml")
 
 
@@ -114,7 +115,9 @@ def test_options_reach_the_bench(bench: Bench) -> None:
     )
     assert bench.config is not None
     assert bench.config.bench.name == "ling2012"
-    asked = {key: value for key, value in bench.asked.items() if key not in ("progress", "concluded")}
+    asked = {
+        key: value for key, value in bench.asked.items() if key not in ("progress", "recording", "concluded")
+    }
     expected = {"bus_spec": "hub:a", "time": "real", "seed": 7, "record": Path("r"), "view": True}
     expected |= {"network": Path("n.toml"), "allow_uncertified": True, "keep": True}
     assert asked == expected
@@ -122,7 +125,9 @@ def test_options_reach_the_bench(bench: Bench) -> None:
 
 def test_without_options_the_file_decides(bench: Bench) -> None:
     hil("run", BENCH)
-    asked = {key: value for key, value in bench.asked.items() if key not in ("progress", "concluded")}
+    asked = {
+        key: value for key, value in bench.asked.items() if key not in ("progress", "recording", "concluded")
+    }
     expected = {"bus_spec": None, "time": None, "seed": None, "record": None, "view": False}
     assert asked == expected | {"network": None, "allow_uncertified": False, "keep": True}
 

@@ -1,0 +1,131 @@
+"""The thin parent of a command: whatever becomes of the command's process, this one ends as documented.
+
+hil            forks before anything heavy is imported, hands signals on, passes text to the terminal, and
+               leaves with the status that the command told it. A status of 0 needs a proof
+  the command  loop, drives and the user's code
+    logger ... the command's own processes
+
+A command that ends without a result (``os._exit(0)``, a crash, another program in its place) has its drives
+stopped, its recording finished and its object printed by :mod:`hil.terminal.taken_over`.
+"""
+
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NoReturn
+
+from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
+from hil.machine.parent_process import Pipes, Terminals, live_under, messages
+from hil.machine.stopping import STOP_SIGNALS
+from hil.terminal.relay import Relay, write_all
+from hil.terminal.taken_over import Ended, concluded, lost
+from hil.verdict.verdict import ExitStatus
+
+SUPERVISED: Final = ("run", "campaign", "measure", "commission")
+"""Commands that move drives in a loop, or execute the user's code."""
+_FORWARDED: Final = {*STOP_SIGNALS, signal.SIGQUIT}
+_FROM_KERNEL: Final = 0x80
+"""SI_KERNEL of <asm-generic/siginfo.h>: a key of the terminal, which its whole foreground group has heard."""
+_GRACE: Final = Duration(2 * NS_PER_S)
+"""From its result until the command has ended: threads that the user's code left would keep it for ever."""
+_DYING: Final = Duration(NS_PER_S // 2)
+"""From the end of what it tells until its own: a core that is written, memory that is given back."""
+
+
+def is_supervised(arguments: Sequence[str]) -> bool:
+    """Whether a command line is one of :data:`SUPERVISED`, and no question for its help."""
+    return len(arguments) > 1 and arguments[0] in SUPERVISED and "--help" not in arguments
+
+
+def supervised(work: Callable[[], None], arguments: Sequence[str]) -> int:
+    """Run ``work``, which leaves by SystemExit, in a child process; the status to leave with."""
+    _open_standard_descriptors()
+    pipes = [os.pipe() for _ in Pipes._fields]
+    terminals = Terminals(os.isatty(1), os.isatty(2))
+    watched: set[int] = {*_FORWARDED, signal.SIGCHLD}
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, watched)
+    parent, child = os.getpid(), os.fork()
+    mine = 0 if child else 1
+    for ends in pipes:
+        os.close(ends[1 - mine])
+    own = Pipes(*(ends[mine] for ends in pipes))
+    if not child:
+        _work(work, own, terminals, parent, before)
+    relay = Relay(own, threading.get_ident())
+    ended = _watch(child, relay, watched)
+    return _leave(relay, ended, arguments)
+
+
+def _open_standard_descriptors() -> None:
+    """Those that the caller has closed lead nowhere: else a pipe of ours would get their numbers."""
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(descriptor, True)
+    os.close(descriptor)
+
+
+def _work(
+    work: Callable[[], None], pipes: Pipes, terminals: Terminals, parent: int, before: set[int]
+) -> NoReturn:
+    """In the child. It ends as a program does: code of the user's may have asked to be called then."""
+    if terminals.stdout and "COLUMNS" not in os.environ:
+        os.environ["COLUMNS"] = str(os.get_terminal_size(1).columns)
+    living = live_under(pipes, terminals, parent)
+    signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    status: Any = 0
+    try:
+        work()
+    except SystemExit as leaving:
+        status = 0 if leaving.code is None else leaving.code
+    except KeyboardInterrupt:
+        status = ExitStatus.INTERRUPTED
+    except BaseException:  # noqa: BLE001 - top of the process
+        traceback.print_exc(file=messages())
+        status = ExitStatus.DEFECT
+    living.tell_result(status if isinstance(status, int) else ExitStatus.FAILED)
+    raise SystemExit(status)
+
+
+def _watch(child: int, relay: Relay, watched: set[int]) -> Ended:
+    """Until the child is gone, or is no program of ours any more."""
+    clock = MonotonicClock()
+    limit: Instant | None = None
+    killed = False
+    while True:
+        seen = signal.sigtimedwait(watched, 0.2 if limit is not None else 3600.0)
+        if seen is not None and seen.si_signo in _FORWARDED:
+            # the leader of a session hears alone that its terminal is gone
+            if seen.si_code != _FROM_KERNEL or seen.si_signo == signal.SIGHUP:
+                os.kill(child, seen.si_signo)
+            continue
+        gone, status = os.waitpid(child, os.WNOHANG)
+        if gone:
+            returncode = os.waitstatus_to_exitcode(status)
+            return Ended(returncode, killed and returncode == -signal.SIGKILL)
+        if limit is None and (relay.result is not None or relay.told_ended):
+            patience = _GRACE if relay.result is not None else _DYING
+            limit = Instant(clock.now() + patience)
+        if limit is not None and clock.now() >= limit:
+            os.kill(child, signal.SIGKILL)
+            killed, limit = True, Instant(clock.now() + _GRACE)
+
+
+def _leave(relay: Relay, ended: Ended, arguments: Sequence[str]) -> int:
+    """Print what there is to print; the status to leave with."""
+    relay.finish()
+    if relay.result is None:
+        status, text = lost(relay.known, ended, arguments, relay.say)
+    else:
+        status, text = concluded(relay.known, relay.result, arguments, relay.say)
+    relay.settle()
+    try:
+        write_all(1, text.encode(sys.stdout.encoding if sys.stdout else "utf-8", "backslashreplace"))
+    except OSError as error:
+        relay.say(f"hil: error: stdout: {error.strerror}")
+        if status in (ExitStatus.PASSED, ExitStatus.FAILED, ExitStatus.INCOMPLETE):
+            status = ExitStatus.NOT_RECORDED
+    relay.drain()
+    return status

@@ -1,0 +1,162 @@
+"""What a parent (:mod:`hil.terminal.supervision`) does in a command's stead, and before it believes one."""
+
+import json
+import os
+import select
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from hil.machine.stopping import STOP_SIGNALS
+from hil.rows.run_files import SUMMARY_FILE
+from hil.verdict.summary import Summary, summary_without_run
+from hil.verdict.verdict import ExitStatus, Finding, VerdictKind
+
+Say = Callable[[str], None]
+"""Takes a line for stderr."""
+Known = Mapping[str, Any]
+"""What the command told: :func:`hil.machine.parent_process.tell_parent`."""
+_LOGGER_S: Final = 120.0
+"""As long as a run waits for its logger."""
+
+
+class Ended(NamedTuple):
+    """How the process of a command ended."""
+
+    returncode: int
+    """-N by signal N."""
+    by_parent: bool
+    """It had closed what it tells its parent by, and was killed."""
+
+    @property
+    def interrupted(self) -> bool:
+        """Somebody asked for its end."""
+        return -self.returncode in STOP_SIGNALS
+
+    def __str__(self) -> str:
+        if self.by_parent:
+            return "became another program, or closed all its files"
+        if self.returncode < 0:
+            return f"was ended by {signal.Signals(-self.returncode).name}"
+        return f"ended itself with status {self.returncode}"
+
+
+def concluded(known: Known, result: Mapping[str, Any], arguments: Sequence[str], say: Say) -> tuple[int, str]:
+    """Exit status and text for stdout of a command that told its ``result``. A run has passed if its summary,
+    read back, says so."""
+    status, text = result["status"], result["results"]
+    if status != ExitStatus.PASSED or arguments[0] != "run":
+        if not text and status and "--json" in arguments:
+            return status, _error_object(known.get("error", "see stderr"), status)
+        return status, text
+    doubt = _doubt(told := known.get("concluded"))
+    if not doubt:
+        return status, text
+    if told is not None and told["status"]:
+        return told["status"], text  # code of the user's has put something in the place of sys.exit
+    say(f"hil: error: {doubt}")
+    if "--json" in arguments:
+        from hil.verdict.plain_values import from_plain
+
+        text = _object(from_plain(Summary, json.loads(text)).also(Finding(VerdictKind.NOT_RECORDED, doubt)))
+    return ExitStatus.NOT_RECORDED, text
+
+
+def _doubt(told: Mapping[str, Any] | None) -> str:
+    """Why a run that leaves with 0 has not passed; empty: it has. The one place where the seal of a recording
+    stands between a run and its status."""
+    if told is None or told["status"] != ExitStatus.PASSED:
+        return "no summary says that the run passed"
+    if not told["recording"]:
+        return ""  # its figures and their digest never left its process
+    path = Path(told["recording"]) / SUMMARY_FILE
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        same = (stored["verdict"]["exit_status"], stored["digest"]) == (told["status"], told["digest"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        return f"{path} cannot be read back: {error}"
+    return "" if same else f"{path} is not what was written into it"
+
+
+def lost(known: Known, ended: Ended, arguments: Sequence[str], say: Say) -> tuple[int, str]:
+    """Exit status and text for stdout of a command that ended without a result: its drives are stopped, and
+    what its logger makes of the recording is waited for."""
+    text = f"the process of hil {arguments[0]} {ended}"
+    say(f"hil: error: {text}")
+    first = Finding(VerdictKind.INTERRUPTED if ended.interrupted else VerdictKind.CUT_SHORT, text)
+    findings = [*_stop_drives(known, say), first]
+    summary = _recorded(known)
+    if summary is None:
+        summary = summary_without_run(first.outcome, text)
+        findings.remove(first)
+        if folder := known.get("recording"):
+            findings.append(Finding(VerdictKind.NOT_RECORDED, f"there is no summary: hil recover {folder}"))
+    for finding in findings:
+        summary = summary.also(finding)
+    if advice := known.get("advice"):
+        say(f"hil: note: {advice}")
+    status = summary.verdict.exit_status
+    if "--json" not in arguments:
+        return status, ""
+    return status, _object(summary) if arguments[0] == "run" else _error_object(text, status)
+
+
+def _stop_drives(known: Known, say: Say) -> Iterator[Finding]:
+    """As ``hil stop`` does; what is not at rest afterwards."""
+    if "bus" not in known:
+        return
+    from drivers.errors import BenchError
+    from drivers.wire.adapters import parse_bus_spec
+    from hil.execution.world import drive_network
+    from hil.inspecting.stopping import stop_drives
+    from hil.write_lists import STOP
+
+    if parse_bus_spec(known["bus"], "--bus").simulated:
+        say("hil: note: its drives were simulated in that process, and ended with it")
+        return
+    try:
+        with drive_network(known["bus"], known["bitrate"], STOP) as network:
+            stopped = stop_drives(network, known["nodes"])
+    except BenchError as error:
+        yield Finding(VerdictKind.PEER_FAULT, f"the drives are not known to be at rest: {error}")
+        return
+    for each in stopped:
+        say(f"hil: node {each.node}: {each.text}")
+        if not each.at_rest:
+            yield Finding(VerdictKind.PEER_FAULT, f"node {each.node}: {each.text}")
+
+
+def _recorded(known: Known) -> Summary | None:
+    """By the logger, which outlives the loop."""
+    if not known.get("recording"):
+        return None
+    from drivers.errors import BadInput
+    from hil.recording.run_folder import read_summary
+
+    _await_end(known["logger"])
+    try:
+        return read_summary(Path(known["recording"]))
+    except BadInput:
+        return None
+
+
+def _await_end(process: int) -> None:
+    """Of a process that is no child of this one."""
+    try:
+        descriptor = os.pidfd_open(process)
+    except ProcessLookupError:
+        return
+    try:
+        select.select([descriptor], [], [], _LOGGER_S)
+    finally:
+        os.close(descriptor)
+
+
+def _object(summary: Summary) -> str:
+    return json.dumps(summary.as_json(), allow_nan=False) + "\n"
+
+
+def _error_object(text: str, status: int) -> str:
+    """Of a command whose object has no verdict."""
+    return json.dumps({"error": text, "exit_status": status}) + "\n"

@@ -1,0 +1,263 @@
+"""``python -m tests.exits.misuse --runs N --seed S``: commands whose user's code ends in every way.
+
+Each is a whole ``hil run``, forked from a process that has imported all of it, with a way to end, a hook in
+which it does, and streams to write to, drawn by its seed. Held against it: the status is a documented one; 0
+only where the controller itself counted every planned cycle, and nothing was done that ends a run; stdout,
+where it can be written, holds one object that says the same status, and nothing else.
+"""
+
+import argparse
+import gc
+import json
+import os
+import select
+import shutil
+import signal
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from random import Random
+from typing import Final, NamedTuple
+
+import hil
+from drivers.timebase import NS_PER_MS, NS_PER_S, MonotonicClock
+from hil import cli
+from hil.verdict.verdict import ExitStatus
+from tests.scenario.processes import BENCH
+
+CYCLES: Final = 60
+LIMIT_S: Final = 30.0
+"""Two seconds for threads that are left, and what shared cores take."""
+HOOKS: Final = ("__init__", "channels", "reset", "output", "update", "telemetry", "import")
+
+HARMLESS: Final = (
+    "pass",
+    "os.close(0)",
+    "os.close(1); os.close(2)",
+    "os.dup2(os.open('/dev/full', os.O_WRONLY), 1)",
+    "os.dup2(os.open('/dev/null', os.O_WRONLY), 2)",
+    "sys.stdout.close()",
+    "sys.stderr.close()",
+    "sys.stdout = sys.stderr = sys.stdin = None",
+    "sys.stdout = sys.__stdout__ = open(os.devnull, 'w')",
+    'print(\'{"verdict": {"exit_status": 0}}\', flush=True)',
+    "os.write(1, b'{}'); os.write(2, b'{}')",
+    "overflow()",
+    "left_thread()",
+    "held_pipes()",
+    "os.fork()",
+    "fork_and(lambda: print('twice'))",
+    "thread(lambda: sys.exit(1))",
+    "thread(lambda: 1 / 0)",
+    "atexit.register(os._exit, 3)",
+    "atexit.register(os.kill, os.getpid(), signal.SIGKILL)",
+    "signal.signal(signal.SIGCHLD, signal.SIG_IGN)",
+    "os.system('true')",
+    "os.environ.clear()",
+)
+"""After these the run goes on to its end, and has passed."""
+ENDING: Final = (
+    "sys.exit()",
+    "sys.exit(0)",
+    "raise SystemExit('0')",
+    "raise KeyboardInterrupt",
+    "raise GeneratorExit",
+    "raise BaseException",
+    "raise RuntimeError",
+    "raise StopIteration",
+    "1 / 0",
+    "os._exit(0)",
+    "os._exit(1)",
+    "os._exit(70)",
+    "os._exit(255)",
+    "thread(lambda: os._exit(0))",
+    "ctypes.CDLL(None)._exit(0)",
+    "ctypes.CDLL(None).exit(0)",
+    "ctypes.string_at(0)",
+    "ctypes.CDLL(None).abort()",
+    "os.abort()",
+    "os.kill(os.getpid(), signal.SIGKILL)",
+    "os.kill(os.getpid(), signal.SIGSEGV)",
+    "os.kill(os.getpid(), signal.SIGXCPU)",
+    "os.kill(os.getpid(), signal.SIGINT)",
+    "os.kill(os.getpid(), signal.SIGTERM)",
+    "os.kill(os.getpid(), signal.SIGHUP)",
+    "os.execv('/bin/true', ['true'])",
+    "os.execlp('sleep', 'sleep', '100')",
+    "thread(lambda: os.execv('/bin/true', ['true']))",
+    "thread(lambda: os.execv('/bin/sleep', ['sleep', '100']))",
+    "os.closerange(3, 300)",
+    "os.closerange(0, 300)",
+    "fork_and(lambda: 1 / 0)",
+    "fork_and(lambda: os._exit(0))",
+    "held_pipes(); os._exit(0)",
+    "held_pipes(); ctypes.CDLL(None)._exit(0)",
+    "left_thread(); raise SystemExit",
+    "left_thread(); ctypes.string_at(0)",
+    "atexit.register(os._exit, 0); raise SystemExit",
+    "atexit.register(os._exit, 0); 1 / 0",
+    "sys.stdout = sys.stderr = None; os._exit(0)",
+    "os.close(1); os.close(2); raise RuntimeError",
+    "setattr(sys, 'exit', lambda status=0: None); 1 / 0",
+    "sys.setrecursionlimit(60); sys.setrecursionlimit(8)",
+    "raise MemoryError",
+)
+"""After these no run has passed."""
+STREAMS: Final = ("file", "file", "file", "file", "closed", "/dev/full", "dead pipe")
+"""What stdout and stderr lead to, each by itself."""
+
+
+class Case(NamedTuple):
+    """One command."""
+
+    number: int
+    way: str
+    hook: str
+    stdout: str
+    stderr: str
+
+    @property
+    def harmless(self) -> bool:
+        """The run goes on to its end."""
+        return self.way in HARMLESS
+
+
+class Ended(NamedTuple):
+    """What came of it."""
+
+    status: int
+    """-N: by signal N."""
+    text: str
+    """On stdout, if that is a file."""
+    said: str
+    cycles: int
+    """That the controller counted."""
+    took_ms: float
+
+
+def drawn(number: int, seed: int) -> Case:
+    """The case of a number; all are there once before any is there again, in another order for each seed."""
+    random = Random(f"{seed} {number}")
+    ways = [*HARMLESS, *ENDING]
+    Random(f"{seed} {number // len(ways)}").shuffle(ways)
+    way = ways[number % len(ways)]
+    return Case(number, way, random.choice(HOOKS), random.choice(STREAMS), random.choice(STREAMS))
+
+
+def run_case(case: Case, folder: Path) -> Ended:
+    """Run it in a process of its own; its files go into ``folder``."""
+    bench, tally = folder / "bench.toml", folder / "tally"
+    out, said = folder / "stdout", folder / "stderr"
+    for left in (tally, out, said):
+        left.unlink(missing_ok=True)
+    bench.write_text(_bench(case, tally).config.resolved_text(), encoding="utf-8")
+    clock = MonotonicClock()
+    began = clock.now()
+    if not (process := os.fork()):
+        _become(case, bench, out, said)
+    status = _status(process)
+    text, told = (path.read_text(errors="replace") if path.exists() else "" for path in (out, said))
+    cycles = tally.stat().st_size if tally.exists() else 0
+    return Ended(status, text, told, cycles, (clock.now() - began) / NS_PER_MS)
+
+
+def _bench(case: Case, tally: Path) -> hil.Bench:
+    hooks = f"{Path(__file__).with_name('misused_hooks.py')}:Hooks"
+    parameters = {"where": case.hook, "way": case.way, "tally": str(tally)}
+    return hil.Bench.load(BENCH).changed(
+        {
+            "bench.duration_s": 0.01 * CYCLES,
+            "bus.spec": "simulated",
+            "drive.axis1.controller": {"kind": "python", "object": hooks, "parameters": parameters},
+            "reference.axis1": [{"at_s": 0.0, "kind": "ramp", "speed_rpm": 0.0, "over_s": 0.2}],
+            "load": {},
+            "verdict": {"dropouts_percent_max": 100.0},
+        }
+    )
+
+
+def _become(case: Case, bench: Path, out: Path, said: Path) -> None:
+    """``hil run`` with the streams of the case; leaves by SystemExit, as the command does."""
+    streams = ((1, case.stdout, _stream(case.stdout, out)), (2, case.stderr, _stream(case.stderr, said)))
+    for place, kind, stream in streams:
+        os.dup2(stream, place)
+        os.close(stream)
+        if kind == "closed":
+            os.close(place)
+    if case.hook == "import":
+        os.environ["HOOKS_AT_IMPORT"] = case.way
+    sys.argv = ["hil", "run", str(bench), "--no-record", "--json"]
+    cli.main()
+
+
+def _stream(kind: str, path: Path) -> int:
+    if kind == "dead pipe":
+        reading, writing = os.pipe()
+        os.close(reading)
+        return writing
+    return os.open(kind if kind.startswith("/") else path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+
+
+def _status(process: int) -> int:
+    watched = os.pidfd_open(process)
+    if not select.select([watched], [], [], LIMIT_S)[0]:
+        os.kill(process, signal.SIGKILL)
+    os.close(watched)
+    return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+
+
+def findings(case: Case, ended: Ended) -> Iterator[str]:
+    """What is not as it has to be."""
+    if ended.status not in set(ExitStatus) or ended.status == ExitStatus.DEFECT:
+        yield f"status {ended.status}"
+    if ended.status == ExitStatus.PASSED and (not case.harmless or ended.cycles < CYCLES):
+        yield f"passed, and the controller counted {ended.cycles} cycles"
+    writable = case.stdout == "file"
+    fair = (ExitStatus.PASSED,) if writable or case.stdout == "closed" else (ExitStatus.NOT_RECORDED,)
+    if case.harmless and ended.status not in fair:
+        yield f"status {ended.status}, and it was to pass"
+    if not writable:
+        return
+    try:
+        told = json.loads(ended.text)["verdict"]["exit_status"]
+    except (ValueError, KeyError, TypeError) as error:
+        yield f"no object on stdout: {error}"
+        return
+    if told != ended.status:
+        yield f"status {ended.status}, the object says {told}"
+
+
+def main() -> int:
+    """Run them, and print what was wrong, and how many there were of each status."""
+    parser = argparse.ArgumentParser(prog="python -m tests.exits.misuse", description=__doc__)
+    parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=1e6)
+    asked = parser.parse_args()
+    folder = Path(tempfile.mkdtemp())  # no context: a command that is forked in here leaves through it
+    hil.run(_bench(drawn(0, asked.seed)._replace(way="pass"), folder / "tally"))  # imports and compiles all
+    gc.freeze()  # else the end of each command would look through all of it
+    clock = MonotonicClock()
+    ends_at = clock.now() + asked.seconds * NS_PER_S
+    statuses: Counter[int] = Counter()
+    broken = 0
+    for number in range(asked.runs):
+        if clock.now() > ends_at:
+            break
+        case = drawn(number, asked.seed)
+        ended = run_case(case, folder)
+        statuses[ended.status] += 1
+        found = list(findings(case, ended))
+        broken += bool(found)
+        for text in found:
+            print(f"{case}: {text}; {ended.took_ms:.0f} ms; {ended.said[-300:]!r}", flush=True)
+    shutil.rmtree(folder)
+    counts = ", ".join(f"{count} with {status}" for status, count in sorted(statuses.items()))
+    print(f"{statuses.total()} commands ended: {counts}; {broken} of them wrongly")
+    return int(broken > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,81 @@
+"""Some of what ``make exits`` runs: the user's code ends in every way, and what is told of it."""
+
+import json
+import os
+import select
+import termios
+from pathlib import Path
+
+import pytest
+
+from tests.exits.misused_hooks import __file__ as hooks
+from tests.scenario.processes import (
+    changed_bench,
+    hub_name,
+    in_background,
+    observer,
+    run_command,
+    simulated_drive,
+    start_run,
+    summary_of,
+)
+from virtual_bus.child_python import python_command
+
+SEED, RUNS = 5, 15
+
+
+def with_hooks(bench: Path, where: str, way: str) -> Path:
+    """A bench file whose controller does ``way``."""
+    text = bench.read_text(encoding="utf-8")
+    head, _, rest = text.partition("[drive.axis1.controller]")
+    _, _, after = rest.partition("\n[")
+    parameters = f"{{where = {json.dumps(where)}, way = {json.dumps(way)}}}"
+    own = f'[drive.axis1.controller]\nkind = "python"\nobject = "{hooks}:Hooks"\nparameters = {parameters}\n'
+    bench.write_text(f"{head}{own}\n[{after}", encoding="utf-8")
+    return bench
+
+
+def test_whatever_the_user_s_code_does_the_command_ends_as_documented() -> None:
+    done = run_command(python_command("tests.exits.misuse", "--runs", str(RUNS), "--seed", str(SEED)))
+    assert done.returncode == 0, done.stdout
+    assert f"{RUNS} commands ended" in done.stdout
+
+
+@pytest.mark.xdist_group("real time")
+def test_a_command_that_is_gone_has_its_drive_stopped_and_its_recording_finished(tmp_path: Path) -> None:
+    bus = hub_name("gone")
+    bench = with_hooks(changed_bench(tmp_path), "output", "print('bye'); ctypes.CDLL(None)._exit(0)")
+    with simulated_drive(bus), observer(bus) as watching:
+        process = start_run(bench, bus, tmp_path / "run")
+        out, said = process.communicate(timeout=60)
+        assert watching.time_to_rest(watching.now(), 0.1) >= 0
+    assert process.returncode == 6, said
+    assert "hil: error: the process of hil run ended itself with status 0" in said
+    assert "hil: node 1: at rest and disabled" in said
+    assert "printed: bye\n" in said
+    assert (tmp_path / "run" / "printed.txt").read_text() == "bye\n"
+    told = json.loads(out)
+    assert told["verdict"]["exit_status"] == 6
+    assert told["digest"] == summary_of(tmp_path / "run")["digest"]
+
+
+def test_a_terminal_that_is_stopped_holds_no_run_up(tmp_path: Path) -> None:
+    """Ctrl-S, from its start until all is recorded; a controller that says more than the terminal takes."""
+    keyboard, terminal = os.openpty()
+    termios.tcflow(terminal, termios.TCOOFF)
+    try:
+        bench = with_hooks(changed_bench(tmp_path), "output", "overflow()")
+        command = ["run", str(bench), "--bus", "simulated", "--record", str(tmp_path / "run"), "--json"]
+        process = in_background(python_command("hil.cli", *command), stderr=terminal)
+        summary = summary_of(tmp_path / "run")
+        assert process.poll() is None, "somebody may want to read it"
+        termios.tcflow(terminal, termios.TCOON)
+        while process.poll() is None:
+            if select.select([keyboard], [], [], 0.1)[0]:
+                os.read(keyboard, 1 << 16)
+        out, _ = process.communicate(timeout=20)
+        assert json.loads(out) == summary
+        assert process.returncode == summary["verdict"]["exit_status"] != 70
+    finally:
+        os.close(keyboard)
+        os.close(terminal)
