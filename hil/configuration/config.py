@@ -133,6 +133,14 @@ class LoopConfig(Section):
     sync: Literal["own", "kernel", "foreign"] = "own"
     """Who makes the SYNC: this process at each tick, the bus's own cyclic sender on its behalf (SocketCAN's
     broadcast manager), or a drive or another master, whose SYNC the loop then follows."""
+    sync_watermark_us: float = Field(default=0.0, ge=0, le=1000)
+    """Each of this process's SYNCs is up to so much late of its tick, by a seed of its own, so that a shift
+    by whole periods shows; at most a tenth of a period is used."""
+
+    @property
+    def sync_watermark(self) -> Duration:
+        """By how much a SYNC may be late of its tick, ns."""
+        return Duration(min(round(self.sync_watermark_us * NS_PER_US), self.period // 10))
 
     @property
     def period(self) -> Duration:

@@ -119,7 +119,15 @@ def listen_for_syncs(
         segment: sync_log(network, sync_latency(config.bitrate_on(segment)), period)
         for segment, network in networks.items()
     }
-    return syncs, OwnSync(master, world.clock, period, list(syncs.values()), world.faults.host_stall)
+    own = OwnSync(
+        master,
+        world.clock,
+        period,
+        list(syncs.values()),
+        world.faults.host_stall,
+        config.loop.sync_watermark,
+    )
+    return syncs, own
 
 
 def masters(first: CanopenNetwork, world: World) -> tuple[dict[str | None, CanopenNetwork], Master]:

@@ -8,7 +8,7 @@ from typing import Final
 from drivers.errors import LimitExceeded
 from drivers.exchange import DemandChange, Drive, Reading
 from drivers.record import replaced
-from drivers.timebase import Duration, Instant, MonotonicClock
+from drivers.timebase import NS_PER_US, Duration, Instant, MonotonicClock
 from hil.loop.attribution import HELD_FOR, HELD_MAX
 from hil.loop.axis_roles import Compensator, Controller, LoadMachine
 from hil.loop.clock_map import STAMP_RESOLUTION
@@ -149,7 +149,11 @@ class Axis:
             self.parts.tell("its stamp stands still: its readings are placed by their order")
         if self._by_stamps and reading.device_time_ns is not None:
             self.by_stamp.learn(reading, mark)
-        else:
+            if COARSE_PARTS * self.by_stamp.resolution > self._period:
+                self._by_stamps = self.by_stamp.clock.ready = False
+                steps_us = self.by_stamp.resolution // NS_PER_US
+                self.parts.tell(f"its stamp advances by {steps_us} us: its readings are placed by their order")
+        if not self._by_stamps or reading.device_time_ns is None:
             self.by_order.learn(reading, mark)
         self.meter.learn(Duration(reading.received_at - mark.on_bus_at))
 
@@ -332,7 +336,7 @@ class Axis:
         clock = self.by_stamp.clock
         if clock.ready and not self.by_stamp.question.open:
             at = clock.place(change.device_time_ns)
-            self.commands.changed(change.demand_raw, at, Duration(clock.error_ns))
+            self.commands.changed(change.demand_raw, at, Duration(self.by_stamp.map_error_ns))
 
     def _hold_cycles(self) -> int:
         """How long a row waits, in cycles, for what may still become known of its reading."""

@@ -19,6 +19,9 @@ from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 
 STAMP_RESOLUTION: Final = Duration(NS_PER_US)
 """1013h counts whole microseconds, rounded down (CiA 301 7.5.2.16); makers differ."""
+STEP_SHOWS: Final = 50
+"""So small a part of a step shows that instants are on no common grid of that step, and stamps on it coarse:
+more than a clock of a microsecond hides, for the steps that matter."""
 _RATE_WALK: Final = 1e-11
 """How fast the rate of a quartz clock wanders, (ns/ns)^2 per s: 3 ppm in a second, faster than that of a
 clock being warmed, so that the filter never falls asleep."""
@@ -31,9 +34,7 @@ class ClockMap:
 
     def __init__(self, resolution: Duration = STAMP_RESOLUTION) -> None:
         """``resolution``: of a stamp, which is rounded down to a multiple of it."""
-        self._resolution = resolution
-        self._rounding_variance = resolution**2 / 12.0
-        """Of a value that is equally likely anywhere in a step, ns^2."""
+        self.set_resolution(resolution)
         self.ready = False
         """Whether at least one stamp with its SYNC has been seen."""
         self._device_ns = 0
@@ -44,6 +45,12 @@ class ClockMap:
         self._offset_var = 0.0
         self._cross = 0.0
         self._rate_var = 0.0
+
+    def set_resolution(self, resolution: Duration) -> None:
+        """Stamps from now on are rounded down to a multiple of ``resolution``."""
+        self.resolution = resolution
+        self._rounding_variance = resolution**2 / 12.0
+        """Of a value that is equally likely anywhere in a step, ns^2."""
 
     @property
     def drift_ppm(self) -> float:
@@ -68,7 +75,7 @@ class ClockMap:
     @property
     def error_ns(self) -> int:
         """Of a placed instant: the resolution of a stamp and four standard deviations of the line."""
-        return self._resolution + int(4.0 * math.sqrt(self._offset_var))
+        return self.resolution + int(4.0 * math.sqrt(self._offset_var))
 
     def place(self, device_ns: int) -> Instant:
         """The host's instant of a device stamp. Needs :attr:`ready`."""
@@ -117,3 +124,42 @@ class ClockMap:
         self.ready = False
         for device_ns, host_ns in pairs:
             self.observe(device_ns, host_ns, variance_ns2)
+
+    def move_to(self, pairs: Sequence[tuple[int, Instant]], variance_ns2: float) -> None:
+        """The clock was set, and runs as fast as before: the line goes through these (stamp, host instant)
+        pairs in order of their stamps."""
+        last_ns, last_at = pairs[-1]
+        moved = [(at - last_at) - (device - last_ns) * (1.0 + self._rate) for device, at in pairs]
+        self._device_ns, self._host_ns = last_ns, int(last_at)
+        self._part_ns = sum(moved) / len(moved)
+        span = float(last_ns - pairs[0][0])
+        self._cross = 0.0
+        self._offset_var = (self._rounding_variance + variance_ns2) / len(
+            pairs
+        ) + self._rate_var * span * span
+
+
+def residuals_of(pairs: Sequence[tuple[int, Instant]]) -> list[int]:
+    """By how much the straight line through all (stamp, host instant) pairs, by least squares, places each
+    stamp later than its host instant, ns."""
+    device_ns, host_ns = pairs[0]
+    xs = [float(device - device_ns) for device, _ in pairs]
+    ys = [float(host - host_ns) for _, host in pairs]
+    mean_x, mean_y = sum(xs) / len(xs), sum(ys) / len(ys)
+    spread = sum((x - mean_x) ** 2 for x in xs)
+    slope = sum((x - mean_x) * (y - mean_y) for x, y in zip(xs, ys, strict=True)) / spread if spread else 1.0
+    return [round(mean_y + slope * (x - mean_x) - y) for x, y in zip(xs, ys, strict=True)]
+
+
+def step_of(pairs: Sequence[tuple[int, Instant]]) -> int:
+    """By how much the stamps of (stamp, host instant) pairs advance at a time, ns; 0 if that does not show.
+
+    The greatest common divisor of their differences, unless the host instants have it too: stamps that
+    advance as they do, say by whole periods, may do so in steps of any size.
+    """
+    device_ns, host_ns = pairs[0]
+    step = math.gcd(*(device - device_ns for device, _ in pairs))
+    if step == 0:
+        return 0
+    off = max(abs((host - host_ns + step // 2) % step - step // 2) for _, host in pairs)
+    return step if off > step // STEP_SHOWS else 0

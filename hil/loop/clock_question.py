@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 
 from drivers.timebase import Duration, Instant
 from hil.loop.clock_map import ClockMap
+from hil.loop.residuals import Extremes, Residuals
 from hil.loop.syncs import SURPLUS, SyncLog, SyncMark
 
 STEP_COST: Final = 3
@@ -22,10 +23,11 @@ DELAY_COST: Final = 3
 LOSS_COST_MAX: Final = 2
 """and that readings were lost just then, one each up to this: a step and a change of delay are as rare as one
 another, while losses are common and come in bursts."""
+EXCLUDING: Final = 12.0
+"""A line is none if another is e^12, 160 000 times, likelier by how far the readings lie off it. So SYNCs
+that are not at equal distances tell which ones they are."""
 DRIFT_WITHIN: Final = 2e-3
 """Rates up to 2000 ppm off the old one are looked for among suspects."""
-DELAYS_WATCHED: Final = 256
-"""Readings of which the smallest and the largest delay stand for the present network."""
 
 
 class Suspect:
@@ -50,50 +52,28 @@ class Line(NamedTuple):
     """The SYNC of each."""
     steps: bool
     """Whether the clock was set."""
-
-
-class DelayWindow:
-    """Smallest and largest delay of the last readings."""
-
-    def __init__(self) -> None:
-        self.low = self.high = self._low = self._high = -1
-        self._count = self._seen = 0
-
-    def add(self, delay: int) -> None:
-        if self._count == 0:
-            self._low = self._high = delay
-        self._low, self._high = min(self._low, delay), max(self._high, delay)
-        if self.low < 0 or delay < self.low:
-            self.low = delay
-        self.high = max(self.high, delay)
-        self._count += 1
-        self._seen = min(self._seen + 1, DELAYS_WATCHED)
-        if self._count == DELAYS_WATCHED // 2:
-            self.low, self.high, self._count = self._low, self._high, 0
-
-    def spreads(self, over: int) -> bool:
-        """Whether they spread over so much or more."""
-        return self.high - self.low >= over
-
-    def slack(self) -> int:
-        """How far beyond what was seen the next delay of the same network may well lie.
-
-        Of n values drawn evenly the smallest is an (n+1)-th of their spread above the least possible one on
-        the average, and hardly ever four times that.
-        """
-        return 4 * (self.high - self.low) // max(self._seen, 1)
+    misfit: float
+    """Of how far they lie off it, the logarithm of how much likelier none would be."""
 
 
 class ClockQuestion:
     """What is known while the question is open, and the ways out of it."""
 
     def __init__(
-        self, syncs: SyncLog, clock: ClockMap, period: Duration, transit: Duration, match_ns: int
+        self,
+        syncs: SyncLog,
+        clock: ClockMap,
+        residuals: Residuals,
+        period: Duration,
+        transit: Duration,
+        match_ns: int,
     ) -> None:
-        """``transit``: shortest time of a reading's frame. ``match_ns``: how far a stamp may be off."""
+        """``transit``: shortest time of a reading's frame. ``match_ns``: how far a stamp may be off in any
+        case."""
         self.stamps: dict[int, int] = {}
         """Of each SYNC answered, by its number: the stamp."""
-        self.delays = DelayWindow()
+        self.delays = Extremes()
+        """From a SYNC to its reading."""
         self.revoked: list[tuple[SyncMark, int]] = []
         """Placements just before the question that it touches, and their stamps."""
         self.since = 0
@@ -103,22 +83,28 @@ class ClockQuestion:
         self._syncs = syncs
         self._clock = clock
         self._transit = transit
-        self._match_ns = match_ns
+        self.match_ns = match_ns
+        self._residuals = residuals
         self._half = period // 2
 
     def lines(self, last: list[Suspect]) -> list[Line]:
-        """Every way to place the last suspects on SYNCs, all of them on one line."""
+        """Every way to place the last suspects on SYNCs, all of them on one line, that is not so much less
+        likely than another by how far they lie off it."""
         received_at = last[0].received_at
+        match_ns, spread = self.match_ns, self._residuals.spread
+        if spread:
+            match_ns = max(match_ns, min(2 * match_ns + spread, self._half // 2))
         placements = []
         for mark in self._syncs.marks:
             on_bus_at = mark.on_bus_at
-            if on_bus_at is not None and on_bus_at <= received_at - self._transit + self._match_ns:
-                line = self._line(last, mark)
+            if on_bus_at is not None and on_bus_at <= received_at - self._transit + match_ns:
+                line = self._line(last, mark, match_ns)
                 if line is not None:
                     placements.append(line)
-        return placements
+        most = min((line.misfit for line in placements), default=0.0) + EXCLUDING
+        return [line for line in placements if line.misfit <= most]
 
-    def _line(self, last: list[Suspect], first: SyncMark) -> Line | None:
+    def _line(self, last: list[Suspect], first: SyncMark, match_ns: int) -> Line | None:
         """How they are placed if the first answers ``first``; None if they cannot be.
 
         Readings that seemed to come twice just before may have been the first after a step by whole periods.
@@ -130,6 +116,7 @@ class ClockQuestion:
         used: set[int] = set()
         smallest = -1
         drifted = 0
+        off = off_squared = 0.0
         for suspect in last:
             at = Instant(origin_at + drifted + round((suspect.device_ns - origin_ns) * rate))
             mark = self._syncs.nearest(at)
@@ -137,19 +124,18 @@ class ClockQuestion:
                 return None
             miss = mark.on_bus_at - at
             delay = suspect.received_at - mark.on_bus_at
-            if (
-                abs(miss) > self._match_ns + DRIFT_WITHIN * self._half
-                or delay < self._transit - self._match_ns
-            ):
+            if abs(miss) > self.match_ns + DRIFT_WITHIN * self._half or delay < self._transit - self.match_ns:
                 return None
             if self.stamps.get(mark.number, suspect.device_ns) != suspect.device_ns:
                 return None
             drifted += miss
+            off += drifted
+            off_squared += float(drifted) * drifted
             used.add(mark.number)
             marks.append(mark)
             smallest = delay if smallest < 0 else min(smallest, delay)
         unmoved_at = self._clock.place(origin_ns)
-        steps = abs(unmoved_at - origin_at) > self._match_ns + self._clock.error_ns
+        steps = abs(unmoved_at - origin_at) > match_ns + self._clock.error_ns
         if steps and self.revoked:
             unmoved = self._syncs.nearest(unmoved_at)
             if unmoved is not None and not self._agrees(used, first.number - unmoved.number):
@@ -161,9 +147,14 @@ class ClockQuestion:
             cost = min(lost + self.twice, LOSS_COST_MAX)
         change = abs(smallest - self.delays.low)
         if change > self._half + self.delays.slack():
-            # The smallest of many delays that spread is sooner believed than losses.
-            cost += DELAY_COST + (LOSS_COST_MAX + 1 if self.delays.spreads(self._half) else 0)
-        return Line(cost, change, tuple(marks), steps)
+            cost += DELAY_COST
+        misfit = (off_squared - off * off / len(last)) / (2.0 * self._variance_ns2)
+        return Line(cost, change, tuple(marks), steps, misfit)
+
+    @property
+    def _variance_ns2(self) -> float:
+        """Of a stamp from its SYNC."""
+        return self._residuals.change_ns**2 + self._clock.resolution**2 / 12.0
 
     def _agrees(self, used: set[int], moved: int) -> bool:
         """Whether the readings before the suspects can be placed as well, if the clock was set among them.

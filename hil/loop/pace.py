@@ -9,6 +9,7 @@ HeardSync     SYNC      |        |                  |  |     the grid follows th
 """
 
 from collections.abc import Callable, Sequence
+from random import Random
 from typing import Final
 
 from drivers.errors import NoAnswer, PeerFault
@@ -22,6 +23,11 @@ CALIBRATION_SYNCS: Final = 16
 """Enough for a first rate of the drive's clock to some 20 ppm, at stamps of 1 us."""
 CALIBRATION_SYNCS_MAX: Final = 4 * CALIBRATION_SYNCS
 """Where three of four SYNCs teach nothing, more of them will not help."""
+CALIBRATION_LATE: Final = 8
+"""By up to such a part of a period they are late: more than the coarsest stamp that says something advances
+at a time, and less than the period by which a settling bus exceeds the deadline."""
+CALIBRATION_SEED: Final = 35
+WATERMARK_SEED: Final = 53
 CALIBRATION_SPACINGS: Final = 32
 """Of SYNCs that are heard: jitter of half a period is 1.6 % of so many, less than what is refused."""
 PERIOD_ERROR_MAX: Final = 0.02
@@ -104,20 +110,29 @@ class OwnSync(Pace):
         period: Duration,
         syncs: Sequence[SyncLog],
         stall: Stall | None = None,
+        watermark: Duration = Duration(0),  # noqa: B008 - an int
     ) -> None:
-        """``syncs``: of each segment."""
+        """``syncs``: of each segment. ``watermark``: by up to so much each SYNC is late of its tick, drawn by
+        a seed of its own: SYNCs at equal distances look alike when shifted by whole periods."""
         super().__init__(network, clock, period, stall)
         self._syncs = tuple(syncs)
+        self._watermark = watermark
+        self._draw = Random(WATERMARK_SEED)
         self._due = self._woke_at = Instant(0)
 
     def calibrate(self, axes: Sequence[Axis], settle: Duration) -> list[bool]:
         """With SYNCs so far apart that each reading answers the last one; with more of them where something
-        stood still meanwhile."""
+        stood still meanwhile. Each is late by a part of a period, drawn by a seed: the stamps of SYNCs at
+        equal distances do not show by what steps they advance."""
         answered = [False] * len(axes)
+        draw = Random(CALIBRATION_SEED)
+        begins_at = self._clock.now()
         for number in range(1, CALIBRATION_SYNCS_MAX + 1):
-            sent_at = self._network.send_sync()
+            self._network.pump(Instant(begins_at + round(draw.random() * self._period / CALIBRATION_LATE)))
+            self._network.send_sync()
             self._note(SURPLUS)
-            self._network.pump(Instant(sent_at + settle))
+            begins_at = Instant(begins_at + settle)
+            self._network.pump(begins_at)
             _learn(axes, answered, [axis.parts.syncs.marks[-1] for axis in axes])
             if number >= CALIBRATION_SYNCS and min(axis.learned for axis in axes) >= CALIBRATION_SYNCS // 2:
                 break
@@ -142,8 +157,11 @@ class OwnSync(Pace):
         return Start(due, self._woke_at, self._may_hand_over(due))
 
     def sync(self, sequence: int, due: Instant, probe: bool) -> Instant:
-        if probe:
-            self._network.pump(Instant(due + self._period // 4))
+        late = self._period // 4 if probe else 0
+        if self._watermark:
+            late += round(self._draw.random() * self._watermark)
+        if late and self._clock.now() < due + late:
+            self._network.pump(Instant(due + late))
         at = self._network.send_sync()
         # the process may have been stopped just before
         skipped = ticks_passed(due, self._period, at)

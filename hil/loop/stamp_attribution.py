@@ -8,10 +8,11 @@ whose end on the bus lies there is the one it answers:
     lateness       0          0                     +              d4: the SYNC came late to the drive
 
 The bench sends no SYNC within half a period of another; so a stamp within a quarter of a period of one can be
-that one's only. *Lateness* is the stamp's instant minus that of the SYNC on the bus. It is never negative but
-for the errors of stamp and map; a positive one is what the SYNC took behind its echo, or, on a bus without
-echoes, what it waited in front of the bus. The smallest lateness counts as none: a constant delay of the SYNC
-behind its echo cannot be told from the offset of the clock.
+that one's only. How far stamps lie from their SYNCs is measured (:mod:`hil.loop.residuals`), and with it what
+counts as lying on one, and the bound of each sample. *Lateness* is the stamp's instant minus that of the SYNC
+on the bus, less the smallest one: what the SYNC took behind its echo, or, on a bus without echoes, what it
+waited in front of the bus. A constant delay of the SYNC behind its echo cannot be told from the offset of the
+clock.
 
 Where a stamp lies off all SYNCs, or on one that has another stamp, or where the delay leaves what it was by
 more than half a period, the drive's clock may have been set. While that is open, readings are marked
@@ -26,10 +27,11 @@ from typing import Final
 from drivers.exchange import Reading
 from drivers.timebase import NS_PER_US, Duration, Instant
 from hil.loop.attribution import Health, Question, Tell
-from hil.loop.clock_map import STAMP_RESOLUTION, ClockMap
-from hil.loop.clock_question import DELAYS_WATCHED, ClockQuestion, DelayWindow, Line, Suspect
+from hil.loop.clock_map import STAMP_RESOLUTION, ClockMap, residuals_of, step_of
+from hil.loop.clock_question import LOSS_COST_MAX, STEP_COST, ClockQuestion, Line, Suspect
+from hil.loop.residuals import Extremes, Residuals
 from hil.loop.samples import Sample
-from hil.loop.syncs import ECHO_ERROR, REMEMBERED, SURPLUS, SyncLog, SyncMark
+from hil.loop.syncs import ECHO_ERROR, REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
 MATCH_NS: Final = 3 * NS_PER_US
 """A stamp of 1 us so near to a SYNC is its own: a step of the stamp and two of rounding. A coarser one may be
@@ -43,8 +45,10 @@ REVOKED: Final = 12
 twelve in a row are one chance in four thousand."""
 SUSPECTS_MAX: Final = 48
 """After so many it is settled for the clock as it was."""
-LATE_KEPT: Final = 0.97
-"""Weight of the past in the mean change of lateness: it forgets within some thirty readings."""
+LEARNED_MIN: Final = 8
+"""Fewer than so many say little of how far residuals reach."""
+LEARNED_MAX: Final = 64
+"""Readings of a calibration that are remembered: as many as it has SYNCs at the most."""
 STAMPS_MAX: Final = 512
 """Stamps kept before those of forgotten SYNCs are dropped."""
 
@@ -73,13 +77,18 @@ class StampAttribution:
         self._transit = transit
         self._tell = tell
         echo_error = ECHO_ERROR[syncs.echoes]
-        self._match_ns = MATCH_NS + resolution - STAMP_RESOLUTION + echo_error
-        self._case = ClockQuestion(syncs, clock, period, transit, self._match_ns)
+        self._echo_error = echo_error
+        self.resolution = resolution
+        """Of a stamp: as told, or as its steps have shown while learning."""
+        self._match_ns = self._match_of(resolution)
+        self._echoes_late = syncs.echoes in STAMPED_LATE
         self._variance = float(echo_error) ** 2 / 9.0
-        self._late_ns = 0.0
-        self._lateness = 0
-        self._unanchored = 0
-        self._least_late = 0
+        self._residuals = Residuals(echo_error / 3.0)
+        self._case = ClockQuestion(syncs, clock, self._residuals, period, transit, self._match_ns)
+        self._learned: deque[tuple[int, Instant]] = deque(maxlen=LEARNED_MAX)
+        """Stamps and SYNCs of a calibration."""
+        self._handed: deque[tuple[int, Instant]] = deque(maxlen=LEARNED_MAX)
+        """Its stamps, and when their SYNCs were handed over, which no adapter stamps."""
         self._answered = 0
         """Number of the newest SYNC answered."""
         self._suspects: list[Suspect] = []
@@ -97,9 +106,28 @@ class StampAttribution:
         """Take a reading that can only answer the SYNC of ``mark``."""
         device_ns, on_bus_at = reading.device_time_ns, mark.on_bus_at
         if device_ns is not None and on_bus_at is not None:
+            residuals, learned = self._residuals, self._learned
             self.clock.observe(device_ns, on_bus_at, self._variance)
+            learned.append((device_ns, on_bus_at))
+            self._handed.append((device_ns, mark.handed_at))
+            if len(learned) >= LEARNED_MIN:
+                pairs = list(learned)
+                self._coarsen(step_of(self._handed))
+                residuals.learn(residuals_of(pairs), self._match_ns)
+                if residuals.spread:
+                    self.clock.start_anew(pairs, residuals.variance_ns2)
             self._answer(mark, device_ns)
             self._case.delays.add(reading.received_at - on_bus_at)
+
+    def _coarsen(self, step: int) -> None:
+        """Stamps advance by ``step`` at a time; one of a maker is known to be of that resolution at least."""
+        if step > self.resolution:
+            self.resolution = Duration(step)
+            self.clock.set_resolution(self.resolution)
+            self._match_ns = self._case.match_ns = self._match_of(self.resolution)
+
+    def _match_of(self, resolution: Duration) -> int:
+        return MATCH_NS + resolution - STAMP_RESOLUTION + self._echo_error
 
     def place(self, reading: Reading) -> Sample | None:
         device_ns = reading.device_time_ns
@@ -111,10 +139,9 @@ class StampAttribution:
         if mark is None or mark.on_bus_at is None:
             self.health.unmatched += 1
             return None
-        lateness = at - mark.on_bus_at
+        residual = at - mark.on_bus_at
         match_ns = self._match_ns + self.clock.error_ns
-        late_max = min(int(4.0 * self._late_ns), self._quarter)
-        fits = -match_ns <= lateness <= (match_ns if match_ns > late_max else late_max)
+        fits = self._fits(residual, match_ns)
         known = self._case.stamps.get(mark.number) if fits else None
         if known == device_ns:
             self.health.duplicates += 1
@@ -126,8 +153,18 @@ class StampAttribution:
                 self._exonerate_free()
                 self._acquit()
             self._case.twice = 0
-            return self._matched(reading, device_ns, mark, at, lateness, match_ns)
-        return self._suspect(reading, device_ns, mark if free else None, at, lateness, known is not None)
+            return self._matched(reading, device_ns, mark, residual, match_ns)
+        return self._suspect(reading, device_ns, mark if free else None, at, known is not None)
+
+    def _fits(self, residual: int, match_ns: int) -> bool:
+        """Whether a stamp lies on its SYNC: as near as others do, within a quarter of a period.
+
+        The map may have moved by a part of the spread since they came, so a little further is near too.
+        """
+        residuals = self._residuals
+        least = match_ns + residuals.spread // 4
+        most = max(match_ns, self._quarter)
+        return -min(least + residuals.early, most) <= residual <= min(least + residuals.late, most)
 
     def _usual(self, mark: SyncMark, delay: int) -> bool:
         """Whether a reading on a free SYNC raises no question, and answers the one that may be open."""
@@ -140,18 +177,23 @@ class StampAttribution:
         return mark.number > self._case.since and not self._early and delay < 4 * self._quarter
 
     def _matched(
-        self, reading: Reading, device_ns: int, mark: SyncMark, at: Instant, lateness: int, match_ns: int
+        self, reading: Reading, device_ns: int, mark: SyncMark, residual: int, match_ns: int
     ) -> Sample | None:
         health = self.health
         on_bus_at = mark.on_bus_at
         assert on_bus_at is not None
         self._answer(mark, device_ns)
+        residuals = self._residuals
+        lateness = max(0, residual - residuals.least) if residuals.spread else residual
         # A SYNC that was late by less than can be told moves the map by as much, so the bound is twice that.
-        sampled_at, error_ns = on_bus_at, 2 * match_ns
-        if lateness > match_ns:
+        sampled_at, error_ns = on_bus_at, 2 * match_ns + residuals.slack
+        if self._echoes_late:
+            # What is early and late cannot be told apart: either may be all of it.
+            error_ns += residuals.early + residuals.late
+        elif residuals.early or residuals.late or lateness > match_ns:
             # Late to the drive: the stamp knows better. Nothing but the SYNC itself excludes that it was not.
-            sampled_at, error_ns = at, lateness + match_ns
-        self._follow(device_ns, on_bus_at, lateness, match_ns)
+            sampled_at, error_ns = Instant(on_bus_at + lateness), lateness + match_ns + residuals.slack
+        self._follow(device_ns, on_bus_at, residual, match_ns)
         if mark.sequence == SURPLUS:
             health.unmatched += 1
             return None
@@ -180,26 +222,17 @@ class StampAttribution:
         if error_ns > health.error_ns_max:
             health.error_ns_max = error_ns
 
-    def _follow(self, device_ns: int, on_bus_at: Instant, lateness: int, match_ns: int) -> None:
-        """Let the map follow a SYNC that was not late; anchor it anew if none was for long."""
-        late = lateness > match_ns
-        self._note_lateness(lateness if late else 0)
-        if not late:
-            self.clock.observe(device_ns, on_bus_at, self._variance)
-            self._unanchored = 0
-            return
-        if self._unanchored == 0 or lateness < self._least_late:
-            self._least_late = lateness
-        self._unanchored += 1
-        if self._unanchored >= DELAYS_WATCHED:
-            self.clock.shift(-self._least_late)
-            self._unanchored = 0
+    def _follow(self, device_ns: int, on_bus_at: Instant, residual: int, match_ns: int) -> None:
+        """Let map and residuals follow a reading that lies on its SYNC."""
+        residuals = self._residuals
+        on_map = Instant(on_bus_at + residual - residuals.cut(residual, match_ns))
+        self.clock.observe(device_ns, on_map, max(self._variance, residuals.variance_ns2))
+        residuals.add(residual, match_ns)
 
-    def _note_lateness(self, lateness: int) -> None:
-        """Follow how much lateness changes from reading to reading; a clock that was set changes it once."""
-        change = abs(lateness - self._lateness)
-        self._lateness = lateness
-        self._late_ns = LATE_KEPT * self._late_ns + (1.0 - LATE_KEPT) * change
+    @property
+    def map_error_ns(self) -> int:
+        """How far an instant that the map places may be off, a delay that all SYNCs have aside."""
+        return self.clock.error_ns + self._residuals.spread
 
     # ---- clocks that were set -----------------------------------------------------------------------------
 
@@ -210,7 +243,9 @@ class StampAttribution:
         for suspect in self._suspects:
             at = self.clock.place(suspect.device_ns)
             mark = self._syncs.nearest(at)
-            if mark is not None and mark.on_bus_at is not None and abs(at - mark.on_bus_at) <= match_ns:
+            if mark is None or mark.on_bus_at is None:
+                continue
+            if self._fits(at - mark.on_bus_at, match_ns):
                 placed.append((suspect, mark))
         self.question.cleared = self._exonerate(placed)
 
@@ -218,11 +253,12 @@ class StampAttribution:
         """Suspects that had been placed where they are known to be now, and none beside them there, are
         certain after all; whether all are."""
         guesses = [suspect.guess for suspect in self._suspects]
+        match_ns = self._match_ns + self.clock.error_ns
         proved = 0
         for suspect, mark in placed:
             if suspect.guess == mark.sequence and guesses.count(suspect.guess) == 1:
                 self._answer(mark, suspect.device_ns)
-                self.question.amend(suspect.guess, True, 2 * (self._match_ns + self.clock.error_ns))
+                self.question.amend(suspect.guess, True, 2 * match_ns + self._residuals.spread)
                 proved += 1
         return proved == len(guesses)
 
@@ -231,10 +267,19 @@ class StampAttribution:
         for suspect in self._suspects:
             if suspect.second:
                 self.health.two_stamps += 1
+            else:
+                self._note_residual(suspect)
         for mark, stamp in self._case.revoked:
             self.question.withdraw(mark.sequence)
             self._case.stamps.setdefault(mark.number, stamp)
         self._close()
+
+    def _note_residual(self, suspect: Suspect) -> None:
+        """It lies off its SYNC though the clock is as it was: others may too."""
+        at = self.clock.place(suspect.device_ns)
+        mark = self._syncs.nearest(at)
+        if mark is not None and mark.on_bus_at is not None and abs(at - mark.on_bus_at) <= self._quarter:
+            self._residuals.add(at - mark.on_bus_at, self._match_ns + self.clock.error_ns)
 
     def _close(self) -> None:
         """The question is answered."""
@@ -250,7 +295,6 @@ class StampAttribution:
         device_ns: int,
         free: SyncMark | None,
         at: Instant,
-        lateness: int,
         second: bool,
     ) -> Sample | None:
         """A reading that puts the question, or came while it is open; ``free``: the SYNC it lies on."""
@@ -262,9 +306,9 @@ class StampAttribution:
             self._case.since = self._answered
             if self.spread:
                 self._revoke()
-        if free is None and lateness > 0:
-            self._note_lateness(min(lateness, self._quarter))
-        self._early = self._early or at > reading.received_at - self._transit + self._match_ns
+        self._early = (
+            self._early or at > reading.received_at - self._transit + self._match_ns + self._residuals.spread
+        )
         suspects.append(Suspect(device_ns, reading.received_at, second))
         self.question.open = True
         guess = self._guess(reading, free)
@@ -311,7 +355,8 @@ class StampAttribution:
         if count < agreeing or (count - agreeing) % (AGREEING // 2):
             return
         last = self._suspects[-agreeing:]
-        lines = sorted(self._case.lines(last), key=lambda line: (line.cost, line.delay_change))
+        lines = sorted(self._case.lines(last), key=lambda line: (line.cost, line.steps, line.delay_change))
+        lines = [line for line in lines if line.cost <= STEP_COST + LOSS_COST_MAX]
         if lines and (len(lines) == 1 or lines[0].cost < lines[1].cost or count > SUSPECTS_MAX // 2):
             self._take(lines[0], last)
         elif count > SUSPECTS_MAX:
@@ -327,11 +372,10 @@ class StampAttribution:
             self._tell(
                 f"its clock was set by {step_us:+.0f} us, which {len(self._suspects)} readings have shown"
             )
-            self.clock.start_anew(sorted(pairs), self._variance)
-            self._late_ns = 0.0
+            self.clock.move_to(sorted(pairs), self._residuals.variance_ns2)
             self.health.steps += 1
         else:
-            self._case.delays = DelayWindow()
+            self._case.delays = Extremes()
         all_proved = self._exonerate(list(zip(last, line.marks, strict=True)))
         self.question.cleared = all_proved and not (line.steps and self._case.revoked)
         if line.steps:

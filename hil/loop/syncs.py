@@ -26,6 +26,9 @@ ECHO_ERROR: Final = {
 }
 """How far the instant of an echo may lie from the end of its frame: none where it is computed, a tick of the
 adapter's clock, the latency of an interrupt, that of a wake-up. Without echoes: jitter of the hand-over."""
+STAMPED_LATE: Final = (EchoBasis.KERNEL, EchoBasis.RECEIPT)
+"""Here an echo may be stamped any time after the end of its frame; else the instant is that end or, for a
+SYNC that waited in front of a bus without echoes, before it."""
 HORIZON_MAX: Final = 100
 """Periods after which a reading is lost at the latest."""
 REMEMBERED: Final = 128

@@ -21,6 +21,7 @@ from tests.truth.truth import axis_truth
 
 ROOT: Final = Path(__file__).parents[2]
 CYCLES: Final = 1500
+WATERMARK_US: Final = 5.0
 CRASHES: Final = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
 """Errors that are none of the bench's own: a defect, of the bench or of the judge."""
 
@@ -144,6 +145,7 @@ def _tables(plan: DrawnPlan, cycles: int) -> dict[str, Any]:
             "position_every_cycles": plan.position_every,
             "command_readback": plan.readback,
             "sync": plan.sync,
+            "sync_watermark_us": WATERMARK_US,
         },
     }
     if traffic := list(_traffic_tables(plan)):

@@ -68,6 +68,20 @@ def test_a_stamp_of_unknown_resolution_makes_nothing_wrong(plan: Plan, keys: dic
     assert (result.wrong, result.bound_broken) == (0, 0)
 
 
+@pytest.mark.parametrize("jitter_us", [10.0, 30.0, 150.0])
+def test_a_sync_that_reaches_the_drive_with_jitter_leaves_little_uncertain(jitter_us: float) -> None:
+    """Of its task or of a gateway, behind the echo: how far stamps lie from their SYNCs is measured."""
+    result = judged(Plan("jitter", drift_ppm=80), sync_jitter_us=jitter_us, cycles=1000)
+    assert (result.rows, result.wrong, result.bound_broken) == (1000, 0, 0)
+    assert result.uncertain <= 10
+
+
+def test_the_steps_of_a_stamp_are_found_while_the_clock_is_learned() -> None:
+    """By 1 ms: the readings are placed by their order, as they came within a period."""
+    result = judged(Plan("drift, 1003 us", drift_ppm=115, period_us=1003), stamp_resolution_us=1000.0)
+    assert (result.wrong, result.bound_broken, result.uncertain) == (0, 0, 0)
+
+
 @pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.name)
 def test_a_stamp_too_coarse_to_tell_is_no_worse_than_none(plan: Plan) -> None:
     result, without = judged(plan, 400.0, stamp_resolution_us=400.0), judged(replace(plan, stamps=False))

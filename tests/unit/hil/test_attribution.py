@@ -52,7 +52,14 @@ def test_no_reading_is_misplaced_and_none_uncertain_once_the_delays_are_known(
 @pytest.mark.parametrize("step_ns", [-350_000, 200_000, 800_000, 2_000_000, 10**9, 37_000])
 @pytest.mark.parametrize("name", DELAYS)
 def test_a_clock_that_is_set_costs_fifty_cycles_at_most(name: str, step_ns: int, drift_ppm: float) -> None:
-    outcome = play(Network(DELAYS[name], drift_ppm=drift_ppm, steps={500: step_ns, 1000: -step_ns}), 1500)
+    """Also where it is set by whole periods: each SYNC is late by a part of 5 us of its own."""
+    network = Network(
+        DELAYS[name],
+        lateness=lambda _n, r: r.randint(0, 5_000),
+        drift_ppm=drift_ppm,
+        steps={500: step_ns, 1000: -step_ns},
+    )
+    outcome = play(network, 1500)
     judge(outcome, 1200)
     uncertain = {number for number in outcome.uncertain if number > 50}
     assert uncertain <= {*range(484, 550), *range(984, 1050)}, sorted(uncertain)
@@ -76,13 +83,14 @@ def test_a_reading_that_comes_twice_is_known_by_its_stamp() -> None:
 
 
 def test_a_sync_that_is_late_to_the_drive_shifts_the_sample_not_the_cycle() -> None:
-    """As behind a gateway; the smallest delay of it cannot be seen, so it is 0 here."""
+    """As behind a gateway; the smallest delay of it cannot be seen, so it is 0 here. A map through the middle
+    of such stamps wanders by some microseconds."""
     outcome = play(Network(sync_delay=lambda _n, r: r.choice([0, r.randint(0, 200_000)])), 6000)
     assert outcome.misjudged == []
     assert outcome.violations == []
     settled = [truth for truth in outcome.placed if truth.sequence > 500]
     errors = sorted(abs(truth.sample.sampled_at - truth.sampled_at) for truth in settled)
-    assert errors[len(errors) * 99 // 100] < 4_000
+    assert errors[len(errors) * 99 // 100] < 10_000
     assert sum(not truth.sample.certain for truth in settled) < 0.02 * len(settled)
 
 

@@ -1,73 +1,25 @@
 """The ways to place readings while it is open whether a drive's clock was set, each with its cost."""
 
+from random import Random
+
 import pytest
 
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from drivers.wire.frame_port import EchoBasis
 from hil.loop.clock_map import ClockMap
 from hil.loop.clock_question import (
-    DELAYS_WATCHED,
     DRIFT_WITHIN,
     ClockQuestion,
-    DelayWindow,
     Line,
     Suspect,
 )
+from hil.loop.residuals import Residuals
 from hil.loop.syncs import SURPLUS, SyncLog
 
 PERIOD = Duration(NS_PER_MS)
 TRANSIT = Duration(76_000)
 MATCH = 3_000
 DELAY = 250_000
-
-
-# ---- the delays of the present network -------------------------------------------------------------------
-
-
-def window(*delays: int) -> DelayWindow:
-    made = DelayWindow()
-    for delay in delays:
-        made.add(delay)
-    return made
-
-
-@pytest.mark.parametrize(
-    ("delays", "low", "high"),
-    [((), -1, -1), ((5,), 5, 5), ((5, 3, 9), 3, 9), ((5, 9, 3), 3, 9), ((0, 4), 0, 4)],
-)
-def test_the_smallest_and_the_largest_delay(delays: tuple[int, ...], low: int, high: int) -> None:
-    made = window(*delays)
-    assert (made.low, made.high) == (low, high)
-
-
-def test_a_delay_is_forgotten_after_one_to_two_halves_of_the_window() -> None:
-    """At the end of each half only those in it count; meanwhile all since the last end but one."""
-    half = DELAYS_WATCHED // 2
-    made = window(1, 99, *[50] * (half - 3))
-    assert (made.low, made.high) == (1, 99)
-    made.add(50)
-    assert (made.low, made.high) == (1, 99), "the end of the half that they came in"
-    for _ in range(half - 1):
-        made.add(50)
-    assert (made.low, made.high) == (1, 99)
-    made.add(60)
-    assert (made.low, made.high) == (50, 60)
-    made.add(40)
-    assert (made.low, made.high) == (40, 60)
-
-
-def test_delays_spread_over_so_much_or_more() -> None:
-    made = window(100, 300)
-    assert (made.spreads(200), made.spreads(201)) == (True, False)
-
-
-@pytest.mark.parametrize(("count", "slack"), [(0, 0), (2, 400), (3, 266), (256, 3), (1000, 3)])
-def test_the_next_delay_lies_within_four_mean_gaps_beyond(count: int, slack: int) -> None:
-    """Of 200 ns, among as many as are watched."""
-    made = window(*[100, 300][:count])
-    for number in range(2, count):
-        made.add(100 if number % 2 else 300)
-    assert made.slack() == slack
 
 
 # ---- the ways out ----------------------------------------------------------------------------------------
@@ -85,7 +37,7 @@ class Case:
                 self.log.heard(number, self.at(number))
         self.clock = ClockMap()
         self.clock.observe(0, Instant(0), 0.0)
-        self.case = ClockQuestion(self.log, self.clock, PERIOD, TRANSIT, MATCH)
+        self.case = ClockQuestion(self.log, self.clock, Residuals(0.0), PERIOD, TRANSIT, MATCH)
         self.case.delays.add(DELAY)
 
     @staticmethod
@@ -121,7 +73,7 @@ def test_a_line_is_of_marks_and_whether_it_steps() -> None:
     case = Case(3)
     case.case.since = 2
     (line,) = [each for each in case.case.lines(case.suspects(3)) if each.marks == (case.log.marks[2],)]
-    assert line == Line(0, 0, (case.log.marks[2],), False)
+    assert line == Line(0, 0, (case.log.marks[2],), False, 0.0)
 
 
 @pytest.mark.parametrize(("step", "steps"), [(4_000, False), (10_000, True), (-10_000, True)])
@@ -169,15 +121,30 @@ def test_a_smallest_delay_that_changes_by_more_than_half_a_period_costs(change: 
     assert case.lines(case.suspects(2, 3, delay=DELAY + change))[2, 3] == (cost, change, False)
 
 
-def test_where_delays_spread_the_smallest_of_many_is_believed() -> None:
-    """By more than all losses together; what four mean gaps of them explain is no change."""
+def test_where_delays_spread_what_four_mean_gaps_explain_is_no_change() -> None:
     case = Case(4)
     case.case.since = 1
     for number in range(99):
         case.case.delays.add(DELAY + (500_000 if number % 2 else 0))
     slack = 4 * 500_000 // 100
     assert case.lines(case.suspects(2, 3, 4, delay=DELAY + 500_000 + slack))[2, 3, 4][0] == 0
-    assert case.lines(case.suspects(2, 3, 4, delay=DELAY + 500_001 + slack))[2, 3, 4][0] == 3 + 3
+    assert case.lines(case.suspects(2, 3, 4, delay=DELAY + 500_001 + slack))[2, 3, 4][0] == 3
+
+
+@pytest.mark.parametrize(
+    ("watermark_us", "lines"),
+    [(0, {(1, 2, 3, 4, 5, 6, 7, 8), (2, 3, 4, 5, 6, 7, 8, 9)}), (5, {(2, 3, 4, 5, 6, 7, 8, 9)})],
+)
+def test_syncs_that_are_not_at_equal_distances_tell_which_ones_they_are(
+    watermark_us: int, lines: set[tuple[int, ...]]
+) -> None:
+    case, draw = Case(0), Random(1)
+    case.case.since = 1
+    ends = [case.at(number) + round(watermark_us * 1_000 * draw.random()) for number in range(10)]
+    for number in range(1, 10):
+        case.log.heard(number, Instant(ends[number]))
+    suspects = [Suspect(at // 1_000 * 1_000, Instant(at + DELAY), False) for at in ends[2:]]
+    assert set(case.lines(suspects)) == lines
 
 
 def test_no_reading_comes_sooner_than_a_frame() -> None:

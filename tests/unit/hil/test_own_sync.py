@@ -5,7 +5,7 @@ import pytest
 from drivers.errors import NoAnswer, PeerFault
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from drivers.wire.frame_port import EchoBasis
-from hil.loop.pace import HeardSync, OwnSync, Stall, Start
+from hil.loop.pace import CALIBRATION_LATE, HeardSync, OwnSync, Stall, Start
 from hil.loop.syncs import SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, FakeBus, FakeDrive, make_axis
 
@@ -17,7 +17,12 @@ class Rig:
     """A pace of its own on a made-up bus, that tells its SYNCs' echoes if they are to come."""
 
     def __init__(
-        self, drives: int = 1, lost: int = 0, echoes: bool = True, stall: Stall | None = None
+        self,
+        drives: int = 1,
+        lost: int = 0,
+        echoes: bool = True,
+        stall: Stall | None = None,
+        watermark: int = 0,
     ) -> None:
         """``lost``: readings of the last drive at first."""
         answers = [lambda _number: DELAY] * (drives - 1)
@@ -28,7 +33,7 @@ class Rig:
         if echoes:
             self.bus.on_sync_echo = self.log.came
         self.axes = [make_axis(drive, [], syncs=self.log) for drive in self.drives]
-        self.pace = OwnSync(self.bus, self.bus, PERIOD, [self.log], stall)
+        self.pace = OwnSync(self.bus, self.bus, PERIOD, [self.log], stall, Duration(watermark))
 
     def begun(self) -> Instant:
         """The first tick."""
@@ -42,15 +47,15 @@ def told(start: Start) -> tuple[Instant, Instant | None, bool]:
 @pytest.mark.parametrize(("lost", "syncs"), [(0, 16), (7, 16), (8, 17), (30, 39), (55, 64), (56, 64)])
 @pytest.mark.parametrize("drives", [1, 2])
 def test_sixteen_syncs_calibrate_of_which_eight_must_teach(lost: int, syncs: int, drives: int) -> None:
-    """Four times as many at most, each as long before the next as a reading may take. The first reading after
-    a lost one teaches nothing: it might be that one's."""
+    """Four times as many at most, each as long before the next as a reading may take, but for a part of a
+    period by which it is late: so stamps show by what steps they advance. The first reading after a lost one
+    teaches nothing: it might be that one's."""
     rig = Rig(drives, lost)
     assert rig.pace.calibrate(rig.axes, SETTLE) == [True] * drives
     assert len(rig.bus.handed_at) == syncs
-    spacings = {
-        after - before for before, after in zip(rig.bus.handed_at, rig.bus.handed_at[1:], strict=False)
-    }
-    assert spacings == {SETTLE}
+    late = [at - number * SETTLE for number, at in enumerate(rig.bus.handed_at)]
+    assert 0 <= min(late) < max(late) <= PERIOD // CALIBRATION_LATE
+    assert len(set(late)) == syncs
     assert {mark.sequence for mark in rig.log.marks} == {0}, "of no cycle"
 
 
@@ -70,6 +75,20 @@ def test_a_run_begins_a_period_from_now_and_goes_on_by_periods() -> None:
         assert rig.pace.sync(number + 1, due, False) == due
     assert [mark.sequence for mark in rig.log.marks] == [1, 2, 3]
     assert rig.pace.can_probe
+
+
+def test_a_watermark_makes_each_sync_late_by_a_part_of_it_and_the_grid_is_kept() -> None:
+    rig, again = Rig(watermark=5_000), Rig(watermark=5_000)
+    first = rig.begun()
+    late = []
+    for number in range(100):
+        due = Instant(first + number * PERIOD)
+        assert told(rig.pace.next()) == (due, due, True)
+        late.append(rig.pace.sync(number + 1, due, False) - due)
+    assert 0 <= min(late) < 500 < 4_500 < max(late) <= 5_000
+    due = again.begun()
+    again.pace.next()
+    assert again.pace.sync(1, due, False) - due == late[0], "by a seed of its own"
 
 
 def test_a_probe_is_sent_a_quarter_of_a_period_late() -> None:

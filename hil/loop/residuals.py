@@ -1,0 +1,121 @@
+"""How far stamps lie from their SYNCs: what the clock's map leaves over, and what bounds are made from.
+
+    residual  =  jitter of the SYNC at the drive  +  latency of the stamp  -  error of the echo  -  rounding
+
+Each part is taken to be none now and then, so the residuals reach over the sum of the largest ones, and no
+instant of sampling lies further from its SYNC than that. What stays
+the same from SYNC to SYNC is in none of them: it cannot be told from the offset of the clock.
+
+    residuals       |. : .. ::.: . .:|
+    early  <---------------|---------------> late            beyond what map and stamp err by
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final
+
+WATCHED: Final = 256
+"""Values whose smallest and largest stand for the present."""
+CHANGE_KEPT: Final = 0.97
+"""Weight of the past in the mean change from one residual to the next: it forgets within some thirty."""
+OUTLYING: Final = 4
+"""Changes beyond so many times the mean one move neither that nor the map by more: a value that is evenly
+spread reaches three times its mean change, so only rare ones are cut."""
+
+RARELY_LATE: Final = 8.0
+"""Deviation of values of which one in sixty reaches so many times further than the others."""
+
+
+class Extremes:
+    """Smallest and largest of the last values."""
+
+    def __init__(self) -> None:
+        self.low = self.high = 0
+        """0 before the first value."""
+        self._low = self._high = self._count = self._seen = 0
+
+    def add(self, value: int) -> None:
+        if self._seen == 0:
+            self.low = self.high = value
+        if self._count == 0:
+            self._low = self._high = value
+        self._low, self._high = min(self._low, value), max(self._high, value)
+        self.low, self.high = min(self.low, value), max(self.high, value)
+        self._count += 1
+        self._seen = min(self._seen + 1, WATCHED)
+        if self._count == WATCHED // 2:
+            self.low, self.high, self._count = self._low, self._high, 0
+
+    def spreads(self, over: int) -> bool:
+        """Whether they spread over so much or more."""
+        return self.high - self.low >= over
+
+    def slack(self) -> int:
+        """How far beyond what was seen the next value may well lie.
+
+        Of n values drawn evenly the smallest is an (n+1)-th of their spread above the least possible one on
+        the average, and hardly ever four times that.
+        """
+        return 4 * (self.high - self.low) // max(self._seen, 1)
+
+
+class Residuals:
+    """The last residuals of one drive's stamps, ns."""
+
+    def __init__(self, expected: float) -> None:
+        """``expected``: the change from one to the next before any has been seen, ns."""
+        self.early = self.late = 0
+        """How far they reach to either side beyond what the map itself errs by."""
+        self._extremes = Extremes()
+        self._last = 0
+        self._expected = self.change_ns = expected
+        """The mean change from one to the next."""
+
+    @property
+    def variance_ns2(self) -> float:
+        """Of one of them; 0 where they reach no further than the map itself errs by.
+
+        By changes, as a map that lags moves neighbours alike: evenly spread values change by 1.2 times their
+        deviation on the average. And by how far they reach, as much as late ones now and then make of it.
+        """
+        spread = self.early + self.late
+        return max(self.change_ns, spread / RARELY_LATE) ** 2 if spread else 0.0
+
+    @property
+    def least(self) -> int:
+        """The least of them; 0 where they reach no further than the map itself errs by."""
+        return self._extremes.low if self.early or self.late else 0
+
+    @property
+    def spread(self) -> int:
+        """How far they reach in all, and the next may well do, beyond what the map itself errs by."""
+        return self.early + self.late + self.slack
+
+    @property
+    def slack(self) -> int:
+        """How far beyond the others the next may well lie."""
+        return self._extremes.slack() if self.early or self.late else 0
+
+    def learn(self, residuals: Sequence[int], unseen_ns: int) -> None:
+        """Take these for all that have been seen; see :meth:`add`."""
+        self._extremes = Extremes()
+        for residual in residuals:
+            self.add(residual, unseen_ns)
+        changes = [abs(later - earlier) for earlier, later in pairwise(residuals)]
+        self.change_ns = max(self._expected, sum(changes) / max(1, len(changes)))
+
+    def add(self, residual: int, unseen_ns: int) -> None:
+        """The next one; ``unseen_ns``: what map and stamp err by in any case."""
+        extremes = self._extremes
+        extremes.add(residual)
+        self.early = max(0, -extremes.low - unseen_ns)
+        self.late = max(0, extremes.high - unseen_ns)
+        change = float(abs(residual - self._last))
+        self._last = residual
+        change = min(change, OUTLYING * self.change_ns + unseen_ns)
+        self.change_ns = CHANGE_KEPT * self.change_ns + (1.0 - CHANGE_KEPT) * change
+
+    def cut(self, residual: int, unseen_ns: int) -> int:
+        """``residual``, no further out than what one of many may well be."""
+        most = round(OUTLYING * self.change_ns) + unseen_ns
+        return min(max(residual, -most), most)
