@@ -151,8 +151,8 @@ class Axis:
             self.by_stamp.learn(reading, mark)
             if COARSE_PARTS * self.by_stamp.resolution > self._period:
                 self._by_stamps = self.by_stamp.clock.ready = False
-                steps_us = self.by_stamp.resolution // NS_PER_US
-                self.parts.tell(f"its stamp advances by {steps_us} us: its readings are placed by their order")
+                us = self.by_stamp.resolution // NS_PER_US
+                self.parts.tell(f"its stamp advances by {us} us: its readings are placed by their order")
         if not self._by_stamps or reading.device_time_ns is None:
             self.by_order.learn(reading, mark)
         self.meter.learn(Duration(reading.received_at - mark.on_bus_at))
