@@ -24,6 +24,7 @@ from drivers.exchange import SentCommand
 from drivers.timebase import Duration, Instant
 from drivers.wire.frame_port import EchoBasis
 from hil.loop.delay import UNHEARD_MAX
+from hil.loop.followed_command import FollowedCommand
 from hil.loop.samples import CommandFate, Sending
 from hil.loop.syncs import ECHO_ERROR, SyncLog, SyncMark
 
@@ -36,61 +37,6 @@ REPLACED_CYCLES: Final = 5
 """A command that was replaced is open for so many cycles. Its successor is sent in the next, taken at the
 SYNC after that and told at the one after that, which is taken in with the reading of the next; a stamped
 change is there earlier."""
-
-
-class _Followed:
-    """A command and what is known of its effect."""
-
-    __slots__ = (
-        "acts_by",
-        "excluded",
-        "fate",
-        "heard_ns",
-        "judged",
-        "not_before",
-        "passed",
-        "possible",
-        "raw",
-        "reached_by",
-        "replaced",
-        "sent",
-        "shows",
-        "stamped",
-    )
-
-    def __init__(self, sent: SentCommand, shows: bool, heard_ns: int) -> None:
-        """``shows``: its own echo tells when it is on the bus. ``heard_ns``: for how long the bus had been
-        heard of."""
-        self.sent = sent
-        self.raw = sent.raw
-        self.shows = shows
-        self.heard_ns = heard_ns
-        self.fate: CommandFate | None = None
-        """Acting, or None."""
-        self.not_before: Instant | None = None
-        """The latest instant at which an older one was followed."""
-        self.acts_by: Instant | None = None
-        self.reached_by: Instant | None = None
-        """By then the drive followed this one or a newer one."""
-        self.possible = False
-        """Whether a telling may have been of it."""
-        self.passed = False
-        """Whether it was there at a SYNC by which it should have acted, and an older one was followed."""
-        self.replaced = False
-        """Whether a newer one is known to be followed."""
-        self.judged = False
-        """Whether it is known if it is excluded."""
-        self.excluded = False
-        """Whether it can have acted at no SYNC before it was replaced."""
-        self.stamped = False
-        """Whether the drive has stamped the change to it."""
-
-    def was_there(self, at: Instant) -> bool:
-        """Whether it was on the bus by ``at``; where no echo tells, whether it had been handed over."""
-        on_bus_at = self.sent.on_bus_at
-        if on_bus_at is not None:
-            return on_bus_at <= at
-        return not self.shows and self.sent.handed_at <= at
 
 
 class CommandMeter:
@@ -113,7 +59,7 @@ class CommandMeter:
         self._shows = syncs.echoes is EchoBasis.BUS
         self._echo_error = ECHO_ERROR[syncs.echoes]
         self._at_syncs = acts_at_syncs
-        self._followed: list[_Followed] = []
+        self._followed: list[FollowedCommand] = []
         """In the order of sending."""
         self._asked = 0
         """So many of them have been asked for."""
@@ -130,11 +76,16 @@ class CommandMeter:
         """The last SYNC with an exact telling."""
         self._seen_since = Instant(0)
         """From the SYNC that ended then every SYNC up to ``_exact`` has an exact telling."""
+        self._steady_raw: int | None = None
+        """What the last telling was of, if from the command in force to the newest that was there every one
+        has it; None: that is not so."""
+        self._steady_from = self._steady_to = 0
+        """Places of those two; the first is in the past where what was before it is followed, or it."""
 
     def sent(self, command: SentCommand) -> None:
         """A command has been handed over."""
         followed = self._followed
-        followed.append(_Followed(command, self._shows, self._syncs.heard_ns))
+        followed.append(FollowedCommand(command, self._shows, self._syncs.heard_ns))
         if len(followed) - self._past > self._window:
             leaving = followed[self._past]
             if leaving.possible:
@@ -143,6 +94,8 @@ class CommandMeter:
         while self._past and (self._asked or len(followed) > FOLLOWED_MAX):
             del followed[0]
             self._past -= 1
+            self._steady_from -= 1
+            self._steady_to -= 1
             self._asked = max(0, self._asked - 1)
 
     def told(self, demand_raw: int, since: Instant, until: Instant, sync: SyncMark | None = None) -> None:
@@ -153,14 +106,18 @@ class CommandMeter:
         self._telling = True
         if sync is not None and self._at_syncs:
             self._note_sync(sync)
+        if demand_raw == self._steady_raw and self._goes_on(demand_raw, since, until, sync):
+            return
         if self._follows_in_order(demand_raw, since, until, sync):
             return
+        self._steady_raw = None
         equal = self._explaining(demand_raw, since, until)
         if not equal:
             self._exact = None
             return
         self._note_not_yet(equal[-1], since, sync)
         self._note_possible(equal)
+        self._note_steady(equal, until)
         if equal[0] < 0:
             return
         if len(equal) == 1:
@@ -171,6 +128,7 @@ class CommandMeter:
     def changed(self, demand_raw: int, at: Instant, error: Duration) -> None:
         """The drive began to follow ``demand_raw`` at ``at``, which is right within ``error``."""
         self._telling = True
+        self._steady_raw = None
         since, until = Instant(at - error), Instant(at + error)
         followed = self._followed
         in_force = self._in_force(since)
@@ -179,7 +137,7 @@ class CommandMeter:
             for place in range(max(in_force, self._past), len(followed))
             if followed[place].raw == demand_raw
             and followed[place].was_there(Instant(until + self._echo_error))
-            and not _acted_before(followed[place], since)
+            and not followed[place].acted_before(since)
         ]
         if not equal:
             self._unordered = self._unordered or self._equals_older(demand_raw, in_force)
@@ -195,26 +153,81 @@ class CommandMeter:
 
     # ---- what a telling shows -----------------------------------------------------------------------------
 
+    def _goes_on(self, demand_raw: int, since: Instant, until: Instant, sync: SyncMark | None) -> bool:
+        """A demand that does not change, without a look at all the commands that have it."""
+        if self._unordered:
+            return False
+        followed, first = self._followed, self._steady_from
+        if first < self._past:
+            if self._before_raw != demand_raw:
+                return False
+        else:
+            reached_by = followed[first].reached_by
+            if reached_by is None or reached_by > since:
+                return False
+        there = Instant(until + self._echo_error)
+        fresh = place = max(self._steady_to + 1, self._past)
+        while (
+            place < len(followed) and followed[place].raw == demand_raw and followed[place].was_there(there)
+        ):
+            place += 1
+        if self._any_there(place, there):
+            return False
+        for new in range(fresh, place):
+            followed[new].possible = True
+        self._steady_to = max(self._steady_to, place - 1)
+        if first >= self._past:
+            if first == self._steady_to:
+                self._note_acting(followed[first], until)
+            self._exclude(first, sync)
+        return True
+
+    def _note_steady(self, equal: list[int], until: Instant) -> None:
+        """Of the commands at ``equal`` one is followed."""
+        oldest, newest = equal[0], equal[-1]
+        first = max(oldest, self._past)
+        if len(equal) != newest - first + (2 if oldest < 0 else 1):
+            return
+        if newest >= 0 and not self._any_there(newest + 1, Instant(until + self._echo_error)):
+            self._steady_raw = self._followed[newest].raw
+            self._steady_from, self._steady_to = oldest, newest
+
+    def _any_there(self, place: int, at: Instant) -> bool:
+        """Whether any command from ``place`` on was there by ``at``."""
+        while place < len(self._followed) and not self._followed[place].was_there(at):
+            place += 1
+        return place < len(self._followed)
+
     def _follows_in_order(
         self, demand_raw: int, since: Instant, until: Instant, sync: SyncMark | None
     ) -> bool:
-        """The usual case, without a detour: the newest command follows one that acted before, and acts."""
+        """The usual case, without a detour: the newest command follows one that acted before, and acts.
+
+        Where set-points are taken at SYNCs the drive tells before it takes: then it is the newest but one.
+        """
         followed = self._followed
         last = len(followed) - 1
         there = Instant(until + self._echo_error)
         while last >= 0 and not followed[last].was_there(there):
             last -= 1
-        if last <= self._past or self._unordered:
+        place = last
+        if self._at_syncs and last > 0 and followed[last].raw != demand_raw and not followed[last].possible:
+            place -= 1
+        if place <= self._past or self._unordered:
             return False
-        newest, before = followed[last], followed[last - 1]
+        newest, before = followed[place], followed[place - 1]
         if newest.raw != demand_raw or before.raw == demand_raw or newest.possible:
             return False
-        if before.reached_by is None or before.reached_by > since:
+        if before.reached_by is None or before.reached_by > since or not newest.was_there(there):
             return False
+        if place < last:
+            self._note_not_yet(place, since, sync)
         newest.possible = True
         self._note_acting(newest, until)
-        self._reach(last, until)
-        self._exclude(last, sync)
+        self._reach(place, until)
+        self._exclude(place, sync)
+        self._steady_raw = demand_raw if place == last else None
+        self._steady_from = self._steady_to = place
         return True
 
     def _in_force(self, at: Instant) -> int:
@@ -261,18 +274,21 @@ class CommandMeter:
         if self._at_syncs:
             previous = None if sync is None else self._previous_of(sync)
             settled = Instant(-(1 << 62)) if previous is None else Instant(previous - self._echo_error)
-        for newer in reversed(followed[max(place + 1, self._past) :]):
-            if newer.was_there(since) and (newer.not_before is None or newer.not_before < since):
-                newer.not_before = since
-            if newer.was_there(settled):
-                newer.passed = True
+        for newer in range(max(place + 1, self._past), len(followed)):
+            command = followed[newer]
+            if not command.was_there(since):
+                continue
+            if command.not_before is None or command.not_before < since:
+                command.not_before = since
+            if command.was_there(settled):
+                command.passed = True
 
     def _note_possible(self, places: list[int]) -> None:
         for place in places:
             if place >= 0:
                 self._followed[place].possible = True
 
-    def _note_acting(self, command: _Followed, until: Instant) -> None:
+    def _note_acting(self, command: FollowedCommand, until: Instant) -> None:
         command.fate = CommandFate.ACTING
         if command.acts_by is None or until < command.acts_by:
             command.acts_by = until
@@ -351,7 +367,7 @@ class CommandMeter:
             sent.raw, sent.handed_at, sent.on_bus_at, fate, self._acts_after(command, fate), command.acts_by
         )
 
-    def _outcome_unseen(self, command: _Followed, age: int) -> CommandFate | None:
+    def _outcome_unseen(self, command: FollowedCommand, age: int) -> CommandFate | None:
         """Of a command that no telling was certainly of, after ``age`` cycles."""
         missing = command.shows and command.sent.on_bus_at is None
         if command.replaced and not missing:
@@ -368,7 +384,7 @@ class CommandMeter:
                 return None
         return CommandFate.NOT_IDENTIFIABLE if self._telling else CommandFate.NOT_MEASURED
 
-    def _acts_after(self, command: _Followed, fate: CommandFate) -> Instant | None:
+    def _acts_after(self, command: FollowedCommand, fate: CommandFate) -> Instant | None:
         """The latest instant known at which it did not act yet."""
         if fate is not CommandFate.ACTING:
             passed = command.passed and command.replaced and not command.possible
@@ -379,7 +395,3 @@ class CommandMeter:
         if on_bus_at is not None:
             first = max(first, Instant(on_bus_at - self._echo_error))
         return first if not_before is None or self._unordered else max(first, not_before)
-
-
-def _acted_before(command: _Followed, at: Instant) -> bool:
-    return command.acts_by is not None and command.acts_by < at

@@ -69,6 +69,19 @@ def test_a_command_acts_between_its_echo_and_the_next_sync() -> None:
     assert settled[2].acts_by == sync_at(3)
 
 
+@pytest.mark.parametrize("lost", [(), (3, 30, 58), (59,)])
+def test_a_change_after_commands_that_are_all_the_same_is_placed_between_two_syncs(
+    lost: tuple[int, ...],
+) -> None:
+    """They outlast the horizon twice; which of them acts, and whether one was lost, cannot be seen."""
+    raws = [7] * 60 + [8] + [7] * 30
+    settled = play(raws, [None if number in lost else number + 1 for number in range(len(raws))])
+    assert fates(settled)[1:60] == [CommandFate.NOT_IDENTIFIABLE] * 59
+    for number, outcome in ((0, settled[0]), (60, settled[60]), (61, settled[61])):
+        assert outcome.fate is CommandFate.ACTING
+        assert (outcome.acts_after, outcome.acts_by) == (sync_at(number) + ON_BUS, sync_at(number + 1))
+
+
 def test_a_command_that_is_passed_over_is_told_and_its_neighbours_are_not_blamed() -> None:
     """It may have acted for a moment after SYNC 3, before the next one came."""
     settled = play([1, 2, 3, 4, 5, 6], [1, 2, None, 4, 5, 6])
