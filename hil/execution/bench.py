@@ -44,7 +44,7 @@ from hil.machine.progress import Progress, no_progress
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.recording.fault_report import write_fault_report
-from hil.recording.recorder import recorder_of
+from hil.recording.recorder import new_folder, recorder_of
 from hil.recording.run_recorder import RunRecorder
 from hil.recording.watch import RecordingWatch
 from hil.rows.recording_plan import RecordingPlan
@@ -103,7 +103,7 @@ def run_bench(
     world_plan = WorldPlan.of_bench(config, spec, paced, log)
     devices = _simulated(config)
     with stop_signals(stop) as asked, open_world(world_plan, devices) as world:
-        folder = (record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
+        folder = record or new_folder(RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
         plan = replace(
             recording_plan(config, folder, code, certificates.plans(), real_time=world.real_time),
             started_at=world.clock.now(),

@@ -45,10 +45,15 @@ def leave_call() -> None:
 
 @contextmanager
 def held_process() -> Iterator[None]:
-    """A call of the user's code. It raises LeftProcess instead of ending the process."""
+    """A call of the user's code. It raises LeftProcess instead of ending the process, and in place of what is
+    neither an Exception nor one of Python's own requests to end."""
     enter_call()
     try:
         yield
+    except (Exception, SystemExit, GeneratorExit, KeyboardInterrupt, LeftProcess):
+        raise
+    except BaseException as error:
+        raise LeftProcess(f"{type(error).__name__}: {error}".removesuffix(": ")) from error
     finally:
         leave_call()
 

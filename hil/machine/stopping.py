@@ -11,6 +11,12 @@ from drivers.errors import BenchError
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
+def heard_signals() -> tuple[signal.Signals, ...]:
+    """STOP_SIGNALS, without SIGHUP where ``nohup`` has it ignored: such a command outlives its terminal."""
+    ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return tuple(number for number in STOP_SIGNALS if number != signal.SIGHUP or not ignored)
+
+
 class Interrupted(BenchError):
     """Somebody asked for the end before the run had begun."""
 
@@ -53,7 +59,7 @@ def stop_signals(stop: StopRequest | None = None) -> Iterator[StopRequest]:
     def note(number: int, _frame: FrameType | None) -> None:
         request.ask(signal.Signals(number).name)
 
-    before = {number: signal.signal(number, note) for number in STOP_SIGNALS}
+    before = {number: signal.signal(number, note) for number in heard_signals()}
     try:
         yield request
     finally:

@@ -4,7 +4,9 @@ No disk, no log, no telemetry here: another process (:mod:`hil.recording.logger`
 """
 
 import errno
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from drivers.errors import BadInput
@@ -47,10 +49,16 @@ class Recorder(RunRecorder):
         self._taken, self._taken_at = -1, Instant(0)
         """Rows that the logger had taken when it was last seen to take any, and when that was."""
         on_full = refuse if plan.real_time else self._wait_for_logger
-        self._rows = RingWriter(ROW, ROWS_CAPACITY, on_full)
-        self._frames = RingWriter(FRAME, FRAMES_CAPACITY, on_full)
-        self._events = RingWriter(EVENT, EVENTS_CAPACITY, on_full)
-        self._faults = RingWriter(BLOCK, FAULTS_CAPACITY, on_full)
+        try:
+            self._rows = RingWriter(ROW, ROWS_CAPACITY, on_full)
+            self._frames = RingWriter(FRAME, FRAMES_CAPACITY, on_full)
+            self._events = RingWriter(EVENT, EVENTS_CAPACITY, on_full)
+            self._faults = RingWriter(BLOCK, FAULTS_CAPACITY, on_full)
+        except OSError as error:
+            reason = f"no memory for its rings: {error.strerror}"
+            # a limit on files (ulimit -f) counts for files in memory, too
+            advice = "; raise the limit of ulimit -f" if error.errno == errno.EFBIG else ""
+            raise RecordingFailed(reason + advice) from error
         self._keep_frames = plan.frames and plan.folder is not None
         self.record = self.tap().record
         self._logger = LoggerProcess(plan, [ring.descriptor for ring in self._rings])
@@ -145,13 +153,38 @@ def start_recording(plan: RecordingPlan) -> Recorder:
     return recorder
 
 
-def _make_folder(folder: Path) -> None:
+def new_folder(path: Path) -> Path:
+    """Make the folder ``path``, or one with a number behind its name where that is taken, and return it.
+
+    Errors: as of :func:`start_recording`.
+    """
+    folder = path
+    for number in itertools.count(2):
+        with suppress(FileExistsError), _making(folder):
+            folder.mkdir(parents=True)
+            break
+        folder = path.with_name(f"{path.name}-{number}")
+    return folder
+
+
+@contextmanager
+def _making(folder: Path) -> Iterator[None]:
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        occupied = any(folder.iterdir())
+        yield
+    except FileExistsError:
+        raise
     except OSError as error:
         if error.errno in _DISK_ERRORS:
             raise RecordingFailed(f"{folder}: {error.strerror}") from error
+        raise BadInput("--record", "", str(folder), "a folder that can be made", str(error)) from error
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        with _making(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            occupied = any(folder.iterdir())
+    except FileExistsError as error:
         raise BadInput("--record", "", str(folder), "a folder that can be made", str(error)) from error
     if occupied:
         raise BadInput(

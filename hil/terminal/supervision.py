@@ -19,14 +19,13 @@ from typing import Any, Final, NoReturn
 
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
 from hil.machine.parent_process import Pipes, Terminals, live_under, messages
-from hil.machine.stopping import STOP_SIGNALS
+from hil.machine.stopping import heard_signals
 from hil.terminal.relay import Relay, write_all
 from hil.terminal.taken_over import Ended, concluded, lost
 from hil.verdict.verdict import ExitStatus
 
 SUPERVISED: Final = ("run", "campaign", "measure", "commission")
 """Commands that move drives in a loop, or execute the user's code."""
-_FORWARDED: Final = {*STOP_SIGNALS, signal.SIGQUIT}
 _FROM_KERNEL: Final = 0x80
 """SI_KERNEL of <asm-generic/siginfo.h>: a key of the terminal, which its whole foreground group has heard."""
 _GRACE: Final = Duration(2 * NS_PER_S)
@@ -45,7 +44,7 @@ def supervised(work: Callable[[], None], arguments: Sequence[str]) -> int:
     _open_standard_descriptors()
     pipes = [os.pipe() for _ in Pipes._fields]
     terminals = Terminals(os.isatty(1), os.isatty(2))
-    watched: set[int] = {*_FORWARDED, signal.SIGCHLD}
+    watched: set[int] = {*heard_signals(), signal.SIGQUIT, signal.SIGCHLD}
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, watched)
     parent, child = os.getpid(), os.fork()
@@ -96,7 +95,7 @@ def _watch(child: int, relay: Relay, watched: set[int]) -> Ended:
     killed = False
     while True:
         seen = signal.sigtimedwait(watched, 0.2 if limit is not None else 3600.0)
-        if seen is not None and seen.si_signo in _FORWARDED:
+        if seen is not None and seen.si_signo != signal.SIGCHLD:
             # the leader of a session hears alone that its terminal is gone
             if seen.si_code != _FROM_KERNEL or seen.si_signo == signal.SIGHUP:
                 os.kill(child, seen.si_signo)

@@ -239,6 +239,7 @@ def main() -> int:
     folder = Path(tempfile.mkdtemp())  # no context: a command that is forked in here leaves through it
     hil.run(_bench(drawn(0, asked.seed)._replace(way="pass"), folder / "tally"))  # imports and compiles all
     gc.freeze()  # else the end of each command would look through all of it
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup has it ignored
     clock = MonotonicClock()
     ends_at = clock.now() + asked.seconds * NS_PER_S
     statuses: Counter[int] = Counter()

@@ -10,6 +10,7 @@ import pytest
 
 from tests.exits.misused_hooks import __file__ as hooks
 from tests.scenario.processes import (
+    BENCH,
     changed_bench,
     hub_name,
     in_background,
@@ -79,3 +80,15 @@ def test_a_terminal_that_is_stopped_holds_no_run_up(tmp_path: Path) -> None:
     finally:
         os.close(keyboard)
         os.close(terminal)
+
+
+def test_a_limit_on_files_is_told_as_one(tmp_path: Path) -> None:
+    """It counts for files in memory, too: there is no room for a ring."""
+    command = python_command(
+        "hil.cli", "run", str(BENCH), "--bus", "simulated", "--record", str(tmp_path / "run")
+    )
+    done = run_command(["sh", "-c", 'ulimit -f 64; exec "$@"', "sh", *command, "--json"])
+    assert done.returncode == 5, done.stderr
+    assert "raise the limit of ulimit -f" in done.stderr
+    verdict = json.loads(done.stdout)["verdict"]
+    assert (verdict["outcome"], verdict["exit_status"]) == ("not recorded", 5)

@@ -17,7 +17,7 @@ from drivers.errors import BadInput
 from drivers.record import replaced
 from drivers.timebase import Instant
 from hil.recording.memory_recorder import MemoryRecorder
-from hil.recording.recorder import ROWS_CAPACITY, Recorder, start_recording
+from hil.recording.recorder import ROWS_CAPACITY, Recorder, new_folder, start_recording
 from hil.rows.records_file import read_records
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
@@ -186,6 +186,13 @@ def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "summary.json").write_text("{}")
     with pytest.raises(BadInput, match="new or empty folder"):
         start_recording(plan_for(tmp_path))
+
+
+def test_two_runs_within_a_second_have_a_folder_each(tmp_path: Path) -> None:
+    asked = tmp_path / "runs" / "bench-20260101T000000Z"
+    made = [new_folder(asked) for _ in range(3)]
+    assert [folder.name for folder in made] == [asked.name, f"{asked.name}-2", f"{asked.name}-3"]
+    assert all(folder.is_dir() for folder in made)
 
 
 def test_a_folder_that_cannot_be_made_is_bad_input(tmp_path: Path) -> None:
