@@ -133,12 +133,13 @@ def _by_numba() -> Callable[[int, bytes], int]:
 
     Where mypyc has compiled this module, a broker or a host without it starts a quarter of a second sooner.
     """
-    import numba
     import numpy as np
+
+    from design.kept_code import kept
 
     tables = {"_CRC": np.array(_CRC), "_STUFFING": np.array(_STUFFING)}
     function = FunctionType(_count_bits.__code__, {**globals(), **tables}, "_count_bits")
-    return cast("Callable[[int, bytes], int]", numba.njit(cache=True)(function))
+    return kept(cast("Callable[[int, bytes], int]", function))
 
 
 _COMPILED: Final[bool] = not isinstance(_count_bits, FunctionType)

@@ -58,3 +58,19 @@ def test_processes_that_start_together_compile_anew_what_is_damaged_or_not_their
     assert hits[0] == [0, 0]
     assert hits[5] == [2, 2], "what was damaged is kept again"
     assert hits[6] == [0, 1], "code of other types is no hit"
+
+
+def test_the_length_of_frames_is_counted_though_its_code_is_damaged(tmp_path: Path) -> None:
+    """As numba compiles it, where mypyc has not."""
+    program = "from virtual_bus.bus.bit_length import wire_bits; print(wire_bits(0x601 << 4 | 2, b'ab'))"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "SERVOBENCH_PURE": "1"}
+    counted = set()
+    for _ in range(2):
+        ended = subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120
+        )
+        assert ended.returncode == 0, ended.stderr
+        counted.add(ended.stdout)
+        for index in (tmp_path / "kept").rglob("*_count_bits*.nbi"):
+            index.write_bytes(b"")
+    assert len(counted) == 1
