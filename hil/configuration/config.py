@@ -5,6 +5,7 @@ of a file are reported together. Times are seconds or whole microseconds, the un
 is the last part of a key's name.
 """
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
@@ -16,6 +17,7 @@ from drivers.wire.adapters import SIMULATED
 from hil.configuration.background import BackgroundTables
 from hil.configuration.config_axis import DriveConfig
 from hil.configuration.config_files import Section
+from hil.configuration.network_file import stamp_resolutions_us
 from hil.configuration.quantities import HeartbeatTimeout, Torque
 from hil.configuration.references import Load, Reference
 from hil.configuration.toml_text import toml_text
@@ -293,10 +295,21 @@ class BenchConfig(Section):
             (each.bitrate_bit_s for each in self.bus.segment if each.name == segment), self.bus.bitrate_bit_s
         )
 
-    def as_run(self, bus_spec: str, seed: int | None) -> "BenchConfig":
-        """This bench as it is run: on that bus, and with that seed if there is one."""
+    def as_run(self, bus_spec: str, seed: int | None, network: Path | None = None) -> "BenchConfig":
+        """This bench as it is run: on that bus, and with that seed if there is one.
+
+        ``network``: file of one measured before; a drive whose stamp's resolution the bench does not say has
+        the one that was measured. Raises BadInput or BadInputs for the file.
+        """
         bench = self.bench if seed is None else self.bench.model_copy(update={"seed": seed})
-        return self.model_copy(update={"bus": self.bus.model_copy(update={"spec": bus_spec}), "bench": bench})
+        resolutions_us = {} if network is None else stamp_resolutions_us(network)
+        drives = dict(self.drive)
+        for axis, drive in drives.items():
+            found_us = resolutions_us.get(f"node{drive.node}", resolutions_us.get(axis))
+            if drive.stamp_resolution_us is None and found_us is not None:
+                drives[axis] = drive.model_copy(update={"stamp_resolution_us": found_us})
+        bus = self.bus.model_copy(update={"spec": bus_spec})
+        return self.model_copy(update={"bus": bus, "bench": bench, "drive": drives})
 
     def resolved_text(self) -> str:
         """This bench as one TOML file: every default written out, motor and fault plan inline."""

@@ -70,7 +70,7 @@ class ClockHealth(Section):
     """The largest error bound of an instant of sampling that is certain."""
     steps: int = Field(default=0, ge=0)
     """Times that it was set."""
-    stamp_resolution_us: float | None = Field(default=None, gt=0)
+    stamp_resolution_us: float | None = Field(default=None, ge=0.01, le=1000)
     """By how much its stamp advances at a time, where that was measured."""
 
 
@@ -174,6 +174,19 @@ def load_network(path: Path) -> Network:
             expected = f"one more than the {len(each.counts)} counts"
             raise BadInput(str(path), f"network.{name}.edges_us", f"{len(each.edges_us)} edges", expected)
     return network
+
+
+def stamp_resolutions_us(path: Path) -> dict[str, float]:
+    """By how much stamps advance at a time, of the clocks in the network file at ``path`` that have it.
+
+    Raises BadInput or BadInputs.
+    """
+    clocks = load_network(path).clocks
+    return {
+        name: clock.stamp_resolution_us
+        for name, clock in clocks.items()
+        if clock.stamp_resolution_us is not None
+    }
 
 
 def commands_unknown(network: Network, source: str) -> BadInput | None:

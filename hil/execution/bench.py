@@ -82,10 +82,10 @@ def run_bench(
 
     ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. ``record``: folder of
     the recording, else one under ``runs``; no file is kept unless ``keep``. ``controllers``: by axis, what a
-    caller puts in place of the file's. ``network``: file of one measured before. That network, the run's own
-    and the drives must be what the controllers were made for, unless ``allow_uncertified``. ``privileged``:
-    ask the kernel for real-time priority and locked memory on a bus in real time. ``stop``: by which a caller
-    ends the run, as a stop signal does that comes to the main thread. ``recording``: starts a recorder.
+    caller puts in place of the file's. ``network``: file of one measured before, which tells how stamps
+    advance. That network, the run's own and the drives must be what the controllers were made for, unless
+    ``allow_uncertified``. ``privileged``: ask the kernel for real-time priority and locked memory. ``stop``:
+    by which a caller ends the run, as a stop signal does. ``recording``: starts a recorder.
     Raises BadInput before anything moves, PeerFault if bus or drive failed, RecordingFailed if the recording
     did; the drives are brought to rest first, and ``concluded`` is given the summary, also of such a run.
     """
@@ -93,7 +93,7 @@ def run_bench(
     _check_axes(config, controllers)
     sheets = data_sheets(config)
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
-    config = config.as_run(str(spec), seed)
+    config = config.as_run(str(spec), seed, network)
     certificates = Certificates(config, controllers)
     certificates.check(network, allow_uncertified)
     paced = check_time(spec, time)

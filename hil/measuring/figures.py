@@ -196,6 +196,8 @@ def clocks_by_node(drives: Sequence[MeasuredDrive]) -> dict[str, ClockHealth]:
 
 def _clock_of(drive: MeasuredDrive) -> ClockHealth:
     clock, resolution_us = drive.clock, None if drive.stamp is None else drive.stamp.resolution_us
+    if resolution_us is not None and not 0.01 <= resolution_us <= 1000.0:
+        resolution_us = None  # such a stamp places no readings, and no bench takes the figure
     if clock is None:
         return ClockHealth(stamp_resolution_us=resolution_us)
     return ClockHealth(
