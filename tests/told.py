@@ -40,6 +40,7 @@ CHANGING: Final = (
     (re.compile(r"that folder holds .*"), "that folder holds FILES"),
     (re.compile(r"[━─═]+"), "─"),
     (re.compile(r"\b\d\.\d+e-(0[89]|1\d)\b"), "NEARLY-NOTHING"),
+    (re.compile(r"\.\d+-\d+\.writing"), "PART"),
     (re.compile(r"<svg.*?</svg>", re.DOTALL), ""),
 )
 """What no two runs have in common; the last bits of a solver."""

@@ -29,12 +29,16 @@ def distrust(axes: Sequence[Axis], period: Duration) -> tuple[str, ...]:
     """Why what a run says of its timing is not to be trusted; empty if nothing speaks against it."""
     reasons: list[str] = []
     for axis in axes:
-        for health in (axis.by_stamp.health, axis.by_order.health):
-            reasons += [f"{axis.parts.name}: {reason}" for reason in _doubts(health, period)]
+        stamped = axis.by_stamp.health
+        doubts = _doubts(stamped) + _doubts(axis.by_order.health)
+        if stamped.error_ns_max > period // 2:
+            error_us = stamped.error_ns_max / NS_PER_US
+            doubts.append(f"a sampling instant is known to {error_us:.0f} us only, more than half a period")
+        reasons += [f"{axis.parts.name}: {doubt}" for doubt in doubts]
     return tuple(reasons)
 
 
-def _doubts(health: Health, period: Duration) -> list[str]:
+def _doubts(health: Health) -> list[str]:
     doubts = []
     if health.below_transit:
         doubts.append(f"{health.below_transit} readings came sooner than their frame takes on the wire")
@@ -42,9 +46,6 @@ def _doubts(health: Health, period: Duration) -> list[str]:
         doubts.append(f"{health.before_sync} readings came before their SYNC")
     if health.two_stamps:
         doubts.append(f"{health.two_stamps} SYNCs have two different stamps")
-    if health.error_ns_max > period // 2:
-        error_us = health.error_ns_max / NS_PER_US
-        doubts.append(f"a sampling instant is known to {error_us:.0f} us only, more than half a period")
     return doubts
 
 

@@ -5,9 +5,13 @@ from typing import Final
 from drivers.exchange import Reading
 from drivers.timebase import Duration, Instant
 from hil.loop.attribution import Health, Question, Tell
+from hil.loop.residuals import Extremes
 from hil.loop.samples import Sample
-from hil.loop.syncs import ECHO_ERROR, SURPLUS, SyncLog, SyncMark
+from hil.loop.syncs import ECHO_ERROR, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
+SLACKS: Final = 2
+"""Nothing else bounds a sample without a stamp: the smallest delay is not eight mean gaps above the least
+possible one in one window of three thousand."""
 PROBE_AGAIN_AFTER: Final = 100
 """SYNCs from a probe that failed until the next one."""
 
@@ -23,6 +27,10 @@ class OrderAttribution:
     seen from readings that come regularly: one period more of delay, which begins with a gap, looks like one
     lost reading. So after a gap readings are uncertain until a *probe*: one SYNC goes out a quarter of a
     period late. A drive that answers in time answers that one as late as itself; a delayed stream stays.
+
+    What the SYNC took behind its echo, and what the echo was stamped late, is part of the delay. So a sample
+    lies no further behind its SYNC than its delay exceeds the smallest of the last ones, and no further
+    before it than its delay is below the largest.
     """
 
     def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, tell: Tell) -> None:
@@ -34,7 +42,10 @@ class OrderAttribution:
         self._period = period
         self._transit = transit
         self._tell = tell
-        self._error_ns = ECHO_ERROR[syncs.echoes]
+        self._echo_error = ECHO_ERROR[syncs.echoes]
+        self._echoes_late = syncs.echoes in STAMPED_LATE
+        self._delays = Extremes()
+        """Of readings whose place is certain."""
         self._answered = 0
         """Number of the last SYNC that has its reading."""
         self._probe = 0
@@ -43,13 +54,16 @@ class OrderAttribution:
         self._beyond = False
         self._usual_ns = 0.0
         self._next_probe = 0
-        self._unsure: list[int] = []
-        """Cycles whose readings wait for the end of the probe."""
+        self._unsure: list[tuple[int, int]] = []
+        """Cycles whose readings wait for the end of the probe, and the bounds of their samples if they are
+        placed right."""
 
     def learn(self, reading: Reading, mark: SyncMark) -> None:
         """Take a reading that can only answer the SYNC of ``mark``."""
         if mark.on_bus_at is not None:
-            self._usual_ns = float(reading.received_at - mark.on_bus_at)
+            delay = reading.received_at - mark.on_bus_at
+            self._usual_ns = float(delay)
+            self._delays.add(delay)
             self._answered = mark.number
 
     def probed(self, mark: SyncMark) -> None:
@@ -80,16 +94,25 @@ class OrderAttribution:
         self.question.open = not (self._sure or self._beyond)
         health = self.health
         health.placed += 1
+        error_ns = self._error_of(age)
         if not self._sure:
             if not self._beyond:
-                self._unsure.append(mark.sequence)
-            error_ns = self._error_ns + received_at - self._oldest_at()
+                self._unsure.append((mark.sequence, error_ns))
+            error_ns = self._echo_error + received_at - self._oldest_at()
         else:
-            error_ns = self._error_ns
-            health.error_ns_max = error_ns
-            if age < self._transit - error_ns:
+            self._delays.add(age)
+            health.error_ns_max = max(health.error_ns_max, error_ns)
+            if age < self._transit - self._echo_error:
                 health.below_transit += 1
         return Sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
+
+    def _error_of(self, delay: int) -> int:
+        """How far the sample of a reading may lie from its SYNC."""
+        delays = self._delays
+        off = max(0, delay - delays.low)
+        if self._echoes_late:
+            off = max(off, delays.high - delay)
+        return self._echo_error + min(off + SLACKS * delays.slack(), max(off, delay - self._transit))
 
     def _oldest_at(self) -> Instant:
         """No SYNC that is remembered ended before."""
@@ -102,8 +125,8 @@ class OrderAttribution:
             self._find_beyond(self._probe)
             return
         self._sure = True
-        for sequence in self._unsure:
-            self.question.amend(sequence, True, self._error_ns)
+        for sequence, error_ns in self._unsure:
+            self.question.amend(sequence, True, error_ns)
         self._unsure.clear()
         self.question.cleared = not self._beyond
         if self._beyond:

@@ -42,7 +42,7 @@ class Extremes:
         self._low, self._high = min(self._low, value), max(self._high, value)
         self.low, self.high = min(self.low, value), max(self.high, value)
         self._count += 1
-        self._seen = min(self._seen + 1, WATCHED)
+        self._seen = min(self._seen + 1, WATCHED // 2)
         if self._count == WATCHED // 2:
             self.low, self.high, self._count = self._low, self._high, 0
 
@@ -54,7 +54,7 @@ class Extremes:
         """How far beyond what was seen the next value may well lie.
 
         Of n values drawn evenly the smallest is an (n+1)-th of their spread above the least possible one on
-        the average, and hardly ever four times that.
+        the average, and hardly ever four times that. At the end of a half only that half counts.
         """
         return 4 * (self.high - self.low) // max(self._seen, 1)
 

@@ -68,6 +68,12 @@ def test_a_stamp_of_unknown_resolution_makes_nothing_wrong(plan: Plan, keys: dic
     assert (result.wrong, result.bound_broken) == (0, 0)
 
 
+@pytest.mark.parametrize("faults", ["", "delay = [{delay_min_us = 0, delay_max_us = 300}]"])
+def test_without_stamps_the_bound_holds_a_sync_that_is_late_to_the_drive(faults: str) -> None:
+    result = judged(Plan("jitter", faults, stamps=False), sync_jitter_us=150.0, cycles=1000)
+    assert (result.rows, result.wrong, result.bound_broken, result.uncertain) == (1000, 0, 0, 0)
+
+
 @pytest.mark.parametrize("jitter_us", [10.0, 30.0, 150.0])
 def test_a_sync_that_reaches_the_drive_with_jitter_leaves_little_uncertain(jitter_us: float) -> None:
     """Of its task or of a gateway, behind the echo: how far stamps lie from their SYNCs is measured."""

@@ -66,8 +66,6 @@ def test_all_of_it_is_told() -> None:
         ({"below_transit": 1}, "1 readings came sooner than their frame takes on the wire"),
         ({"before_sync": 2}, "2 readings came before their SYNC"),
         ({"two_stamps": 3}, "3 SYNCs have two different stamps"),
-        ({"error_ns_max": 500_000}, None),
-        ({"error_ns_max": 500_001}, "a sampling instant is known to 500 us only, more than half a period"),
     ],
 )
 def test_what_cannot_be_is_a_doubt(counts: dict[str, int], doubt: str | None) -> None:
@@ -75,3 +73,10 @@ def test_what_cannot_be_is_a_doubt(counts: dict[str, int], doubt: str | None) ->
     assert distrust([axis(health(**counts))], PERIOD) == expected
     assert distrust([axis(None, health(**counts))], PERIOD) == expected
     assert distrust([axis(), axis(health(**counts), health(**counts))], PERIOD) == 2 * expected
+
+
+def test_a_stamp_that_does_not_say_which_cycle_it_was_is_a_doubt_and_order_says_it() -> None:
+    doubt = "axis1: a sampling instant is known to 500 us only, more than half a period"
+    assert distrust([axis(health(error_ns_max=500_000))], PERIOD) == ()
+    assert distrust([axis(health(error_ns_max=500_001))], PERIOD) == (doubt,)
+    assert distrust([axis(None, health(error_ns_max=900_000))], PERIOD) == ()
