@@ -21,9 +21,9 @@ EACH_HOLDS: Final = 2
 
 
 class WorkerDied(BenchError):
-    """A run kills its process, or none can be started."""
+    """A run kills its process, or none can be started: the campaign ends before its runs are done."""
 
-    exit_status = 70
+    exit_status = 6
 
 
 class RunRefused(BenchError):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperGroup
 
-from hil.machine.parent_process import messages, results
+from hil.machine.parent_process import messages, results, tell_parent
 from hil.terminal.commands import add_commands
 from hil.terminal.options import JsonOption, flag, valued
 from hil.terminal.output import columns, echo, say, say_written
@@ -71,6 +71,7 @@ def run(
 
     plan = CampaignPlan.load(sweep)
     folder = out or Path("campaigns") / plan.sweep.campaign.name
+    tell_parent(advice=f"hil campaign {sweep} --out {folder} --resume goes on")
     line = _ProgressLine()
     try:
         done = run_campaign(

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from hil.machine.parent_process import tell_parent
 from hil.terminal.options import (
     BitrateOption,
     DriveBusOption,
@@ -100,6 +101,11 @@ def commission(asked: CommissionOptions) -> None:
         unwatched=asked.unwatched,
     )
     from hil.commissioning.commission import run_command
+
+    if not asked.dry_run:
+        journal = f"{asked.out}/journal.jsonl --bus {asked.bus} --node {asked.node}"
+        advice = f"hil restore {journal} puts back what was changed in the drive"
+        tell_parent(bus=asked.bus, bitrate=asked.bitrate, nodes=[asked.node], advice=advice)
 
     result, figures = run_command(
         request,

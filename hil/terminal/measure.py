@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.machine.parent_process import messages
+from hil.machine.parent_process import messages, tell_parent
 from hil.terminal.options import (
     EVERY_STREAM,
     BitrateOption,
@@ -74,6 +74,7 @@ def measure(asked: MeasureOptions) -> None:
     Exit status: 0 measured, 1 not to be trusted, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
     """
     from drivers.rotation import RAD_S_PER_RPM
+    from hil.execution.bench import RUNS_FOLDER
     from hil.measuring.subject import MeasureRequest
     from hil.terminal.measure_report import print_measured
     from hil.terminal.node_list import drive_ids
@@ -92,6 +93,10 @@ def measure(asked: MeasureOptions) -> None:
         faults=fault_plan(asked.faults),
         seed=asked.seed,
     )
+    advice = f"hil restore puts back what was changed, by the journals in {RUNS_FOLDER}/measure-*"
+    if asked.enable:
+        tell_parent(bus=asked.bus, bitrate=asked.bitrate, nodes=list(request.nodes))
+    tell_parent(advice=advice)
     measured = _measured(request)
     put(measured.as_json(), asked.as_json, lambda _figures: print_measured(measured))
     if measured.interrupted:

@@ -101,10 +101,17 @@ ENDING: Final = (
     "sys.stdout = sys.stderr = None; os._exit(0)",
     "os.close(1); os.close(2); raise RuntimeError",
     "setattr(sys, 'exit', lambda status=0: None); 1 / 0",
-    "sys.setrecursionlimit(60); sys.setrecursionlimit(8)",
     "raise MemoryError",
 )
 """After these no run has passed."""
+TAMPERING: Final = (
+    "sys.setrecursionlimit(70)",
+    "__import__('builtins').__dict__.pop('len')",
+    "__import__('json').dumps = None",
+    "os.write = os.read",
+    "os.getpid = lambda: 1",
+)
+"""Of the interpreter itself: where the run survives it may pass, and a defect is a fair word for the rest."""
 STREAMS: Final = ("file", "file", "file", "file", "closed", "/dev/full", "dead pipe")
 """What stdout and stderr lead to, each by itself."""
 
@@ -140,7 +147,7 @@ class Ended(NamedTuple):
 def drawn(number: int, seed: int) -> Case:
     """The case of a number; all are there once before any is there again, in another order for each seed."""
     random = Random(f"{seed} {number}")
-    ways = [*HARMLESS, *ENDING]
+    ways = [*HARMLESS, *ENDING, *TAMPERING]
     Random(f"{seed} {number // len(ways)}").shuffle(ways)
     way = ways[number % len(ways)]
     return Case(number, way, random.choice(HOOKS), random.choice(STREAMS), random.choice(STREAMS))
@@ -210,9 +217,12 @@ def _status(process: int) -> int:
 
 def findings(case: Case, ended: Ended) -> Iterator[str]:
     """What is not as it has to be."""
-    if ended.status not in set(ExitStatus) or ended.status == ExitStatus.DEFECT:
+    if ended.status not in set(ExitStatus):
         yield f"status {ended.status}"
-    if ended.status == ExitStatus.PASSED and (not case.harmless or ended.cycles < CYCLES):
+    if ended.status == ExitStatus.DEFECT and case.way not in TAMPERING:
+        yield "a defect of the program"
+    spoilt = case.way in ENDING or ended.cycles < CYCLES
+    if ended.status == ExitStatus.PASSED and spoilt:
         yield f"passed, and the controller counted {ended.cycles} cycles"
     writable = case.stdout == "file"
     fair = (ExitStatus.PASSED,) if writable or case.stdout == "closed" else (ExitStatus.NOT_RECORDED,)
@@ -239,7 +249,8 @@ def main() -> int:
     folder = Path(tempfile.mkdtemp())  # no context: a command that is forked in here leaves through it
     hil.run(_bench(drawn(0, asked.seed)._replace(way="pass"), folder / "tally"))  # imports and compiles all
     gc.freeze()  # else the end of each command would look through all of it
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup has it ignored
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup has it ignored, and & of a script the other one
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     clock = MonotonicClock()
     ends_at = clock.now() + asked.seconds * NS_PER_S
     statuses: Counter[int] = Counter()

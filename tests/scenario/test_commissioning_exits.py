@@ -204,6 +204,23 @@ def test_a_host_that_is_gone_is_put_back_by_its_journal(tmp_path: Path, number: 
         assert "--node" in refused.stderr
 
 
+def test_a_command_that_is_gone_has_its_drive_stopped_by_its_parent(tmp_path: Path) -> None:
+    bus = hub_name("commission-gone")
+    with simulated_drive(bus), witness(bus) as watching:
+        before = watching.memory()
+        process = start(bus, tmp_path)
+        watching.until_turning()
+        os.kill(loop_of(process.pid), signal.SIGKILL)
+        _, said = process.communicate(timeout=30)
+        assert process.returncode == 6, said
+        assert "hil: error: the process of hil commission was ended by SIGKILL" in said
+        assert "hil: node 1: at rest and" in said
+        assert f"hil restore {tmp_path}/journal.jsonl --bus {bus} --node 1" in said
+        watching.time_to_rest(watching.now(), 0.1, asking=True)
+        assert restore(bus, tmp_path).returncode == 0
+        assert watching.memory() == before
+
+
 def test_a_journal_that_waits_forbids_another_commissioning_over_it(tmp_path: Path) -> None:
     bus = hub_name("commission-again")
     with simulated_drive(bus), witness(bus) as watching:

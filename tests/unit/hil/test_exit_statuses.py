@@ -23,9 +23,9 @@ STATUSES = {
         "StepFailed", "TransferAborted", "UnitNotTold", "WrongSetPoint",
     },
     ExitStatus.NOT_RECORDED: {"RecordingFailed"},
-    ExitStatus.INCOMPLETE: {"NothingCertified"},
+    ExitStatus.INCOMPLETE: {"NothingCertified", "WorkerDied"},
     ExitStatus.COUNTER_EXAMPLE: {"CounterExample"},
-    ExitStatus.DEFECT: {"NotTheSame", "WorkerDied"},
+    ExitStatus.DEFECT: {"NotTheSame"},
     ExitStatus.INTERRUPTED: {"Interrupted"},
 }  # fmt: skip
 
