@@ -247,7 +247,7 @@ def main() -> None:
         app()
 
     if is_supervised(arguments):
-        sys.exit(supervised(command, arguments))
+        supervised(command, arguments)
     command()
 
 

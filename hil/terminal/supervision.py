@@ -39,8 +39,8 @@ def is_supervised(arguments: Sequence[str]) -> bool:
     return len(arguments) > 1 and arguments[0] in SUPERVISED and "--help" not in arguments
 
 
-def supervised(work: Callable[[], None], arguments: Sequence[str]) -> int:
-    """Run ``work``, which leaves by SystemExit, in a child process; the status to leave with."""
+def supervised(work: Callable[[], None], arguments: Sequence[str]) -> NoReturn:
+    """Run ``work``, which leaves by SystemExit, in a child process, and leave as is told of it."""
     _open_standard_descriptors()
     pipes = [os.pipe() for _ in Pipes._fields]
     terminals = Terminals(os.isatty(1), os.isatty(2))
@@ -56,7 +56,8 @@ def supervised(work: Callable[[], None], arguments: Sequence[str]) -> int:
         _work(work, own, terminals, parent, before)
     relay = Relay(own, threading.get_ident())
     ended = _watch(child, relay, watched)
-    return _leave(relay, ended, arguments)
+    # at once: nothing here has to be cleaned up, and to take the interpreter down takes longer than all else
+    os._exit(_leave(relay, ended, arguments))
 
 
 def _open_standard_descriptors() -> None:
