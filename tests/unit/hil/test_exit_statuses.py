@@ -14,7 +14,7 @@ STATUSES = {
     ExitStatus.FAILED: {"Abandoned"},
     ExitStatus.BAD_INPUT: {
         "BadInput", "BadInputs", "DesignRefused", "ImpossiblePlate", "NoSuchFile", "RunRefused",
-        "SweepChanged", "UnknownKey", "UnlistedWrite", "WeightRefused",
+        "UnknownKey", "UnlistedWrite", "WeightRefused",
     },
     ExitStatus.PEER_FAULT: {
         "AnswersTwice", "BusDown", "ClusterLost", "DriveInFault", "EmergencyStopped", "ForeignTraffic",
@@ -22,7 +22,7 @@ STATUSES = {
         "PeerFault", "PlanImpossible", "PowerLost", "RampTooSlow", "ReadingsLost", "SettingRefused",
         "StepFailed", "TransferAborted", "UnitNotTold", "WrongSetPoint",
     },
-    ExitStatus.NOT_RECORDED: {"RecordingFailed"},
+    ExitStatus.NOT_RECORDED: {"DiskFull", "RecordingFailed"},
     ExitStatus.INCOMPLETE: {"NothingCertified", "WorkerDied"},
     ExitStatus.COUNTER_EXAMPLE: {"CounterExample"},
     ExitStatus.DEFECT: {"NotTheSame"},
