@@ -76,15 +76,23 @@ def no_run_passes_whose_drive_did_not_follow(ran: Ran) -> Iterator[str]:
         return
     period = ran.config.loop.period
     for name, drive in zip(ran.config.axes, ran.case.drives, strict=True):
-        told = drive.astray(first, Instant(last - CYCLES_MAX * period), OTHER_MODE, TARGET_IGNORED)
-        if any(each.get("mapped") == "6061" for each in _plan(ran).get("refused_mapping", ())):
-            told = _longer(told, POLLED_NS)
+        until = Instant(last - CYCLES_MAX * period)
+        told = drive.astray(first, until, OTHER_MODE, TARGET_IGNORED)
+        if any(map(_touches_mode, _plan(ran).get("refused_mapping", ()))):
+            told = _longer(drive.astray(first, until, OTHER_MODE), POLLED_NS)
+            synced_ns = ran.config.loop.position_every_cycles * period
+            told += _longer(drive.astray(first, until, TARGET_IGNORED), synced_ns)
         unseen_max = _unseen_max(ran, name)
         silent = _longer(drive.astray(first, last, OTHER_TORQUE, FAR_TORQUE), unseen_max)
         if silent and not _tells_demand(ran.wire.frames, drive.node_id):
             silent = _longer(drive.astray(first, last, FAR_TORQUE), unseen_max)
         if told or silent:
             yield f"{name}: {verdict['outcome']}, and it did otherwise at {(told or silent)[:3]}"
+
+
+def _touches_mode(refusal: dict[str, Any]) -> bool:
+    """Of the TPDO for 6061h, and for 6041h on change: 6041h comes with the SYNCs alone then."""
+    return refusal.get("mapped") == "6061" or str(refusal.get("parameter", "")).startswith("1A02")
 
 
 def _longer(spans: list[tuple[Instant, Instant]], least_ns: int) -> list[tuple[Instant, Instant]]:
