@@ -9,7 +9,6 @@
     resolution = "bit time"             or one bit of the bus
     bits = 32                           it counts modulo 2^bits
     latched = "arrival"                 at the end of the last SYNC, or at the "sampling", the default
-    set_by_master = true                a master that writes the clock moves it
 
 The object is an UNSIGNED32. What no source tells is left out and is as CiA 301 (7.5.2.16) has 1013h.
 """
@@ -24,7 +23,7 @@ from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from drivers.vendors.motor_objects import one_line, refuse_unknown
 
 _KEYS: Final = {
-    "source", "index", "sub", "unit_us", "resolution_us", "resolution", "bits", "latched", "set_by_master",
+    "source", "index", "sub", "unit_us", "resolution_us", "resolution", "bits", "latched",
 }  # fmt: skip
 BIT_TIME: Final = "bit time"
 LATCHED: Final = ("sampling", "arrival")
@@ -46,7 +45,6 @@ class StampProfile:
     bits: int = 32
     latched: str = "sampling"
     """One of :data:`LATCHED`."""
-    set_by_master: bool = False
 
     @property
     def key(self) -> tuple[int, int]:
@@ -78,7 +76,6 @@ def read_stamp(table: Mapping[str, Any], name: str) -> StampProfile:
     index, sub, bits = table.get("index", 0x1013), table.get("sub", 0), table.get("bits", 32)
     unit_us, latched = table.get("unit_us", 1.0), table.get("latched", "sampling")
     resolution_us, bit_times = table.get("resolution_us", unit_us), table.get("resolution")
-    by_master = table.get("set_by_master", False)
     counted = _is_number(unit_us) and unit_us > 0.0
     finer = counted and not (_is_number(resolution_us) and resolution_us >= unit_us)
     for key, value, right, expected in (
@@ -90,7 +87,6 @@ def read_stamp(table: Mapping[str, Any], name: str) -> StampProfile:
         ("resolution", bit_times, bit_times in (None, BIT_TIME), f'"{BIT_TIME}", or resolution_us'),
         ("bits", bits, bits in BITS, f"{BITS[0]}..{BITS[-1]}"),
         ("latched", latched, latched in LATCHED, f"one of {', '.join(LATCHED)}"),
-        ("set_by_master", by_master, isinstance(by_master, bool), "true or false"),
     ):
         if not right:
             raise BadInput(name, f"stamp.{key}", value, expected)
@@ -102,7 +98,6 @@ def read_stamp(table: Mapping[str, Any], name: str) -> StampProfile:
         resolution_ns=0 if bit_times else round(resolution_us * NS_PER_US),
         bits=bits,
         latched=latched,
-        set_by_master=by_master,
     )
 
 

@@ -30,7 +30,6 @@ def test_a_drive_of_no_known_make_stamps_as_cia_301_says() -> None:
 def test_elmo_keeps_the_last_sync_in_an_object_of_its_own() -> None:
     stamp = stamp_for(ELMO, 1, "Gold Whistle")
     assert (stamp.key, stamp.latched, stamp.of_events) == ((0x2F31, 0), "arrival", False)
-    assert stamp.set_by_master
 
 
 @pytest.mark.parametrize(("bitrate", "resolution_ns"), [(1_000_000, 1000), (500_000, 2000), (125_000, 8000)])
@@ -53,7 +52,6 @@ def test_epos2_counts_bit_times(bitrate: int, resolution_ns: int) -> None:
         ("unit_us = nan", "stamp.unit_us", "a value > 0"),
         ('resolution_us = "1"', "stamp.resolution_us", "at least unit_us = 1.0"),
         ("sub = 256", "stamp.sub", "a sub-index"),
-        ("set_by_master = 1", "stamp.set_by_master", "true or false"),
         ("width = 3", "stamp.width", "one of bits, index"),
     ],
 )
