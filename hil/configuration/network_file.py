@@ -72,6 +72,9 @@ class ClockHealth(Section):
     """Times that it was set."""
     stamp_resolution_us: float | None = Field(default=None, ge=0.01, le=1000)
     """By how much its stamp advances at a time, where that was measured."""
+    readbacks_unordered: int = Field(default=0, ge=0)
+    """Demands that came while the order of frames told nothing: losses of commands behind their echo were not
+    counted by them."""
 
 
 class Network(Section):
@@ -200,6 +203,19 @@ def commands_unknown(network: Network, source: str) -> BadInput | None:
         "measured or stated: losses and delays of the commands are part of the loop",
         "measure with a drive that tells 6074h, or state command_losses_in_a_row_max and a delay_max_us that "
         'holds to the actuator, with commands = "stated"',
+    )
+
+
+def losses_unseen(network: Network, source: str) -> str:
+    """Why more commands may have been lost on ``network`` than its file counts; empty if nothing says so."""
+    axes = [name for name, clock in network.clocks.items() if clock.readbacks_unordered]
+    if not axes:
+        return ""
+    told = ", ".join(f"{network.clocks[name].readbacks_unordered} of {name}" for name in axes)
+    return (
+        f"{source}: read-backs came while frames overtook one another or came twice ({told}): commands lost "
+        "behind their echo were not counted then, and the design may be for too few; find what doubles or "
+        "reorders frames, and measure again"
     )
 
 

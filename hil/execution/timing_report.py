@@ -69,4 +69,5 @@ def _axis_report(axis: Axis) -> Report:
             "drift_error_ppm": clock.drift_error_ppm,
         }
     report["commands_unexplained"] = axis.commands.unexplained
+    report["readbacks_unordered"] = axis.readbacks.unordered
     return report

@@ -67,6 +67,8 @@ class ReadbackTie:
         """Demands whose SYNC was found."""
         self.inexact = 0
         """Demands of which only a time is known from which to which they may be."""
+        self.unordered = 0
+        """Demands that came while the order of frames told nothing: no command is told lost by them."""
         self._syncs = syncs
         self._period = period
         self._horizon = Duration(horizon * period)
@@ -126,6 +128,7 @@ class ReadbackTie:
             behind = self._placed_at(count)
             if behind is not None and behind.received_at == first.received_at:
                 self.exact += 1
+                self.unordered += self.doubtful
                 tellings.append(Telling(first, behind.since, behind.until, behind.mark))
                 del pending[0]
                 continue
@@ -168,6 +171,7 @@ class ReadbackTie:
             since = Instant(readback.received_at - self._horizon)
             until = self._until(newest, readback)
             self.inexact += 1
+            self.unordered += self.doubtful
             self._last = max(self._last, newest)
             tellings.append(Telling(readback, since, until, None))
 

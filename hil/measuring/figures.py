@@ -78,6 +78,8 @@ class MeasuredDrive:
     notes: Sequence[str]
     stamp: StampFigures | None = None
     """None: the drive has no such object."""
+    readbacks_unordered: int = 0
+    """Demands that came while the order of frames told nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,17 +197,19 @@ def clocks_by_node(drives: Sequence[MeasuredDrive]) -> dict[str, ClockHealth]:
 
 
 def _clock_of(drive: MeasuredDrive) -> ClockHealth:
+    unordered = drive.readbacks_unordered
     clock, resolution_us = drive.clock, None if drive.stamp is None else drive.stamp.resolution_us
     if resolution_us is not None and not 0.01 <= resolution_us <= 1000.0:
         resolution_us = None  # such a stamp places no readings, and no bench takes the figure
     if clock is None:
-        return ClockHealth(stamp_resolution_us=resolution_us)
+        return ClockHealth(stamp_resolution_us=resolution_us, readbacks_unordered=unordered)
     return ClockHealth(
         drift_ppm=clock.drift_ppm,
         drift_error_ppm=clock.drift_error_ppm,
         error_us=clock.error_us,
         steps=clock.steps,
         stamp_resolution_us=resolution_us,
+        readbacks_unordered=unordered,
     )
 
 

@@ -270,6 +270,7 @@ class Measurement:
             ],
             losses={way: losses_of(outcomes) for way, outcomes in ways.items()},
             uncertain=axis.uncertain,
+            readbacks_unordered=axis.readbacks.unordered,
             clock=ClockFigures.of(axis),
             stamp=subject.stamp,
             notes=subject.notes,

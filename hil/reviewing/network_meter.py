@@ -259,6 +259,7 @@ def clocks_of(summary: Summary) -> dict[str, ClockHealth]:
             drift_error_ppm=clock.get("drift_error_ppm"),
             error_us=told["error_us_max"],
             steps=told["clock_steps"],
+            readbacks_unordered=told.get("readbacks_unordered", 0),
         )
     return clocks
 

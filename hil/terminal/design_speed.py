@@ -157,11 +157,13 @@ def _seconds(time_ms: float | None) -> float | None:
 
 def _network(path: Path, asked: SpeedDesignOptions) -> "SampledNetwork":
     from design.sampled.held_loop import SampledNetwork, Strategy
-    from hil.configuration.network_file import commands_unknown, load_network
+    from hil.configuration.network_file import commands_unknown, load_network, losses_unseen
 
     measured = load_network(path)
     if (unknown := commands_unknown(measured, str(path))) is not None:
         raise unknown
+    if unseen := losses_unseen(measured, str(path)):
+        typer.echo(f"hil: warning: {unseen}", err=True)
     strategy, losses_max = Strategy(asked.strategy), measured.losses_max + asked.extra_losses
     tau_s = measured.delay_max_s * (1.0 + 0.01 * asked.delay_margin_percent)
     if losses_max > LOSSES_MAX:

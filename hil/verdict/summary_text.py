@@ -19,6 +19,7 @@ _AXIS_COUNTS = {
     "duplicates": "came twice",
     "unmatched": "answer no SYNC",
     "commands_unexplained": "demands of no command",
+    "readbacks_unordered": "read-backs in no order",
 }
 _CERTIFIED: Final = {
     "action_delay_us": "delay to actuation [us]",
@@ -70,8 +71,8 @@ def _axis_line(told: Mapping[str, Any]) -> str:
 
 
 def _counts(told: Mapping[str, Any], words: Mapping[str, str]) -> list[str]:
-    """Those that are not 0."""
-    return [f"{told[key]} {text}" for key, text in words.items() if told[key]]
+    """Those that are not 0, nor unknown to the recording's version."""
+    return [f"{told[key]} {text}" for key, text in words.items() if told.get(key)]
 
 
 def certificate_lines(certificates: Mapping[str, Any] | None) -> dict[str, str]:

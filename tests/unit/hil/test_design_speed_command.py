@@ -54,6 +54,16 @@ def design(*arguments: str | Path) -> Result:
     return hil("design", "speed", FILE, *arguments)
 
 
+@pytest.mark.usefixtures("designs")
+def test_losses_that_nobody_could_see_are_warned_of_before_a_design(tmp_path: Path) -> None:
+    path = tmp_path / "network.toml"
+    clocks = "[network.clocks.axis1]\n[network.clocks.axis2]\nreadbacks_unordered = {}\n"
+    for count, warned in ((0, False), (40, True)):
+        path.write_text(NETWORK + clocks.format(count))
+        done = design("--network", path)
+        assert ("came while frames overtook one another or came twice (40 of axis2)" in done.stderr) is warned
+
+
 PLAIN = Way("exact", Feedback.FULL, False, None, False)
 
 

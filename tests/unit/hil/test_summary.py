@@ -181,6 +181,7 @@ def timing(**changes: object) -> dict[str, Any]:
         "clock_steps": 0,
         "clock": {"offset_us": 1.0, "error_us": 1.2, "drift_ppm": -999.96, "drift_error_ppm": 1.5},
         "commands_unexplained": 0,
+        "readbacks_unordered": 0,
     }
     return {"sync": {"bus": {"basis": "kernel", "surplus": 0, "crowded": 0}}, "axes": {"a": axis | changes}}
 

@@ -29,6 +29,7 @@ def axis(stamped: Any = None, ordered: Any = None, ready: bool = False) -> Axis:
         by_order=SimpleNamespace(health=ordered or health()),
         meter=SimpleNamespace(unmatched=100),
         commands=SimpleNamespace(unexplained=7),
+        readbacks=SimpleNamespace(unordered=8),
         uncertain=9,
     )
     return cast(Axis, made)
@@ -48,6 +49,7 @@ def test_all_of_it_is_told() -> None:
         "error_us_max": 1.5,
         "clock_steps": 2,
         "commands_unexplained": 7,
+        "readbacks_unordered": 8,
     }
     assert report == {
         "sync": {"simulated": {"basis": EchoBasis.KERNEL.value, "surplus": 3, "crowded": 4}},
