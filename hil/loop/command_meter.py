@@ -26,7 +26,7 @@ from drivers.wire.frame_port import EchoBasis
 from hil.loop.delay import UNHEARD_MAX
 from hil.loop.followed_command import FollowedCommand
 from hil.loop.samples import CommandFate, Sending
-from hil.loop.syncs import ECHO_ERROR, SyncLog, SyncMark
+from hil.loop.syncs import ECHO_ERROR, LATE_WITHOUT_BOUND, STAMPED_LATE, SyncLog, SyncMark
 
 FOLLOWED_MAX: Final = 256
 """Commands followed at a time: more than there are cycles for which a row waits, the longest horizon and
@@ -58,6 +58,7 @@ class CommandMeter:
         self._syncs = syncs
         self._shows = syncs.echoes is EchoBasis.BUS
         self._echo_error = ECHO_ERROR[syncs.echoes]
+        self._late_most = LATE_WITHOUT_BOUND if syncs.echoes in STAMPED_LATE else self._echo_error
         self._at_syncs = acts_at_syncs
         self._followed: list[FollowedCommand] = []
         """In the order of sending."""
@@ -315,8 +316,7 @@ class CommandMeter:
             if command.judged:
                 return
             command.judged = True
-            on_bus_at = command.sent.on_bus_at
-            first = command.sent.handed_at if on_bus_at is None else on_bus_at - self._echo_error
+            first = self._first_there(command)
             command.excluded = not command.possible and first > self._seen_since + self._echo_error
 
     def _note_sync(self, sync: SyncMark) -> None:
@@ -389,9 +389,10 @@ class CommandMeter:
         if fate is not CommandFate.ACTING:
             passed = command.passed and command.replaced and not command.possible
             return command.not_before if passed else None
-        sent = command.sent
-        on_bus_at, not_before = sent.on_bus_at, command.not_before
-        first = sent.handed_at
-        if on_bus_at is not None:
-            first = max(first, Instant(on_bus_at - self._echo_error))
+        first, not_before = self._first_there(command), command.not_before
         return first if not_before is None or self._unordered else max(first, not_before)
+
+    def _first_there(self, command: FollowedCommand) -> Instant:
+        """It was not on the bus before."""
+        handed_at, on_bus_at = command.sent.handed_at, command.sent.on_bus_at
+        return handed_at if on_bus_at is None else max(handed_at, Instant(on_bus_at - self._late_most))

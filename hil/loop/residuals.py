@@ -92,6 +92,11 @@ class Residuals:
         return self.early + self.late + self.slack
 
     @property
+    def reach(self) -> int:
+        """From the least to the largest that the next may well be, all of it."""
+        return self._extremes.high - self._extremes.low + 2 * self._extremes.slack()
+
+    @property
     def slack(self) -> int:
         """How far beyond the others the next may well lie."""
         return self._extremes.slack() if self.early or self.late else 0

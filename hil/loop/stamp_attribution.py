@@ -232,7 +232,7 @@ class StampAttribution:
     @property
     def map_error_ns(self) -> int:
         """How far an instant that the map places may be off, a delay that all SYNCs have aside."""
-        return self.clock.error_ns + self._residuals.spread
+        return self.clock.error_ns + self._residuals.reach
 
     # ---- clocks that were set -----------------------------------------------------------------------------
 

@@ -29,6 +29,8 @@ adapter's clock, the latency of an interrupt, that of a wake-up. Without echoes:
 STAMPED_LATE: Final = (EchoBasis.KERNEL, EchoBasis.RECEIPT)
 """Here an echo may be stamped any time after the end of its frame; else the instant is that end or, for a
 SYNC that waited in front of a bus without echoes, before it."""
+LATE_WITHOUT_BOUND: Final = 1 << 60
+"""By how much such an echo may be stamped after the end of its frame, ns: only the hand-over is before it."""
 HORIZON_MAX: Final = 100
 """Periods after which a reading is lost at the latest."""
 REMEMBERED: Final = 128
