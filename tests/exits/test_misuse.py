@@ -14,6 +14,7 @@ from tests.scenario.processes import (
     changed_bench,
     hub_name,
     in_background,
+    long_bench,
     observer,
     run_command,
     simulated_drive,
@@ -49,7 +50,7 @@ def test_a_command_that_is_gone_has_its_drive_stopped_and_its_recording_finished
     with simulated_drive(bus), observer(bus) as watching:
         process = start_run(bench, bus, tmp_path / "run")
         out, said = process.communicate(timeout=60)
-        assert watching.time_to_rest(watching.now(), 0.1) >= 0
+        assert watching.time_to_rest(watching.now(), 1.0) >= 0
     assert process.returncode == 6, said
     assert "hil: error: the process of hil run ended itself with status 0" in said
     assert "hil: node 1: at rest and disabled" in said
@@ -92,3 +93,22 @@ def test_a_limit_on_files_is_told_as_one(tmp_path: Path) -> None:
     assert "raise the limit of ulimit -f" in done.stderr
     verdict = json.loads(done.stdout)["verdict"]
     assert (verdict["outcome"], verdict["exit_status"]) == ("not recorded", 5)
+
+
+@pytest.mark.xdist_group("real time")
+def test_a_terminal_that_is_closed_ends_the_run_at_rest(tmp_path: Path) -> None:
+    """The command leads the session of its terminal, as in a window of its own: it alone is told."""
+    bus = hub_name("closed")
+    keyboard, terminal = os.openpty()
+    with simulated_drive(bus), observer(bus) as watching:
+        asked = ["run", str(long_bench(tmp_path)), "--bus", bus, "--record", str(tmp_path / "run"), "--json"]
+        command = ["setsid", "--ctty", *python_command("hil.cli", *asked)]
+        process = in_background(command, stdin=terminal, stderr=terminal)
+        os.close(terminal)
+        watching.until_turning(50.0)
+        os.close(keyboard)
+        out, _ = process.communicate(timeout=30)
+        assert watching.time_to_rest(watching.now(), 1.0) >= 0
+    assert process.returncode == 130
+    verdict = json.loads(out)["verdict"]
+    assert (verdict["exit_status"], verdict["reason"]) == (130, "ended by SIGHUP")
