@@ -28,7 +28,6 @@ from hil.recording.lanes import lane_colors
 from hil.recording.page_series import BLUE, GREEN, GREY, Color
 from hil.recording.plot_scale import COLUMN_PX, about, lanes_px, plot_heights
 from hil.recording.rerun_page import event_list, framed, from_zero, plot, run_times, send_line, stream_into
-from hil.recording.telemetry import RERUN_FILE
 from hil.reviewing.envelope import Envelope
 from hil.reviewing.trace.decoder import decode
 from hil.reviewing.trace.known_nodes import KnownNodes
@@ -41,6 +40,7 @@ from hil.rows.run_files import (
     COMMISSIONING_RECORDING,
     EVENTS_FILE,
     FRAMES_FILE,
+    RERUN_FILE,
 )
 from hil.verdict.plain_values import from_plain
 

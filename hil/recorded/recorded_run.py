@@ -1,10 +1,9 @@
 """A run's folder, read: its bench, its rows and their signals, what it came to."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from drivers.bounded_file import NoSuchFile
 from drivers.errors import BadInput
 from drivers.rotation import RPM_PER_RAD_S
 from drivers.timebase import duration_s
@@ -24,6 +23,7 @@ from hil.rows.recording_plan import ReviewPlan
 from hil.rows.records import DIGESTED_TO_FORMAT_2, Rows
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, SUMMARY_FILE
+from hil.rows.seal import NOT_CHECKED, check_seal
 from hil.verdict.summary import Summary
 
 
@@ -37,6 +37,8 @@ class RecordedRun:
     summary: Summary
     review: ReviewPlan
     """What its figures and its verdict depended on."""
+    seal: str = field(default=NOT_CHECKED, kw_only=True)
+    """Whether the files were held against it."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -66,28 +68,30 @@ class RecordedRun:
         return f"{self.config.bench.name} ({self.folder})"
 
 
-def open_run(folder: Path) -> RecordedRun:
-    """The run in ``folder``. Raises BadInput for what is none, is not ended, or is of another format."""
+def open_run(folder: Path, *, unsealed: bool = False) -> RecordedRun:
+    """The run in ``folder``; ``unsealed``: whether or not its files are as they were recorded.
+
+    Raises BadInput for what is none, is not ended, is of another format, or does not fit its seal.
+    """
     if folder.name in (RECORDS_FILE, SUMMARY_FILE, "run.rrd"):
         folder = folder.parent
     for name in (BENCH_FILE, RECORDS_FILE):
         if not (folder / name).is_file():
             raise BadInput("RUN", "", str(folder), f"the folder of a run, with its {name}")
+    if not (folder / SUMMARY_FILE).is_file():
+        expected = f"a run with its {SUMMARY_FILE}"
+        raise BadInput("RUN", "", str(folder), expected, "hil recover ends it")
+    seal = NOT_CHECKED if unsealed else check_seal(folder)
     metadata = read_metadata(folder / RECORDS_FILE)
     written_in = metadata.get("format", "none")
     if not written_in.isdecimal() or not 1 <= int(written_in) <= int(FORMAT):
         raise BadInput("RUN", "format", written_in, f"a recording of format 1 to {FORMAT}")
-    try:
-        summary = read_summary(folder)
-    except NoSuchFile:
-        raise BadInput(
-            "RUN", "", str(folder), f"a run with its {SUMMARY_FILE}", "hil recover ends it"
-        ) from None
+    summary = read_summary(folder)
     config = load_bench(folder / BENCH_FILE)
     review = review_plan(config, Certificates(config).plans(), real_time=not config.simulated)
     if int(written_in) <= 2:
         review = replace(review, digested=DIGESTED_TO_FORMAT_2)
-    return RecordedRun(folder, config, metadata, summary, review)
+    return RecordedRun(folder, config, metadata, summary, review, seal=seal)
 
 
 class RunSignals:

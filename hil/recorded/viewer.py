@@ -19,8 +19,9 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from hil.recorded.commissioning_page import commissioning_page, is_commissioning
 from hil.recording.blueprint import GUTTER
 from hil.recording.page_series import TIMELINE
-from hil.recording.telemetry import RERUN_FILE
-from hil.rows.run_files import CAMPAIGN_PAGE
+from hil.rows.records_file import RECORDS_FILE
+from hil.rows.run_files import CAMPAIGN_PAGE, RERUN_FILE, SEAL_FILE
+from hil.rows.seal import check_seal
 from virtual_bus.child_python import python_command, python_environment
 
 SIZE: Final = "1920x1080"
@@ -153,13 +154,19 @@ def draw_page(
     page: str | None = None,
     at_s: float | None = None,
     window_s: tuple[float | None, float | None] = (None, None),
+    *,
+    unsealed: bool = False,
 ) -> bytes:
     """A page of the run or commissioning in a folder, or of a run.rrd, as PNG.
 
-    ``at_s``: the cursor, None: at the end. ``window_s``: from when to when, None: as the page opens. Raises
-    BadInput, and PeerFault if the viewer cannot run here.
+    ``at_s``: the cursor, None: at the end. ``window_s``: from when to when, None: as the page opens.
+    ``unsealed``: whether or not the run's files are as they were recorded. Raises BadInput, and PeerFault if
+    the viewer cannot run here.
     """
     recording = page_file(run)
+    folder = recording.parent
+    if not unsealed and ((folder / SEAL_FILE).exists() or (folder / RECORDS_FILE).exists()):
+        check_seal(folder)
     with headless_viewer() as viewer:
         viewer.show(recording)
         if page is not None:

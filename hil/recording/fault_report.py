@@ -7,9 +7,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from drivers.canopen.nmt import Emergency, EmergencySeries, condensed
+from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, Instant
+from hil.recording.sealer import Sealer
 from hil.rows.frame_names import frame_name
-from hil.rows.run_files import FRAMES_FILE
+from hil.rows.run_files import FRAMES_FILE, SEAL_FILE
 
 FAULT_FILE = "fault.txt"
 FRAMES_MAX = 300
@@ -38,8 +40,10 @@ def write_fault_report(
     lines += [] if told else ["  none"]
     frames = last_frames(folder / FRAMES_FILE)
     lines += ["", f"The last {len(frames)} frames, in ms before the last:", *frames]
-    with suppress(OSError):
+    with suppress(OSError, BadInput):
         (folder / FAULT_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        if (folder / SEAL_FILE).exists():
+            Sealer(folder, fresh=False).finish()
 
 
 def _emergency(each: EmergencySeries, makes: Mapping[int, Make], ended_at: Instant) -> str:

@@ -18,7 +18,7 @@ from hil.recording.candump import candump_lines, direction_lines
 from hil.recording.faults_file import FaultEntries
 from hil.recording.run_metadata import run_metadata
 from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
-from hil.recording.telemetry import RERUN_FILE, Telemetry
+from hil.recording.telemetry import Telemetry
 from hil.reviewing.network_meter import clocks_of
 from hil.reviewing.review import Review
 from hil.rows.event_lines import event_json
@@ -26,7 +26,7 @@ from hil.rows.frame_order import FrameOrder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
 from hil.rows.records_file import RECORDS_FILE, RecordsWriter
-from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
+from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE, RERUN_FILE
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import (
     FRAME_DTYPE,
@@ -53,6 +53,8 @@ class Keeper:
     """Takes what was drained. Every method may raise OSError; it is not called again then."""
 
     name: str
+    stored = 0
+    """Cycle records that are in its file."""
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
         """What came since the last call: (n,) of ROW_DTYPE, (m,) of FRAME_DTYPE, and the events."""
@@ -103,7 +105,6 @@ class RecordsKeeper(Keeper):
         self._writer = RecordsWriter(folder / RECORDS_FILE)
         self._blocks = RowBlocks()
         self._tail = Tail(folder / TAIL_FILE, ROW_DTYPE)
-        self._stored = 0
         self._zero = RunZero(plan.started_at)
         self._drives: dict[str, str] = {}
         self._begun = False
@@ -122,8 +123,8 @@ class RecordsKeeper(Keeper):
         if block is not None:
             self._begin()
             self._writer.write(block)
-            self._stored += block.size
-            self._tail.restart(self._stored)
+            self.stored += block.size
+            self._tail.restart(self.stored)
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
         self.flush()

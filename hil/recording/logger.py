@@ -24,25 +24,37 @@ from hil.recording.log_files import LIVE_VIEW, FaultsKeeper, Keeper, open_keeper
 from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED, LineReader
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import Reserve, write_summary
+from hil.recording.sealer import Sealer
 from hil.recording.whole_records import whole_records
 from hil.reviewing.review import Review
 from hil.rows.injected_faults import InjectedFaults
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
 from hil.rows.records_file import RECORDS_FILE
-from hil.rows.run_files import SUMMARY_FILE
+from hil.rows.run_files import (
+    BENCH_FILE,
+    DIRECTIONS_FILE,
+    EVENTS_FILE,
+    FRAMES_FILE,
+    LOAD_FILE,
+    SEAL_FILE,
+    SUMMARY_FILE,
+)
 from hil.rows.run_zero import RunZero
 from hil.rows.set_points import SetPointTeller
 from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, RunEvent, events_of
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary, summarise
 from hil.verdict.verdict import RunOutcome
+from virtual_bus.faults.fault_log import FAULTS_FILE
 
 _DRAIN_PERIOD_S = 0.1
 """So often a live view moves; the ring of rows holds a minute of 1 kHz."""
 _FLUSH_PERIOD_NS = NS_PER_S
 _BUSY_ROWS = 2_000
 """A drain that finds more than this is followed by the next one at once: simulated time is fast."""
+_GROWING = (BENCH_FILE, RECORDS_FILE, EVENTS_FILE, DIRECTIONS_FILE, FRAMES_FILE, FAULTS_FILE, LOAD_FILE)
+"""Files that are sealed while they grow; the others are written at the end."""
 _WRITER_DIED = RunOutcome(completed=False, reason="the process of the loop died")
 
 
@@ -71,6 +83,7 @@ class Logger:
         self._review = Review(plan.review)
         self._faults: list[str] = []
         self._reserve = None if plan.folder is None else Reserve(plan.folder)
+        self._sealer = None if plan.folder is None else Sealer(plan.folder)
         self._keepers: list[Keeper] = open_keepers(plan, self._review)
         self._given_up: list[Keeper] = []
         """Kept alive: a stream of Rerun's whose file cannot be written waits for ever when it is let go."""
@@ -134,6 +147,25 @@ class Logger:
     def _flush(self) -> None:
         self._flushed_at = self._clock.now()
         self._for_each(lambda keeper: keeper.flush())
+        left_out = {keeper.name for keeper in self._given_up}
+        if not self._zero.told:
+            left_out.add(EVENTS_FILE)  # which is written anew with the first cycle
+        self._seal(
+            lambda sealer: sealer.grow([name for name in _GROWING if name not in left_out], self._stored)
+        )
+
+    @property
+    def _stored(self) -> int:
+        return max((keeper.stored for keeper in [*self._keepers, *self._given_up]), default=0)
+
+    def _seal(self, act: Callable[[Sealer], None]) -> None:
+        """Without a folder there is nothing to seal, and a seal that failed is given up."""
+        try:
+            if self._sealer is not None:
+                act(self._sealer)
+        except OSError as error:
+            self._sealer = None
+            self._note(f"{SEAL_FILE} is incomplete: {error}")
 
     def _finish(self, outcome: RunOutcome) -> Summary:
         for one, more, ring in (
@@ -168,6 +200,7 @@ class Logger:
             write_summary(folder, self._summary(outcome))
         except OSError as error:
             self._note(f"{SUMMARY_FILE}: {error.strerror}")
+        self._seal(lambda sealer: sealer.finish(self._stored))
 
     def _summary(self, outcome: RunOutcome) -> Summary:
         return summarise(

@@ -19,14 +19,16 @@ from uuid import uuid4
 import numpy as np
 import rerun as rr
 
+from drivers.errors import BadInput
 from drivers.printable import printable
 from drivers.timebase import Instant
 from hil.recording.append_file import AppendFile
 from hil.recording.faults_file import FaultEntries
 from hil.recording.log_files import EventsKeeper, FaultsKeeper, FramesKeeper, NetworkKeeper
 from hil.recording.run_folder import Reserve, write_summary
+from hil.recording.sealer import Sealer
 from hil.recording.tail import FRAMES_TAIL_FILE, read_tail
-from hil.recording.telemetry import RERUN_FILE, Telemetry
+from hil.recording.telemetry import Telemetry
 from hil.recording.whole_records import Rings, first_cycle, whole_records
 from hil.reviewing.review import Review
 from hil.reviewing.trace.run_trace import RecordedBus
@@ -34,7 +36,16 @@ from hil.rows.event_lines import read_events
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW, ROW_DTYPE
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
-from hil.rows.run_files import DIRECTION_BYTES, DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
+from hil.rows.run_files import (
+    DIRECTION_BYTES,
+    DIRECTIONS_FILE,
+    EVENTS_FILE,
+    FORMAT,
+    FRAMES_FILE,
+    LOAD_FILE,
+    RERUN_FILE,
+    SEAL_FILE,
+)
 from hil.rows.side_rows import FRAME_DTYPE, BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary, summarise
@@ -95,7 +106,16 @@ def recover(
         told.append(f"{RERUN_FILE} has no verdict and may lack the last seconds: {error}")
     reserve.close()
     write_summary(folder, summed_up())
+    _seal(folder, figures.cycles * len(plan.review.axes))
     return summed_up()
+
+
+def _seal(folder: Path, rows: int) -> None:
+    """The rest. A damaged seal stays as it is, to be told; an older version had none. Error: OSError."""
+    sealed = (folder / SEAL_FILE).exists()
+    if sealed or read_metadata(folder / RECORDS_FILE).get("format") == FORMAT:
+        with suppress(BadInput):
+            Sealer(folder, fresh=not sealed).finish(rows)
 
 
 def _keep_events(plan: RecordingPlan, folder: Path, rings: Rings | None) -> list[str]:

@@ -53,6 +53,7 @@ from hil.rows.injected_faults import INJECTED_TRACK, QUIET
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, Rows
 from hil.rows.row_states import DriveStates, HostStates, LabelChange, LinkStates
+from hil.rows.run_files import RERUN_FILE
 from hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent, drives_of
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import LimitResult
@@ -68,7 +69,6 @@ _BEFORE_MAX, _AFTER_MAX = 0.1, 0.5
 """Of the cycles: more of what was before the first one, and after the last one while a drive coasts, is not
 shown on opening."""
 _APPLICATION = "servobench"
-RERUN_FILE = "run.rrd"
 _PROPERTIES = "run"
 
 

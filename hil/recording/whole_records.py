@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from itertools import chain
 from pathlib import Path
 
 from pyarrow import ArrowInvalid
@@ -91,7 +90,8 @@ def _rewrite(path: Path, more: Sequence[Rows], zero: Instant) -> None:
     writer = RecordsWriter(part)
     try:
         writer.begin(read_metadata(path), zero)
-        for rows in chain(read_records(path, zero), more):
+        writer.copy(path)  # as its seal has it
+        for rows in more:
             writer.write(rows)
         writer.close()
         part.replace(path)

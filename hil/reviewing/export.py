@@ -26,6 +26,7 @@ from drivers.written_file import written
 from hil.reviewing.export_format import ExportFormat
 from hil.rows.records import NOTHING, Column
 from hil.rows.records_file import RECORDS_FILE, column_of, is_whole, refuse_later_format
+from hil.rows.seal import check_seal
 
 CHUNK_ROWS: Final = 1 << 17
 """Rows that are held at once: some 40 MB with all columns, and enough for a row group of Parquet."""
@@ -39,8 +40,9 @@ class RecordedRows:
     """The rows of a finished run, with what their columns mean. What an earlier format had no column for is
     not there."""
 
-    def __init__(self, folder: Path) -> None:
-        """Raises BadInput for a folder without records, records without an end, and a later format."""
+    def __init__(self, folder: Path, *, unsealed: bool = False) -> None:
+        """Raises BadInput for a folder without records, records without an end, a later format, and
+        files that are not as they were recorded, unless ``unsealed``."""
         self.path = folder / RECORDS_FILE
         if not self.path.is_file():
             raise BadInput(str(folder), "", "no records.arrow", "the folder of a recording")
@@ -49,6 +51,8 @@ class RecordedRows:
             raise BadInput(
                 str(self.path), "", "no end of the file", "the recording of a run that has ended", remedy
             )
+        if not unsealed:
+            check_seal(folder)
         self.schema = self._open(None).schema
         told = self.schema.metadata or {}
         self.metadata: Mapping[str, str] = {key.decode(): value.decode() for key, value in told.items()}
@@ -88,13 +92,16 @@ class Exported(NamedTuple):
     bytes: int
 
 
-def export_run(run: Path, wanted: ExportFormat, out: Path | None = None) -> Exported:
-    """Write the rows of ``run`` to ``out``, by default records.ENDING in its folder.
+def export_run(
+    run: Path, wanted: ExportFormat, out: Path | None = None, *, unsealed: bool = False
+) -> Exported:
+    """Write the rows of ``run`` to ``out``, by default records.ENDING in its folder; ``unsealed``: whether or
+    not its files are as they were recorded.
 
     The file is there as a whole or not at all; what is no regular file gets its content. Raises BadInput or
     DiskFull.
     """
-    rows = RecordedRows(run)
+    rows = RecordedRows(run, unsealed=unsealed)
     path = out or run / f"records.{wanted.value}"
     with written("--out", path, f".{wanted.value}") as part:
         _WRITERS[wanted](rows, part)

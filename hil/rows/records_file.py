@@ -63,6 +63,13 @@ class RecordsWriter:
         assert self._writer is not None
         self._writer.write_batch(_batch(rows, self._schema, self._zero))
 
+    def copy(self, path: Path) -> None:
+        """Append the whole batches of a file to the byte, behind a head with its metadata. Error: OSError."""
+        assert self._writer is not None
+        for batch in _batches(path):
+            if batch.num_rows:  # the head has the empty one
+                self._writer.write_batch(batch)
+
     def close(self) -> None:
         """Write the footer."""
         if self._writer is not None:

@@ -2,8 +2,11 @@
 
 from typing import Final
 
-FORMAT: Final = "3"
+FORMAT: Final = "4"
 """Version of the run's folder as docs/recording.md describes it; counts up when a reader must know."""
+
+UNSEALED_TO_FORMAT: Final = 3
+"""Up to this one a recording has no seal."""
 
 FIRST_CYCLE = "first_cycle_bench_ns"
 """Key of the first cycle's instant on the bench clock, from which all times count."""
@@ -34,6 +37,9 @@ COMMISSIONED_FILE = "drive.toml"
 SUMMARY_FILE = "summary.json"
 PRINTED_FILE = "printed.txt"
 """What the user's code has printed, by the parent of ``hil run``; missing if it printed nothing."""
+RERUN_FILE = "run.rrd"
+SEAL_FILE = "seal"
+"""Digests of all of them, see :mod:`hil.rows.seal`."""
 LOGGER_LOG = "logger.log"
 """What the logger said on its standard error."""
 RESERVE_FILE = ".reserve"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.options import JsonOption, valued
+from hil.terminal.options import JsonOption, UnsealedOption, valued
 from hil.terminal.output import put, say_written
 from hil.verdict.verdict import ExitStatus
 
@@ -25,6 +25,7 @@ def compare(
     rrd: Annotated[
         Path | None, valued("--rrd", "FILE.rrd", "Write the runs beside and over each other, for Rerun.")
     ] = None,
+    unsealed: UnsealedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Compare recorded runs, cycle by cycle: figures, differences of the signals, first divergence.
@@ -41,7 +42,7 @@ def compare(
     from hil.recorded.recorded_run import open_run
 
     asked = None if tolerances is None else load_tolerances(tolerances)
-    compared = compare_runs([open_run(folder) for folder in folders], asked)
+    compared = compare_runs([open_run(folder, unsealed=unsealed) for folder in folders], asked)
     lines = comparison_lines(compared)
     put(comparison_json(compared), as_json, lambda _figures: typer.echo("\n".join(lines)))
     if rrd is not None:

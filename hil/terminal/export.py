@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from hil.reviewing.export_format import ExportFormat
-from hil.terminal.options import JsonOption, valued
+from hil.terminal.options import JsonOption, UnsealedOption, valued
 from hil.terminal.output import put
 
 
@@ -14,6 +14,7 @@ def export(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of the run.")],
     to: Annotated[ExportFormat, typer.Option("--to", help="Format.")],
     out: Annotated[Path | None, valued("--out", "FILE", "RUN/records.FORMAT if absent.")] = None,
+    unsealed: UnsealedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write every cycle of a recording as CSV, Parquet, MDF 4 or MAT, with units and codes.
@@ -23,5 +24,5 @@ def export(
     """
     from hil.reviewing.export import export_run
 
-    done = export_run(run, to, out)
+    done = export_run(run, to, out, unsealed=unsealed)
     put(done._asdict(), as_json, lambda figures: typer.echo(f"{figures['file']}: {figures['rows']} rows"))

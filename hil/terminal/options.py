@@ -68,6 +68,9 @@ def json_option(text: str) -> Any:
 
 JsonOption = Annotated[bool, json_option("Print one JSON object on stdout, all else on stderr.")]
 JsonLinesOption = Annotated[bool, json_option("Print one JSON object a line on stdout, all else on stderr.")]
+UnsealedOption = Annotated[
+    bool, flag("--unsealed", "Show what can be read of files that are not as their seal has them.")
+]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")]
 DriveBusOption = Annotated[str, bus_option("hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")]
 DriveNodeOption = Annotated[int, valued("--node", "N", "The drive's node id.", min=1, max=127)]

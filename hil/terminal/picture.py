@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.options import RunArgument, flag, valued
+from hil.terminal.options import RunArgument, UnsealedOption, flag, valued
 from hil.terminal.output import say_written
 
 
@@ -25,6 +25,7 @@ def picture(
     paper: Annotated[
         bool, flag("--paper", "Speed, error, torque and delay by matplotlib, light; no viewer.")
     ] = False,
+    unsealed: UnsealedOption = False,
 ) -> None:
     """Draw a recorded run: what a user sees on opening it, without a window; or a figure for a paper.
 
@@ -41,7 +42,7 @@ def picture(
         from hil.recorded.paper import paper_figure, save_figure
         from hil.recorded.recorded_run import open_run, signals_of
 
-        figure = paper_figure(signals_of(open_run(run)), *window)
+        figure = paper_figure(signals_of(open_run(run, unsealed=unsealed)), *window)
         save_figure(figure, out)
     else:
         if out.suffix != ".png":
@@ -49,5 +50,5 @@ def picture(
         from drivers.written_file import write_file
         from hil.recorded.viewer import draw_page
 
-        write_file("OUT", out, draw_page(run, page, at, window))
+        write_file("OUT", out, draw_page(run, page, at, window, unsealed=unsealed))
     say_written(out)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.terminal.options import JsonOption, RunArgument, valued
+from hil.terminal.options import JsonOption, RunArgument, UnsealedOption, valued
 from hil.terminal.output import columns, put, say_written
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def review(
     report: Annotated[
         Path | None, valued("--report", "FILE", "Write a report with pictures: one .html or .md file.")
     ] = None,
+    unsealed: UnsealedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Judge a recorded run by its own limits or by others, from the recording alone.
@@ -35,8 +36,8 @@ def review(
     from hil.recorded.judgement import judge_run
     from hil.recorded.recorded_run import open_run
 
-    judged = judge_run(open_run(run), against)
-    put(judged.summary.as_json(), as_json, lambda _figures: _print(judged))
+    judged = judge_run(open_run(run, unsealed=unsealed), against)
+    put(judged.summary.as_json() | {"seal": judged.run.seal}, as_json, lambda _figures: _print(judged))
     if report is not None:
         from hil.recorded.report import write_report
 
@@ -53,7 +54,8 @@ def _print(judged: "Judged") -> None:
     from hil.verdict.verdict import verdict_title
 
     console = Console(highlight=False)
-    console.print(f"{judged.run.title()}, by {judged.against}", soft_wrap=True, markup=False)
+    title = f"{judged.run.title()}, by {judged.against}; {judged.run.seal}"
+    console.print(title, soft_wrap=True, markup=False)
     table = columns("requirement", "value", "at most", "", "worst", right=("value", "at most"))
     for row in limit_rows(judged):
         table.add_row(*map(Text, row))

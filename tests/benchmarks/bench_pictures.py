@@ -17,9 +17,10 @@ import rerun as rr
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from hil.recorded.recorded_run import RecordedRun, open_run
 from hil.recorded.viewer import draw_page
-from hil.recording.telemetry import RERUN_FILE, Telemetry
+from hil.recording.telemetry import Telemetry
 from hil.reviewing.review import Review
 from hil.rows.records import COLUMNS, NOTHING, Rows
+from hil.rows.run_files import RERUN_FILE
 from hil.rows.side_rows import BeginEvent, StateEvent
 from hil.verdict.summary import summarise
 from tests.pictures.made import run

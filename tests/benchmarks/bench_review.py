@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.timebase import NS_PER_US, Instant
+from hil.recording.sealer import Sealer
 from hil.rows.records import COLUMNS, NOTHING, ROW_DTYPE, Rows
 from hil.rows.records_file import RECORDS_FILE, RecordsWriter
 
@@ -44,6 +45,7 @@ def _write_records(folder: Path) -> None:
     for second in range(_SECONDS):
         writer.write(_rows(second, random))
     writer.close()
+    Sealer(folder).finish()
 
 
 def _rows(second: int, random: np.random.Generator) -> Rows:

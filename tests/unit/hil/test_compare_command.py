@@ -13,6 +13,7 @@ from drivers.timebase import Instant
 from hil.cli import app
 from hil.recorded.comparison import compare_runs
 from hil.recorded.recorded_run import open_run
+from hil.recording.sealer import Sealer
 from hil.rows.records import Rows
 from hil.rows.records_file import RecordsWriter, read_metadata, read_records
 from tests.unit.hil.recorded_runs import short_run
@@ -46,6 +47,7 @@ def with_rows(run: Path, copy: Path, rows: Rows, batch: int) -> Path:
     for start in range(0, rows.size, batch):
         writer.write(rows[start : start + batch])
     writer.close()
+    Sealer(copy).finish()
     return copy
 
 

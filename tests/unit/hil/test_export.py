@@ -32,7 +32,7 @@ def run(tmp_path: Path) -> Path:
     folder = tmp_path / "run"
     folder.mkdir()
     writer = RecordsWriter(folder / RECORDS_FILE)
-    writer.begin({"axes": json.dumps(AXES), "bench": "two"}, ZERO)
+    writer.begin({"format": "3", "axes": json.dumps(AXES), "bench": "two"}, ZERO)
     rows = np.empty(800, ROW_DTYPE)
     for axis in range(2):
         rows[axis::2] = rows_of(synthetic_records(400, seed=axis, origin=ZERO, axis=axis))
@@ -183,7 +183,7 @@ def test_what_cannot_be_exported_is_refused(run: Path, tmp_path: Path) -> None:
     later = table_of_bytes(whole).replace_schema_metadata({"format": "99"})
     with pa.ipc.new_file(run / RECORDS_FILE, later.schema) as sink:
         sink.write_table(later)
-    assert "a recording of format 3 or earlier" in refused()
+    assert "a recording of format 4 or earlier" in refused()
     (run / RECORDS_FILE).write_bytes(whole)
     assert "a place to write to" in refused("--out", str(tmp_path / "none" / "a.csv"))
     (run / RECORDS_FILE).unlink()

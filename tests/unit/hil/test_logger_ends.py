@@ -89,7 +89,7 @@ def test_injected_faults_are_kept_where_the_plan_wants_them(
 ) -> None:
     put_faults(rings, LOSS)
     log(rings, Input(clock, [OUTCOME]), replace(plan_for(tmp_path), faults=wanted))
-    files = {"summary.json"} | ({"faults.jsonl"} if wanted else set())
+    files = {"seal", "summary.json"} | ({"faults.jsonl"} if wanted else set())
     assert {path.name for path in tmp_path.iterdir()} == files, "the room for the end is given back"
     if wanted:
         entry = json.loads((tmp_path / "faults.jsonl").read_text())

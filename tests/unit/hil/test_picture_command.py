@@ -14,7 +14,7 @@ from drivers.timebase import Instant
 from hil.cli import app
 from hil.recorded.recorded_run import open_run, signals_of
 from hil.recorded.viewer import _pages
-from hil.recording.telemetry import RERUN_FILE
+from hil.rows.run_files import RERUN_FILE
 from tests.unit.hil.recorded_runs import short_run
 
 pytestmark = pytest.mark.long

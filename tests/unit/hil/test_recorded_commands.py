@@ -33,7 +33,8 @@ def refusal(result: Result) -> str:
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     asked: list[Any] = []
 
-    def page(*given: Any) -> bytes:
+    def page(*given: Any, unsealed: bool) -> bytes:
+        assert not unsealed
         asked.append(given)
         return b"a page"
 
@@ -42,7 +43,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         return "the figure"
 
     monkeypatch.setattr(viewer, "draw_page", page)
-    monkeypatch.setattr(recorded_run, "open_run", lambda run: f"opened {run}")
+    monkeypatch.setattr(recorded_run, "open_run", lambda run, **_: f"opened {run}")
     monkeypatch.setattr(recorded_run, "signals_of", lambda run: f"signals of {run}")
     monkeypatch.setattr(paper, "paper_figure", figure)
     monkeypatch.setattr(paper, "save_figure", lambda figure, out: out.write_text(figure))
@@ -107,7 +108,7 @@ def test_a_review_is_printed_written_and_ends_as_its_verdict(
     findings = [SimpleNamespace(outcome="broken", text="too [slow]")]
     verdict = SimpleNamespace(outcome="not passed", exit_status=1, findings=findings)
     judged = SimpleNamespace(
-        run=SimpleNamespace(title=lambda: "run [one]"),
+        run=SimpleNamespace(title=lambda: "run [one]", seal="sealed"),
         against="its own limits",
         summary=SimpleNamespace(verdict=verdict, as_json=lambda: {"cycles": 7}),
     )
@@ -117,14 +118,14 @@ def test_a_review_is_printed_written_and_ends_as_its_verdict(
         return judged
 
     rows = [("overshoot", "12", "10", "broken", "axis1 at 1 s"), ("delay [us]", "-", "5", "not known", "")]
-    monkeypatch.setattr(recorded_run, "open_run", lambda run: f"opened {run}")
+    monkeypatch.setattr(recorded_run, "open_run", lambda run, **_: f"opened {run}")
     monkeypatch.setattr(judgement, "judge_run", judge)
     monkeypatch.setattr(report, "limit_rows", lambda _judged: iter(rows))
     monkeypatch.setattr(report, "write_report", lambda _judged, path: path.write_text("a report"))
     told = hil("review", "one")
     assert (told.exit_code, told.stderr) == (1, "")
     assert [" ".join(line.split()) for line in told.stdout.splitlines()] == [
-        "run [one], by its own limits",
+        "run [one], by its own limits; sealed",
         "requirement value at most worst",
         "overshoot 12 10 broken axis1 at 1 s",
         "delay [us] - 5 not known",
@@ -134,7 +135,11 @@ def test_a_review_is_printed_written_and_ends_as_its_verdict(
     verdict.exit_status = 6
     out = tmp_path / "report.md"
     told = hil("review", "one", "--against", "asked.toml", "--report", out, "--json")
-    assert (told.exit_code, json.loads(told.stdout), told.stderr) == (6, {"cycles": 7}, f"written {out}\n")
+    assert (told.exit_code, json.loads(told.stdout), told.stderr) == (
+        6,
+        {"cycles": 7, "seal": "sealed"},
+        f"written {out}\n",
+    )
     assert out.read_text() == "a report"
     assert asked == [("opened one", None), ("opened one", Path("asked.toml"))]
 
@@ -159,7 +164,7 @@ class Compared:
 @pytest.fixture
 def compared(monkeypatch: pytest.MonkeyPatch) -> Compared:
     made = Compared()
-    monkeypatch.setattr(recorded_run, "open_run", lambda run: f"opened {run}")
+    monkeypatch.setattr(recorded_run, "open_run", lambda run, **_: f"opened {run}")
     monkeypatch.setattr(comparison, "load_tolerances", lambda path: f"loaded {path}")
     monkeypatch.setattr(comparison, "compare_runs", made.compare)
     monkeypatch.setattr(comparison, "comparison_lines", lambda _compared: ["one", "two"])

@@ -66,6 +66,9 @@ def test_rows_that_are_not_those_of_the_run_are_told(run: Path, tmp_path: Path) 
     writer.write(rows)
     writer.close()
     status, told = review(copy)
+    assert status == 2
+    assert f"{copy / 'records.arrow'}: rows 1 to {rows.size}: found" in told
+    status, told = review(copy, "--unsealed")
     assert status == 5
     assert "digest" in told
 

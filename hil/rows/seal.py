@@ -1,0 +1,139 @@
+"""The seal of a recording: digests of its files, piece by piece as they grew, each chained to the one before.
+
+A line of the file ``seal`` is a piece of a file, or says that the recording has ended:
+
+    {"file": "records.arrow", "begin": 0, "end": 41008, "rows": 1000, "digest": "...", "chain": "..."}
+    {"ended": true, "chain": "..."}
+
+``digest``: BLAKE2b, 128 bit, of the bytes from ``begin`` to ``end``. ``chain``: of the chain of the line
+before and this line up to its chain. ``rows``: cycle records from the begin of the file to there. It proves
+that files are those that were recorded together; who makes all of them anew can make a seal for them.
+"""
+
+import json
+import re
+from collections.abc import Iterator
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any, BinaryIO, Final, NamedTuple
+
+from drivers.bounded_file import read_lines
+from drivers.errors import BadInput
+from hil.rows.records_file import RECORDS_FILE, read_metadata, refuse_later_format
+from hil.rows.run_files import (
+    BENCH_FILE,
+    DIRECTIONS_FILE,
+    EVENTS_FILE,
+    FRAMES_FILE,
+    LOAD_FILE,
+    RERUN_FILE,
+    SEAL_FILE,
+    SUMMARY_FILE,
+    UNSEALED_TO_FORMAT,
+)
+from virtual_bus.faults.fault_log import FAULTS_FILE
+
+FIRST_CHAIN: Final = "servobench"
+"""In place of a chain before the first line."""
+OLDER: Final = "unsealed: recorded by an older version"
+SEALED: Final = "sealed"
+NOT_CHECKED: Final = "unsealed: asked for by --unsealed"
+READ: Final = frozenset(
+    {
+        BENCH_FILE, RECORDS_FILE, EVENTS_FILE, FRAMES_FILE, DIRECTIONS_FILE, FAULTS_FILE, LOAD_FILE,
+        RERUN_FILE, SUMMARY_FILE,
+    }
+)  # fmt: skip
+"""What is read of a recording: none of them is there without a piece of the seal."""
+_DIGEST_BYTES: Final = 16
+_BLOCK_BYTES: Final = 1 << 20
+_LINE: Final = re.compile(r'(\{.*), "chain": "([0-9a-f]{32})"\}\n')
+_SHOWN: Final = "--unsealed shows what can be read of it"
+
+
+class Piece(NamedTuple):
+    """Of a file."""
+
+    file: str
+    begin: int
+    end: int
+    rows: int | None
+    digest: str
+
+
+def sealed_line(plain: dict[str, Any], before: str) -> tuple[str, str]:
+    """A line, and its chain; ``before``: that of the line before it."""
+    text = json.dumps(plain)[:-1]
+    chain = _chained(text, before)
+    return f'{text}, "chain": "{chain}"}}\n', chain
+
+
+def _chained(text: str, before: str) -> str:
+    return blake2b(f"{before}{text}".encode(), digest_size=_DIGEST_BYTES).hexdigest()
+
+
+def digest_of(file: BinaryIO, begin: int, end: int) -> str:
+    """Of its bytes from ``begin`` to ``end``, or to its end if that comes first."""
+    digest = blake2b(digest_size=_DIGEST_BYTES)
+    file.seek(begin)
+    while begin < end and (block := file.read(min(_BLOCK_BYTES, end - begin))):
+        digest.update(block)
+        begin += len(block)
+    return digest.hexdigest()
+
+
+def read_seal(folder: Path) -> Iterator[tuple[Piece | None, str]]:
+    """Its pieces, None for an end, each with its chain. Raises BadInput for a line outside the chain."""
+    path, chain = folder / SEAL_FILE, FIRST_CHAIN
+    for number, line in enumerate(read_lines(path, "seal"), 1):
+        match = _LINE.fullmatch(line)
+        if match is None or _chained(match[1], chain) != match[2]:
+            raise BadInput(str(path), f"line {number}", line[:60], "a line of the chain", _SHOWN)
+        chain, plain = match[2], json.loads(match[1] + "}")
+        yield (None if "ended" in plain else Piece(**{"rows": None, **plain})), chain
+
+
+def check_seal(folder: Path) -> str:
+    """Hold the files of a recording against its seal; :data:`SEALED` or :data:`OLDER`.
+
+    Raises BadInput, naming file and place, for what is not as it was recorded.
+    """
+    if not (folder / SEAL_FILE).is_file():
+        metadata = read_metadata(folder / RECORDS_FILE)
+        refuse_later_format(metadata, folder / RECORDS_FILE)
+        if int(metadata.get("format", "0")) <= UNSEALED_TO_FORMAT:  # without a head nothing can be read
+            return OLDER
+        raise BadInput(str(folder), "", f"no file {SEAL_FILE}", "a recording with its seal", _SHOWN)
+    pieces: dict[str, list[Piece]] = {}
+    ended = False
+    for piece, _ in read_seal(folder):
+        ended = piece is None
+        if piece is not None:
+            pieces.setdefault(piece.file, []).append(piece)
+    if not ended:
+        remedy = f"hil recover ends it; {_SHOWN}"
+        raise BadInput(str(folder / SEAL_FILE), "", "no last line", "the end of the recording", remedy)
+    for name in sorted(READ - pieces.keys()):
+        if (folder / name).exists():
+            raise BadInput(str(folder / name), "", "a file", "none: the recording had none", _SHOWN)
+    for name, parts in pieces.items():
+        _check_file(folder / name, parts)
+    return SEALED
+
+
+def _check_file(path: Path, pieces: list[Piece]) -> None:
+    if not path.is_file():
+        raise BadInput(str(path), "", "no file", "one as it was recorded", _SHOWN)
+    with path.open("rb") as file:
+        rows = 0
+        for piece in pieces:
+            if (now := digest_of(file, piece.begin, piece.end)) != piece.digest:
+                counted = piece.rows is not None and piece.rows > rows
+                place = (
+                    f"rows {rows + 1} to {piece.rows}" if counted else f"bytes {piece.begin} to {piece.end}"
+                )
+                raise BadInput(str(path), place, f"BLAKE2b {now}", f"{piece.digest}, as recorded", _SHOWN)
+            rows = piece.rows or rows
+        if more := file.seek(0, 2) - pieces[-1].end:
+            expected = f"its end at byte {pieces[-1].end}"
+            raise BadInput(str(path), "", f"{more} bytes more", expected, _SHOWN)

@@ -1,0 +1,139 @@
+"""A recording is read only as it was recorded; what is not is told by file and place."""
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from drivers.timebase import NS_PER_S, MonotonicClock
+from hil.cli import app
+from tests.unit.hil.recorded_runs import BENCH, short_run
+
+READERS: dict[str, Callable[[Path], list[str]]] = {
+    "review": lambda run: ["review", str(run), "--against", str(run.parent / "nothing.toml")],
+    "compare": lambda run: ["compare", str(run), str(run)],
+    "export": lambda run: ["export", str(run), "--to", "csv", "--out", os.devnull],
+    "picture": lambda run: ["picture", str(run), str(run.parent / "picture.svg"), "--paper"],
+}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sealed")
+    (folder / "nothing.toml").write_text("[verdict]\n")
+    return short_run(folder / "run")
+
+
+def copied(run: Path, tmp_path: Path) -> Path:
+    shutil.copy(run.parent / "nothing.toml", tmp_path)
+    return Path(shutil.copytree(run, tmp_path / "copy"))
+
+
+def read(name: str, run: Path, *more: str) -> tuple[int, str]:
+    ended = CliRunner().invoke(app, [*READERS[name](run), *more])
+    return ended.exit_code, ended.output
+
+
+def names(run: Path) -> list[str]:
+    return sorted(path.name for path in run.iterdir() if path.name != "logger.log")
+
+
+def test_each_byte_of_each_file_counts(run: Path, tmp_path: Path) -> None:
+    copy, draw = copied(run, tmp_path), random.Random(36)
+    recorded = {"records.arrow", "events.jsonl", "frames.log", "frames.directions", "run.rrd", "summary.json"}
+    assert {"bench.toml", "faults.jsonl", "network.toml", "seal", *recorded} == set(names(run))
+    for name in names(run):
+        whole = (copy / name).read_bytes()
+        at, bit = draw.randrange(len(whole)), 1 << draw.randrange(8)
+        flipped = whole[:at] + bytes([whole[at] ^ bit]) + whole[at + 1 :]
+        for damaged in (flipped, whole[:at], whole + b"\n", None):
+            (copy / name).unlink()
+            if damaged is not None:
+                (copy / name).write_bytes(damaged)
+            status, told = read("export", copy)
+            assert status == 2, (name, at, bit, told)
+            assert name in told
+            (copy / name).write_bytes(whole)
+    assert read("export", copy)[0] == 0
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_who_reads_a_recording_asks_its_seal(run: Path, tmp_path: Path, name: str) -> None:
+    copy = copied(run, tmp_path)
+    events = (copy / "events.jsonl").read_text()
+    (copy / "events.jsonl").write_text(events.replace("running", "stopped"))
+    status, told = read(name, copy)
+    assert status == 2, told
+    assert f"{copy / 'events.jsonl'}: bytes 0 to {len(events)}: found" in told
+    assert "--unsealed" in told
+    status, told = read(name, copy, "--unsealed")
+    assert (status, "unsealed" in told) == (0, name == "review"), told
+
+
+def test_a_file_that_the_run_had_not_is_told(run: Path, tmp_path: Path) -> None:
+    copy = copied(run, tmp_path)
+    (copy / "load.csv").write_text("at_ns,axis,torque_nm,speed_rad_s\n")
+    (copy / "records.csv").write_text("an export is no part of it\n")
+    status, told = read("review", copy)
+    assert (status, f"{copy / 'load.csv'}: found 'a file'" in told) == (2, True)
+
+
+def test_rows_put_together_from_two_runs_are_told(run: Path, tmp_path: Path) -> None:
+    other, copy = short_run(tmp_path / "other", seed=5), copied(run, tmp_path)
+    shutil.copy(other / "records.arrow", copy / "records.arrow")
+    status, told = read("review", copy)
+    assert (status, "records.arrow: rows 1 to " in told) == (2, True)
+
+
+def test_the_verdict_says_whether_it_rests_on_a_seal(run: Path) -> None:
+    for more, seal in ((), "sealed"), (("--unsealed",), "unsealed: asked for by --unsealed"):
+        ended = CliRunner().invoke(app, [*READERS["review"](run), "--json", *more])
+        assert (ended.exit_code, json.loads(ended.stdout)["seal"]) == (0, seal)
+
+
+def with_descendants(pid: int) -> list[int]:
+    found = [pid]
+    for each in found:
+        children = subprocess.run(["pgrep", "-P", str(each)], capture_output=True, text=True, check=False)
+        found += map(int, children.stdout.split())
+    return found
+
+
+def test_a_run_that_was_killed_has_a_seal_up_to_its_last_second(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    bench = tmp_path / "bench.toml"
+    bench.write_text(
+        BENCH.read_text()
+        .replace('"motors/', f'"{BENCH.parent}/motors/')
+        .replace('"faults/', f'"{BENCH.parent}/faults/')
+        .replace("duration_s = 2.0", "duration_s = 600.0")
+    )
+    command = [sys.executable, "-m", "hil.cli", "run", str(bench), "--record", str(folder)]
+    process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
+    seal = folder / "seal"
+    clock = MonotonicClock()
+    ends_at = clock.now() + 60 * NS_PER_S
+    while not (seal.exists() and seal.read_text().count("records.arrow") >= 3):
+        assert clock.now() < ends_at
+        assert process.poll() is None
+    for pid in reversed(with_descendants(process.pid)):  # the logger first: it would end the recording
+        os.kill(pid, signal.SIGKILL)
+    process.wait()
+    begun = seal.read_bytes()
+    ended = CliRunner().invoke(app, ["recover", str(folder)])
+    assert ended.exit_code == 0, ended.output
+    assert seal.read_bytes().startswith(begun[: begun.rindex(b"\n") + 1])
+    status, told = read("export", folder)
+    assert status == 0, told
+    rows = (folder / "records.arrow").read_bytes()
+    (folder / "records.arrow").write_bytes(rows[:5000] + bytes([rows[5000] ^ 1]) + rows[5001:])
+    status, told = read("export", folder)
+    assert (status, "records.arrow: rows 1 to " in told) == (2, True), told
