@@ -49,7 +49,8 @@ class Hooks(Controller):
 
     def __init__(self, _setup: Setup, where: str = "", way: str = "", tally: str = "") -> None:
         self._where, self._way = where, way
-        self._tally = tally and os.open(tally, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+        self._tally = os.open(tally, flags) if tally else None  # which may be 0, where that was closed
         self._cycles = 0
         self._act("__init__")
 
@@ -71,7 +72,7 @@ class Hooks(Controller):
 
     def update(self, _context: Context, _command: object) -> None:
         self._act("update")
-        if self._tally:
+        if self._tally is not None:
             os.write(self._tally, b".")
 
     def telemetry(self) -> Sequence[float]:
