@@ -25,7 +25,7 @@ from drivers.timebase import NS_PER_S
 from drivers.written_file import written
 from hil.reviewing.export_format import ExportFormat
 from hil.rows.records import NOTHING, Column
-from hil.rows.records_file import RECORDS_FILE, column_of, is_whole, refuse_later_format
+from hil.rows.records_file import RECORDS_FILE, column_of, damage_told, is_whole, refuse_later_format
 from hil.rows.seal import check_seal
 
 CHUNK_ROWS: Final = 1 << 17
@@ -53,13 +53,14 @@ class RecordedRows:
             )
         if not unsealed:
             check_seal(folder)
-        self.schema = self._open(None).schema
-        told = self.schema.metadata or {}
-        self.metadata: Mapping[str, str] = {key.decode(): value.decode() for key, value in told.items()}
-        refuse_later_format(self.metadata, self.path)
-        self.columns = tuple(map(column_of, self.schema))
-        self.axes: tuple[str, ...] = tuple(json.loads(self.metadata.get("axes", "[]")))
-        """Names by number."""
+        with damage_told(self.path):
+            self.schema = self._open(None).schema
+            told = self.schema.metadata or {}
+            self.metadata: Mapping[str, str] = {key.decode(): value.decode() for key, value in told.items()}
+            refuse_later_format(self.metadata, self.path)
+            self.columns = tuple(map(column_of, self.schema))
+            self.axes: tuple[str, ...] = tuple(json.loads(self.metadata.get("axes", "[]")))
+            """Names by number."""
 
     def chunks(self, names: Sequence[str] | None = None) -> Iterator[pa.Table]:
         """The rows in order, CHUNK_ROWS and a batch at a time at most; ``names``: of these columns alone."""
@@ -103,10 +104,11 @@ def export_run(
     """
     rows = RecordedRows(run, unsealed=unsealed)
     path = out or run / f"records.{wanted.value}"
-    with written("--out", path, f".{wanted.value}") as part:
+    with written("--out", path, f".{wanted.value}") as part, damage_told(rows.path):
         _WRITERS[wanted](rows, part)
         size = part.stat().st_size
-    count = sum(chunk.num_rows for chunk in rows.chunks([_AXIS]))
+    with damage_told(rows.path):
+        count = sum(chunk.num_rows for chunk in rows.chunks([_AXIS]))
     return Exported(str(path), count, len(rows.columns), size)
 
 

@@ -10,6 +10,7 @@ Instants are in run time, ns since the first cycle; what is not known is null.
 import json
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,6 +41,16 @@ def refuse_later_format(metadata: Mapping[str, str], source: Path) -> None:
         raise BadInput(
             str(source), "format", told, expected, "read it with the servobench that wrote it, or later"
         )
+
+
+@contextmanager
+def damage_told(path: Path) -> Iterator[None]:
+    """Raises BadInput for a file whose content is no cycle records, as Arrow and numpy find it out."""
+    try:
+        yield
+    except (pa.ArrowException, ValueError, TypeError, LookupError, ArithmeticError, MemoryError) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise BadInput(str(path), "", said, "cycle records as they were written: it is damaged") from None
 
 
 class RecordsWriter:
@@ -127,7 +138,8 @@ def read_metadata(path: Path) -> dict[str, str]:
     """What the file says of the run; empty if it was cut off before its head."""
     schema = _schema_of(path)
     metadata = {} if schema is None else schema.metadata or {}
-    return {key.decode(): value.decode() for key, value in metadata.items()}
+    with damage_told(path):
+        return {key.decode(): value.decode() for key, value in metadata.items()}
 
 
 def read_records(path: Path, first_cycle: int = 0) -> Iterator[Rows]:
@@ -136,7 +148,9 @@ def read_records(path: Path, first_cycle: int = 0) -> Iterator[Rows]:
     ``first_cycle``: what their instants are to count it as; the metadata have it on the bench clock, too.
     """
     for batch in _batches(path):
-        yield _rows_of(batch, first_cycle)
+        with damage_told(path):
+            rows = _rows_of(batch, first_cycle)
+        yield rows
 
 
 def finish_records(path: Path) -> int:
@@ -166,7 +180,7 @@ def _schema_of(path: Path) -> pa.Schema | None:
     with pa.OSFile(str(path), "rb") as source:
         try:
             return _stream(source).schema
-        except (pa.ArrowInvalid, OSError):
+        except (pa.ArrowException, OSError):
             return None
 
 
@@ -189,8 +203,10 @@ def _batches(path: Path) -> Iterator[pa.RecordBatch]:
         try:
             reader = _stream(source)
             while True:
-                yield reader.read_next_batch()
-        except (StopIteration, pa.ArrowInvalid, OSError):
+                batch = reader.read_next_batch()
+                batch.validate(full=True)
+                yield batch
+        except (StopIteration, pa.ArrowException, OSError):
             return
 
 

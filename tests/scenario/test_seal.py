@@ -137,3 +137,19 @@ def test_a_run_that_was_killed_has_a_seal_up_to_its_last_second(tmp_path: Path) 
     (folder / "records.arrow").write_bytes(rows[:5000] + bytes([rows[5000] ^ 1]) + rows[5001:])
     status, told = read("export", folder)
     assert (status, "records.arrow: rows 1 to " in told) == (2, True), told
+
+
+def test_damaged_records_without_a_seal_are_bad_input_at_worst(run: Path, tmp_path: Path) -> None:
+    copy, draw = copied(run, tmp_path), random.Random(70)
+    whole = (run / "records.arrow").read_bytes()
+    refused = 0
+    for _ in range(30):
+        damaged = bytearray(whole)
+        damaged[draw.choice([draw.randrange(6000), len(whole) - 1 - draw.randrange(9000)])] ^= (
+            1 << draw.randrange(8)
+        )
+        (copy / "records.arrow").write_bytes(damaged)
+        status, told = read("export", copy, "--unsealed")
+        assert status in (0, 2), told
+        refused += status == 2 and "records.arrow" in told
+    assert refused > 5
