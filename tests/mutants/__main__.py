@@ -10,6 +10,7 @@ from drivers.timebase import NS_PER_S, MonotonicClock
 from tests.mutants.kinds import KINDS
 from tests.mutants.mutant import failures
 from tests.mutants.recordings import recording_kinds
+from tests.mutants.seals import seal_breaker
 
 LOADERS_EACH: Final = 8
 """Mutants of every other file for one of each file of a recording, which takes fifty times as long."""
@@ -27,6 +28,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         recordings = recording_kinds(folder / "recording")
+        seal_broken = seal_breaker(folder / "sealed")
         for number in count():
             turns = [(kind, number) for kind in KINDS]
             if number % LOADERS_EACH == 0:
@@ -37,6 +39,11 @@ def main() -> None:
                 done += 1
                 for text in found:
                     print(text, flush=True)
+            found = seal_broken(number)
+            broken += bool(found)
+            done += 1
+            for text in found:
+                print(text, flush=True)
             if done >= options.inputs or clock.now() >= ends_at:
                 break
     print(f"{done} mutated files, {broken} of them were not taken as they should be")
