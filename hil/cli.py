@@ -45,7 +45,7 @@ from hil.terminal.picture import picture
 from hil.terminal.recover import recover
 from hil.terminal.reproduce import azaiz2007, ling2012
 from hil.terminal.review import review
-from hil.terminal.run_object import RunCommand, RunObject
+from hil.terminal.run_object import RunCommand, RunObject, read_back
 from hil.terminal.runs import runs
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
@@ -194,6 +194,7 @@ def run(asked: RunOptions) -> None:
             )
         finally:
             progress.clear()
+        summary = read_back(summary)
         run_object.print(summary)
         if not asked.as_json:
             from hil.terminal.report import print_run

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -9,7 +10,7 @@ from typer.core import TyperCommand
 
 from hil.machine.parent_process import results, tell_parent
 from hil.verdict.summary import Summary, summary_without_run
-from hil.verdict.verdict import ExitStatus, Finding, outcome_of_status
+from hil.verdict.verdict import ExitStatus, Finding, VerdictKind, outcome_of_status
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 """UsageError of whichever click typer brings along."""
@@ -50,6 +51,23 @@ class RunObject:
     def _tell(self, summary: Summary) -> None:
         status, digest = summary.verdict.exit_status, summary.digest
         tell_parent(concluded={"status": status, "digest": digest, "recording": summary.recording})
+
+
+def read_back(summary: Summary) -> Summary:
+    """As it is; but a run that would leave with 0 is not recorded if its recording does not hold its seal.
+
+    The one place where the seal stands between a run and its exit status.
+    """
+    if summary.verdict.exit_status != ExitStatus.PASSED or not summary.recording:
+        return summary
+    from drivers.errors import BadInput
+    from hil.rows.seal import check_seal
+
+    try:
+        check_seal(Path(summary.recording))
+    except BadInput as error:
+        return summary.also(Finding(VerdictKind.NOT_RECORDED, str(error)))
+    return summary
 
 
 def not_begun(status: int, text: str) -> None:

@@ -64,8 +64,8 @@ def concluded(known: Known, result: Mapping[str, Any], arguments: Sequence[str],
 
 
 def _doubt(told: Mapping[str, Any] | None) -> str:
-    """Why a run that leaves with 0 has not passed; empty: it has. The one place where the seal of a recording
-    stands between a run and its status."""
+    """Why a run that leaves with 0 has not passed; empty: it has. Its process has looked at the seal
+    (:func:`hil.terminal.run_object.read_back`), here it is the summary alone: nothing heavy is imported."""
     if told is None or told["status"] != ExitStatus.PASSED:
         return "no summary says that the run passed"
     if not told["recording"]:

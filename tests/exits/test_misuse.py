@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from hil.recording.run_folder import read_summary
+from hil.terminal.run_object import read_back
 from tests.exits.misused_hooks import __file__ as hooks
 from tests.scenario.processes import (
     BENCH,
@@ -112,3 +114,18 @@ def test_a_terminal_that_is_closed_ends_the_run_at_rest(tmp_path: Path) -> None:
     assert process.returncode == 130
     verdict = json.loads(out)["verdict"]
     assert (verdict["exit_status"], verdict["reason"]) == (130, "ended by SIGHUP")
+
+
+def test_a_run_passes_only_with_a_recording_that_holds_its_seal(tmp_path: Path) -> None:
+    bench = with_hooks(changed_bench(tmp_path), "output", "pass")
+    bench.write_text(bench.read_text(encoding="utf-8").partition("[verdict]")[0], encoding="utf-8")
+    asked = ["run", str(bench), "--bus", "simulated", "--record", str(tmp_path / "run")]
+    done = run_command(python_command("hil.cli", *asked))
+    summary = read_summary(tmp_path / "run")
+    assert done.returncode == summary.verdict.exit_status == 0, done.stderr
+    assert read_back(summary) == summary
+    with (tmp_path / "run" / "events.jsonl").open("a", encoding="utf-8") as events:
+        events.write("\n")
+    verdict = read_back(summary).verdict
+    assert (verdict.outcome, verdict.exit_status) == ("not recorded", 5)
+    assert "events.jsonl" in verdict.reason

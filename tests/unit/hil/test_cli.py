@@ -61,6 +61,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     stand_ins = {
         "hil.execution.bench": ("run_bench", found.run_bench),
         "hil.execution.simulated_drives": ("simulate", found.simulate),
+        "hil.rows.seal": ("check_seal", lambda _folder: "sealed"),
     }
     for name, (function, stand_in) in stand_ins.items():
         module = ModuleType(name)
