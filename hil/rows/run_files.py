@@ -3,10 +3,8 @@
 from typing import Final
 
 FORMAT: Final = "4"
-"""Version of the run's folder as docs/recording.md describes it; counts up when a reader must know."""
-
-UNSEALED_TO_FORMAT: Final = 3
-"""Up to this one a recording has no seal."""
+"""Version of the run's folder as docs/recording.md describes it; counts up when a reader must know.
+Up to 3 a recording has no seal."""
 
 FIRST_CYCLE = "first_cycle_bench_ns"
 """Key of the first cycle's instant on the bench clock, from which all times count."""

@@ -19,17 +19,17 @@ from typing import Any, BinaryIO, Final, NamedTuple
 
 from drivers.bounded_file import read_lines
 from drivers.errors import BadInput
-from hil.rows.records_file import RECORDS_FILE, read_metadata, refuse_later_format
+from hil.rows.records_file import RECORDS_FILE, read_metadata
 from hil.rows.run_files import (
     BENCH_FILE,
     DIRECTIONS_FILE,
     EVENTS_FILE,
+    FORMAT,
     FRAMES_FILE,
     LOAD_FILE,
     RERUN_FILE,
     SEAL_FILE,
     SUMMARY_FILE,
-    UNSEALED_TO_FORMAT,
 )
 from virtual_bus.faults.fault_log import FAULTS_FILE
 
@@ -99,9 +99,7 @@ def check_seal(folder: Path) -> str:
     Raises BadInput, naming file and place, for what is not as it was recorded.
     """
     if not (folder / SEAL_FILE).is_file():
-        metadata = read_metadata(folder / RECORDS_FILE)
-        refuse_later_format(metadata, folder / RECORDS_FILE)
-        if int(metadata.get("format", "0")) <= UNSEALED_TO_FORMAT:  # without a head nothing can be read
+        if read_metadata(folder / RECORDS_FILE).get("format") != FORMAT:  # who reads it refuses a later one
             return OLDER
         raise BadInput(str(folder), "", f"no file {SEAL_FILE}", "a recording with its seal", _SHOWN)
     pieces: dict[str, list[Piece]] = {}

@@ -13,6 +13,7 @@ from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.recorded.recorded_run import RecordedRun, open_run, signals_of
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.recording.run_folder import write_summary
+from hil.recording.sealer import Sealer
 from hil.rows.recording_plan import PlannedSetPoint
 from hil.rows.records import NAMES
 from hil.rows.records_file import RecordsWriter
@@ -134,6 +135,7 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "bench.toml").write_text(BENCH.resolved_text())
     write(tmp_path, {"first_cycle_bench_ns": str(ZERO), "bench": "ling2012"})
     write_summary(tmp_path, summary())
+    Sealer(tmp_path).finish()
     return tmp_path
 
 
@@ -194,9 +196,10 @@ def test_what_is_no_whole_run_is_refused(folder: Path, spoil: Spoil, told: str) 
 
 
 @pytest.mark.parametrize(
-    ("written_in", "read"), [("1", True), ("2", True), ("3", True), ("4", False), ("0", False), ("x", False)]
+    ("written_in", "read"), [("1", True), ("2", True), ("3", True), ("5", False), ("0", False), ("x", False)]
 )
 def test_a_recording_of_another_format_is_refused(folder: Path, written_in: str, read: bool) -> None:
+    (folder / "seal").unlink()
     write(folder, {"first_cycle_bench_ns": "0", "format": written_in})
     if read:
         run = open_run(folder)
@@ -205,10 +208,11 @@ def test_a_recording_of_another_format_is_refused(folder: Path, written_in: str,
         return
     with pytest.raises(BadInput) as caught:
         open_run(folder)
-    assert str(caught.value) == f"RUN: format: found '{written_in}', expected a recording of format 1 to 3"
+    assert str(caught.value) == f"RUN: format: found '{written_in}', expected a recording of format 1 to 4"
 
 
 def test_a_recording_whose_head_was_cut_off_has_no_format(folder: Path) -> None:
+    (folder / "seal").unlink()
     (folder / "records.arrow").write_bytes(b"ARROW1")
-    with pytest.raises(BadInput, match=r"^RUN: format: found 'none', expected a recording of format 1 to 3$"):
+    with pytest.raises(BadInput, match=r"^RUN: format: found 'none', expected a recording of format 1 to 4$"):
         open_run(folder)
