@@ -18,12 +18,11 @@ from drivers.bounded_file import (
     read_lines,
     read_text,
     read_toml,
-    write_file,
-    writing,
 )
 from drivers.errors import BadInput
 from drivers.printable import printable
 from drivers.sheets.dictionary import load_dictionary, parse_dictionary
+from drivers.written_file import write_file, writing
 from tests.mutants.mutant import PROCESSOR_S_MAX, processor_s
 
 SHEET = b"[1000]\nParameterName=Device type\nObjectType=7\nDataType=7\nAccessType=ro\nDefaultValue=%s\n"
