@@ -23,13 +23,15 @@ class SetPointTeller:
         if not self._planned or not rows.size:
             return []
         sent = rows[rows["command_handed_at"] != NOTHING]
-        told: list[TextEvent] = []
+        told: list[tuple[int, int, TextEvent]] = []
         waiting: list[PlannedSetPoint] = []
         for each in self._planned:
             acted = np.flatnonzero((sent["axis"] == each.axis) & (sent["due_at"] >= zero + each.after))
             if acted.size:
-                told.append(TextEvent(Instant(int(sent["command_handed_at"][acted[0]])), "INFO", each.text))
+                at = Instant(int(sent["command_handed_at"][acted[0]]))
+                told.append((at, each.axis, TextEvent(at, "INFO", each.text)))
             else:
                 waiting.append(each)
         self._planned = tuple(waiting)
-        return sorted(told, key=lambda event: event.at)
+        # Of one instant by axis, as the rows come: also where those of one cycle are taken in two parts.
+        return [event for _, _, event in sorted(told, key=lambda entry: entry[:2])]
