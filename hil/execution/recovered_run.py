@@ -12,8 +12,8 @@ from hil.loop.loop import planned_cycles
 from hil.recording.logger_process import RecordingFailed
 from hil.recording.recovery import recover
 from hil.recording.run_folder import read_summary
-from hil.rows.records_file import RECORDS_FILE, read_metadata
-from hil.rows.run_files import BENCH_FILE, BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH
+from hil.rows.records_file import read_metadata
+from hil.rows.run_files import BENCH_FILE, BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH, RECORDS_FILE
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunOutcome
 

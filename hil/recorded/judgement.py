@@ -14,7 +14,7 @@ from drivers.bounded_file import NamedBy
 from hil.configuration.config import VerdictConfig
 from hil.configuration.config_files import Section, load_file
 from hil.recorded.recorded_run import RecordedRun, RunSignals
-from hil.rows.records_file import RECORDS_FILE
+from hil.rows.run_files import RECORDS_FILE
 from hil.verdict.summary import Figures, Summary, summarise
 from hil.verdict.verdict import Demand, RunOutcome, VerdictKind, VerdictLimits
 

@@ -21,8 +21,8 @@ from hil.reviewing.histogram import TimeHistogram
 from hil.reviewing.review import Review
 from hil.rows.recording_plan import ReviewPlan
 from hil.rows.records import DIGESTED_TO_FORMAT_2, Rows
-from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
-from hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, SUMMARY_FILE
+from hil.rows.records_file import read_metadata, read_records
+from hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, RECORDS_FILE, SUMMARY_FILE
 from hil.rows.seal import NOT_CHECKED, check_seal
 from hil.verdict.summary import Summary
 

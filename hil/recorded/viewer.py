@@ -19,8 +19,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from hil.recorded.commissioning_page import commissioning_page, is_commissioning
 from hil.recording.blueprint import GUTTER
 from hil.recording.page_series import TIMELINE
-from hil.rows.records_file import RECORDS_FILE
-from hil.rows.run_files import CAMPAIGN_PAGE, RERUN_FILE, SEAL_FILE
+from hil.rows.run_files import CAMPAIGN_PAGE, RECORDS_FILE, RERUN_FILE, SEAL_FILE
 from hil.rows.seal import check_seal
 from virtual_bus.child_python import python_command, python_environment
 

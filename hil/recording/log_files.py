@@ -25,8 +25,8 @@ from hil.rows.event_lines import event_json
 from hil.rows.frame_order import FrameOrder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import RECORDS_FILE, RecordsWriter
-from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE, RERUN_FILE
+from hil.rows.records_file import RecordsWriter
+from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE, RECORDS_FILE, RERUN_FILE
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import (
     FRAME_DTYPE,

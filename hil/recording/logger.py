@@ -30,13 +30,13 @@ from hil.reviewing.review import Review
 from hil.rows.injected_faults import InjectedFaults
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import RECORDS_FILE
 from hil.rows.run_files import (
     BENCH_FILE,
     DIRECTIONS_FILE,
     EVENTS_FILE,
     FRAMES_FILE,
     LOAD_FILE,
+    RECORDS_FILE,
     SEAL_FILE,
     SUMMARY_FILE,
 )

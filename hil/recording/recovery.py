@@ -35,7 +35,7 @@ from hil.reviewing.trace.run_trace import RecordedBus
 from hil.rows.event_lines import read_events
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW, ROW_DTYPE
-from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
+from hil.rows.records_file import read_metadata, read_records
 from hil.rows.run_files import (
     DIRECTION_BYTES,
     DIRECTIONS_FILE,
@@ -43,6 +43,7 @@ from hil.rows.run_files import (
     FORMAT,
     FRAMES_FILE,
     LOAD_FILE,
+    RECORDS_FILE,
     RERUN_FILE,
     SEAL_FILE,
 )

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.recording.append_file import AppendFile
-from hil.rows.records_file import RECORDS_FILE
-from hil.rows.run_files import LOGGER_LOG, PRINTED_FILE, RESERVE_FILE, SEAL_FILE
+from hil.rows.run_files import LOGGER_LOG, PRINTED_FILE, RECORDS_FILE, RESERVE_FILE, SEAL_FILE
 from hil.rows.seal import FIRST_CHAIN, digest_of, read_seal, sealed_line
 
 _LEFT_OUT: Final = frozenset({SEAL_FILE, RESERVE_FILE, LOGGER_LOG, PRINTED_FILE})

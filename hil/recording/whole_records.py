@@ -13,14 +13,8 @@ from hil.recording.run_metadata import run_metadata
 from hil.recording.tail import TAIL_FILE, read_tail
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import (
-    RECORDS_FILE,
-    RecordsWriter,
-    finish_records,
-    read_metadata,
-    read_records,
-)
-from hil.rows.run_files import FIRST_CYCLE
+from hil.rows.records_file import RecordsWriter, finish_records, read_metadata, read_records
+from hil.rows.run_files import FIRST_CYCLE, RECORDS_FILE
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, drives_of, events_of
 

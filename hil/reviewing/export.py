@@ -25,7 +25,8 @@ from drivers.timebase import NS_PER_S
 from drivers.written_file import written
 from hil.reviewing.export_format import ExportFormat
 from hil.rows.records import NOTHING, Column
-from hil.rows.records_file import RECORDS_FILE, column_of, damage_told, is_whole, refuse_later_format
+from hil.rows.records_file import column_of, damage_told, is_whole, refuse_later_format
+from hil.rows.run_files import RECORDS_FILE
 from hil.rows.seal import check_seal
 
 CHUNK_ROWS: Final = 1 << 17

@@ -13,8 +13,15 @@ from typing import Any, Final
 from drivers.bounded_file import parse_json, read_text, read_toml
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S
-from hil.rows.records_file import RECORDS_FILE, is_whole, read_metadata, refuse_later_format
-from hil.rows.run_files import BENCH_FILE, EVENTS_FILE, FIRST_CYCLE_EPOCH, RESERVE_FILE, SUMMARY_FILE
+from hil.rows.records_file import is_whole, read_metadata, refuse_later_format
+from hil.rows.run_files import (
+    BENCH_FILE,
+    EVENTS_FILE,
+    FIRST_CYCLE_EPOCH,
+    RECORDS_FILE,
+    RESERVE_FILE,
+    SUMMARY_FILE,
+)
 
 _DEPTH_MAX: Final = 6
 """Folders below the one that is asked for; runs lie in one, or in one for each day or bench."""

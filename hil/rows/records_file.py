@@ -23,7 +23,6 @@ from drivers.timebase import Instant
 from hil.rows.records import COLUMNS, FATE_SAMPLE, NOTHING, ROW_DTYPE, Column, Rows
 from hil.rows.run_files import FORMAT
 
-RECORDS_FILE = "records.arrow"
 MAGIC = b"ARROW1\0\0"
 _MAGIC_END = b"ARROW1"
 _OPTIONS = pa.ipc.IpcWriteOptions(compression="zstd")

@@ -22,6 +22,8 @@ DIRECTIONS_FILE = "frames.directions"
 DIRECTION_BYTES = 2
 """Of such a line."""
 EVENTS_FILE = "events.jsonl"
+RECORDS_FILE = "records.arrow"
+"""The rows of the cycles."""
 LOAD_FILE = "load.csv"
 """What a load machine measured."""
 CAMPAIGN_PAGE = "campaign.rrd"

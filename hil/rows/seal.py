@@ -19,7 +19,6 @@ from typing import Any, BinaryIO, Final, NamedTuple
 
 from drivers.bounded_file import read_lines
 from drivers.errors import BadInput
-from hil.rows.records_file import RECORDS_FILE, read_metadata
 from hil.rows.run_files import (
     BENCH_FILE,
     DIRECTIONS_FILE,
@@ -27,6 +26,7 @@ from hil.rows.run_files import (
     FORMAT,
     FRAMES_FILE,
     LOAD_FILE,
+    RECORDS_FILE,
     RERUN_FILE,
     SEAL_FILE,
     SUMMARY_FILE,
@@ -99,6 +99,8 @@ def check_seal(folder: Path) -> str:
     Raises BadInput, naming file and place, for what is not as it was recorded.
     """
     if not (folder / SEAL_FILE).is_file():
+        from hil.rows.records_file import read_metadata  # pyarrow, which no loop needs
+
         if read_metadata(folder / RECORDS_FILE).get("format") != FORMAT:  # who reads it refuses a later one
             return OLDER
         raise BadInput(str(folder), "", f"no file {SEAL_FILE}", "a recording with its seal", _SHOWN)

@@ -21,8 +21,8 @@ from hil.recording.memory_recorder import MemoryRecorder
 from hil.recording.run_folder import read_summary
 from hil.rows.event_lines import event_json, read_events
 from hil.rows.records import Rows
-from hil.rows.records_file import RECORDS_FILE, read_table, rows_of_table
-from hil.rows.run_files import EVENTS_FILE
+from hil.rows.records_file import read_table, rows_of_table
+from hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
 from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wire

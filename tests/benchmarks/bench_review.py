@@ -17,7 +17,8 @@ import numpy as np
 from drivers.timebase import NS_PER_US, Instant
 from hil.recording.sealer import Sealer
 from hil.rows.records import COLUMNS, NOTHING, ROW_DTYPE, Rows
-from hil.rows.records_file import RECORDS_FILE, RecordsWriter
+from hil.rows.records_file import RecordsWriter
+from hil.rows.run_files import RECORDS_FILE
 
 _SECONDS, _AXES = 600, 3
 _FRAMES = 300_000

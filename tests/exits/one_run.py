@@ -18,7 +18,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicCl
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
 from hil.rows.records import FATE_MISSED
-from hil.rows.records_file import RECORDS_FILE
+from hil.rows.run_files import RECORDS_FILE
 from hil.testing.hosted import DriveProcess
 from hil.verdict.verdict import VerdictKind
 from tests.exits.cells import (

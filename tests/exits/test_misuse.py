@@ -3,6 +3,7 @@
 import json
 import os
 import select
+import sys
 import termios
 from pathlib import Path
 
@@ -40,8 +41,9 @@ def with_hooks(bench: Path, where: str, way: str) -> Path:
 
 
 def test_whatever_the_user_s_code_does_the_command_ends_as_documented() -> None:
-    done = run_command(python_command("tests.exits.misuse", "--runs", str(RUNS), "--seed", str(SEED)))
-    assert done.returncode == 0, done.stdout
+    command = [sys.executable, "-m", "tests.exits.misuse", "--runs", str(RUNS), "--seed", str(SEED)]
+    done = run_command(command, Path(__file__).parents[2])
+    assert done.returncode == 0, done.stdout + done.stderr
     assert f"{RUNS} commands ended" in done.stdout
 
 

@@ -24,8 +24,8 @@ from hil.machine.progress import Progress, no_progress
 from hil.machine.stopping import StopRequest
 from hil.recording.telemetry import Telemetry
 from hil.reviewing.review import Review
-from hil.rows.records_file import RECORDS_FILE, read_records
-from hil.rows.run_files import EVENTS_FILE, RERUN_FILE, SUMMARY_FILE
+from hil.rows.records_file import read_records
+from hil.rows.run_files import EVENTS_FILE, RECORDS_FILE, RERUN_FILE, SUMMARY_FILE
 from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 from hil.verdict.verdict import VerdictKind
 from tests.unit.hil.recording_tools import plan_for

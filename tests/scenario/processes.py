@@ -168,10 +168,11 @@ def run(bench: Path, bus: str, folder: Path, lasts_s: float = 0.0) -> tuple[int,
     return process.returncode, json.loads(out) if out.strip() else {}, said
 
 
-def run_command(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    """A command to its end, its outputs as text."""
+def run_command(command: Sequence[str], folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """A command to its end, in ``folder``, its outputs as text."""
     return subprocess.run(
         command,
+        cwd=folder,
         capture_output=True,
         text=True,
         env=quiet_environment(),

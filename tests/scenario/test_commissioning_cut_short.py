@@ -19,11 +19,12 @@ from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
 from drivers.cia402.drive_setup import read_identity
 from drivers.cia402.profile import State
-from drivers.errors import BadInput, BusDown, PeerFault
+from drivers.errors import BusDown, PeerFault
 from drivers.timebase import NS_PER_S, Instant
 from drivers.wire.adapters import parse_bus_spec
 from drivers.wire.frame_port import FramePort, WireFrame
 from drivers.wire.link import BusLink, StampSource
+from drivers.written_file import DiskFull
 from hil.commissioning.commission import check_mark, commission
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.outcome import StepOutcome, StepVerdict
@@ -318,7 +319,7 @@ def test_a_disk_without_room_ends_it_with_the_drive_put_back(rig: Rig) -> None:
     (rig.request.out / "parameters.txt").symlink_to(full)
     (rig.request.out / "report.html").symlink_to(full)
     result = rig.commission()
-    assert isinstance(result.error, BadInput)
+    assert isinstance(result.error, DiskFull)
     assert "No space left on device" in str(result.error)
     assert [record.name for record in result.records][-1] == "dump"
     assert rig.memory() == before

@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 from drivers.timebase import NS_PER_MS, Instant
 from hil.cli import app
 from hil.execution import bench, world
-from hil.rows.records_file import RECORDS_FILE, read_metadata
-from hil.rows.run_files import EVENTS_FILE
+from hil.rows.records_file import read_metadata
+from hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
 from tests.scenario.processes import EXAMPLES
 from virtual_bus.drive.servo import ServoApplication, SimulatedServo
 from virtual_bus.timeline import SimulatedClock

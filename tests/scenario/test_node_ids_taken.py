@@ -8,7 +8,7 @@ import can
 import pytest
 
 from drivers.errors import AnswersTwice, BadInput, PeerFault
-from drivers.timebase import MonotonicClock
+from drivers.timebase import NS_PER_S, MonotonicClock
 from drivers.wire.link import BusLink, StampSource
 from hil.execution.simulated_drives import refuse_taken
 from hil.pytest_plugin import StartDrive
@@ -19,6 +19,8 @@ from virtual_bus.bus.hub import HubBus
 from virtual_bus.child_python import python_command
 
 pytestmark = [pytest.mark.servo_bus("hub"), pytest.mark.xdist_group("real time")]
+
+PATIENCE = 10 * NS_PER_S
 
 
 @pytest.fixture
@@ -77,6 +79,9 @@ def test_a_master_alone_is_no_node(two: tuple[BusLink, HubBus]) -> None:
 def test_nobody_is_asked_on_a_hub_on_which_nobody_is(two: tuple[BusLink, HubBus]) -> None:
     link, other = two
     other.shutdown()
+    ends_at = MonotonicClock().now() + PATIENCE
+    while not link.bus.status().alone:  # type: ignore[attr-defined]
+        assert MonotonicClock().now() < ends_at, "the hub has not noticed who left"
     assert look(link, 1) == ([], 0)
 
 

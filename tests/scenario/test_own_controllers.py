@@ -20,7 +20,8 @@ from hil.cli import app
 from hil.configuration.bench_file import load_bench, shipped_kinds
 from hil.control.own_code import OwnCodeFailed
 from hil.loop.context import WrongSetPoint
-from hil.rows.records_file import RECORDS_FILE, read_metadata
+from hil.rows.records_file import read_metadata
+from hil.rows.run_files import RECORDS_FILE
 from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES
 

@@ -15,8 +15,8 @@ import pyarrow as pa
 import pytest
 
 from hil.rows.records import COLUMNS
-from hil.rows.records_file import PHASE_COLUMN, RECORDS_FILE, read_metadata
-from hil.rows.run_files import FORMAT
+from hil.rows.records_file import PHASE_COLUMN, read_metadata
+from hil.rows.run_files import FORMAT, RECORDS_FILE
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES

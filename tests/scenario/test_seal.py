@@ -107,6 +107,14 @@ def with_descendants(pid: int) -> list[int]:
     return found
 
 
+def still_runs(pid: int) -> bool:
+    """Of a process that is gone, or whose parent has not asked yet what became of it, no file is open."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
 def test_a_run_that_was_killed_has_a_seal_up_to_its_last_second(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     bench = tmp_path / "bench.toml"
@@ -124,9 +132,12 @@ def test_a_run_that_was_killed_has_a_seal_up_to_its_last_second(tmp_path: Path) 
     while not (seal.exists() and seal.read_text().count("records.arrow") >= 3):
         assert clock.now() < ends_at
         assert process.poll() is None
-    for pid in reversed(with_descendants(process.pid)):  # the logger first: it would end the recording
+    pids = with_descendants(process.pid)
+    for pid in reversed(pids):  # the logger first: it would end the recording
         os.kill(pid, signal.SIGKILL)
     process.wait()
+    while any(still_runs(pid) for pid in pids):
+        assert clock.now() < ends_at
     begun = seal.read_bytes()
     ended = CliRunner().invoke(app, ["recover", str(folder)])
     assert ended.exit_code == 0, ended.output

@@ -21,7 +21,7 @@ from hil.reviewing.trace.known_nodes import KnownNodes, SheetFile
 from hil.reviewing.trace.log_frame import LogFrame
 from hil.reviewing.trace.run_trace import RecordedBus
 from hil.reviewing.trace.trace_entry import TraceEntry
-from hil.rows.records_file import RECORDS_FILE
+from hil.rows.run_files import RECORDS_FILE
 from hil.testing.bench_runs import BenchRunner
 from tests.canopen_session import TEXT, Witnessed, session
 from tests.scenario.processes import EXAMPLES

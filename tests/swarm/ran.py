@@ -13,8 +13,8 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from hil import Run
 from hil.configuration.config import BenchConfig
 from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
-from hil.rows.run_files import FIRST_CYCLE, SUMMARY_FILE
+from hil.rows.records_file import read_metadata, read_records
+from hil.rows.run_files import FIRST_CYCLE, RECORDS_FILE, SUMMARY_FILE
 from hil.testing.wire import Wire, read_wire
 from tests.swarm.mishaps import Circumstances, Mishap
 from tests.swarm.witness import Testimony

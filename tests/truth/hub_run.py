@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from hil.configuration.config import BenchConfig
 from hil.rows.records import ROW_DTYPE
-from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
+from hil.rows.records_file import read_metadata, read_records
+from hil.rows.run_files import RECORDS_FILE
 from hil.testing.hosted import DriveProcess
 from hil.testing.wire import pdo_plans
 from tests.scenario.processes import RUN_TIMEOUT_S, loop_of, start_run

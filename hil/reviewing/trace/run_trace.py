@@ -16,8 +16,15 @@ from hil.configuration.bench_file import load_bench
 from hil.reviewing.trace.bus_log import BusLog
 from hil.reviewing.trace.known_nodes import KnownNodes, NodeKey, SheetFile
 from hil.reviewing.trace.log_frame import LogFrame
-from hil.rows.records_file import RECORDS_FILE, read_metadata, refuse_later_format
-from hil.rows.run_files import BENCH_FILE, DIRECTION_BYTES, DIRECTIONS_FILE, FIRST_CYCLE_EPOCH, FRAMES_FILE
+from hil.rows.records_file import read_metadata, refuse_later_format
+from hil.rows.run_files import (
+    BENCH_FILE,
+    DIRECTION_BYTES,
+    DIRECTIONS_FILE,
+    FIRST_CYCLE_EPOCH,
+    FRAMES_FILE,
+    RECORDS_FILE,
+)
 from hil.rows.side_rows import FRAME_DTYPE, frame_row
 
 _CHUNK: Final = 1 << 16

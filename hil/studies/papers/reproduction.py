@@ -49,7 +49,8 @@ from hil.configuration.bench_file import load_bench
 from hil.execution.bench import run_bench
 from hil.machine.examples import examples_folder
 from hil.machine.stopping import Interrupted
-from hil.rows.records_file import RECORDS_FILE, read_records
+from hil.rows.records_file import read_records
+from hil.rows.run_files import RECORDS_FILE
 from hil.studies.speed.analysis import LoopRequest, sampled_figures
 from hil.verdict.verdict import VerdictKind
 

@@ -93,8 +93,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Made:
     monkeypatch.setattr(campaign, "run_campaign", campaigns.run)
     monkeypatch.setattr(Campaign, "load", campaigns.load)
     monkeypatch.setattr(figures, "figures_of", lambda _done: campaigns.figures)
-    monkeypatch.setattr(report, "write_report", lambda _done, place: campaigns.asked.append(place))
-    monkeypatch.setattr(page, "write_page", lambda _done, place: campaigns.asked.append(place))
+    monkeypatch.setattr(report, "write_report", lambda _done, place: place.write_text("report"))
+    monkeypatch.setattr(page, "write_page", lambda _done, place: place.write_text("page"))
     return campaigns
 
 
@@ -212,9 +212,11 @@ def test_the_first_that_is_heard_of_a_campaign_is_told(made: Made, done: int) ->
 
 
 def test_a_report_is_a_file_and_a_page_in_the_folder(made: Made) -> None:
+    Path("there").mkdir()
     told = hil("report", "there")
     files = [Path("there/report.html"), Path("there/campaign.rrd")]
-    assert made.asked == [Path("there"), *files]
+    assert made.asked == [Path("there")]
+    assert [path.read_text() for path in files] == ["report", "page"]
     assert (told.exit_code, plain(told.stdout)) == (0, PRINTED)
     assert told.stderr.splitlines() == [f"written {path}" for path in files]
     assert json.loads(hil("report", "there", "--json").stdout) == FIGURES

@@ -16,7 +16,8 @@ from drivers.timebase import Instant
 from hil.cli import app
 from hil.reviewing.export import CHUNK_ROWS, RecordedRows
 from hil.rows.records import COLUMNS, ROW_DTYPE
-from hil.rows.records_file import RECORDS_FILE, RecordsWriter
+from hil.rows.records_file import RecordsWriter
+from hil.rows.run_files import RECORDS_FILE
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 

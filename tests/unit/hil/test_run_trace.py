@@ -46,9 +46,9 @@ def test_a_folder_without_frames_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_later_format_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="expected a recording of format 3 or earlier"):
-        RecordedBus(recorded(tmp_path, *LINES, format="4"))
-    assert RecordedBus(recorded(tmp_path, *LINES, format="3")).notes == []
+    with pytest.raises(BadInput, match="expected a recording of format 4 or earlier"):
+        RecordedBus(recorded(tmp_path, *LINES, format="5"))
+    assert RecordedBus(recorded(tmp_path, *LINES, format="4")).notes == []
 
 
 @pytest.mark.parametrize(

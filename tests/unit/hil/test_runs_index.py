@@ -14,7 +14,8 @@ from typer.testing import CliRunner, Result
 
 from drivers.timebase import Instant
 from hil.cli import app
-from hil.rows.records_file import RECORDS_FILE, RecordsWriter
+from hil.rows.records_file import RecordsWriter
+from hil.rows.run_files import RECORDS_FILE
 from hil.verdict.verdict import VerdictKind
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -148,7 +149,7 @@ def test_damaged_files_are_told_and_stop_nothing(lab: Path) -> None:
 
 
 def test_a_later_format_is_told_by_its_number_and_an_earlier_one_is_read(lab: Path) -> None:
-    for name, number in (("c", "1"), ("b", "4")):
+    for name, number in (("c", "1"), ("b", "5")):
         path = lab / name / RECORDS_FILE
         table = pa.ipc.open_file(path).read_all()
         changed = table.replace_schema_metadata({**table.schema.metadata, b"format": number.encode()})
@@ -156,7 +157,7 @@ def test_a_later_format_is_told_by_its_number_and_an_earlier_one_is_read(lab: Pa
             sink.write_table(changed)
     found = listed(str(lab))
     assert [run["state"] for run in found] == ["whole", "whole", "later format"]
-    assert found[2]["note"] == "format 4: expected a recording of format 3 or earlier"
+    assert found[2]["note"] == "format 5: expected a recording of format 4 or earlier"
 
 
 def test_a_run_in_simulated_time_has_the_time_of_its_bench_file(lab: Path) -> None:
