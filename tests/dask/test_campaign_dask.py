@@ -191,7 +191,8 @@ def test_without_the_extra_its_name_is_told(
 def test_a_worker_that_reads_another_sweep_is_refused(cluster: LocalCluster, tmp_path: Path) -> None:
     plan = CampaignPlan.load(written(tmp_path))
     written(tmp_path, drawing={"seed": 3})
-    with pytest.raises(RunRefused, match=rf"worker {WORKER}: .*sweep.toml, .* is not as it was"):
+    told = rf"worker {WORKER}: .*sweep.toml: found 'BLAKE2b .* as other runs of the campaign met it"
+    with pytest.raises(RunRefused, match=told):
         run_campaign(plan, tmp_path / "out", dask=cluster.scheduler_address)
 
 
