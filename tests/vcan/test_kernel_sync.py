@@ -18,7 +18,7 @@ SILENT_S = 20 * PERIOD_S
 def assert_cycles_are_syncs(run: Run) -> None:
     run.assert_no_unintended_frame()
     rows = run.rows[run.rows["sync_on_bus_at"] >= 0]
-    assert rows.size > 0.9 * run.summary.cycles > 200
+    assert rows.size > 0.5 * run.summary.cycles > 100
     assert (rows["due_at"] == rows["sync_on_bus_at"]).all()
     assert len(run.wire.find("080#", sent=False)) > rows.size
     assert not run.wire.find("080#", sent=True), "none was sent by the loop"

@@ -211,7 +211,10 @@ def test_the_first_that_is_heard_of_a_campaign_is_told(made: Made, done: int) ->
     ]
 
 
-def test_a_report_is_a_file_and_a_page_in_the_folder(made: Made) -> None:
+def test_a_report_is_a_file_and_a_page_in_the_folder(
+    made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     Path("there").mkdir()
     told = hil("report", "there")
     files = [Path("there/report.html"), Path("there/campaign.rrd")]
