@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from hil.pytest_plugin import StartDrive
-from tests.scenario.processes import BENCH, EXAMPLES, changed_bench, run
+from tests.scenario.processes import EXAMPLES, changed_bench, run
 
 CYCLES = 300
 """3 s at 100 Hz."""
@@ -48,7 +48,8 @@ class TwoProcesses:
     ) -> None:
         """The load torque included: a second run of the same file starts from rest and passes too."""
         servo_process(1)
-        runs = [run(BENCH, servo_bus, tmp_path / name) for name in ("first", "second")]
+        bench = changed_bench(tmp_path, **self.limits)
+        runs = [run(bench, servo_bus, tmp_path / name) for name in ("first", "second")]
 
         assert [status for status, _, _ in runs] == [0, 0], [
             (summary.get("verdict"), messages) for _, summary, messages in runs
