@@ -50,7 +50,16 @@ def test_a_set_point_is_told_once_by_the_command_that_acted_upon_it() -> None:
 def test_of_another_axis_only_by_its_own_rows() -> None:
     teller = SetPointTeller(PLANNED)
     both = np.concatenate([rows_of(range(5), 0), rows_of(range(5), 1)])
-    assert [text for _, text in told(teller.take(both, ZERO))] == ["a", "b", "c"]
+    assert [text for _, text in told(teller.take(both, ZERO))] == ["a", "c", "b"]
+
+
+def test_of_one_instant_by_axis_wherever_the_rows_are_taken_in_two_parts() -> None:
+    both = np.concatenate([rows_of(range(5), 0), rows_of(range(5), 1)])
+    rows = both[np.lexsort((both["axis"], both["due_at"]))]
+    for split in range(rows.size + 1):
+        teller = SetPointTeller(PLANNED)
+        taken = teller.take(rows[:split], ZERO) + teller.take(rows[split:], ZERO)
+        assert [text for _, text in told(taken)] == ["a", "c", "b"]
 
 
 def test_a_cycle_that_sent_nothing_acted_upon_nothing() -> None:
