@@ -105,7 +105,8 @@ class ClockQuestion:
         return [line for line in placements if line.misfit <= most]
 
     def _line(self, last: list[Suspect], first: SyncMark, match_ns: int) -> Line | None:
-        """How they are placed if the first answers ``first``; None if they cannot be.
+        """How they are placed if the first answers ``first``; None if they cannot be. ``match_ns``: how far a
+        stamp may be off the SYNC that it answers, and its neighbour.
 
         Readings that seemed to come twice just before may have been the first after a step by whole periods.
         """
@@ -124,7 +125,7 @@ class ClockQuestion:
                 return None
             miss = mark.on_bus_at - at
             delay = suspect.received_at - mark.on_bus_at
-            if abs(miss) > self.match_ns + DRIFT_WITHIN * self._half or delay < self._transit - self.match_ns:
+            if abs(miss) > match_ns + DRIFT_WITHIN * self._half or delay < self._transit - match_ns:
                 return None
             if self.stamps.get(mark.number, suspect.device_ns) != suspect.device_ns:
                 return None

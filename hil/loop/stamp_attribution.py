@@ -372,7 +372,10 @@ class StampAttribution:
             self._tell(
                 f"its clock was set by {step_us:+.0f} us, which {len(self._suspects)} readings have shown"
             )
-            self.clock.move_to(sorted(pairs), self._residuals.variance_ns2)
+            pairs.sort()
+            self.clock.move_to(pairs, self._residuals.variance_ns2)
+            if self._residuals.spread:  # from here on they lie about another line
+                self._residuals.learn(residuals_of(pairs), self._match_ns)
             self.health.steps += 1
         else:
             self._case.delays = Extremes()

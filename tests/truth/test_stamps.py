@@ -68,6 +68,17 @@ def test_a_stamp_of_unknown_resolution_makes_nothing_wrong(plan: Plan, keys: dic
     assert (result.wrong, result.bound_broken) == (0, 0)
 
 
+@pytest.mark.parametrize("jitter_us", [10.0, 30.0, 150.0])
+@pytest.mark.parametrize("step_us", [-350, 20_000])
+def test_a_clock_that_is_set_is_found_behind_the_jitter_of_the_sync(jitter_us: float, step_us: int) -> None:
+    """Half of the rows stayed in doubt, to the end of the run. Eight readings tell the new line, so the first
+    bounds behind it rest on little: one of 800 does not hold at 150 us."""
+    plan = Plan("step", f"clock_step = [{{at_s = 0.3, step_us = {step_us}}}]", drift_ppm=80)
+    result = judged(plan, cycles=800, sync_jitter_us=jitter_us)
+    assert (result.wrong, result.uncertain <= 100) == (0, True)
+    assert result.bound_broken <= (1 if jitter_us == 150.0 else 0)
+
+
 @pytest.mark.parametrize("faults", ["", "delay = [{delay_min_us = 0, delay_max_us = 300}]"])
 def test_without_stamps_the_bound_holds_a_sync_that_is_late_to_the_drive(faults: str) -> None:
     result = judged(Plan("jitter", faults, stamps=False), sync_jitter_us=150.0, cycles=1000)
