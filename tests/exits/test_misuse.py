@@ -131,3 +131,16 @@ def test_a_run_passes_only_with_a_recording_that_holds_its_seal(tmp_path: Path) 
     verdict = read_back(summary).verdict
     assert (verdict.outcome, verdict.exit_status) == ("not recorded", 5)
     assert "events.jsonl" in verdict.reason
+
+
+def test_a_summary_that_is_another_one_at_the_end_is_no_proof(tmp_path: Path) -> None:
+    """The user's code alters it when its process ends, after the run has told what it came to."""
+    summary = tmp_path / "run" / "summary.json"
+    spoil = f"atexit.register(lambda: os.truncate({str(summary)!r}, 100))"
+    bench = with_hooks(changed_bench(tmp_path), "output", spoil)
+    bench.write_text(bench.read_text(encoding="utf-8").partition("[verdict]")[0], encoding="utf-8")
+    asked = ["run", str(bench), "--bus", "simulated", "--record", str(tmp_path / "run"), "--json"]
+    done = run_command(python_command("hil.cli", *asked))
+    verdict = json.loads(done.stdout)["verdict"]
+    assert (done.returncode, verdict["exit_status"], verdict["passed"]) == (5, 5, False), done.stderr
+    assert "summary.json cannot be read back" in verdict["reason"]

@@ -27,6 +27,16 @@ def test_a_file_is_replaced_with_its_mode_kept(tmp_path: Path) -> None:
     assert names(tmp_path) == ["out.toml"]
 
 
+def test_who_has_the_file_open_reads_on_what_was_there(tmp_path: Path) -> None:
+    """At no moment is a part of the new content under its name."""
+    place = tmp_path / "out.toml"
+    place.write_text("before")
+    with place.open(encoding="utf-8") as reader:
+        write_file("--out", place, "after")
+        assert reader.read() == "before"
+    assert place.read_text() == "after"
+
+
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
 def test_what_fails_on_the_way_leaves_the_file_as_it_was(tmp_path: Path, number: int) -> None:
     place = tmp_path / "out.csv"
