@@ -10,7 +10,6 @@ import socket
 import stat
 import subprocess
 import sys
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -35,27 +34,7 @@ from virtual_bus.bus.hub_place import HubPlace, checked_name, known_hubs, runtim
 from virtual_bus.bus.hub_protocol import Hello, encode_hello
 from virtual_bus.frame import Frame
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time")]
-
-
-@pytest.fixture(autouse=True)
-def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Hubs of this test only; their brokers leave by themselves."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return tmp_path
-
-
-@pytest.fixture
-def place() -> HubPlace:
-    return HubPlace("bench")
-
-
-@pytest.fixture
-def buses() -> Iterator[list[HubBus]]:
-    opened: list[HubBus] = []
-    yield opened
-    for bus in opened:
-        bus.shutdown()
+pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time"), pytest.mark.usefixtures("runtime")]
 
 
 def test_processes_that_join_at_once_share_one_broker(buses: list[HubBus]) -> None:

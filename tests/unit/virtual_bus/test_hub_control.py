@@ -3,34 +3,17 @@
 Real time, as this is what is tested; every wait is bounded by a deadline and ends as soon as it may.
 """
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import can
 import pytest
 
 from drivers.timebase import MonotonicClock, instant_after
+from tests.unit.virtual_bus.hub_processes import join
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.hub import HubBus
 from virtual_bus.frame import Frame
 
 PATIENCE_S = 10.0
 CLOCK = MonotonicClock()
-
-
-@pytest.fixture
-def buses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[HubBus]]:
-    """On hubs of this test only; their brokers leave by themselves."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    opened: list[HubBus] = []
-    yield opened
-    for bus in opened:
-        bus.shutdown()
-
-
-def join(buses: list[HubBus]) -> HubBus:
-    buses.append(HubBus("bench"))
-    return buses[-1]
 
 
 def test_a_client_takes_itself_off_the_bus_and_comes_back(buses: list[HubBus]) -> None:

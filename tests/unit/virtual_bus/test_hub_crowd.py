@@ -5,8 +5,6 @@ Real time, as this is what is tested; every wait is bounded by a deadline and en
 
 import resource
 import socket
-from collections.abc import Iterator
-from pathlib import Path
 
 import can
 import pytest
@@ -18,27 +16,7 @@ from virtual_bus.bus.hub import HubBus
 from virtual_bus.bus.hub_place import HubPlace
 from virtual_bus.frame import Frame
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time")]
-
-
-@pytest.fixture(autouse=True)
-def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Hubs of this test only; their brokers leave by themselves."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return tmp_path
-
-
-@pytest.fixture
-def place() -> HubPlace:
-    return HubPlace("bench")
-
-
-@pytest.fixture
-def buses() -> Iterator[list[HubBus]]:
-    opened: list[HubBus] = []
-    yield opened
-    for bus in opened:
-        bus.shutdown()
+pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time"), pytest.mark.usefixtures("runtime")]
 
 
 def flood(sender: HubBus, listener: HubBus, frames: int) -> None:
