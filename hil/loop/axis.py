@@ -189,19 +189,17 @@ class Axis:
         return None if reason is None else f"{self.parts.name}: {reason}"
 
     def collect(self) -> None:
-        """Take in what has arrived."""
-        if self._kept:
-            kept, self._kept = self._kept, []
-            for reading in kept:
-                self._take(reading)
-        for reading in self._drive.take_readings():
-            self._take(reading)
+        """Take in what has arrived, but for readings whose SYNC's echo may be on its way yet."""
+        kept = self._kept
+        kept.extend(self._drive.take_readings())
+        while kept and not self.parts.syncs.awaits_echo(kept[0].received_at):
+            self._take(kept.pop(0))
 
     def collect_before(self, at: Instant) -> None:
         """Take in what had arrived by ``at``: what came later may answer a SYNC whose cycle is to begin."""
         kept = self._kept
         kept.extend(self._drive.take_readings())
-        while kept and kept[0].received_at < at:
+        while kept and kept[0].received_at < at and not self.parts.syncs.awaits_echo(kept[0].received_at):
             self._take(kept.pop(0))
 
     def _collect_demands(self, *, at_end: bool) -> None:
@@ -284,6 +282,9 @@ class Axis:
 
     def settle_all(self, now: int) -> None:
         """End of the run: record what is left, with what is known; ``now``: beyond any horizon."""
+        kept, self._kept = self._kept, []
+        for reading in kept:
+            self._take(reading)
         self._collect_demands(at_end=True)
         for fate in self.meter.settle_all(self.parts.syncs.heard_ns):
             if self._decisions:

@@ -189,7 +189,7 @@ class StampAttribution:
         sampled_at, error_ns = on_bus_at, 2 * match_ns + residuals.slack
         if self._echoes_late:
             # What is early and late cannot be told apart: either may be all of it.
-            error_ns += residuals.early + residuals.late
+            error_ns = max(error_ns + residuals.early + residuals.late, match_ns + mark.late_ns)
         elif residuals.early or residuals.late or lateness > match_ns:
             # Late to the drive: the stamp knows better. Nothing but the SYNC itself excludes that it was not.
             sampled_at, error_ns = Instant(on_bus_at + lateness), lateness + match_ns + residuals.slack

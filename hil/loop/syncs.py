@@ -16,6 +16,7 @@ from typing import Final
 
 from drivers.timebase import NS_PER_US, Duration, Instant
 from drivers.wire.frame_port import UNTOLD, EchoBasis
+from hil.loop.residuals import Extremes
 
 ECHO_ERROR: Final = {
     EchoBasis.BUS: 0,
@@ -55,6 +56,9 @@ class SyncMark:
         """Its end on the bus; None: not known (yet), or it never came there."""
         self.sure = True
         """Whether ``on_bus_at`` is certainly this SYNC's."""
+        self.late_ns = 0
+        """By how much it may have ended before ``on_bus_at``, as its echo took so much longer from the
+        hand-over than the quickest of the last ones: it waited in front of the bus, or was stamped late."""
 
 
 class SyncLog:
@@ -77,6 +81,9 @@ class SyncLog:
         self._instants: list[Instant] = []
         """Echoes that came while several were pending."""
         self._echo_error = ECHO_ERROR[echoes]
+        self._echoes_late = echoes in STAMPED_LATE
+        self._ways = Extremes()
+        """From the hand-over of a SYNC to its echo."""
         self._counted = 0
         self._last_on_bus = Instant(-(1 << 62))
         self._heard_ns = 0
@@ -109,7 +116,8 @@ class SyncLog:
     def heard(self, sequence: int, at: Instant) -> SyncMark:
         """A SYNC that this host did not hand over ended on the bus."""
         mark = self._remember(sequence, at)
-        self._put_on_bus(mark, at)
+        mark.on_bus_at = at
+        self._note_spacing(at)
         return mark
 
     def stray(self, at: Instant) -> None:
@@ -164,6 +172,15 @@ class SyncLog:
         if not pending or self._instants:
             return True
         return now - pending[-1].handed_at >= GIVEN_UP_AFTER_PERIODS * self._period
+
+    def awaits_echo(self, at: Instant) -> bool:
+        """Whether the last SYNC was handed over by ``at``, and its echo is to be fetched yet.
+
+        An adapter may bring a frame of another node before the echo of one that was on the bus first. Once
+        the next SYNC has been handed over, its echo is not waited for.
+        """
+        pending = self._pending
+        return bool(pending) and pending[-1].on_bus_at is None and pending[-1].handed_at <= at
 
     @property
     def counted(self) -> int:
@@ -223,6 +240,10 @@ class SyncLog:
 
     def _put_on_bus(self, mark: SyncMark, at: Instant) -> None:
         mark.on_bus_at = at
+        if self._echoes_late:
+            way = at - mark.handed_at
+            self._ways.add(way)
+            mark.late_ns = way - self._ways.low + self._ways.slack()
         self._note_spacing(at)
 
     def _note_spacing(self, at: Instant) -> None:

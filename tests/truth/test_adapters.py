@@ -1,0 +1,41 @@
+"""Adapters that stamp late, or bring frames in another order than the bus had them, held against the taps."""
+
+import pytest
+
+from drivers.timebase import NS_PER_US, Duration
+from drivers.wire.frame_port import EchoBasis
+from tests.truth.adapter import STAMP_TICK_NS, Adapter
+from tests.truth.judge import Judgement, Timing, judge_axis
+from tests.truth.plans import Plan
+from tests.truth.rows import READING_IS_A_SET, told_by
+from tests.truth.runner import bench_config
+from tests.truth.tapped_run import Surroundings, run_with_taps
+from tests.truth.truth import axis_truth
+
+CYCLES = 400
+
+
+def judged(basis: EchoBasis, late_us: float, *, stamps: bool, cycles: int = CYCLES) -> Judgement:
+    config = bench_config(Plan("adapter", deadline_us=5000, stamps=stamps, drift_ppm=80), cycles)
+    run = run_with_taps(config, Surroundings(adapter=Adapter(basis, late_us)))
+    assert not run.ended_by
+    error = Duration(STAMP_TICK_NS if basis is EchoBasis.HARDWARE else round(late_us * NS_PER_US))
+    timing = Timing(config.loop.period, config.loop.deadline, config.loop.horizon_periods, False, error)
+    truth = axis_truth(run.log, 1, READING_IS_A_SET, syncs_heard=False)
+    return judge_axis(told_by(run.rows, 0, timing.period), truth, timing)
+
+
+@pytest.mark.parametrize("stamps", [True, False])
+@pytest.mark.parametrize("late_us", [120.0, 900.0])
+def test_a_reading_that_is_fetched_before_the_echo_of_its_sync_waits_for_it(
+    late_us: float, stamps: bool
+) -> None:
+    """As of a USB adapter that brings both from different queues, each with the stamp of its own clock."""
+    result = judged(EchoBasis.HARDWARE, late_us, stamps=stamps)
+    assert (result.rows, result.uncertain, result.wrong, result.bound_broken) == (CYCLES, 0, 0, 0)
+
+
+@pytest.mark.parametrize(("basis", "late_us"), [(EchoBasis.KERNEL, 500.0), (EchoBasis.RECEIPT, 900.0)])
+def test_the_bound_holds_what_an_echo_is_stamped_late(basis: EchoBasis, late_us: float) -> None:
+    result = judged(basis, late_us, stamps=True, cycles=1000)
+    assert (result.rows, result.wrong, result.bound_broken) == (1000, 0, 0)
