@@ -76,7 +76,7 @@ class CommandWatch:
         self._recent.append(raw)
         self._sent += 1
         if not self._equal:
-            way = (raw - self._base + _HALF_WORD) % _WORD - _HALF_WORD
+            way = _way(self._base, raw)
             self._low, self._high = min(self._low, way), max(self._high, way)
 
     def excuse(self) -> None:
@@ -118,9 +118,14 @@ class CommandWatch:
         return often and self._sent - self._changed >= self._stays_for
 
     def _is_near(self, raw: int) -> bool:
-        """It is one of the newest half of the last commands: they sway about it."""
+        """The newest half of the last commands sway about it: it is one of them, or of a speed, which a drive
+        may show on the way from one command to the next, among them where they differ by less than counts."""
         newest = islice(reversed(self._recent), max(1, self._half // 2))
-        return any(-self._margin <= raw - command <= self._margin for command in newest)
+        ways = [_way(raw, command) for command in newest]
+        low, high = min(ways), max(ways)
+        if self._least is not None and high - low <= self._least:
+            return low - self._margin <= 0 <= high + self._margin
+        return any(abs(way) <= self._margin for way in ways)
 
     def _vary(self) -> bool:
         """The commands spread over more than one demand may stand for: the middle half of the last ones, or
@@ -128,7 +133,7 @@ class CommandWatch:
         if not self._equal:
             return self._high - self._low > 2 * self._margin
         newest = self._recent[-1]
-        ways = sorted((command - newest + _HALF_WORD) % _WORD - _HALF_WORD for command in self._recent)
+        ways = sorted(_way(newest, command) for command in self._recent)
         count = len(ways)
         return ways[3 * count // 4] - ways[count // 4] > 2 * self._margin
 
@@ -140,3 +145,8 @@ class CommandWatch:
             return False
         up = raw <= 0 and all(command >= least for command in self._recent)
         return up or (raw >= 0 and all(command <= -least for command in self._recent))
+
+
+def _way(start: int, end: int) -> int:
+    """From one value of 32 bits to another, the shorter way round: positions go on beyond their end."""
+    return (end - start + _HALF_WORD) % _WORD - _HALF_WORD

@@ -228,6 +228,29 @@ def test_commands_that_sway_about_a_demand_are_followed_by_it() -> None:
         assert watch.follows
 
 
+@pytest.mark.parametrize("told", [0, 2**31 - 1])
+def test_a_position_at_the_end_of_its_32_bits_is_beside_the_commands_behind_it(told: int) -> None:
+    """One and thirty counts further on, in turns."""
+    watch = CommandWatch(110, DEMAND_MARGIN_RAW, equal=False)
+    for cycle in range(2000):
+        watch.sent((told + 1 + 29 * (cycle % 2) + 2**31) % 2**32 - 2**31)
+        watch.told(told)
+        assert watch.follows
+
+
+@pytest.mark.parametrize(("least_raw", "follows"), [(76, True), (75, False), (None, False)])
+def test_a_speed_among_commands_that_differ_by_less_than_counts_is_followed(
+    least_raw: int | None, follows: bool
+) -> None:
+    """As a position loop at rest sends them, one count to and fro, and its drive ramps between them."""
+    watch = CommandWatch(110, DEMAND_MARGIN_RAW, equal=False, least_raw=least_raw)
+    for cycle in range(2000):
+        watch.sent(25 if cycle % 5 < 3 else -51)
+        if cycle % 28 == 0:
+            watch.told(-13)
+    assert watch.follows is follows
+
+
 @pytest.mark.parametrize("rpm_s", [10, 20, 100, 1000])
 def test_a_slow_ramp_in_whole_units_is_missed_once_it_is_two_units_away(rpm_s: int) -> None:
     """At 1 kHz: 110 cycles, 28 until it is read, and what the ramp takes for three units."""
