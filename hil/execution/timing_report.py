@@ -17,7 +17,7 @@ def timing_report(
     """``syncs``: by segment. ``others``: what the bus guard saw, and how often. Times in us."""
     return {
         "sync": {
-            name: {"basis": log.echoes.value, "surplus": log.surplus, "crowded": log.crowded}
+            name: {"basis": log.basis.value, "surplus": log.surplus, "crowded": log.crowded}
             for name, log in syncs.items()
         },
         "axes": {axis.parts.name: _axis_report(axis) for axis in axes},

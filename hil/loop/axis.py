@@ -16,6 +16,7 @@ from hil.loop.command_meter import CommandMeter
 from hil.loop.context import Context
 from hil.loop.decision import Decision, Tick
 from hil.loop.delay import DelayMeter, Fate
+from hil.loop.lessons import Lessons
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.readback_tie import ReadbackTie, Telling
 from hil.loop.safety import SafetyGuard
@@ -30,8 +31,6 @@ _SHOWN_BY_OTHERS: Final = (DropoutCause.LOST, DropoutCause.STALE)
 COARSE_PARTS: Final = 10
 """A stamp that advances by more than this part of a period leaves open which SYNC it is of: map and stamp may
 both be off by a step, and twice both, the bound of a sample, is half a period then. Order knows more."""
-STANDS_STILL: Final = 3
-"""Equal stamps of SYNCs that were learned from in a row: one may be a frame that came twice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,17 +72,15 @@ class Axis:
     def __init__(
         self, number: int, parts: AxisParts, period: Duration, record: Callable[[CycleRecord], None]
     ) -> None:
-        syncs, transit = parts.syncs, parts.transit
+        syncs = parts.syncs
         self.parts = parts
         self._by_stamps = COARSE_PARTS * parts.stamp_resolution <= period
-        self.by_stamp = StampAttribution(syncs, period, transit, parts.tell, parts.stamp_resolution)
-        self.by_order = OrderAttribution(syncs, period, transit, parts.tell)
-        """For readings without a stamp."""
         self.meter = DelayMeter(parts.deadline, parts.horizon)
         self.commands = CommandMeter(parts.horizon, syncs, parts.acts_at_syncs)
         self.readbacks = ReadbackTie(syncs, period, parts.horizon)
         self._number = number
         self._period = period
+        self._attribute()
         self._held_max = max(REVOKED, min(HELD_MAX, HELD_FOR // period))
         self._record = record
         self._asks_speeds = parts.reference.quantity is Quantity.SPEED
@@ -98,12 +95,8 @@ class Axis:
         """For what compensator and controller take, also where time is simulated."""
         self.uncertain = 0
         """Rows marked uncertain."""
-        self.learned = 0
-        """Readings that were learned from while calibrating."""
-        self._learned_ns: int | None = None
-        self._stood = 0  # how often in a row the stamp that was learned from was the same
-        self._alone = True
-        """Whether the last SYNC while calibrating had one reading."""
+        self.lessons = Lessons(syncs)
+        """Of the calibration."""
         self._decisions: list[Decision] = []
         """Of the cycles whose readings' fates are open, the oldest first."""
         self._settled: list[Decision] = []
@@ -111,6 +104,13 @@ class Axis:
         self._load_nm = 0.0
         self._kept: list[Reading] = []
         """Readings that came and are not taken in yet, in their order."""
+
+    def _attribute(self) -> None:
+        """Nothing is known yet of the drive's clock and delays."""
+        parts, period, tell = self.parts, self._period, self.parts.tell
+        self.by_stamp = StampAttribution(parts.syncs, period, parts.transit, tell, parts.stamp_resolution)
+        self.by_order = OrderAttribution(parts.syncs, period, parts.transit, tell)
+        """For readings without a stamp."""
 
     @property
     def wants_probe(self) -> bool:
@@ -124,27 +124,19 @@ class Axis:
 
     def calibrate(self, mark: SyncMark) -> bool:
         """Take what has come since the SYNC of ``mark``, and learn from it if it can only answer that one;
-        whether a reading came. To be called once for each SYNC.
-
-        A drive or a bus that stood still gives back several at once, and those of SYNCs before. So a reading
-        must have come alone, and the SYNC before must have had its own.
-        """
+        whether a reading came. To be called once for each SYNC."""
         readings = self._drive.take_readings()
         self._drive.take_readbacks()
         self._drive.take_demand_changes()
         self.readbacks.pass_over(len(readings))
-        alone = len({reading.device_time_ns or reading.received_at for reading in readings}) == 1
-        if alone and self._alone and mark.on_bus_at is not None:
-            self._learn(readings[0], mark)
-        self._alone = alone
+        lesson = self.lessons.take(readings, mark)
+        if lesson is not None:
+            self._learn(lesson, mark)
         return bool(readings)
 
     def _learn(self, reading: Reading, mark: SyncMark) -> None:
         assert mark.on_bus_at is not None
-        self.learned += 1
-        stamp, self._learned_ns = self._learned_ns, reading.device_time_ns
-        self._stood = self._stood + 1 if stamp is not None and stamp == self._learned_ns else 0
-        if self._by_stamps and self._stood == STANDS_STILL:
+        if self._by_stamps and self.lessons.stamp_stands_still:
             self._by_stamps = self.by_stamp.clock.ready = False
             self.parts.tell("its stamp stands still: its readings are placed by their order")
         if self._by_stamps and reading.device_time_ns is not None:
@@ -156,6 +148,12 @@ class Axis:
         if not self._by_stamps or reading.device_time_ns is None:
             self.by_order.learn(reading, mark)
         self.meter.learn(Duration(reading.received_at - mark.on_bus_at))
+
+    def learn_anew(self) -> None:
+        """Learn again from what came while calibrating: the instants of its SYNCs are others now."""
+        self._attribute()
+        for reading, mark in self.lessons.pairs:
+            self._learn(reading, mark)
 
     def discard(self) -> None:
         """Let go of what has come: it answers SYNCs from before."""

@@ -7,7 +7,7 @@ from drivers.timebase import Duration, Instant
 from hil.loop.attribution import Health, Question, Tell
 from hil.loop.residuals import Extremes
 from hil.loop.samples import Sample
-from hil.loop.syncs import ECHO_ERROR, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
+from hil.loop.syncs import STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
 SLACKS: Final = 2
 """Nothing else bounds a sample without a stamp: the smallest delay is not eight mean gaps above the least
@@ -42,8 +42,8 @@ class OrderAttribution:
         self._period = period
         self._transit = transit
         self._tell = tell
-        self._echo_error = ECHO_ERROR[syncs.echoes]
-        self._echoes_late = syncs.echoes in STAMPED_LATE
+        self._echo_error = syncs.error_ns
+        self._echoes_late = syncs.basis in STAMPED_LATE
         self._delays = Extremes()
         """Of readings whose place is certain."""
         self._answered = 0

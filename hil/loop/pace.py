@@ -134,8 +134,17 @@ class OwnSync(Pace):
             begins_at = Instant(begins_at + settle)
             self._network.pump(begins_at)
             _learn(axes, answered, [axis.parts.syncs.marks[-1] for axis in axes])
-            if number >= CALIBRATION_SYNCS and min(axis.learned for axis in axes) >= CALIBRATION_SYNCS // 2:
+            if (
+                number >= CALIBRATION_SYNCS
+                and min(len(axis.lessons) for axis in axes) >= CALIBRATION_SYNCS // 2
+            ):
                 break
+        for syncs in self._syncs:
+            theirs = [axis for axis in axes if axis.parts.syncs is syncs]
+            if any(axis.lessons.echoes_mislead for axis in theirs):
+                syncs.rest_on_hand_over()
+                for axis in theirs:
+                    axis.learn_anew()
         return answered
 
     def begin(self, axes: Sequence[Axis]) -> Instant:  # noqa: ARG002

@@ -18,7 +18,7 @@ from typing import Final
 from drivers.exchange import Readback
 from drivers.timebase import Duration, Instant
 from hil.loop.samples import Sample
-from hil.loop.syncs import ECHO_ERROR, REMEMBERED, SyncLog, SyncMark
+from hil.loop.syncs import REMEMBERED, SyncLog, SyncMark
 
 READINGS_REMEMBERED: Final = 64
 """Readings that a demand may come behind."""
@@ -72,7 +72,6 @@ class ReadbackTie:
         self._syncs = syncs
         self._period = period
         self._horizon = Duration(horizon * period)
-        self._echo_error = ECHO_ERROR[syncs.echoes]
         self._by_count: list[_Placed | None] = [None] * READINGS_REMEMBERED
         self._by_sync: list[_Placed | None] = [None] * REMEMBERED
         self._pending: list[Readback] = []
@@ -223,7 +222,7 @@ class ReadbackTie:
         if placed is not None and placed.mark.number == number:
             return placed.since
         mark = self._mark(number)
-        return Instant((mark.handed_at if mark.on_bus_at is None else mark.on_bus_at) - self._echo_error)
+        return Instant((mark.handed_at if mark.on_bus_at is None else mark.on_bus_at) - self._syncs.error_ns)
 
     def _until(self, number: int, readback: Readback) -> Instant:
         """No drive sampled at this SYNC later, if ``readback`` is of it or of one before."""
@@ -238,7 +237,7 @@ class ReadbackTie:
 
     def _newest_before(self, readback: Readback) -> int:
         """Number of the last SYNC that had ended when a demand came; 0: of none that is remembered."""
-        mark = self._syncs.newest_before(Instant(readback.received_at + self._echo_error))
+        mark = self._syncs.newest_before(Instant(readback.received_at + self._syncs.error_ns))
         return 0 if mark is None else mark.number
 
     def _on_bus_from(self, number: int, last: int) -> int:

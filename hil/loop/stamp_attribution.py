@@ -31,7 +31,7 @@ from hil.loop.clock_map import STAMP_RESOLUTION, ClockMap, residuals_of, step_of
 from hil.loop.clock_question import LOSS_COST_MAX, STEP_COST, ClockQuestion, Line, Suspect
 from hil.loop.residuals import Extremes, Residuals
 from hil.loop.samples import Sample
-from hil.loop.syncs import ECHO_ERROR, REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
+from hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
 MATCH_NS: Final = 3 * NS_PER_US
 """A stamp of 1 us so near to a SYNC is its own: a step of the stamp and two of rounding. A coarser one may be
@@ -76,12 +76,12 @@ class StampAttribution:
         self._half = period // 2
         self._transit = transit
         self._tell = tell
-        echo_error = ECHO_ERROR[syncs.echoes]
+        echo_error = syncs.error_ns
         self._echo_error = echo_error
         self.resolution = resolution
         """Of a stamp: as told, or as its steps have shown while learning."""
         self._match_ns = self._match_of(resolution)
-        self._echoes_late = syncs.echoes in STAMPED_LATE
+        self._echoes_late = syncs.basis in STAMPED_LATE
         self._variance = float(echo_error) ** 2 / 9.0
         self._residuals = Residuals(echo_error / 3.0)
         self._case = ClockQuestion(syncs, clock, self._residuals, period, transit, self._match_ns)

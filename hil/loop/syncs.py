@@ -69,6 +69,11 @@ class SyncLog:
         self.marks: list[SyncMark] = []
         """In the order of handing over; the last :data:`REMEMBERED`."""
         self.echoes = echoes
+        self.basis = echoes
+        """What the instants of SYNCs on the bus rest on: their echoes, or NONE, the hand-over, see
+        :meth:`rest_on_hand_over`."""
+        self.error_ns = ECHO_ERROR[echoes]
+        """How far such an instant may be off in any case."""
         self.surplus = 0
         """SYNCs on the bus that belong to no cycle: echoes beyond what was handed over, another master's."""
         self.crowded = 0
@@ -113,6 +118,19 @@ class SyncLog:
         self._pending.clear()
         self._instants.clear()
 
+    def rest_on_hand_over(self) -> None:
+        """Echoes still tell that a SYNC was on the bus, but not when: they are stamped too late.
+
+        It ended between the time of its frame after the hand-over and the quickest echo, so in the middle.
+        """
+        least, most = self._latency, max(self._latency, self._ways.low)
+        self.basis = EchoBasis.NONE
+        self.error_ns = ECHO_ERROR[EchoBasis.NONE] + (most - least) // 2
+        self._latency = Duration((least + most) // 2)
+        for mark in self.marks:
+            if mark.on_bus_at is not None:
+                mark.on_bus_at, mark.late_ns = Instant(mark.handed_at + self._latency), 0
+
     def heard(self, sequence: int, at: Instant) -> SyncMark:
         """A SYNC that this host did not hand over ended on the bus."""
         mark = self._remember(sequence, at)
@@ -147,6 +165,8 @@ class SyncLog:
             instants.append(at)
             for mark, instant in zip(pending[before - len(instants) : before], instants, strict=True):
                 mark.on_bus_at = instant
+                if self.basis is not self.echoes:
+                    mark.on_bus_at = Instant(mark.handed_at + self._latency)
             sure = len(instants) == before
             for mark in pending[:before]:
                 mark.sure = sure
@@ -239,11 +259,13 @@ class SyncLog:
         return mark
 
     def _put_on_bus(self, mark: SyncMark, at: Instant) -> None:
-        mark.on_bus_at = at
-        if self._echoes_late:
+        if self.basis is not self.echoes:
+            at = Instant(mark.handed_at + self._latency)
+        elif self._echoes_late:
             way = at - mark.handed_at
             self._ways.add(way)
             mark.late_ns = way - self._ways.low + self._ways.slack()
+        mark.on_bus_at = at
         self._note_spacing(at)
 
     def _note_spacing(self, at: Instant) -> None:

@@ -24,14 +24,14 @@ def test_a_sync_teaches_with_a_reading_of_its_own_after_one_that_had_one(
     answers: list[int], learned: int
 ) -> None:
     rig = Rig()
-    before = rig.axis.learned
+    before = len(rig.axis.lessons)
     assert before == TAUGHT
     for number, count in enumerate(answers, start=1):
         rig.sync(number)
         for place in range(count):
             rig.answer(number - place)
         assert rig.axis.calibrate(rig.log.marks[-1]) is (count > 0)
-    assert rig.axis.learned - before == learned
+    assert len(rig.axis.lessons) - before == learned
 
 
 def test_one_reading_that_came_twice_is_one() -> None:
@@ -40,7 +40,7 @@ def test_one_reading_that_came_twice_is_one() -> None:
         rig.sync(1)
         rig.answer(1), rig.answer(1)
         assert rig.axis.calibrate(rig.log.marks[-1])
-        assert rig.axis.learned == TAUGHT + 1
+        assert len(rig.axis.lessons) == TAUGHT + 1
 
 
 def test_a_sync_whose_echo_did_not_come_teaches_nothing() -> None:
@@ -48,7 +48,7 @@ def test_a_sync_whose_echo_did_not_come_teaches_nothing() -> None:
     rig.sync(1, echoed=False)
     rig.answer(1)
     assert rig.axis.calibrate(rig.log.marks[-1])
-    assert rig.axis.learned == TAUGHT
+    assert len(rig.axis.lessons) == TAUGHT
 
 
 def test_what_is_learned_is_the_clock_and_the_usual_delay() -> None:

@@ -193,7 +193,7 @@ def test_a_drive_that_stood_still_while_calibrating_has_taught_nothing_wrong(
     clock = axis.by_stamp.clock
     assert clock.offset_ns == -DEVICE_CLOCK_OFFSET_NS
     assert abs(clock.drift_ppm) < 1e-3
-    assert axis.learned >= CALIBRATION_SYNCS // 2
+    assert len(axis.lessons) >= CALIBRATION_SYNCS // 2
 
 
 def test_a_drive_that_never_answers_in_time_is_not_asked_for_ever() -> None:
@@ -201,7 +201,7 @@ def test_a_drive_that_never_answers_in_time_is_not_asked_for_ever() -> None:
     axis = make_axis(drive, [])
     bus = FakeBus([drive])
     make_loop(bus, [axis]).calibrate()
-    assert (bus.sync_count, axis.learned) == (CALIBRATION_SYNCS_MAX, 1)
+    assert (bus.sync_count, len(axis.lessons)) == (CALIBRATION_SYNCS_MAX, 1)
 
 
 @pytest.mark.parametrize("stopped_in", [10, 40])

@@ -36,7 +36,7 @@ def axis(stamped: Any = None, ordered: Any = None, ready: bool = False) -> Axis:
 
 
 def test_all_of_it_is_told() -> None:
-    log = cast(SyncLog, SimpleNamespace(echoes=EchoBasis.KERNEL, surplus=3, crowded=4))
+    log = cast(SyncLog, SimpleNamespace(basis=EchoBasis.KERNEL, surplus=3, crowded=4))
     stamped = health(placed=50, duplicates=1, unmatched=10, error_ns_max=1_500, steps=2)
     ordered = health(placed=5, duplicates=20, unmatched=1_000, error_ns_max=700)
     report = timing_report([axis(stamped, ordered)], {"simulated": log}, {"node 5 started": 2})
