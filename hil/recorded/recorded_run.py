@@ -23,7 +23,7 @@ from hil.rows.recording_plan import ReviewPlan
 from hil.rows.records import DIGESTED_TO_FORMAT_2, Rows
 from hil.rows.records_file import read_metadata, read_records
 from hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, RECORDS_FILE, SUMMARY_FILE
-from hil.rows.seal import NOT_CHECKED, check_seal
+from hil.rows.seal import NOT_CHECKED, seal_of
 from hil.verdict.summary import Summary
 
 
@@ -81,7 +81,7 @@ def open_run(folder: Path, *, unsealed: bool = False) -> RecordedRun:
     if not (folder / SUMMARY_FILE).is_file():
         expected = f"a run with its {SUMMARY_FILE}"
         raise BadInput("RUN", "", str(folder), expected, "hil recover ends it")
-    seal = NOT_CHECKED if unsealed else check_seal(folder)
+    seal = seal_of(folder, unsealed=unsealed)
     metadata = read_metadata(folder / RECORDS_FILE)
     written_in = metadata.get("format", "none")
     if not written_in.isdecimal() or not 1 <= int(written_in) <= int(FORMAT):

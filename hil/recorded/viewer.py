@@ -19,8 +19,8 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from hil.recorded.commissioning_page import commissioning_page, is_commissioning
 from hil.recording.blueprint import GUTTER
 from hil.recording.page_series import TIMELINE
-from hil.rows.run_files import CAMPAIGN_PAGE, RECORDS_FILE, RERUN_FILE, SEAL_FILE
-from hil.rows.seal import check_seal
+from hil.rows.run_files import CAMPAIGN_PAGE, RERUN_FILE
+from hil.rows.seal import seal_of
 from virtual_bus.child_python import python_command, python_environment
 
 SIZE: Final = "1920x1080"
@@ -129,11 +129,11 @@ class HeadlessViewer:
         self._clock.sleep_until(Instant(self._clock.now() + duration_ns))
 
 
-def page_file(run: Path) -> Path:
+def page_file(run: Path, *, unsealed: bool = False) -> Path:
     """What the viewer opens of a folder: a run's run.rrd, a campaign's, a commissioning's,
     made now; a file is itself.
 
-    Raises BadInput.
+    ``unsealed``: whether or not the files of a run are as they were recorded. Raises BadInput.
     """
     if run.is_dir() and is_commissioning(run):
         return commissioning_page(run)
@@ -145,6 +145,7 @@ def page_file(run: Path) -> Path:
             f"the folder of a run, with its {RERUN_FILE}, of a commissioning, or of a reported campaign"
         )
         raise BadInput("RUN", "", str(run), expected)
+    seal_of(recording.parent, unsealed=unsealed)
     return recording
 
 
@@ -162,10 +163,7 @@ def draw_page(
     ``unsealed``: whether or not the run's files are as they were recorded. Raises BadInput, and PeerFault if
     the viewer cannot run here.
     """
-    recording = page_file(run)
-    folder = recording.parent
-    if not unsealed and ((folder / SEAL_FILE).exists() or (folder / RECORDS_FILE).exists()):
-        check_seal(folder)
+    recording = page_file(run, unsealed=unsealed)
     with headless_viewer() as viewer:
         viewer.show(recording)
         if page is not None:

@@ -47,6 +47,7 @@ from hil.rows.run_files import (
     RERUN_FILE,
     SEAL_FILE,
 )
+from hil.rows.seal import RECOVERED
 from hil.rows.side_rows import FRAME_DTYPE, BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary, summarise
@@ -56,6 +57,7 @@ from virtual_bus.faults.fault_log import FAULTS_FILE
 ROOM_BYTES: Final = 4 << 20
 """On the disk, for layout, verdict and events of run.rrd; rows take less than they do in memory."""
 
+_NO_SEAL: Final = "it has no seal: whether its files are as they were recorded is not known"
 _INSTANT_MAX: Final = 1 << 62
 """146 years in ns: the time between two instants of a run still has 64 bits."""
 
@@ -98,6 +100,8 @@ def recover(
     def summed_up() -> Summary:
         return summarise(figures, outcome, plan.review.limits, str(folder), plan.seed, tuple(told))
 
+    if not (folder / SEAL_FILE).exists() and read_metadata(folder / RECORDS_FILE).get("format") == FORMAT:
+        told.append(_NO_SEAL)
     reserve.release()
     if network is not None:
         network.finish(summed_up())
@@ -107,16 +111,22 @@ def recover(
         told.append(f"{RERUN_FILE} has no verdict and may lack the last seconds: {error}")
     reserve.close()
     write_summary(folder, summed_up())
-    _seal(folder, figures.cycles * len(plan.review.axes))
+    _seal(folder, figures.cycles * len(plan.review.axes), recovered=rings is None)
     return summed_up()
 
 
-def _seal(folder: Path, rows: int) -> None:
-    """The rest. A damaged seal stays as it is, to be told; an older version had none. Error: OSError."""
-    sealed = (folder / SEAL_FILE).exists()
-    if sealed or read_metadata(folder / RECORDS_FILE).get("format") == FORMAT:
+def _seal(folder: Path, rows: int, *, recovered: bool) -> None:
+    """The rest; ``recovered``: by a process that has not seen it recorded, which the seal then says.
+
+    A damaged seal stays as it is, to be told, and where there is none, none is made: what was altered would
+    be sealed with the rest. Error: OSError.
+    """
+    if (folder / SEAL_FILE).exists():
         with suppress(BadInput):
-            Sealer(folder, fresh=not sealed).finish(rows)
+            sealer = Sealer(folder, fresh=False)
+            if recovered:
+                sealer.mark(RECOVERED)
+            sealer.finish(rows)
 
 
 def _keep_events(plan: RecordingPlan, folder: Path, rings: Rings | None) -> list[str]:

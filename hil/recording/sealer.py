@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from hil.recording.append_file import AppendFile
 from hil.rows.run_files import LOGGER_LOG, PRINTED_FILE, RECORDS_FILE, RESERVE_FILE, SEAL_FILE
-from hil.rows.seal import FIRST_CHAIN, digest_of, read_seal, sealed_line
+from hil.rows.seal import ENDED, FIRST_CHAIN, Piece, digest_of, read_seal, sealed_line
 
 _LEFT_OUT: Final = frozenset({SEAL_FILE, RESERVE_FILE, LOGGER_LOG, PRINTED_FILE})
 """What is written beside the recording, as long as the processes live."""
@@ -27,7 +27,7 @@ class Sealer:
         self._file = AppendFile(folder / SEAL_FILE, fresh=fresh)
         for piece, chain in () if fresh else read_seal(folder):
             self._chain = chain
-            if piece is not None:
+            if isinstance(piece, Piece):
                 self._ends[piece.file] = piece.end
 
     def grow(self, names: Iterable[str], rows: int = 0, *, empty: bool = False) -> None:
@@ -48,6 +48,10 @@ class Sealer:
         if lines:
             self._file.write("".join(lines).encode())
 
+    def mark(self, what: str) -> None:
+        """:data:`hil.rows.seal.RECOVERED` or :data:`hil.rows.seal.ENDED`."""
+        self._file.write(self._line({what: True}).encode())
+
     def finish(self, rows: int = 0) -> None:
         """All files of the folder, and that it was the end."""
         names = sorted(entry.name for entry in os.scandir(self._folder) if entry.is_file())
@@ -56,7 +60,7 @@ class Sealer:
             rows,
             empty=True,
         )
-        self._file.write(self._line({"ended": True}).encode())
+        self.mark(ENDED)
         self._file.close()
 
     def _line(self, plain: dict[str, Any]) -> str:

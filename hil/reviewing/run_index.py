@@ -22,6 +22,7 @@ from hil.rows.run_files import (
     RESERVE_FILE,
     SUMMARY_FILE,
 )
+from hil.rows.seal import seal_of
 
 _DEPTH_MAX: Final = 6
 """Folders below the one that is asked for; runs lie in one, or in one for each day or bench."""
@@ -50,7 +51,7 @@ class ListedRun:
     controllers: tuple[str, ...] = ()
     """Kind, or class of one's own, by axis."""
     verdict: str = ""
-    """Of summary.json, a value of VerdictKind."""
+    """Of summary.json, a value of VerdictKind; empty for a run that is damaged."""
     reason: str = ""
     """Of the verdict."""
     cycles: int | None = None
@@ -59,6 +60,8 @@ class ListedRun:
     bus: str = ""
     note: str = ""
     """What is wrong with it, and what to do."""
+    seal: str = ""
+    """Whether its files were held against it; empty for a run that is not whole."""
 
     def as_json(self) -> dict[str, Any]:
         """Plain values; ``at`` as ISO 8601."""
@@ -91,12 +94,13 @@ class RunFilter:
         )
 
 
-def list_runs(folder: Path, wanted: RunFilter | None = None) -> list[ListedRun]:
-    """The recordings in and below ``folder``, in order of time. Raises BadInput if it is none."""
+def list_runs(folder: Path, wanted: RunFilter | None = None, *, unsealed: bool = False) -> list[ListedRun]:
+    """The recordings in and below ``folder``, in order of time; ``unsealed``: whether or not their files are
+    as they were recorded. Raises BadInput if it is none."""
     if not folder.is_dir():
         raise BadInput("DIR", "", str(folder), "a folder")
     chosen = wanted or RunFilter()
-    listed = [run for run in map(_listed, _run_folders(folder)) if chosen.wants(run)]
+    listed = [run for run in (_listed(each, unsealed) for each in _run_folders(folder)) if chosen.wants(run)]
     return sorted(listed, key=lambda run: (run.at, run.path))
 
 
@@ -112,13 +116,21 @@ def _run_folders(folder: Path) -> Iterator[Path]:
         below.sort()
 
 
-def _listed(folder: Path) -> ListedRun:
+def _listed(folder: Path, unsealed: bool) -> ListedRun:
     path = folder / SUMMARY_FILE
     metadata = _table(lambda: read_metadata(folder / RECORDS_FILE))
     # raw: the bench of an earlier version need not be one of today's
     told = _table(lambda: read_toml(folder / BENCH_FILE, "bench file"))
     summary = _table(lambda: parse_json(read_text(path, "summary"), str(path), "a summary"))
     state, note = _state(folder, metadata, summary)
+    seal = ""
+    if state is RunState.WHOLE:
+        try:
+            seal = seal_of(folder, unsealed=unsealed)
+        except (BadInput, OSError) as error:
+            state, note = RunState.DAMAGED, str(error)
+    if state is RunState.DAMAGED:
+        summary = {}  # of which nothing can be believed
     verdict, bench = _table(lambda: summary.get("verdict")), _table(lambda: told.get("bench"))
     drives = _table(lambda: json.loads(metadata.get("drives", "{}")))
     cycles = summary.get("cycles")
@@ -136,6 +148,7 @@ def _listed(folder: Path) -> ListedRun:
         servobench=metadata.get("servobench", ""),
         bus=metadata.get("bus", ""),
         note=note,
+        seal=seal,
     )
 
 

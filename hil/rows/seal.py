@@ -1,9 +1,11 @@
 """The seal of a recording: digests of its files, piece by piece as they grew, each chained to the one before.
 
-A line of the file ``seal`` is a piece of a file, or says that the recording has ended:
+A line of the file ``seal`` is a piece of a file, or says that the recording has ended, or that what follows
+was sealed by ``hil recover``, and not by who recorded it:
 
     {"file": "records.arrow", "begin": 0, "end": 41008, "rows": 1000, "digest": "...", "chain": "..."}
     {"ended": true, "chain": "..."}
+    {"recovered": true, "chain": "..."}
 
 ``digest``: BLAKE2b, 128 bit, of the bytes from ``begin`` to ``end``. ``chain``: of the chain of the line
 before and this line up to its chain. ``rows``: cycle records from the begin of the file to there. It proves
@@ -45,6 +47,8 @@ READ: Final = frozenset(
     }
 )  # fmt: skip
 """What is read of a recording: none of them is there without a piece of the seal."""
+ENDED: Final = "ended"
+RECOVERED: Final = "recovered"
 _DIGEST_BYTES: Final = 16
 _BLOCK_BYTES: Final = 1 << 20
 _LINE: Final = re.compile(r'(\{.*), "chain": "([0-9a-f]{32})"\}\n')
@@ -82,34 +86,51 @@ def digest_of(file: BinaryIO, begin: int, end: int) -> str:
     return digest.hexdigest()
 
 
-def read_seal(folder: Path) -> Iterator[tuple[Piece | None, str]]:
-    """Its pieces, None for an end, each with its chain. Raises BadInput for a line outside the chain."""
+def read_seal(folder: Path) -> Iterator[tuple[Piece | str, str]]:
+    """Its pieces, :data:`ENDED` and :data:`RECOVERED`, each with its chain.
+
+    Raises BadInput for a line outside the chain.
+    """
     path, chain = folder / SEAL_FILE, FIRST_CHAIN
     for number, line in enumerate(read_lines(path, "seal"), 1):
         match = _LINE.fullmatch(line)
         if match is None or _chained(match[1], chain) != match[2]:
             raise BadInput(str(path), f"line {number}", line[:60], "a line of the chain", _SHOWN)
         chain, plain = match[2], json.loads(match[1] + "}")
-        yield (None if "ended" in plain else Piece(**{"rows": None, **plain})), chain
+        yield (Piece(**{"rows": None, **plain}) if "file" in plain else next(iter(plain))), chain
+
+
+def seal_of(folder: Path, *, unsealed: bool) -> str:
+    """What a reader of any folder has to ask first: as :func:`check_seal`; ``unsealed``: not to be asked.
+
+    Empty for a folder that holds no recording of a run. Raises BadInput.
+    """
+    if not any((folder / name).exists() for name in (BENCH_FILE, RECORDS_FILE, SEAL_FILE)):
+        return ""
+    return NOT_CHECKED if unsealed else check_seal(folder)
 
 
 def check_seal(folder: Path) -> str:
-    """Hold the files of a recording against its seal; :data:`SEALED` or :data:`OLDER`.
+    """Hold the files of a recording against its seal; :data:`SEALED`, up to where, or :data:`OLDER`.
 
     Raises BadInput, naming file and place, for what is not as it was recorded.
     """
     if not (folder / SEAL_FILE).is_file():
         from hil.rows.records_file import read_metadata  # pyarrow, which no loop needs
 
-        if read_metadata(folder / RECORDS_FILE).get("format") != FORMAT:  # who reads it refuses a later one
+        records = folder / RECORDS_FILE  # who reads it refuses a later format
+        if records.is_file() and read_metadata(records).get("format") != FORMAT:
             return OLDER
         raise BadInput(str(folder), "", f"no file {SEAL_FILE}", "a recording with its seal", _SHOWN)
     pieces: dict[str, list[Piece]] = {}
-    ended = False
+    ended, seal, rows = False, SEALED, 0
     for piece, _ in read_seal(folder):
-        ended = piece is None
-        if piece is not None:
+        ended = piece == ENDED
+        if isinstance(piece, Piece):
             pieces.setdefault(piece.file, []).append(piece)
+            rows = piece.rows or rows
+        elif piece == RECOVERED:
+            seal = f"{SEALED} up to row {rows} of {RECORDS_FILE}; the rest was found by hil recover"
     if not ended:
         remedy = f"hil recover ends it; {_SHOWN}"
         raise BadInput(str(folder / SEAL_FILE), "", "no last line", "the end of the recording", remedy)
@@ -118,7 +139,7 @@ def check_seal(folder: Path) -> str:
             raise BadInput(str(folder / name), "", "a file", "none: the recording had none", _SHOWN)
     for name, parts in pieces.items():
         _check_file(folder / name, parts)
-    return SEALED
+    return seal
 
 
 def _check_file(path: Path, pieces: list[Piece]) -> None:

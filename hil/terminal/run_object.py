@@ -61,13 +61,13 @@ def read_back(summary: Summary) -> Summary:
     if summary.verdict.exit_status != ExitStatus.PASSED or not summary.recording:
         return summary
     from drivers.errors import BadInput
-    from hil.rows.seal import check_seal
+    from hil.rows.seal import SEALED, check_seal
 
     try:
-        check_seal(Path(summary.recording))
+        seal = check_seal(Path(summary.recording))
     except BadInput as error:
-        return summary.also(Finding(VerdictKind.NOT_RECORDED, str(error)))
-    return summary
+        seal = str(error)
+    return summary if seal == SEALED else summary.also(Finding(VerdictKind.NOT_RECORDED, seal))
 
 
 def not_begun(status: int, text: str) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.printable import printable
-from hil.terminal.options import JsonOption, valued
+from hil.terminal.options import JsonOption, UnsealedOption, valued
 from hil.terminal.output import put, say, write_line
 
 if TYPE_CHECKING:
@@ -31,9 +31,12 @@ def runs(
             "--since", help="Local time.", formats=["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%dT%H:%M:%S"]
         ),
     ] = None,
+    unsealed: UnsealedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """List recordings by time: bench, drives, controllers, verdict, commit, and which are not whole.
+
+    Each is held against its seal, for which all of its files are read; --unsealed is quicker.
 
     Exit status: 0, also if there is none; 2 for a DIR that is no folder.
     """
@@ -41,7 +44,7 @@ def runs(
 
     local = None if since is None else since.astimezone()
     chosen = RunFilter(bench, drive, controller, verdict, commit, local)
-    listed = list_runs(folder, chosen)
+    listed = list_runs(folder, chosen, unsealed=unsealed)
     put({"runs": [run.as_json() for run in listed]}, as_json, lambda _figures: _print(listed, folder))
 
 

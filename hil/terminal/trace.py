@@ -13,7 +13,7 @@ import typer
 
 from drivers.errors import BadInput
 from drivers.printable import printable
-from hil.terminal.options import JsonLinesOption, bitrate_option, bus_option, flag, valued
+from hil.terminal.options import JsonLinesOption, UnsealedOption, bitrate_option, bus_option, flag, valued
 from hil.terminal.output import say, write_line
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ def trace(
     bitrate: Annotated[
         int | None, bitrate_option("With --live: bit rate, bit/s; found by listening if absent.")
     ] = None,
+    unsealed: UnsealedOption = False,
     as_json: JsonLinesOption = False,
 ) -> None:
     """Decode a CANopen bus: NMT, SYNC, EMCY, heartbeats, SDO transfers, PDOs in SI units, LSS, error frames.
@@ -61,6 +62,10 @@ def trace(
     elif source is None or bus is not None:
         raise BadInput("hil trace", "", str(bus or ""), "a RUN or LOG, or --live --bus SPEC")
     else:
+        if source.is_dir():
+            from hil.rows.seal import seal_of
+
+            seal_of(source, unsealed=unsealed)
         _read(source, differences, sheets, selection, as_json)
 
 

@@ -2,11 +2,11 @@
 
 import typer
 
-from hil.terminal.options import RunArgument
+from hil.terminal.options import RunArgument, UnsealedOption
 from hil.terminal.output import say
 
 
-def view(run: RunArgument) -> None:
+def view(run: RunArgument, unsealed: UnsealedOption = False) -> None:
     """Open a recorded run or commissioning in the Rerun viewer; without a display, say where the file is and
     how to see it.
 
@@ -15,7 +15,7 @@ def view(run: RunArgument) -> None:
     from hil.recorded.viewer import page_file
     from hil.recording.log_files import start_viewer
 
-    recording = page_file(run)
+    recording = page_file(run, unsealed=unsealed)
     if missing_display():
         from hil.terminal.report import viewer_command
 

@@ -23,6 +23,7 @@ from hil.rows.event_lines import event_json, read_events
 from hil.rows.records import Rows
 from hil.rows.records_file import read_table, rows_of_table
 from hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
+from hil.rows.seal import check_seal
 from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wire
@@ -78,6 +79,12 @@ class Run:
             return self._kept
         raise ValueError("this run was not recorded; run it with record=DIR")
 
+    @cached_property
+    def _sealed(self) -> Path:
+        """The folder of its recording, held against the seal once. Raises BadInput."""
+        check_seal(self.folder)
+        return self.folder
+
     @property
     def place(self) -> str:
         """For a message: where to look."""
@@ -86,7 +93,7 @@ class Run:
     @cached_property
     def summary(self) -> Summary:
         """Figures and verdict: what ``hil run --json`` prints."""
-        return self._summary or read_summary(self.folder)
+        return self._summary or read_summary(self._sealed)
 
     @property
     def verdict(self) -> RunVerdict:
@@ -104,7 +111,7 @@ class Run:
         of the fields (docs/recording.md). ``table.to_pandas()``, ``polars.from_arrow(table)``."""
         if isinstance(self._kept, MemoryRecorder):
             return self._kept.table()
-        return read_table(self._kept / RECORDS_FILE)
+        return read_table(self._sealed / RECORDS_FILE)
 
     @cached_property
     def rows(self) -> Rows:
@@ -129,13 +136,13 @@ class Run:
             events, zero = self._kept.told()
             shown = [each for each in events if isinstance(each, TextEvent | StateEvent | BeginEvent)]
             return [event_json(each, zero) for each in shown]
-        return sorted(read_events(self._kept / EVENTS_FILE), key=lambda event: event["at_ns"])
+        return sorted(read_events(self._sealed / EVENTS_FILE), key=lambda event: event["at_ns"])
 
     @cached_property
     def wire(self) -> Wire:
         """Every frame that the bench sent or received, from connecting to the drives to their release."""
         if isinstance(self._kept, Path):
-            return read_wire(self._kept)
+            return read_wire(self._sealed)
         frames = Wire()
         for frame in self._kept.frames():
             frames.take(*frame)

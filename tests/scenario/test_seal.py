@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -13,6 +14,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+import hil
+from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.cli import app
 from tests.unit.hil.recorded_runs import BENCH, short_run
@@ -21,6 +24,8 @@ READERS: dict[str, Callable[[Path], list[str]]] = {
     "review": lambda run: ["review", str(run), "--against", str(run.parent / "nothing.toml")],
     "compare": lambda run: ["compare", str(run), str(run)],
     "export": lambda run: ["export", str(run), "--to", "csv", "--out", os.devnull],
+    "trace": lambda run: ["trace", str(run), "--to", "0"],
+    "view": lambda run: ["view", str(run)],
     "picture": lambda run: ["picture", str(run), str(run.parent / "picture.svg"), "--paper"],
 }
 
@@ -38,7 +43,8 @@ def copied(run: Path, tmp_path: Path) -> Path:
 
 
 def read(name: str, run: Path, *more: str) -> tuple[int, str]:
-    ended = CliRunner().invoke(app, [*READERS[name](run), *more])
+    without_display = {"DISPLAY": None, "WAYLAND_DISPLAY": None}
+    ended = CliRunner().invoke(app, [*READERS[name](run), *more], env=without_display)
     return ended.exit_code, ended.output
 
 
@@ -99,6 +105,40 @@ def test_the_verdict_says_whether_it_rests_on_a_seal(run: Path) -> None:
         assert (ended.exit_code, json.loads(ended.stdout)["seal"]) == (0, seal)
 
 
+def test_a_run_of_the_python_api_is_read_only_as_it_was_recorded(tmp_path: Path) -> None:
+    done = hil.run(BENCH, {"bench.duration_s": 0.3, "load": {}}, record=tmp_path / "run")
+    with (tmp_path / "run" / "frames.directions").open("r+b") as file:
+        file.write(b"R")
+    for read_of in (lambda: done.table, lambda: done.events, lambda: done.wire):
+        with pytest.raises(BadInput, match=r"frames\.directions: bytes 0 to "):
+            read_of()
+
+
+@pytest.mark.parametrize(("lines", "rows"), [(6, 300), (1, 0)])
+def test_recover_says_up_to_where_the_seal_is_not_its_own(
+    run: Path, tmp_path: Path, lines: int, rows: int
+) -> None:
+    copy = copied(run, tmp_path)
+    (copy / "summary.json").unlink()
+    (copy / "seal").write_text("".join((copy / "seal").read_text().splitlines(keepends=True)[:lines]))
+    assert CliRunner().invoke(app, ["recover", str(copy)]).exit_code == 0
+    status, told = read("review", copy, "--json")
+    expected = f"sealed up to row {rows} of records.arrow; the rest was found by hil recover"
+    assert (status, json.loads(told)["seal"]) == (5, expected)
+
+
+def test_recover_makes_no_seal_in_place_of_one_that_is_gone(run: Path, tmp_path: Path) -> None:
+    copy = copied(run, tmp_path)
+    (copy / "summary.json").unlink()
+    (copy / "seal").unlink()
+    ended = CliRunner().invoke(app, ["recover", str(copy), "--json"])
+    assert (ended.exit_code, (copy / "seal").exists()) == (0, False)
+    assert any("it has no seal" in text for text in json.loads(ended.stdout)["recording_faults"])
+    status, told = read("export", copy)
+    assert (status, "no file seal" in told) == (2, True)
+    assert read("export", copy, "--unsealed")[0] == 0
+
+
 def with_descendants(pid: int) -> list[int]:
     found = [pid]
     for each in found:
@@ -142,8 +182,9 @@ def test_a_run_that_was_killed_has_a_seal_up_to_its_last_second(tmp_path: Path) 
     ended = CliRunner().invoke(app, ["recover", str(folder)])
     assert ended.exit_code == 0, ended.output
     assert seal.read_bytes().startswith(begun[: begun.rindex(b"\n") + 1])
-    status, told = read("export", folder)
-    assert status == 0, told
+    told = CliRunner().invoke(app, ["review", str(folder), "--json"]).stdout
+    (sealed_rows,) = re.findall(r'"sealed up to row (\d+) of records.arrow', told)
+    assert 0 < int(sealed_rows) <= json.loads(told)["cycles"]
     rows = (folder / "records.arrow").read_bytes()
     (folder / "records.arrow").write_bytes(rows[:5000] + bytes([rows[5000] ^ 1]) + rows[5001:])
     status, told = read("export", folder)

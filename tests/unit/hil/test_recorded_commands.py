@@ -233,7 +233,7 @@ def test_a_recording_is_opened_where_there_is_a_display(
 ) -> None:
     started: list[str] = []
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(viewer, "page_file", lambda run: run / "run.rrd")
+    monkeypatch.setattr(viewer, "page_file", lambda run, **_asked: run / "run.rrd")
     monkeypatch.setattr(log_files, "start_viewer", started.append)
     monkeypatch.setattr(view_command, "missing_display", lambda: False)
     told = hil("view", "one")

@@ -19,6 +19,7 @@ from hil.recording.faults_file import BLOCK_DTYPE
 from hil.recording.log_files import EventsKeeper, FramesKeeper, RecordsKeeper
 from hil.recording.recovery import recover
 from hil.recording.run_folder import Reserve, read_summary
+from hil.recording.sealer import Sealer
 from hil.recording.tail import TAIL_FILE
 from hil.recording.whole_records import Rings, first_cycle, whole_records
 from hil.rows.recording_plan import RecordingPlan
@@ -79,6 +80,7 @@ def rows() -> Rows:
 def begun(plan: RecordingPlan, rows: Rows, stored: int, *events: RunEvent) -> None:
     """Records, events and frames as a logger leaves them that was killed."""
     folder = Path(cast(Path, plan.folder))
+    Sealer(folder)
     keeper = RecordsKeeper(plan, folder)
     keeper.take(rows[:stored], NO_FRAMES, [BeginEvent(BEGIN)])
     keeper.flush()

@@ -14,6 +14,7 @@ from typer.testing import CliRunner, Result
 
 from drivers.timebase import Instant
 from hil.cli import app
+from hil.recording.sealer import Sealer
 from hil.rows.records_file import RecordsWriter
 from hil.rows.run_files import RECORDS_FILE
 from hil.verdict.verdict import VerdictKind
@@ -49,6 +50,12 @@ def make(
     writer.begin({**told, "first_cycle_epoch_ns": str(epoch_ns), "bus": "hub:x"}, Instant(0))
     writer.write(rows_of(synthetic_records(10)))
     writer.close()
+    return sealed(folder)
+
+
+def sealed(folder: Path) -> Path:
+    """With a seal over what is in it now."""
+    Sealer(folder).finish()
     return folder
 
 
@@ -71,6 +78,7 @@ def test_they_are_listed_by_time_with_what_they_are(lab: Path) -> None:
         "at": "2026-01-02T00:00:00+00:00", "state": "whole", "bench": "second",
         "drives": [DRIVE], "controllers": ["hinf"], "verdict": "not passed", "reason": "", "cycles": 10,
         "commit": "def456", "servobench": "", "bus": "hub:x", "note": "",
+        "seal": "sealed",
     }  # fmt: skip
     lines = runs(str(lab)).stdout.splitlines()
     assert lines[0].split() == ["time", "bench", "verdict", "controller", "drive", "commit", "recording"]
@@ -108,6 +116,7 @@ def test_every_verdict_can_be_asked_for(lab: Path) -> None:
     for kind in VerdictKind:
         path = lab / "c" / "summary.json"
         path.write_text(json.dumps({"cycles": 1, "verdict": {"outcome": kind.value}}))
+        sealed(path.parent)
         assert "first" in [run["bench"] for run in listed(str(lab), "--verdict", kind.value)]
 
 
@@ -141,8 +150,8 @@ def test_damaged_files_are_told_and_stop_nothing(lab: Path) -> None:
         (lab / "c" / RECORDS_FILE).unlink(missing_ok=True)
         if content is not None:
             (lab / "c" / RECORDS_FILE).write_bytes(content)
-        (run,) = listed(str(lab), "--verdict", "passed")
-        assert (run["state"], note in run["note"], run["bench"]) == ("damaged", True, "first")
+        (run,) = listed(str(lab), "--verdict", "damaged")
+        assert (run["verdict"], note in run["note"], run["bench"]) == ("", True, "first")
     for name in ("bench.toml", "summary.json", RECORDS_FILE):
         (lab / "c" / name).write_bytes(b"\xff\x00[")
     assert len(listed(str(lab))) == 3
@@ -155,8 +164,13 @@ def test_a_later_format_is_told_by_its_number_and_an_earlier_one_is_read(lab: Pa
         changed = table.replace_schema_metadata({**table.schema.metadata, b"format": number.encode()})
         with pa.ipc.new_file(path, changed.schema) as sink:
             sink.write_table(changed)
+        if name == "b":
+            sealed(lab / name)
+        else:
+            (lab / name / "seal").unlink()
     found = listed(str(lab))
     assert [run["state"] for run in found] == ["whole", "whole", "later format"]
+    assert found[0]["seal"] == "unsealed: recorded by an older version"
     assert found[2]["note"] == "format 5: expected a recording of format 4 or earlier"
 
 
@@ -177,7 +191,18 @@ def test_what_the_recording_lacks_is_told(lab: Path) -> None:
         "recording_faults": ["the disk was full"],
     }
     (lab / "c" / "summary.json").write_text(json.dumps(summary))
+    sealed(lab / "c")
     assert listed(str(lab))[0]["note"] == "the disk was full"
+
+
+def test_a_run_that_was_altered_has_no_verdict_unless_it_is_asked_for(lab: Path) -> None:
+    (lab / "c" / "summary.json").write_text('{"cycles": 10, "verdict": {"outcome": "passed", "reason": "!"}}')
+    assert [run["bench"] for run in listed(str(lab), "--verdict", "passed")] == []
+    (run,) = listed(str(lab), "--verdict", "damaged")
+    assert (run["verdict"], run["reason"], run["cycles"]) == ("", "", None)
+    assert run["note"].startswith(f"{lab / 'c' / 'summary.json'}: bytes 0 to ")
+    (run,) = listed(str(lab), "--verdict", "passed", "--unsealed")
+    assert (run["state"], run["seal"]) == ("whole", "unsealed: asked for by --unsealed")
 
 
 def test_no_folder_is_refused_and_an_empty_one_is_not(tmp_path: Path) -> None:
