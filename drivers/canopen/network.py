@@ -325,14 +325,19 @@ class CanopenNetwork(canopen.Network):
     def _client(
         self, node_id: int, timeout_s: float | None = None, attempts: int = SDO_ATTEMPTS
     ) -> PumpedSdoClient:
-        """The node's SDO client, once its channel is free of posted transfers."""
+        """The node's SDO client, once its channel is free of posted transfers: polls wait meanwhile, or one
+        whose node is silent would be posted anew whenever it was given up."""
         client = self._client_of(node_id)
         client.RESPONSE_TIMEOUT = self.sdo_timeout_s if timeout_s is None else timeout_s
         client.MAX_RETRIES = attempts
         post = self._posts.get(node_id)
-        while post is not None and post.in_flight is not None:
-            if not self.pump_one(post.in_flight.deadline):
-                self._keep_house(self.clock.now())  # at its deadline it is repeated or given up
+        client.busy = True
+        try:
+            while post is not None and post.in_flight is not None:
+                if not self.pump_one(post.in_flight.deadline):
+                    self._keep_house(self.clock.now())  # at its deadline it is repeated or given up
+        finally:
+            client.busy = False
         return client
 
     def _on_sdo_answer(self, node_id: int, data: bytes, at: Instant) -> None:

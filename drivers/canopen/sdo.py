@@ -131,7 +131,7 @@ class PumpedSdoClient(SdoClient):
         self.foreign_requests = 0
         """Requests of another client on this channel."""
         self.busy = False
-        """A request waits for its answer: nothing else may use the channel."""
+        """A request waits for its answer, or for the channel: nothing else may be begun on it."""
         self._multiplexer = bytes(3)
         self._initiating = False
 

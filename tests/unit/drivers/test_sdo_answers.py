@@ -97,6 +97,16 @@ def test_answers_to_repeated_requests_are_owed_however_late(rig: Rig, late_ms: i
     assert told == []
 
 
+def test_a_read_is_given_up_though_polls_of_the_silent_node_are_due(rig: Rig) -> None:
+    """Each poll is due again by the time at which the one before is given up."""
+    bus, servo, network = rig
+    servo.deaf_to_sdo = 1000
+    network.poll(Polled(1, 0x6061, 0, Duration(50 * NS_PER_MS), lambda _data, _at: None))
+    with pytest.raises(NoAnswer, match="did not answer the SDO read of 1000h:00"):
+        network.upload(1, 0x1000)
+    assert bus.now() < 2000 * NS_PER_MS
+
+
 def test_requests_that_nobody_answered_hide_two_nodes_for_a_while_only(rig: Rig) -> None:
     bus, servo, network = rig
     servo.deaf_to_sdo = 5 * (SDO_ATTEMPTS + 1)  # and the abort of each
