@@ -114,11 +114,12 @@ class Axis:
 
     @property
     def wants_probe(self) -> bool:
-        """Whether the next SYNC should go out a quarter of a period late, see :class:`OrderAttribution`."""
-        return self.by_order.wants_probe
+        """Whether the next SYNC should go out a quarter of a period late: its reading shows whose it is."""
+        return self.by_order.wants_probe or self.by_stamp.doubt.wants_probe
 
     def probed(self) -> None:
         """The last SYNC has gone out late."""
+        self.by_stamp.doubt.probed()
         if self.by_order.wants_probe:
             self.by_order.probed(self.parts.syncs.marks[-1])
 
@@ -141,9 +142,9 @@ class Axis:
             self.parts.tell("its stamp stands still: its readings are placed by their order")
         if self._by_stamps and reading.device_time_ns is not None:
             self.by_stamp.learn(reading, mark)
-            if COARSE_PARTS * self.by_stamp.resolution > self._period:
+            if COARSE_PARTS * self.by_stamp.stamps.resolution > self._period:
                 self._by_stamps = self.by_stamp.clock.ready = False
-                us = self.by_stamp.resolution // NS_PER_US
+                us = self.by_stamp.stamps.resolution // NS_PER_US
                 self.parts.tell(f"its stamp advances by {us} us: its readings are placed by their order")
         if not self._by_stamps or reading.device_time_ns is None:
             self.by_order.learn(reading, mark)

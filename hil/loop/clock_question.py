@@ -12,8 +12,8 @@ Each way has the cost of what must have happened for it.
 from typing import Final, NamedTuple
 
 from drivers.timebase import Duration, Instant
-from hil.loop.clock_map import ClockMap
-from hil.loop.residuals import Extremes, Residuals
+from hil.loop.drive_stamps import DriveStamps
+from hil.loop.residuals import Extremes
 from hil.loop.syncs import SURPLUS, SyncLog, SyncMark
 
 STEP_COST: Final = 3
@@ -26,6 +26,8 @@ another, while losses are common and come in bursts."""
 EXCLUDING: Final = 12.0
 """A line is none if another is e^12, 160 000 times, likelier by how far the readings lie off it. So SYNCs
 that are not at equal distances tell which ones they are."""
+STAMPS_MAX: Final = 512
+"""Stamps kept before those of forgotten SYNCs are dropped."""
 DRIFT_WITHIN: Final = 2e-3
 """Rates up to 2000 ppm off the old one are looked for among suspects."""
 
@@ -62,36 +64,42 @@ class ClockQuestion:
     def __init__(
         self,
         syncs: SyncLog,
-        clock: ClockMap,
-        residuals: Residuals,
+        stamps: DriveStamps,
         period: Duration,
         transit: Duration,
-        match_ns: int,
     ) -> None:
-        """``transit``: shortest time of a reading's frame. ``match_ns``: how far a stamp may be off in any
-        case."""
+        """``transit``: shortest time of a reading's frame."""
         self.stamps: dict[int, int] = {}
         """Of each SYNC answered, by its number: the stamp."""
         self.delays = Extremes()
         """From a SYNC to its reading."""
         self.revoked: list[tuple[SyncMark, int]] = []
         """Placements just before the question that it touches, and their stamps."""
+        self.answered = 0
+        """Number of the newest SYNC answered."""
         self.since = 0
         """Number of the newest SYNC answered when the question was put."""
         self.twice = 0
         """Readings that came twice since the last one that raised no question."""
         self._syncs = syncs
-        self._clock = clock
+        self._stamps = stamps
         self._transit = transit
-        self.match_ns = match_ns
-        self._residuals = residuals
         self._half = period // 2
+
+    def answer(self, mark: SyncMark, device_ns: int) -> None:
+        """``mark`` has its reading."""
+        self.stamps[mark.number] = device_ns
+        self.answered = max(self.answered, mark.number)
+        if len(self.stamps) > STAMPS_MAX:
+            oldest = self._syncs.marks[0].number
+            for number in [number for number in self.stamps if number < oldest]:
+                del self.stamps[number]
 
     def lines(self, last: list[Suspect]) -> list[Line]:
         """Every way to place the last suspects on SYNCs, all of them on one line, that is not so much less
         likely than another by how far they lie off it."""
         received_at = last[0].received_at
-        match_ns, spread = self.match_ns, self._residuals.spread
+        match_ns, spread = self._stamps.unmapped_ns, self._stamps.residuals.spread
         if spread:
             match_ns = max(match_ns, min(2 * match_ns + spread, self._half // 2))
         placements = []
@@ -112,7 +120,8 @@ class ClockQuestion:
         """
         origin_at = first.on_bus_at
         assert origin_at is not None
-        origin_ns, rate = last[0].device_ns, 1.0 + self._clock.rate
+        clock = self._stamps.clock
+        origin_ns, rate = last[0].device_ns, 1.0 + clock.rate
         marks: list[SyncMark] = []
         used: set[int] = set()
         smallest = -1
@@ -135,8 +144,8 @@ class ClockQuestion:
             used.add(mark.number)
             marks.append(mark)
             smallest = delay if smallest < 0 else min(smallest, delay)
-        unmoved_at = self._clock.place(origin_ns)
-        steps = abs(unmoved_at - origin_at) > match_ns + self._clock.error_ns
+        unmoved_at = clock.place(origin_ns)
+        steps = abs(unmoved_at - origin_at) > match_ns + clock.error_ns
         if steps and self.revoked:
             unmoved = self._syncs.nearest(unmoved_at)
             if unmoved is not None and not self._agrees(used, first.number - unmoved.number):
@@ -149,13 +158,8 @@ class ClockQuestion:
         change = abs(smallest - self.delays.low)
         if change > self._half + self.delays.slack():
             cost += DELAY_COST
-        misfit = (off_squared - off * off / len(last)) / (2.0 * self._variance_ns2)
+        misfit = (off_squared - off * off / len(last)) / (2.0 * self._stamps.variance_ns2)
         return Line(cost, change, tuple(marks), steps, misfit)
-
-    @property
-    def _variance_ns2(self) -> float:
-        """Of a stamp from its SYNC."""
-        return self._residuals.change_ns**2 + self._clock.resolution**2 / 12.0
 
     def _agrees(self, used: set[int], moved: int) -> bool:
         """Whether the readings before the suspects can be placed as well, if the clock was set among them.

@@ -27,15 +27,14 @@ from typing import Final
 from drivers.exchange import Reading
 from drivers.timebase import NS_PER_US, Duration, Instant
 from hil.loop.attribution import Health, Question, Tell
-from hil.loop.clock_map import STAMP_RESOLUTION, ClockMap, residuals_of, step_of
+from hil.loop.clock_map import STAMP_RESOLUTION
 from hil.loop.clock_question import LOSS_COST_MAX, STEP_COST, ClockQuestion, Line, Suspect
-from hil.loop.residuals import Extremes, Residuals
+from hil.loop.drive_stamps import DriveStamps
+from hil.loop.period_doubt import PeriodDoubt, Placing
+from hil.loop.residuals import Extremes
 from hil.loop.samples import Sample
 from hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
-MATCH_NS: Final = 3 * NS_PER_US
-"""A stamp of 1 us so near to a SYNC is its own: a step of the stamp and two of rounding. A coarser one may be
-off by as much more as its step is longer."""
 AGREEING: Final = 8
 """Readings that must agree before it is settled: fewer could be chance under a jittering SYNC."""
 AGREEING_SPREAD: Final = 32
@@ -45,12 +44,6 @@ REVOKED: Final = 12
 twelve in a row are one chance in four thousand."""
 SUSPECTS_MAX: Final = 48
 """After so many it is settled for the clock as it was."""
-LEARNED_MIN: Final = 8
-"""Fewer than so many say little of how far residuals reach."""
-LEARNED_MAX: Final = 64
-"""Readings of a calibration that are remembered: as many as it has SYNCs at the most."""
-STAMPS_MAX: Final = 512
-"""Stamps kept before those of forgotten SYNCs are dropped."""
 
 
 class StampAttribution:
@@ -68,29 +61,18 @@ class StampAttribution:
         ``resolution``: of a stamp."""
         self.health = Health()
         self.question = Question()
-        self.clock = clock = ClockMap(resolution)
+        self.stamps = DriveStamps(period, syncs.error_ns, resolution)
+        self.clock = self.stamps.clock
         self.doubtful_error_ns = REMEMBERED * period
         """Of a reading of uncertain place: any SYNC that is remembered may be its own."""
         self._syncs = syncs
-        self._quarter = period // 4
         self._half = period // 2
         self._transit = transit
         self._tell = tell
-        echo_error = syncs.error_ns
-        self._echo_error = echo_error
-        self.resolution = resolution
-        """Of a stamp: as told, or as its steps have shown while learning."""
-        self._match_ns = self._match_of(resolution)
         self._echoes_late = syncs.basis in STAMPED_LATE
-        self._variance = float(echo_error) ** 2 / 9.0
-        self._residuals = Residuals(echo_error / 3.0)
-        self._case = ClockQuestion(syncs, clock, self._residuals, period, transit, self._match_ns)
-        self._learned: deque[tuple[int, Instant]] = deque(maxlen=LEARNED_MAX)
-        """Stamps and SYNCs of a calibration."""
-        self._handed: deque[tuple[int, Instant]] = deque(maxlen=LEARNED_MAX)
-        """Its stamps, and when their SYNCs were handed over, which no adapter stamps."""
-        self._answered = 0
-        """Number of the newest SYNC answered."""
+        self._residuals = self.stamps.residuals
+        self._case = ClockQuestion(syncs, self.stamps, period, transit)
+        self.doubt = PeriodDoubt(syncs, self.stamps, period, transit, tell)
         self._suspects: list[Suspect] = []
         self._early = False
         """Whether a suspect would have come before its SYNC, which no network can do."""
@@ -106,28 +88,9 @@ class StampAttribution:
         """Take a reading that can only answer the SYNC of ``mark``."""
         device_ns, on_bus_at = reading.device_time_ns, mark.on_bus_at
         if device_ns is not None and on_bus_at is not None:
-            residuals, learned = self._residuals, self._learned
-            self.clock.observe(device_ns, on_bus_at, self._variance)
-            learned.append((device_ns, on_bus_at))
-            self._handed.append((device_ns, mark.handed_at))
-            if len(learned) >= LEARNED_MIN:
-                pairs = list(learned)
-                self._coarsen(step_of(self._handed))
-                residuals.learn(residuals_of(pairs), self._match_ns)
-                if residuals.spread:
-                    self.clock.start_anew(pairs, residuals.variance_ns2)
-            self._answer(mark, device_ns)
+            self.stamps.learn(device_ns, mark, on_bus_at)
+            self._case.answer(mark, device_ns)
             self._case.delays.add(reading.received_at - on_bus_at)
-
-    def _coarsen(self, step: int) -> None:
-        """Stamps advance by ``step`` at a time; one of a maker is known to be of that resolution at least."""
-        if step > self.resolution:
-            self.resolution = Duration(step)
-            self.clock.set_resolution(self.resolution)
-            self._match_ns = self._case.match_ns = self._match_of(self.resolution)
-
-    def _match_of(self, resolution: Duration) -> int:
-        return MATCH_NS + resolution - STAMP_RESOLUTION + self._echo_error
 
     def place(self, reading: Reading) -> Sample | None:
         device_ns = reading.device_time_ns
@@ -135,13 +98,14 @@ class StampAttribution:
             self.health.unmatched += 1
             return None
         at = self.clock.place(device_ns)
+        if self.doubt.open and self._resolve(device_ns, at, reading.received_at):
+            at = self.clock.place(device_ns)
         mark = self._syncs.nearest(at)
         if mark is None or mark.on_bus_at is None:
             self.health.unmatched += 1
             return None
         residual = at - mark.on_bus_at
-        match_ns = self._match_ns + self.clock.error_ns
-        fits = self._fits(residual, match_ns)
+        fits = self.stamps.fits(residual)
         known = self._case.stamps.get(mark.number) if fits else None
         if known == device_ns:
             self.health.duplicates += 1
@@ -153,18 +117,8 @@ class StampAttribution:
                 self._exonerate_free()
                 self._acquit()
             self._case.twice = 0
-            return self._matched(reading, device_ns, mark, residual, match_ns)
+            return self._matched(reading, device_ns, mark, residual)
         return self._suspect(reading, device_ns, mark if free else None, at, known is not None)
-
-    def _fits(self, residual: int, match_ns: int) -> bool:
-        """Whether a stamp lies on its SYNC: as near as others do, within a quarter of a period.
-
-        The map may have moved by a part of the spread since they came, so a little further is near too.
-        """
-        residuals = self._residuals
-        least = match_ns + residuals.spread // 4
-        most = max(match_ns, self._quarter)
-        return -min(least + residuals.early, most) <= residual <= min(least + residuals.late, most)
 
     def _usual(self, mark: SyncMark, delay: int) -> bool:
         """Whether a reading on a free SYNC raises no question, and answers the one that may be open."""
@@ -174,15 +128,13 @@ class StampAttribution:
         if not self._suspects:
             return True
         # A clock set back makes every delay longer by what it was set, at least a period.
-        return mark.number > self._case.since and not self._early and delay < 4 * self._quarter
+        return mark.number > self._case.since and not self._early and delay < 2 * self._half
 
-    def _matched(
-        self, reading: Reading, device_ns: int, mark: SyncMark, residual: int, match_ns: int
-    ) -> Sample | None:
-        health = self.health
+    def _matched(self, reading: Reading, device_ns: int, mark: SyncMark, residual: int) -> Sample | None:
+        health, match_ns = self.health, self.stamps.match_ns
         on_bus_at = mark.on_bus_at
         assert on_bus_at is not None
-        self._answer(mark, device_ns)
+        self._case.answer(mark, device_ns)
         residuals = self._residuals
         lateness = max(0, residual - residuals.least) if residuals.spread else residual
         # A SYNC that was late by less than can be told moves the map by as much, so the bound is twice that.
@@ -193,24 +145,18 @@ class StampAttribution:
         elif residuals.early or residuals.late or lateness > match_ns:
             # Late to the drive: the stamp knows better. Nothing but the SYNC itself excludes that it was not.
             sampled_at, error_ns = Instant(on_bus_at + lateness), lateness + match_ns + residuals.slack
-        self._follow(device_ns, on_bus_at, residual, match_ns)
+        self.stamps.follow(device_ns, on_bus_at, residual)
         if mark.sequence == SURPLUS:
             health.unmatched += 1
             return None
         health.placed += 1
-        self._judge(reading.received_at - sampled_at, error_ns)
         self._case.delays.add(reading.received_at - sampled_at)
         self._recent.append(mark)
+        if self.doubt.open:
+            self.doubt.rows.append((mark.sequence, error_ns))
+            return Sample(mark.sequence, reading, sampled_at, self.doubtful_error_ns, False)
+        self._judge(reading.received_at - sampled_at, error_ns)
         return Sample(mark.sequence, reading, sampled_at, error_ns, True)
-
-    def _answer(self, mark: SyncMark, device_ns: int) -> None:
-        """``mark`` has its reading."""
-        self._case.stamps[mark.number] = device_ns
-        self._answered = max(self._answered, mark.number)
-        if len(self._case.stamps) > STAMPS_MAX:
-            oldest = self._syncs.marks[0].number
-            for number in [number for number in self._case.stamps if number < oldest]:
-                del self._case.stamps[number]
 
     def _judge(self, delay: int, error_ns: int) -> None:
         """What cannot be is an alarm."""
@@ -222,13 +168,6 @@ class StampAttribution:
         if error_ns > health.error_ns_max:
             health.error_ns_max = error_ns
 
-    def _follow(self, device_ns: int, on_bus_at: Instant, residual: int, match_ns: int) -> None:
-        """Let map and residuals follow a reading that lies on its SYNC."""
-        residuals = self._residuals
-        on_map = Instant(on_bus_at + residual - residuals.cut(residual, match_ns))
-        self.clock.observe(device_ns, on_map, max(self._variance, residuals.variance_ns2))
-        residuals.add(residual, match_ns)
-
     @property
     def map_error_ns(self) -> int:
         """How far an instant that the map places may be off, a delay that all SYNCs have aside."""
@@ -239,26 +178,33 @@ class StampAttribution:
     def _exonerate_free(self) -> None:
         """The clock is as it was: suspects alone on a SYNC of their own are certain after all."""
         placed: list[tuple[Suspect, SyncMark]] = []
-        match_ns = self._match_ns + self.clock.error_ns
         for suspect in self._suspects:
             at = self.clock.place(suspect.device_ns)
             mark = self._syncs.nearest(at)
             if mark is None or mark.on_bus_at is None:
                 continue
-            if self._fits(at - mark.on_bus_at, match_ns):
+            if self.stamps.fits(at - mark.on_bus_at):
                 placed.append((suspect, mark))
-        self.question.cleared = self._exonerate(placed)
+        self._clear(self._exonerate(placed))
+
+    def _clear(self, all_proved: bool) -> None:
+        """A question is answered, and it has left no reading uncertain but by a doubt that goes on."""
+        self.doubt.proved = self.doubt.proved and all_proved
+        self.question.cleared = all_proved and not self.doubt.open
 
     def _exonerate(self, placed: list[tuple[Suspect, SyncMark]]) -> bool:
         """Suspects that had been placed where they are known to be now, and none beside them there, are
         certain after all; whether all are."""
         guesses = [suspect.guess for suspect in self._suspects]
-        match_ns = self._match_ns + self.clock.error_ns
+        error_ns = 2 * self.stamps.match_ns + self._residuals.spread
         proved = 0
         for suspect, mark in placed:
             if suspect.guess == mark.sequence and guesses.count(suspect.guess) == 1:
-                self._answer(mark, suspect.device_ns)
-                self.question.amend(suspect.guess, True, 2 * match_ns + self._residuals.spread)
+                self._case.answer(mark, suspect.device_ns)
+                if self.doubt.open:
+                    self.doubt.rows.append((suspect.guess, error_ns))
+                else:
+                    self.question.amend(suspect.guess, True, error_ns)
                 proved += 1
         return proved == len(guesses)
 
@@ -270,7 +216,10 @@ class StampAttribution:
             else:
                 self._note_residual(suspect)
         for mark, stamp in self._case.revoked:
-            self.question.withdraw(mark.sequence)
+            if self.doubt.open:
+                self.doubt.revoked.append(mark.sequence)
+            else:
+                self.question.withdraw(mark.sequence)
             self._case.stamps.setdefault(mark.number, stamp)
         self._close()
 
@@ -278,15 +227,15 @@ class StampAttribution:
         """It lies off its SYNC though the clock is as it was: others may too."""
         at = self.clock.place(suspect.device_ns)
         mark = self._syncs.nearest(at)
-        if mark is not None and mark.on_bus_at is not None and abs(at - mark.on_bus_at) <= self._quarter:
-            self._residuals.add(at - mark.on_bus_at, self._match_ns + self.clock.error_ns)
+        if mark is not None and mark.on_bus_at is not None and abs(at - mark.on_bus_at) <= self._half // 2:
+            self._residuals.add(at - mark.on_bus_at, self.stamps.match_ns)
 
     def _close(self) -> None:
         """The question is answered."""
         self._suspects.clear()
         self._case.revoked.clear()
         self._early = False
-        self.question.open = False
+        self.question.open = self.doubt.open
         self.question.since = None
 
     def _suspect(
@@ -303,12 +252,11 @@ class StampAttribution:
             self.health.duplicates += 1
             return None
         if not suspects:
-            self._case.since = self._answered
+            self._case.since = self._case.answered
             if self.spread:
                 self._revoke()
-        self._early = (
-            self._early or at > reading.received_at - self._transit + self._match_ns + self._residuals.spread
-        )
+        latest = reading.received_at - self._transit + self.stamps.near_ns - self.clock.error_ns
+        self._early = self._early or at > latest
         suspects.append(Suspect(device_ns, reading.received_at, second))
         self.question.open = True
         guess = self._guess(reading, free)
@@ -357,36 +305,85 @@ class StampAttribution:
         last = self._suspects[-agreeing:]
         lines = sorted(self._case.lines(last), key=lambda line: (line.cost, line.steps, line.delay_change))
         lines = [line for line in lines if line.cost <= STEP_COST + LOSS_COST_MAX]
-        if lines and (len(lines) == 1 or lines[0].cost < lines[1].cost or count > SUSPECTS_MAX // 2):
-            self._take(lines[0], last)
+        if lines:
+            self._take(lines, last)
         elif count > SUSPECTS_MAX:
             self._acquit()
 
-    def _take(self, line: Line, last: list[Suspect]) -> None:
+    def _tell_step(self, by_ns: int, readings: int) -> None:
+        self._tell(f"its clock was set by {by_ns / NS_PER_US:+.0f} us, which {readings} readings have shown")
+        self.health.steps += 1
+
+    def _take(self, lines: list[Line], last: list[Suspect]) -> None:
+        """Place the last suspects by the first of ``lines``. If that says that something has happened, the
+        others may be right as well: none of them has both the clock set and the delay changed."""
+        line = lines[0]
         pairs: list[tuple[int, Instant]] = []
         for suspect, mark in zip(last, line.marks, strict=True):
             assert mark.on_bus_at is not None
             pairs.append((suspect.device_ns, mark.on_bus_at))
+        first_at = pairs[0][1]
         if line.steps:
-            step_us = (self.clock.place(pairs[0][0]) - pairs[0][1]) / NS_PER_US
-            self._tell(
-                f"its clock was set by {step_us:+.0f} us, which {len(self._suspects)} readings have shown"
-            )
-            pairs.sort()
-            self.clock.move_to(pairs, self._residuals.variance_ns2)
-            if self._residuals.spread:  # from here on they lie about another line
-                self._residuals.learn(residuals_of(pairs), self._match_ns)
-            self.health.steps += 1
-        else:
+            self._tell_step(self.clock.place(pairs[0][0]) - pairs[0][1], len(self._suspects))
+            self.stamps.move_to(pairs)
+            self.doubt.moved()
+        others = [
+            (mark_at - first_at, other.steps)
+            for other in lines[1:]
+            if (mark_at := other.marks[0].on_bus_at) is not None
+        ]
+        if others and line.cost >= STEP_COST:
+            self.doubt.put(line.steps, others, self._case.delays, self._case.since)
+        if not line.steps:
             self._case.delays = Extremes()
         all_proved = self._exonerate(list(zip(last, line.marks, strict=True)))
-        self.question.cleared = all_proved and not (line.steps and self._case.revoked)
+        self._clear(all_proved and not (line.steps and self._case.revoked))
         if line.steps:
             self._close()
         else:
             self._acquit()
         self._case.twice = 0
         for suspect, mark in zip(last, line.marks, strict=True):
-            self._answer(mark, suspect.device_ns)
+            self._case.answer(mark, suspect.device_ns)
             assert mark.on_bus_at is not None
             self._case.delays.add(suspect.received_at - mark.on_bus_at)
+
+    # ---- whole periods ------------------------------------------------------------------------------------
+
+    def _resolve(self, device_ns: int, at: Instant, received_at: Instant) -> bool:
+        """What a reading tells of the ways to place it, while there are several; whether the map moves."""
+        doubt = self.doubt
+        doubt.heed(device_ns, at, received_at)
+        if doubt.open:
+            return False
+        way = doubt.ways[0]
+        if way.offset_ns == 0:
+            for sequence, error_ns in doubt.rows:
+                self.question.amend(sequence, True, error_ns)
+            for sequence in doubt.revoked:
+                self.question.withdraw(sequence)
+            self.question.cleared = doubt.proved and not self._suspects
+            self.question.open = bool(self._suspects)
+        else:
+            self._shift(way)
+        doubt.end()
+        return way.offset_ns != 0
+
+    def _shift(self, way: Placing) -> None:
+        """The clock was set by whole periods, since the doubt began."""
+        case, doubt = self._case, self.doubt
+        self._tell_step(-way.offset_ns, len(doubt.heeded))
+        for number in [number for number in case.stamps if number > doubt.since]:
+            del case.stamps[number]
+        last_ns, _ = doubt.heeded[-1]
+        pairs: list[tuple[int, Instant]] = []
+        for device_ns, at in doubt.heeded:
+            mark = self._syncs.nearest(Instant(at + way.offset_ns))
+            if mark is not None and mark.on_bus_at is not None:
+                pairs.append((device_ns, mark.on_bus_at))
+                if device_ns != last_ns:
+                    case.answer(mark, device_ns)
+        self.stamps.move_to(pairs[-AGREEING:])
+        case.delays = way.delays
+        doubt.ways = []
+        self._close()

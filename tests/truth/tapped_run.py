@@ -15,6 +15,7 @@ from hil.execution.world import World, WorldPlan
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
+from hil.rows.side_rows import TextEvent
 from tests.truth.adapter import Adapter, AdapterPort
 from tests.truth.taps import HostTap, TapLog, tap_drives
 from virtual_bus.device.canopen_device import CanopenDevice
@@ -30,6 +31,8 @@ class TappedRun:
     log: TapLog
     ended_by: str
     """The error that ended it before its time; empty if none did."""
+    events: tuple[str, ...]
+    """What it told, in order of time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +77,13 @@ def run_with_taps(config: BenchConfig, surroundings: Surroundings = PLAIN) -> Ta
             if not recorders:
                 raise
             ended_by = str(error)
-    return TappedRun(recorders[0].rows(), log, ended_by)
+    events, _ = recorders[0].told()
+    return TappedRun(
+        recorders[0].rows(),
+        log,
+        ended_by,
+        tuple(event.text for event in events if isinstance(event, TextEvent)),
+    )
 
 
 def _tapped(made: World, log: TapLog, adapter: Adapter | None, seed: int) -> World:

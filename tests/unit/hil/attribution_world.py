@@ -119,12 +119,13 @@ class _World:
         """Hand over the SYNC that is due, late as the host is, or for a probe."""
         handed = due + self.network.lateness(number, self.choices)
         self.run_until(handed)
-        probes = self.by_order.wants_probe
+        probes = self.by_order.wants_probe or self.by_stamp.doubt.wants_probe
         if probes:
             handed = max(handed, due + PERIOD // 4)
             self.run_until(handed)
         self._send_sync(number, handed)
-        if probes:
+        self.by_stamp.doubt.probed()
+        if self.by_order.wants_probe:
             self.by_order.probed(self.log.marks[-1])
 
     def run_until(self, at: int) -> None:

@@ -6,19 +6,19 @@ import pytest
 
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from drivers.wire.frame_port import EchoBasis
-from hil.loop.clock_map import ClockMap
+from hil.loop.clock_map import STAMP_RESOLUTION
 from hil.loop.clock_question import (
     DRIFT_WITHIN,
     ClockQuestion,
     Line,
     Suspect,
 )
-from hil.loop.residuals import Residuals
+from hil.loop.drive_stamps import MATCH_NS as MATCH
+from hil.loop.drive_stamps import DriveStamps
 from hil.loop.syncs import SURPLUS, SyncLog
 
 PERIOD = Duration(NS_PER_MS)
 TRANSIT = Duration(76_000)
-MATCH = 3_000
 DELAY = 250_000
 
 
@@ -35,9 +35,10 @@ class Case:
                 self.log.handed(number, self.at(number))
             else:
                 self.log.heard(number, self.at(number))
-        self.clock = ClockMap()
+        stamps = DriveStamps(PERIOD, 0, STAMP_RESOLUTION)
+        self.clock = stamps.clock
         self.clock.observe(0, Instant(0), 0.0)
-        self.case = ClockQuestion(self.log, self.clock, Residuals(0.0), PERIOD, TRANSIT, MATCH)
+        self.case = ClockQuestion(self.log, stamps, PERIOD, TRANSIT)
         self.case.delays.add(DELAY)
 
     @staticmethod

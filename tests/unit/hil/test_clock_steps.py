@@ -2,8 +2,9 @@
 
 import pytest
 
+from hil.loop.drive_stamps import MATCH_NS
 from hil.loop.samples import Sample
-from hil.loop.stamp_attribution import AGREEING, MATCH_NS
+from hil.loop.stamp_attribution import AGREEING
 from hil.loop.syncs import REMEMBERED
 from tests.unit.hil.loop_fakes import PERIOD, TRANSIT
 from tests.unit.hil.test_stamp_attribution import DELAY, FIRST, OFFSET, Rig

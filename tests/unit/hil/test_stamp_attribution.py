@@ -7,9 +7,11 @@ import pytest
 from drivers.exchange import Reading
 from drivers.timebase import Instant
 from drivers.wire.frame_port import EchoBasis
+from hil.loop.clock_question import STAMPS_MAX
+from hil.loop.drive_stamps import MATCH_NS
 from hil.loop.residuals import WATCHED
 from hil.loop.samples import Sample
-from hil.loop.stamp_attribution import MATCH_NS, STAMPS_MAX, StampAttribution
+from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import ECHO_ERROR, REMEMBERED, SURPLUS, SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
 

@@ -1,0 +1,105 @@
+"""Where the stamps of one drive lie on the host's time, and how far they are from their SYNCs.
+
+The map of the drive's clock, the steps by which its stamps advance, and what map and steps leave over
+(:mod:`hil.loop.residuals`): all learned while calibrating, and followed from reading to reading.
+"""
+
+from collections import deque
+from typing import Final
+
+from drivers.timebase import NS_PER_US, Duration, Instant
+from hil.loop.clock_map import STAMP_RESOLUTION, ClockMap, residuals_of, step_of
+from hil.loop.residuals import Residuals
+from hil.loop.syncs import SyncMark
+
+MATCH_NS: Final = 3 * NS_PER_US
+"""A stamp of 1 us so near to a SYNC is its own: a step of the stamp and two of rounding. A coarser one may be
+off by as much more as its step is longer."""
+LEARNED_MIN: Final = 8
+"""Fewer than so many say little of how far residuals reach."""
+LEARNED_MAX: Final = 64
+"""Readings of a calibration that are remembered: as many as it has SYNCs at the most."""
+
+
+class DriveStamps:
+    """What is known of the stamps of one drive."""
+
+    def __init__(self, period: Duration, echo_error: int, resolution: Duration) -> None:
+        """``resolution``: of a stamp. ``echo_error``: how far an echo may be from the end of its SYNC, ns."""
+        self.clock = ClockMap(resolution)
+        self.residuals = Residuals(echo_error / 3.0)
+        self.resolution = resolution
+        """As given, or as the steps of the stamps have shown while learning."""
+        self._echo_error = echo_error
+        self._quarter = period // 4
+        self._echo_variance_ns2 = float(echo_error) ** 2 / 9.0
+        self.unmapped_ns = self._unmapped()
+        """How far a stamp may lie from its SYNC if neither is late: by its step and the echo."""
+        self._learned: deque[tuple[int, Instant]] = deque(maxlen=LEARNED_MAX)
+        """Stamps and SYNCs of a calibration."""
+        self._handed: deque[tuple[int, Instant]] = deque(maxlen=LEARNED_MAX)
+        """Its stamps, and when their SYNCs were handed over, which no adapter stamps."""
+
+    @property
+    def match_ns(self) -> int:
+        """The same by its instant on the map, which may be off besides."""
+        return self.unmapped_ns + self.clock.error_ns
+
+    @property
+    def near_ns(self) -> int:
+        """The same of a SYNC and a stamp that are as late as any."""
+        return self.match_ns + self.residuals.spread
+
+    @property
+    def variance_ns2(self) -> float:
+        """Of a stamp from its SYNC."""
+        return self.residuals.change_ns**2 + self.resolution**2 / 12.0
+
+    def learn(self, device_ns: int, mark: SyncMark, on_bus_at: Instant) -> None:
+        """Take a stamp that can only be of the SYNC of ``mark``."""
+        residuals, learned = self.residuals, self._learned
+        self.clock.observe(device_ns, on_bus_at, self._echo_variance_ns2)
+        learned.append((device_ns, on_bus_at))
+        self._handed.append((device_ns, mark.handed_at))
+        if len(learned) < LEARNED_MIN:
+            return
+        pairs = list(learned)
+        self._coarsen(step_of(self._handed))
+        residuals.learn(residuals_of(pairs), self.unmapped_ns)
+        if residuals.spread:
+            self.clock.start_anew(pairs, residuals.variance_ns2)
+
+    def _coarsen(self, step: int) -> None:
+        """Stamps advance by ``step`` at a time; one of a maker is known to be of that resolution at least."""
+        if step > self.resolution:
+            self.resolution = Duration(step)
+            self.clock.set_resolution(self.resolution)
+            self.unmapped_ns = self._unmapped()
+
+    def _unmapped(self) -> int:
+        return MATCH_NS + self.resolution - STAMP_RESOLUTION + self._echo_error
+
+    def fits(self, residual: int) -> bool:
+        """Whether a stamp lies on its SYNC: as near as others do, within a quarter of a period.
+
+        The map may have moved by a part of the spread since they came, so a little further is near too.
+        """
+        residuals, match_ns = self.residuals, self.match_ns
+        least = match_ns + residuals.spread // 4
+        most = max(match_ns, self._quarter)
+        return -min(least + residuals.early, most) <= residual <= min(least + residuals.late, most)
+
+    def follow(self, device_ns: int, on_bus_at: Instant, residual: int) -> None:
+        """Let map and residuals follow a stamp that lies on its SYNC."""
+        residuals, match_ns = self.residuals, self.match_ns
+        on_map = Instant(on_bus_at + residual - residuals.cut(residual, match_ns))
+        self.clock.observe(device_ns, on_map, max(self._echo_variance_ns2, residuals.variance_ns2))
+        residuals.add(residual, match_ns)
+
+    def move_to(self, pairs: list[tuple[int, Instant]]) -> None:
+        """The clock was set: the map goes through these stamps and their SYNCs, in any order."""
+        pairs.sort()
+        residuals = self.residuals
+        self.clock.move_to(pairs, residuals.variance_ns2)
+        if residuals.spread:  # from here on they lie about another line
+            residuals.learn(residuals_of(pairs), self.unmapped_ns)
