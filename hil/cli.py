@@ -153,7 +153,8 @@ def run(asked: RunOptions) -> None:
     """Run a bench: close the loop, record it, and hold the result against the bench file's limits.
 
     Exit status: 0 passed, or nothing was asked; 1 not passed; 2 bad input; 3 bus, drive or safety; 4 not
-    trustworthy; 5 not recorded; 6 cut short or not measured; 130 ended by a signal. docs/verdict.md
+    trustworthy, or disturbed by others; 5 not recorded; 6 cut short or not measured; 130 ended by a signal.
+    docs/verdict.md
     """
     run_object = RunObject(asked.as_json)
     with reported_errors(run_object.failed):

@@ -1,6 +1,7 @@
 """The master's inner loop: frames from the link to whoever listens, and housekeeping when it is due."""
 
 from collections.abc import Callable
+from functools import partial
 
 from drivers.canopen.cob_ids import SYNC
 from drivers.exchange import Master
@@ -11,6 +12,14 @@ Handler = Callable[[bytes, Instant], None]
 """Takes the data of a frame and its instant."""
 EchoHandler = Callable[[bytes, Instant, Instant], None]
 """The same, and when the frame had been handed over; UNTOLD if the bus does not tell that."""
+
+
+def _one_after_another(first: Handler, second: Handler) -> Handler:
+    def both(data: bytes, at: Instant) -> None:
+        first(data, at)
+        second(data, at)
+
+    return both
 
 
 class FramePump(Master):
@@ -38,6 +47,30 @@ class FramePump(Master):
         self._sleep_until = clock.sleep_until
         self._others = others
         self._keep_house = keep_house
+        self._listeners: dict[int, Handler] = {}
+        self._overhearers: dict[int, Handler] = {}
+
+    def listen(self, can_id: int, handler: Handler | None) -> None:
+        """Have ``handler`` take the frames of an identifier; None: ``others`` again."""
+        if handler is None:
+            self._listeners.pop(can_id, None)
+        else:
+            self._listeners[can_id] = handler
+        self._join(can_id)
+
+    def overhear(self, can_id: int, handler: Handler) -> None:
+        """Have ``handler`` see them as well, after whoever takes them now or later."""
+        self._overhearers[can_id] = handler
+        self._join(can_id)
+
+    def _join(self, can_id: int) -> None:
+        first, second = self._listeners.get(can_id), self._overhearers.get(can_id)
+        if second is not None:
+            first = _one_after_another(first or partial(self._others, can_id), second)
+        if first is None:
+            self.handlers.pop(can_id, None)
+        else:
+            self.handlers[can_id] = first
 
     def pump(self, until: Instant) -> None:
         """Handle frames, send what falls due, and return once ``until`` has come; at once if it has passed.

@@ -86,8 +86,8 @@ class CanopenNetwork(canopen.Network):
         self.on_written: dict[int, Callable[[int, int, bytes], None]] = {}
         """By node, told of each download that was confirmed: index, sub-index and data."""
         self._emergency_listeners: tuple[Callable[[Emergency], None], ...] = ()
-        self.on_surplus_answer: Callable[[int, Instant], None] | None = None
-        """Told of an SDO answer that nobody has asked for: which node's, and when."""
+        self.on_surplus_answer: Callable[[int, bytes, Instant], None] | None = None
+        """Given an SDO answer that nobody has asked for: which node's, its data, and when."""
 
     # ---- time -----------------------------------------------------------------------------------------
 
@@ -216,11 +216,11 @@ class CanopenNetwork(canopen.Network):
 
     def listen(self, can_id: int, handler: Handler) -> None:
         """Have ``handler(data, at)`` take all frames of this identifier, before canopen's subscribers."""
-        self.frame_pump.handlers[can_id] = handler
+        self.frame_pump.listen(can_id, handler)
 
     def unlisten(self, can_id: int) -> None:
         """Undo :meth:`listen`."""
-        self.frame_pump.handlers.pop(can_id, None)
+        self.frame_pump.listen(can_id, None)
 
     def on_emergency(self, listener: Callable[[Emergency], None]) -> None:
         """Have ``listener`` told of every EMCY from a node whose :meth:`status` is followed."""
@@ -308,7 +308,7 @@ class CanopenNetwork(canopen.Network):
 
             def ask(request: bytes) -> Instant:
                 sent_at = self.send_request(node_id, request)
-                client.answers.expect(sent_at)
+                client.answers.expect(sent_at, request)
                 return sent_at
 
             post = self._posts[node_id] = TransferPost(node_id, ask)
@@ -342,8 +342,8 @@ class CanopenNetwork(canopen.Network):
 
     def _on_sdo_answer(self, node_id: int, data: bytes, at: Instant) -> None:
         client, post = self._clients[node_id], self._posts.get(node_id)
-        if not client.answers.came(at) and self.on_surplus_answer is not None:
-            self.on_surplus_answer(node_id, at)
+        if not client.answers.came(at, data) and self.on_surplus_answer is not None:
+            self.on_surplus_answer(node_id, data, at)
         if post is None or not post.answered(data, at):
             client.on_answer(data)
 

@@ -10,6 +10,12 @@ ANSWER_LATE_MAX: Final = Duration(5 * NS_PER_S)
 ANSWERS_DUE_MAX: Final = 1 << 15
 """More requests than a bus carries in that time: 3700 a second at 1 Mbit/s, two frames of 135 bits each."""
 
+_ABORT: Final = 4
+_BLOCKS: Final = (5, 6)
+_NAMING_REQUESTS: Final = (1, 2, *_BLOCKS)
+_NAMING_ANSWERS: Final = (2, 3, _ABORT)
+"""Command specifiers of CiA 301 7.2.4.3: an abort, blocks either way, and what initiates a transfer."""
+
 
 class Owed:
     """An account of what is due.
@@ -40,29 +46,54 @@ class Owed:
 
 
 class OwedAnswers:
-    """As :class:`Owed`, one for each request, however often it was repeated.
+    """The answers that one node owes on its SDO channel: one for each request, however often it was repeated.
 
-    What has not come within ANSWER_LATE_MAX is taken for lost, and hides no surplus any more.
+    An answer that names an object is owed to a request that named it, an abort to any if none did. What has
+    not come within ANSWER_LATE_MAX is taken for lost, and hides no surplus any more.
+
+        asked     6041h  607Ch  segment      6040h
+        came      6041h  607Ch  segment      6040h  6061h: nobody asked
     """
 
-    __slots__ = ("_asked_at", "surplus")
+    __slots__ = ("_asked", "_blocks_until", "_earlier_until", "surplus")
 
-    def __init__(self) -> None:
-        self._asked_at: deque[Instant] = deque(maxlen=ANSWERS_DUE_MAX)
+    def __init__(self, now: Instant) -> None:
+        """``now``: another client may have asked just before; its answer comes before any other one."""
+        self._asked: deque[tuple[Instant, bytes]] = deque(maxlen=ANSWERS_DUE_MAX)
+        """When, and what the answer has to name; empty: nothing."""
+        self._earlier_until = Instant(now + ANSWER_LATE_MAX)
+        self._blocks_until = Instant(0)
+        """Blocks of another may pass until then: which answers are due to them is not followed."""
         self.surplus = 0
         """What came beyond what was due, so far."""
 
-    def expect(self, asked_at: Instant) -> None:
-        """One more is due."""
-        self._asked_at.append(asked_at)
+    def expect(self, asked_at: Instant, request: bytes) -> None:
+        """One more is due; none to an abort."""
+        command = request[0] >> 5 if request else 0
+        if command in _BLOCKS:
+            self._blocks_until = Instant(asked_at + ANSWER_LATE_MAX)
+        if command != _ABORT:
+            named = command in _NAMING_REQUESTS
+            self._asked.append((asked_at, request[1:4] if named else b""))
 
-    def came(self, at: Instant) -> bool:
+    def came(self, at: Instant, answer: bytes) -> bool:
         """One has come; whether it was due."""
-        asked_at = self._asked_at
-        while asked_at and at - asked_at[0] > ANSWER_LATE_MAX:
-            asked_at.popleft()
-        if asked_at:
-            asked_at.popleft()
+        asked = self._asked
+        while asked and at - asked[0][0] > ANSWER_LATE_MAX:
+            asked.popleft()
+        command = answer[0] >> 5 if answer else 0
+        name = answer[1:4] if command in _NAMING_ANSWERS else b""
+        due = next((each for each in asked if each[1] == name), None)
+        if due is None and command == _ABORT and asked:
+            due = asked[0]
+        if due is not None:
+            asked.remove(due)
+            self._earlier_until = Instant(0)
+            return True
+        if at <= self._earlier_until:
+            self._earlier_until = Instant(0)
+            return True
+        if at <= self._blocks_until:
             return True
         self.surplus += 1
         return False

@@ -124,10 +124,8 @@ class PumpedSdoClient(SdoClient):
         self._pump = pump
         self._node_id = node_id
         self.responses: Any = AnswerQueue(pump)
-        self.answers = OwedAnswers()
+        self.answers = OwedAnswers(pump.deadline_after(Duration(0)))
         """Of the node on this channel, to posted downloads and to the requests of others too."""
-        # Another client may have asked just before this one began to listen.
-        self.answers.expect(pump.deadline_after(Duration(0)))
         self.foreign_requests = 0
         """Requests of another client on this channel."""
         self.busy = False
@@ -167,12 +165,13 @@ class PumpedSdoClient(SdoClient):
 
     def send_request(self, sdo_request: bytes) -> None:
         """Send a request, or a segment of one: each has one answer."""
-        self.answers.expect(self._pump.send_request(self._node_id, bytes(sdo_request)))
+        request = bytes(sdo_request)
+        self.answers.expect(self._pump.send_request(self._node_id, request), request)
 
-    def on_foreign_request(self, _data: bytes, at: Instant) -> None:
+    def on_foreign_request(self, data: bytes, at: Instant) -> None:
         """Another client has asked the node: its answer will be heard here."""
         self.foreign_requests += 1
-        self.answers.expect(at)
+        self.answers.expect(at, data)
 
     def on_answer(self, data: bytes) -> None:
         """Take an answer, unless it is malformed or answers a request that was given up before."""

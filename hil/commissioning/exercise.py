@@ -248,7 +248,7 @@ class Exerciser:
         self.port.take_readings()
         self.port.begin()
         try:
-            self.guard.arm({None: syncs}, own_sync=True)
+            self.guard.arm({None: syncs})
             loop.calibrate()
             loop.run(
                 duration_s(duration),

@@ -31,6 +31,10 @@ BitRate = Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 80
 """The bit rates of CiA 301 5.1, and 100 kbit/s, which is common."""
 Rule = Literal["tell", "stop"]
 """What the bus guard does on what it sees."""
+Foreign = Literal[
+    "nmt", "sync", "heartbeat", "sdo_read", "sdo_write", "sdo_answer", "rpdo", "tpdo"
+]  # fmt: skip
+"""What another sends as the bench or as one of its drives, or to them."""
 AxisName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
@@ -221,14 +225,19 @@ class RecordingConfig(Section):
 
 
 class Guard(Section):
-    """``[guard]``: what a drive and others on the bus do unasked is told; ``stop`` ends the run as well."""
+    """``[guard]``: what a drive and others on the bus do unasked is told; ``stop`` ends the run as well.
+
+    A run that others disturbed is not passed, unless ``allow`` names all that they did.
+    """
 
     on_mode: Rule = "stop"
     """A drive does not follow its commands: it leaves the mode that it was given (6061h), or says that it
     ignores its target (bit 12 of 6041h)."""
     on_foreign: Rule = "tell"
-    """Another sends as the bench or as one of its drives: NMT, SYNC, the bench's heartbeat, SDO requests or
-    commands to its drives, more readings than SYNCs, more SDO answers than requests."""
+    """Another sends as the bench or as one of its drives, or to them, what ``allow`` does not name."""
+    allow: Annotated[tuple[Foreign, ...], Field(strict=False)] = ("sdo_read",)
+    """What another may send: it is told and counted, and neither disturbs a run nor ends it. A read changes
+    nothing in a drive."""
     on_boot: Rule = "tell"
     """A node starts in mid-run: a boot-up message."""
     on_bus_errors: Rule = "tell"

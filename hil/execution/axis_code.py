@@ -38,6 +38,14 @@ class KeptSource:
     """BLAKE2b, 128 bit, hex."""
 
 
+def check_axes(config: BenchConfig, controllers: Mapping[str, Controller]) -> None:
+    """Raises BadInput for a controller of an axis that is not there: the bench's own would run instead."""
+    for name in controllers:
+        if name not in config.axes:
+            expected = f"one of the bench's axes: {', '.join(config.axes)}"
+            raise BadInput(config.source, "controllers", name, expected)
+
+
 def axis_code(
     config: BenchConfig, given: Mapping[str, Controller], *, real_time: bool
 ) -> dict[str, AxisCode]:

@@ -11,16 +11,16 @@ from drivers.canopen.pdo import DONE
 from drivers.cia402.follow_watch import Lapse
 from drivers.cia402.servo import ServoDrive
 from drivers.cia402.state_control import FAULTY
-from drivers.errors import BadInput, BenchError, PeerFault
+from drivers.errors import BenchError, PeerFault
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
 from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
 from hil.configuration.quantities import odd_values
 from hil.execution import assembly
-from hil.execution.axis_code import AxisCode, axis_code
+from hil.execution.axis_code import AxisCode, axis_code, check_axes
 from hil.execution.bus_guard import BusGuard
-from hil.execution.conclusion import Conclusion
+from hil.execution.conclusion import Conclusion, made_twice
 from hil.execution.drives import (
     connect,
     data_sheets,
@@ -90,7 +90,7 @@ def run_bench(
     did; the drives are brought to rest first, and ``concluded`` is given the summary, also of such a run.
     """
     controllers = controllers or {}
-    _check_axes(config, controllers)
+    check_axes(config, controllers)
     sheets = data_sheets(config)
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
     config = config.as_run(str(spec), seed, network)
@@ -140,14 +140,6 @@ def _simulated(config: BenchConfig) -> "Sequence[SimulatedServo]":
     return simulated_drives(config)
 
 
-def _check_axes(config: BenchConfig, controllers: Mapping[str, Controller]) -> None:
-    """Raises BadInput for a controller of an axis that is not there: the bench's own would run instead."""
-    for name in controllers:
-        if name not in config.axes:
-            expected = f"one of the bench's axes: {', '.join(config.axes)}"
-            raise BadInput(config.source, "controllers", name, expected)
-
-
 @dataclass
 class _Run:
     """One run in its world, from connecting to the drives to closing the recording."""
@@ -178,7 +170,15 @@ class _Run:
             for name in config.axes
         ]
         self._load = LoadMachines(config, self._network, recorder, self.servos)
-        self._guard = BusGuard(self._networks, self._drives, config.guard, recorder.event, world.error_frames)
+        self._guard = BusGuard(
+            self._networks,
+            self._drives,
+            config.guard,
+            recorder.event,
+            world.error_frames,
+            own_sync=config.loop.sync == "own",
+            repeated=made_twice(config.faults),
+        )
         if config.recording.frames:
             record_frames(world, recorder.tap)
 
@@ -243,7 +243,7 @@ class _Run:
             )
             for number, drive in enumerate(self._drives)
         ]
-        self._guard.arm(syncs, own_sync=config.loop.sync == "own")
+        self._guard.arm(syncs)
         chore = self._guard.attending(self._load.chore)
         loop = Loop(self._master, world.clock, self._axes, pace, timing, chore)
         with sync_producer(config.loop.sync, world.link.bus, timing.period):
@@ -382,7 +382,7 @@ class _Run:
         if self._enabled_from is not None:
             for drive in self._drives:
                 self.conclusion.told(drive, self._enabled_from, self._zero)
-        self._guard.end(self.world.clock.now())
+        self.conclusion.disturbed(self._guard.end(self.world.clock.now(), self._zero))
         self.progress("stopped", self.config.bench.duration_s)
 
     def _enter(self, phase: str) -> None:

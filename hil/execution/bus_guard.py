@@ -7,14 +7,15 @@
 
 Nothing looks at each frame. The guard listens on identifiers on which nothing is expected, or little, and
 compares ten times a second what others count anyway. The first sight of each kind is an event with the
-instant of its frame; further ones are counted, for the summary.
+instant of its frame; further ones are counted, for the summary. The first two kinds disturb a run, unless
+``[guard] allow`` names them.
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, NMT, SDO_REQUEST, SYNC
+from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, NMT, SDO_ANSWER, SDO_REQUEST, SYNC
 from drivers.canopen.frame_pump import Handler
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt import Emergency, parse_emergency
@@ -26,7 +27,7 @@ from drivers.canopen.sdo import object_name
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.config import Guard, Rule
+from hil.configuration.config import Foreign, Guard, Rule
 from hil.loop.syncs import REMEMBERED, SyncLog
 from hil.rows.frame_names import frame_name
 
@@ -37,10 +38,17 @@ ERRORS_A_SECOND_MAX: Final = 16
 """A transmitter that meets so many errors in a row is error passive (8 are counted for each, 128 is the
 limit: ISO 11898-1, 12.1.4); a bus in order has less than one an hour."""
 _BOOT_UP: Final = b"\x00"
-_SDO_WRITE: Final = 1
-"""Client command specifier of initiate download, CiA 301 7.2.4.3.3."""
+_SDO_WRITES: Final = (1, 6)
+"""Client command specifiers of initiate download, also of blocks, CiA 301 7.2.4.3.3 and 7.2.4.3.9."""
+_SDO_READS: Final = (2, 3, 5)
+"""The same of uploads, their segments and blocks, CiA 301 7.2.4.3.5, 7.2.4.3.6 and 7.2.4.3.12."""
+_NMT_BYTES: Final = 2
 _MESSAGE_BYTES: Final = 8
 """Of every SDO request, CiA 301 7.2.4.3."""
+RPDOS: Final = (0x200, 0x300, 0x400, 0x500)
+"""Those of a node that has not been configured, CiA 301 7.3.5."""
+OBJECTS_TOLD: Final = 16
+"""So many written objects are told apart: who writes more writes anything."""
 
 
 class ForeignTraffic(PeerFault):
@@ -75,7 +83,7 @@ class _TpdoAccount:
 
 
 class BusGuard:
-    """Of one run, on all its segments.
+    """Of one run, on all its segments, from now on.
 
     :meth:`arm` when the drives are configured, and again whenever they or the SYNCs are others; :meth:`calm`
     before they are let go, :meth:`end` at last. Where a rule says ``stop``, whatever lets time pass raises
@@ -89,42 +97,52 @@ class BusGuard:
         rules: Guard,
         tell: Callable[[Instant, str, str], None],
         error_frames: Callable[[], int],
+        *,
+        own_sync: bool = True,
+        repeated: Collection[Foreign] = (),
     ) -> None:
         """``networks``: by the name of their segment. ``tell``: takes instant, level and text of an event.
-        ``error_frames``: on all segments so far."""
+        ``error_frames``: on all segments so far. ``own_sync``: the bench alone makes SYNCs. ``repeated``:
+        what injected faults make come twice, and no other node.
+        """
         self.counts: dict[str, int] = {}
         """How often each was seen."""
+        self._disturbances: dict[str, tuple[Instant, str]] = {}
+        """When each was first seen that disturbs a run, and its frame in words."""
+        self._made_at = next(iter(networks.values())).clock.now()
+        self._objects: set[tuple[int, int]] = set()
+        """That others wrote."""
         self._segments = {
             name: GuardedSegment(network, tuple(drive for drive in drives if drive.network is network))
             for name, network in networks.items()
         }
         self._rules = rules
+        self._allowed = {*rules.allow, *repeated}
         self._tell = tell
         self._error_frames = error_frames
-        self._ends_run = False
+        self._ends_run = True
         self._accounts: list[_TpdoAccount] = []
         self._errors: deque[int] = deque([error_frames()], maxlen=NS_PER_S // LOOK_EVERY + 1)
         self._look_at = Instant(0)
-        self._listening: dict[tuple[str | None, int], Handler] = {}
-        """By segment and identifier: what listens there, with whoever was there before."""
         self._on_emergency = {
             name: self._emergency_listener(segment) for name, segment in self._segments.items()
         }
         for name, segment in self._segments.items():
             segment.network.on_emergency(self._on_emergency[name])
+            segment.network.on_surplus_answer = self._on_surplus_answer
+            self._watch_own_identifiers(segment, own_sync)
 
-    def arm(self, syncs: Mapping[str | None, SyncLog], own_sync: bool) -> None:
-        """From now on nobody else has anything to say to the drives, which are configured.
+    def arm(self, syncs: Mapping[str | None, SyncLog]) -> None:
+        """The drives are configured, and nobody starts any more.
 
-        ``syncs``: by the name of their segment, where readings are held against them. ``own_sync``: the
-        bench alone makes them.
+        ``syncs``: by the name of their segment, where readings are held against them.
         """
         self._ends_run = True
         self._accounts = []
         for name, segment in self._segments.items():
-            self._watch_own_identifiers(name, segment, own_sync)
+            for drive in segment.drives:
+                self._watch_commands(segment, drive)
             self._watch_nodes(name, segment)
-            segment.network.on_surplus_answer = self._on_surplus_answer
             self._accounts += _accounts(segment, syncs[name]) if name in syncs else []
 
     def attend(self, now: Instant) -> None:
@@ -138,7 +156,7 @@ class BusGuard:
             surplus = account.surplus()
             if surplus:
                 what = f"{account.title}: more than the SYNCs ask for"
-                self._note(self._rules.on_foreign, what, now, f"{surplus} within the last 0.1 s", surplus)
+                self._foreign("tpdo", what, now, f"{surplus} within the last 0.1 s", surplus)
         errors = self._error_frames()
         rise = errors - self._errors[0]
         self._errors.append(errors)
@@ -164,11 +182,23 @@ class BusGuard:
         self._ends_run = False
         self._accounts = []
 
-    def end(self, now: Instant) -> None:
-        """Say what was seen more than once."""
+    def end(self, now: Instant, zero: Instant | None = None) -> tuple[str, ...]:
+        """Say what was seen more than once, and return what others sent that ``[guard] allow`` does not name:
+        the first frame of each kind in words, when it came, and how many came.
+
+        ``zero``: of the run; None: the guard's own beginning is.
+        """
+        since = self._made_at if zero is None else zero
+        found = []
         for what, count in self.counts.items():
+            times = ""
             if count > 1:
                 self._tell(now, "WARN", f"{what}: {count} times in all")
+                times = f", {count} times"
+            if what in self._disturbances:
+                at, detail = self._disturbances[what]
+                found.append(f"{what}: {detail}, at {(at - since) / NS_PER_S:.3f} s{times}")
+        return tuple(found)
 
     # ---- inside ---------------------------------------------------------------------------------------
 
@@ -176,69 +206,94 @@ class BusGuard:
         self._errors.clear()
         self._errors.append(self._error_frames())
 
+    def _foreign(self, kind: Foreign, what: str, at: Instant, detail: str, count: int = 1) -> None:
+        """Another sent something, of which it is to be said what it does to the run."""
+        if kind in self._allowed:
+            self._count(what, at, f"{what}: {detail}", count, "INFO")
+            return
+        self._disturbances.setdefault(what, (at, detail))
+        self._note(self._rules.on_foreign, what, at, detail, count)
+
     def _note(self, rule: Rule, what: str, at: Instant, detail: str, count: int = 1) -> None:
         self._count(what, at, f"{what}: {detail}", count)
         if rule == "stop" and self._ends_run:
             self._ends_run = False
             raise ForeignTraffic(what, detail, "find who sends it (hil scan), or set the rule in [guard]")
 
-    def _count(self, what: str, at: Instant, text: str, count: int) -> None:
+    def _count(self, what: str, at: Instant, text: str, count: int, level: str = "WARN") -> None:
         before = self.counts.get(what, 0)
         self.counts[what] = before + count
         if not before:
-            self._tell(at, "WARN", text)
+            self._tell(at, level, text)
 
-    def _watch_own_identifiers(self, name: str | None, segment: GuardedSegment, own_sync: bool) -> None:
-        network = segment.network
-        own = [NMT, ERROR_CONTROL + network.node_id, *([SYNC] if own_sync else [])]
+    def _watch_own_identifiers(self, segment: GuardedSegment, own_sync: bool) -> None:
+        pump, beat = segment.network.frame_pump, ERROR_CONTROL + segment.network.node_id
+        pump.overhear(NMT, self._nmt_watcher({drive.node_id for drive in segment.drives}))
+        pump.overhear(beat, self._foreign_watcher("heartbeat", beat))
+        if own_sync:
+            pump.overhear(SYNC, self._foreign_watcher("sync", SYNC))
         for drive in segment.drives:
-            own += [pdo.cob_id for pdo in drive.plan.rpdos] if drive.plan is not None else []
-            self._listen_too(name, SDO_REQUEST + drive.node_id, self._request_watcher(drive.node_id))
+            pump.overhear(SDO_REQUEST + drive.node_id, self._request_watcher(drive.node_id))
+            self._watch_commands(segment, drive)
+
+    def _watch_commands(self, segment: GuardedSegment, drive: ServoDrive) -> None:
+        """RPDOs: those that it has by its id until it is configured."""
+        plan = drive.plan
+        own = [pdo.cob_id for pdo in plan.rpdos] if plan else [base + drive.node_id for base in RPDOS]
         for can_id in own:
-            self._listen_too(name, can_id, self._foreign_watcher(can_id))
+            watch = self._foreign_watcher("rpdo", can_id)
+            segment.network.frame_pump.overhear(can_id, _unless_others(drive, can_id, watch))
 
     def _watch_nodes(self, name: str | None, segment: GuardedSegment) -> None:
-        own = {drive.node_id for drive in segment.drives}
+        pump, own = segment.network.frame_pump, {drive.node_id for drive in segment.drives}
         listener = self._on_emergency[name]
         for node_id in range(1, NODE_ID_MAX + 1):
             if node_id != segment.network.node_id:
-                self._listen_too(name, ERROR_CONTROL + node_id, self._boot_watcher(node_id))
+                pump.overhear(ERROR_CONTROL + node_id, self._boot_watcher(node_id))
             if node_id not in own:
-                self._listen_too(name, EMERGENCY + node_id, _emergency_watcher(node_id, listener))
+                pump.overhear(EMERGENCY + node_id, _emergency_watcher(node_id, listener))
 
-    def _listen_too(self, name: str | None, can_id: int, handler: Handler) -> None:
-        """Beside whoever listens there already, and after him."""
-        handlers = self._segments[name].network.frame_pump.handlers
-        first = handlers.get(can_id)
-        if first is not None and first is self._listening.get((name, can_id)):
-            return
-
-        def both(data: bytes, at: Instant) -> None:
-            if first is not None:
-                first(data, at)
-            handler(data, at)
-
-        handlers[can_id] = self._listening[name, can_id] = both
-
-    def _foreign_watcher(self, can_id: int) -> Handler:
+    def _foreign_watcher(self, kind: Foreign, can_id: int) -> Handler:
         what = f"{frame_name(can_id)} ({can_id:03X}h) that the bench did not send"
 
         def watch(data: bytes, at: Instant) -> None:
-            self._note(self._rules.on_foreign, what, at, f"data {data.hex(' ').upper() or 'none'}")
+            self._foreign(kind, what, at, f"data {_hex(data)}")
 
         return watch
+
+    def _nmt_watcher(self, nodes: set[int]) -> Handler:
+        """Of commands to all nodes or to one of ``nodes``: others may have a master of their own."""
+        watch = self._foreign_watcher("nmt", NMT)
+
+        def watch_own(data: bytes, at: Instant) -> None:
+            if len(data) != _NMT_BYTES or not data[1] or data[1] in nodes:
+                watch(data, at)
+
+        return watch_own
 
     def _request_watcher(self, node_id: int) -> Handler:
+        where = f"node {node_id} ({SDO_REQUEST + node_id:03X}h)"
+
         def watch(data: bytes, at: Instant) -> None:
-            writes = len(data) == _MESSAGE_BYTES and data[0] >> 5 == _SDO_WRITE
+            command = data[0] >> 5 if len(data) == _MESSAGE_BYTES else -1
             index = int.from_bytes(data[1:3], "little")
-            what = f"SDO request to node {node_id} ({SDO_REQUEST + node_id:03X}h) that the bench did not send"
-            if writes and index == Cia301.CONSUMER_HEARTBEAT_TIME:
+            kind: Foreign = "sdo_write"
+            what = f"SDO request to {where} that the bench did not send"
+            if command in _SDO_READS:
+                kind, what = "sdo_read", f"SDO read from {where} that the bench did not send"
+            elif command in _SDO_WRITES and index == Cia301.CONSUMER_HEARTBEAT_TIME:
                 what = f"1016h of node {node_id} changed by another: it may watch the bench no more"
-            written = f"writes {object_name(index, data[3])}, " if writes else ""
-            self._note(self._rules.on_foreign, what, at, f"{written}data {data.hex(' ').upper()}")
+            elif command in _SDO_WRITES and self._is_told(index, data[3]):
+                what = f"SDO write of {object_name(index, data[3])} to {where} that the bench did not send"
+            self._foreign(kind, what, at, f"data {_hex(data)}")
 
         return watch
+
+    def _is_told(self, index: int, sub: int) -> bool:
+        """Whether a write to an object is told by its name."""
+        if len(self._objects) < OBJECTS_TOLD:
+            self._objects.add((index, sub))
+        return (index, sub) in self._objects
 
     def _boot_watcher(self, node_id: int) -> Handler:
         def watch(data: bytes, at: Instant) -> None:
@@ -247,9 +302,11 @@ class BusGuard:
 
         return watch
 
-    def _on_surplus_answer(self, node_id: int, at: Instant) -> None:
+    def _on_surplus_answer(self, node_id: int, data: bytes, at: Instant) -> None:
         what = f"node {node_id} answers more often than it is asked: two nodes are likely to have its id"
-        self._note(self._rules.on_foreign, what, at, "an SDO answer too many")
+        self._foreign(
+            "sdo_answer", what, at, f"an SDO answer too many ({SDO_ANSWER + node_id:03X}h), data {_hex(data)}"
+        )
 
     def _emergency_listener(self, segment: GuardedSegment) -> Callable[[Emergency], None]:
         drives = {drive.node_id: drive for drive in segment.drives}
@@ -261,6 +318,20 @@ class BusGuard:
             self._count(f"{who}: EMCY {emergency.code:04X}h", emergency.at, f"{who}: {text}", 1)
 
         return listen
+
+
+def _hex(data: bytes) -> str:
+    return data.hex(" ").upper() or "none"
+
+
+def _unless_others(drive: ServoDrive, can_id: int, watch: Handler) -> Handler:
+    """``watch``, while ``can_id`` is one of the drive's RPDOs, or nobody knows which it has."""
+
+    def watch_own(data: bytes, at: Instant) -> None:
+        if drive.plan is None or any(pdo.cob_id == can_id for pdo in drive.plan.rpdos):
+            watch(data, at)
+
+    return watch_own
 
 
 def _accounts(segment: GuardedSegment, syncs: SyncLog) -> list[_TpdoAccount]:

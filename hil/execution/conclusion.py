@@ -12,12 +12,15 @@ from drivers.cia402.servo import ServoDrive
 from drivers.cia402.supervision import Release
 from drivers.errors import BenchError, DriveInFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.config import LoopConfig
+from hil.configuration.config import Foreign, LoopConfig
 from hil.loop.loop import LoopOutcome
 from hil.recording.logger_process import RecordingFailed
 from hil.verdict.verdict import DriveEnd, RunOutcome, VerdictKind, outcome_of_status
+from virtual_bus.bus.judge import Direction
 from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.frame_fault import COB_IDS, FrameFault
 from virtual_bus.faults.kinds.drive_fault import FAILURES, DriveFault
+from virtual_bus.faults.kinds.duplicate import Duplicate
 from virtual_bus.hosting.injection import Faults
 
 TOLD_WITHIN: Final = Duration(100 * NS_PER_MS)
@@ -138,6 +141,10 @@ class Conclusion:
         """By what it is noticed that a drive does not follow, in words."""
         self._note(drive.name, mode_watch=mode_watch)
 
+    def disturbed(self, disturbances: tuple[str, ...]) -> None:
+        """What others sent, in words."""
+        self._outcome = replace(self._outcome, disturbances=disturbances)
+
     def _explained_by_plan(self, emergency: Emergency, zero: Instant | None) -> bool:
         """It is no error, or one that the plan names."""
         if emergency.code == NO_ERROR:
@@ -182,6 +189,24 @@ def named_emergencies(faults: Faults | None) -> Iterator[NamedEmergency]:
             first = Duration(entry.at_ns + entry.b)
             last = Duration(first + TOLD_WITHIN)
             yield NamedEmergency((entry.link,), FAILURES[entry.a].code, first, last)
+
+
+def made_twice(faults: Faults | None) -> set[Foreign]:
+    """What the duplicates of a plan, or of a recorded run, look like to who counts frames: a drive that hears
+    a SYNC or a request twice answers twice."""
+    if faults is None:
+        return set()
+    if isinstance(faults, FaultPlan):
+        struck = [fault for fault in faults.faults if fault.kind == Duplicate.kind]
+        ids = {can_id for can_id in COB_IDS["all"] for fault in struck if _selects(fault, can_id)}
+    else:
+        ids = {entry.can_id for entry in faults.entries if entry.kind == Duplicate.kind}
+    looks: dict[Foreign, tuple[str, ...]] = {"tpdo": ("pdo", "sync"), "sdo_answer": ("sdo",)}
+    return {kind for kind, names in looks.items() if any(ids & {*COB_IDS[name]} for name in names)}
+
+
+def _selects(fault: FrameFault, can_id: int) -> bool:
+    return any(fault.selects(direction, can_id) for direction in Direction)
 
 
 def _named(fault: DriveFault) -> NamedEmergency:

@@ -14,14 +14,15 @@ Report = dict[str, Any]
 def timing_report(
     axes: Sequence[Axis], syncs: Mapping[str, SyncLog], others: Mapping[str, int] | None = None
 ) -> Report:
-    """``syncs``: by segment. ``others``: what the bus guard saw, and how often. Times in us."""
+    """``syncs``: by segment. ``others``: what the bus guard saw, and how often, which may still grow.
+    Times in us."""
     return {
         "sync": {
             name: {"basis": log.basis.value, "surplus": log.surplus, "crowded": log.crowded}
             for name, log in syncs.items()
         },
         "axes": {axis.parts.name: _axis_report(axis) for axis in axes},
-        "others": dict(others or {}),
+        "others": {} if others is None else others,
     }
 
 

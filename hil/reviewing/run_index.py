@@ -23,9 +23,12 @@ from hil.rows.run_files import (
     SUMMARY_FILE,
 )
 from hil.rows.seal import seal_of
+from hil.verdict.verdict import VerdictKind
 
 _DEPTH_MAX: Final = 6
 """Folders below the one that is asked for; runs lie in one, or in one for each day or bench."""
+_VERDICTS: Final = frozenset(kind.value for kind in VerdictKind)
+"""One of them is asked for as a whole: "passed" is not "passed, disturbed"."""
 
 
 class RunState(StrEnum):
@@ -83,13 +86,14 @@ class RunFilter:
 
     def wants(self, run: ListedRun) -> bool:
         """All that is asked for holds."""
-        verdict = run.verdict or run.state.value
+        verdict = (run.verdict or run.state.value).lower()
+        asked = self.verdict.lower()
         return (
             (self.since is None or run.at >= self.since)
             and self.bench.lower() in run.bench.lower()
             and any(self.drive.lower() in one.lower() for one in run.drives or ("",))
             and any(self.controller.lower() in one.lower() for one in run.controllers or ("",))
-            and verdict.lower().startswith(self.verdict.lower())
+            and (verdict == asked if asked in _VERDICTS else verdict.startswith(asked))
             and run.commit.startswith(self.commit)
         )
 

@@ -21,7 +21,7 @@ class ExitStatus(IntEnum):
     PEER_FAULT = 3
     """The bus or a drive failed, or a safety limit stopped the run."""
     NOT_TRUSTWORTHY = 4
-    """What the run says of its timing cannot be."""
+    """What the run says of its timing cannot be, or another had a hand in it."""
     NOT_RECORDED = 5
     """The recording is not whole."""
     INCOMPLETE = 6
@@ -54,6 +54,11 @@ class VerdictKind(StrEnum):
     CUT_SHORT = "cut short", ExitStatus.INCOMPLETE
     NOT_MEASURED = "not measured", ExitStatus.INCOMPLETE
     NOT_PASSED = "not passed", ExitStatus.FAILED
+    DISTURBED = "disturbed", ExitStatus.NOT_TRUSTWORTHY
+    """Of a finding. A run of which nothing else was found comes to one of the next two."""
+    PASSED_DISTURBED = "passed, disturbed", ExitStatus.NOT_TRUSTWORTHY
+    COMPLETED_DISTURBED = "completed, disturbed", ExitStatus.NOT_TRUSTWORTHY
+    """And nothing was asked."""
     NOTHING_ASKED = "completed, nothing was asked", ExitStatus.PASSED
     PASSED = "passed", ExitStatus.PASSED
 
@@ -148,6 +153,8 @@ class RunOutcome:
     """One for each axis."""
     emergencies: tuple[str, ...] = ()
     """EMCYs of the drives that no drive fault of the plan names."""
+    disturbances: tuple[str, ...] = ()
+    """What others sent on the bus that ``[guard] allow`` does not name: first frame, its time, how often."""
     network_notes: tuple[str, ...] = ()
     """In what the network was worse than a controller was made for; only where the run was to go on."""
     load_machine: Mapping[str, Any] | None = None
@@ -313,6 +320,8 @@ def _doubted(outcome: RunOutcome, recording_lacks: str) -> Iterator[Finding]:
         yield Finding(VerdictKind.PEER_FAULT, emergency)
     for doubt in outcome.distrust:
         yield Finding(VerdictKind.NOT_TRUSTWORTHY, doubt)
+    for disturbance in outcome.disturbances:
+        yield Finding(VerdictKind.DISTURBED, disturbance)
     if recording_lacks:
         yield Finding(VerdictKind.NOT_RECORDED, recording_lacks)
 
@@ -336,12 +345,14 @@ def _broken(checks: Sequence[Check], completed: bool) -> Iterator[Finding]:
 
 def _conclude(completed: bool, checks: tuple[Check, ...], in_any_order: Sequence[Finding]) -> RunVerdict:
     findings = tuple(sorted(in_any_order, key=lambda finding: _GRAVITY.index(finding.outcome)))
-    fair = VerdictKind.PASSED if checks else VerdictKind.NOTHING_ASKED
-    outcome = findings[0].outcome if findings else fair
+    gravest = findings[0].outcome if findings else None
+    outcome = gravest or (VerdictKind.PASSED if checks else VerdictKind.NOTHING_ASKED)
+    if gravest is VerdictKind.DISTURBED:
+        outcome = VerdictKind.PASSED_DISTURBED if checks else VerdictKind.COMPLETED_DISTURBED
     verdict = RunVerdict(
         outcome, int(outcome.exit_status), outcome is VerdictKind.PASSED, completed, "", checks, findings
     )
-    return replace(verdict, reason="; ".join(verdict.of(outcome)))
+    return verdict if gravest is None else replace(verdict, reason="; ".join(verdict.of(gravest)))
 
 
 def verdict_title(verdict: RunVerdict) -> str:

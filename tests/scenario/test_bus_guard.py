@@ -11,6 +11,7 @@ from drivers.timebase import NS_PER_S, Instant
 from hil.execution.bus_guard import ForeignTraffic
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
+from hil.verdict.verdict import VerdictKind
 from tests.scenario.foreign_node import LATE, Act, ForeignNode, beside_the_bench
 from tests.scenario.processes import EXAMPLES
 from virtual_bus.bus.hub import HubBus
@@ -28,11 +29,14 @@ MARK_S = AT_S - 0.05
 
 FOREIGN = {
     "RPDO1 of node 1 (201h) that the bench did not send": Frame(0x201, bytes.fromhex("0F000000")),
-    "NMT command (000h) that the bench did not send": Frame(0x000, b"\x01\x05"),
+    "NMT command (000h) that the bench did not send": Frame(0x000, b"\x01\x01"),
     "SYNC (080h) that the bench did not send": Frame(0x080),
     "heartbeat of node 127 (77Fh) that the bench did not send": Frame(0x77F, b"\x05"),
-    "SDO request to node 1 (601h) that the bench did not send": Frame(
+    "SDO read from node 1 (601h) that the bench did not send": Frame(
         0x601, bytes.fromhex("4000100000000000")
+    ),
+    "SDO write of 607Eh:00 to node 1 (601h) that the bench did not send": Frame(
+        0x601, bytes.fromhex("2F7E600000000000")
     ),
     "1016h of node 1 changed by another: it may watch the bench no more": Frame(
         0x601, bytes.fromhex("2316100100000000")
@@ -73,15 +77,56 @@ def test_a_frame_of_another_on_the_benchs_identifiers_is_told(servo_bench: Bench
     seen = run(servo_bench, node, mark)
     assert others(seen)[what] == 3
     first, last = events(seen, what)
-    assert first["level"] == "WARN"
+    assert first["level"] == ("INFO" if "read" in what else "WARN")
     assert marked(seen, first, mark, node)
     assert last["text"] == f"{what}: 3 times in all"
+
+
+PHASES = {"connecting": 0.02, "running": AT_S, "stopping": 0.71}
+"""After power-on; the shaft is confirmed at rest for 0.1 s after the last cycle."""
+DISTURBING = {
+    "SDO answer too many (581h)": Frame(0x581, bytes.fromhex("4300100092010200")),
+    **{
+        what: frame
+        for what, frame in FOREIGN.items()
+        if not any(other in what for other in ("read", "1016h", "NMT"))
+    },
+    "NMT command (000h)": Frame(0x000, b"\x07\x00"),
+}
+"""Frames with which a run goes on to its end; 07h is no command of NMT."""
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_what_others_send_in_any_phase_is_a_finding_and_no_run_passes_with_it(
+    servo_bench: BenchRunner, phase: str
+) -> None:
+    """A foreign command to switch off ends a run that goes on."""
+    frames = {what: frame for what, frame in DISTURBING.items() if phase != "running" or "RPDO" not in what}
+    changes = {**QUIET, "verdict": {"dropouts_percent_max": 99, "missed_percent_max": 99}}
+
+    def disturbed(changes: dict[str, Any]) -> Run:
+        first_s = PHASES[phase]
+        nodes = [ForeignNode(frame, first_s + 0.001 * n, times=2) for n, frame in enumerate(frames.values())]
+        with beside_the_bench(*nodes):
+            return servo_bench(BENCH, changes, faults={})
+
+    allow = ["nmt", "sync", "heartbeat", "sdo_write", "sdo_answer", "rpdo", "tpdo"]
+    seen, passed = disturbed(changes), disturbed({**changes, "guard.allow": allow})
+    verdict = seen.summary.verdict
+    assert (verdict.outcome, verdict.exit_status) == (VerdictKind.PASSED_DISTURBED, 4)
+    for what, frame in frames.items():
+        (text,) = [text for text in verdict.of(VerdictKind.DISTURBED) if what in text]
+        assert f"data {frame.data.hex(' ').upper() or 'none'}, at " in text
+    with pytest.raises(AssertionError, match="disturbed: "):
+        seen.assert_passed()
+    passed.assert_passed()
+    assert others(passed).keys() == others(seen).keys()
 
 
 @pytest.mark.parametrize("what", FOREIGN)
 def test_it_ends_the_run_where_the_bench_says_so(servo_bench: BenchRunner, what: str) -> None:
     node = ForeignNode(FOREIGN[what], AT_S, times=3)
-    seen = run(servo_bench, node, guard={"on_foreign": "stop"}, ends_in=ForeignTraffic)
+    seen = run(servo_bench, node, guard={"on_foreign": "stop", "allow": []}, ends_in=ForeignTraffic)
     assert what in str(seen.error)
     assert BenchError.exit_status == ForeignTraffic.exit_status == 3
     seen.assert_reached(State.SWITCH_ON_DISABLED, by_s=0.5)
@@ -111,10 +156,9 @@ def test_readings_beyond_the_syncs_are_told(servo_bench: BenchRunner) -> None:
 
 
 def test_answers_that_nobody_asked_for_are_told_or_end_the_run(servo_bench: BenchRunner) -> None:
-    """Of five: the first may be another master's, who asked before the bench came."""
     answer = Frame(0x581, bytes.fromhex("4300100092010200"))
     what = "node 1 answers more often than it is asked: two nodes are likely to have its id"
-    assert others(run(servo_bench, ForeignNode(answer, AT_S, times=5))) == {what: 4}
+    assert others(run(servo_bench, ForeignNode(answer, AT_S, times=5))) == {what: 5}
     ended = run(
         servo_bench, ForeignNode(answer, AT_S, times=5), guard={"on_foreign": "stop"}, ends_in=ForeignTraffic
     )
@@ -188,4 +232,5 @@ def test_on_a_hub_it_is_the_same(servo_bench: BenchRunner, servo_bus: str) -> No
     what = "heartbeat of node 127 (77Fh) that the bench did not send"
     assert others(told)[what] > 20
     assert what in str(ended.error)
-    ended.assert_reached(State.SWITCH_ON_DISABLED)
+    with pytest.raises(AssertionError, match="never in 'operation enabled'"):
+        ended.assert_reached(State.OPERATION_ENABLED)

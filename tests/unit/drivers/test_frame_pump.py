@@ -212,3 +212,24 @@ def test_housekeeping_is_done_in_the_middle_of_a_rest() -> None:
     assert seen == [("frame", 400_000), ("house", 400_000), ("frame", MS)]
     assert clock.slept == [400_000, MS]
     bus.shutdown()
+
+
+def test_who_overhears_comes_after_whoever_takes_a_frame_now_or_later() -> None:
+    bench, order = Bench(), list[str]()
+    pump = bench.pump
+    pump.overhear(TPDO, lambda _data, _at: order.append(f"overheard {len(bench.others)}"))
+
+    def one_comes(at: int) -> list[str]:
+        order.clear()
+        bench.peer_sends(at, TPDO)
+        pump.pump(Instant(at + MS))
+        return [*order]
+
+    assert one_comes(MS) == ["overheard 1"]
+    pump.listen(TPDO, lambda _data, _at: order.append("taken"))
+    assert one_comes(3 * MS) == ["taken", "overheard 1"]
+    pump.listen(TPDO, None)
+    assert one_comes(5 * MS) == ["overheard 2"]
+    pump.listen(RPDO, lambda _data, _at: order.append("taken"))
+    pump.listen(RPDO, None)
+    assert RPDO not in pump.handlers

@@ -1,6 +1,6 @@
 """The guard of a bus, watch by watch: what is told, what is counted, and what ends a run."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from types import SimpleNamespace
 from typing import Any, Final, cast
 
@@ -11,10 +11,11 @@ from drivers.canopen.nmt import Emergency
 from drivers.canopen.pdo import EVERY_SYNC, PdoDirection, PdoEntry, PdoMap
 from drivers.cia402.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from hil.configuration.config import Guard
-from hil.execution.bus_guard import BusGuard, ForeignTraffic
+from hil.configuration.config import Foreign, Guard
+from hil.execution.bus_guard import OBJECTS_TOLD, BusGuard, ForeignTraffic
 from hil.loop.syncs import SyncLog
 
+MADE_AT: Final = Instant(1_000_000)
 AT: Final = Instant(5_000)
 RPDO: Final = PdoMap(PdoDirection.RECEIVE, 1, 0x203, (PdoEntry(0x6071, 0, "h"),))
 
@@ -26,24 +27,33 @@ def tpdo(transmission_type: int, cob_id: int = 0x183) -> PdoMap:
 class Bus:
     """A segment with drive 3, whose frames the test makes up."""
 
-    def __init__(self, *tpdos: PdoMap, rules: Mapping[str, str], configured: bool = True) -> None:
+    def __init__(
+        self,
+        *tpdos: PdoMap,
+        rules: Mapping[str, Any],
+        configured: bool = True,
+        own_sync: bool = True,
+        repeated: Collection[Foreign] = (),
+    ) -> None:
         self.told: list[tuple[int, str, str]] = []
         self.errors = 0
         self.handlers: dict[int, Callable[[bytes, Instant], object]] = {}
         self.listeners: list[Callable[[Emergency], None]] = []
         self.network = SimpleNamespace(
             node_id=127,
-            frame_pump=SimpleNamespace(handlers=self.handlers),
+            frame_pump=SimpleNamespace(overhear=self.handlers.__setitem__),
+            clock=SimpleNamespace(now=lambda: MADE_AT),
             on_emergency=self.listeners.append,
             on_surplus_answer=None,
         )
         self.taken = dict.fromkeys([pdo.cob_id for pdo in tpdos], 0)
         self.syncs = SimpleNamespace(counted=0)
-        drive = SimpleNamespace(
+        plan = SimpleNamespace(rpdos=(RPDO,), tpdos=tpdos)
+        self.drive = drive = SimpleNamespace(
             node_id=3,
             name="axis1",
             network=self.network,
-            plan=SimpleNamespace(rpdos=(RPDO,), tpdos=tpdos) if configured else None,
+            plan=plan if configured else None,
             assembler=SimpleNamespace(frames_taken=self.taken.__getitem__),
             control=SimpleNamespace(make=(0, "")),
         )
@@ -54,11 +64,13 @@ class Bus:
             Guard.model_validate(rules),
             lambda at, level, text: self.told.append((at, level, text)),
             lambda: self.errors,
+            own_sync=own_sync,
+            repeated=repeated,
         )
 
-    def arm(self, own_sync: bool = True, syncs: bool = True) -> None:
+    def arm(self, syncs: bool = True) -> None:
         logs: Any = {None: cast(SyncLog, self.syncs)} if syncs else {}
-        self.guard.arm(logs, own_sync)
+        self.guard.arm(logs)
 
     def hear(self, can_id: int, data: str = "", at: Instant = AT) -> None:
         self.handlers[can_id](bytes.fromhex(data), at)
@@ -76,26 +88,38 @@ ALL_TOLD: Final = {"on_foreign": "tell", "on_boot": "tell", "on_bus_errors": "te
         (
             0x603,
             "40 41 60 00 00 00 00 00",
-            "SDO request to node 3 (603h) that the bench did not send",
+            "SDO read from node 3 (603h) that the bench did not send",
             "data 40 41 60 00 00 00 00 00",
         ),
         (
             0x603,
             "2b 72 60 01 00 00 00 00",
+            "SDO write of 6072h:01 to node 3 (603h) that the bench did not send",
+            "data 2B 72 60 01 00 00 00 00",
+        ),
+        (
+            0x603,
+            "c0 72 60 00 02 00 00 00",
+            "SDO write of 6072h:00 to node 3 (603h) that the bench did not send",
+            "data C0 72 60 00 02 00 00 00",
+        ),
+        (
+            0x603,
+            "80 72 60 00 00 00 00 08",
             "SDO request to node 3 (603h) that the bench did not send",
-            "writes 6072h:01, data 2B 72 60 01 00 00 00 00",
+            "data 80 72 60 00 00 00 00 08",
         ),
         (
             0x603,
             "23 16 10 01 00 00 00 00",
             "1016h of node 3 changed by another: it may watch the bench no more",
-            "writes 1016h:01, data 23 16 10 01 00 00 00 00",
+            "data 23 16 10 01 00 00 00 00",
         ),
         # a read of 1016h, and a frame that is too short to write anything
         (
             0x603,
             "40 16 10 01 00 00 00 00",
-            "SDO request to node 3 (603h) that the bench did not send",
+            "SDO read from node 3 (603h) that the bench did not send",
             "data 40 16 10 01 00 00 00 00",
         ),
         (
@@ -115,7 +139,7 @@ def test_what_the_bench_did_not_send_is_told_once_and_counted(
     bus.arm()
     bus.hear(can_id, data)
     bus.hear(can_id, data, Instant(AT + 1))
-    assert bus.told == [(AT, "WARN", f"{what}: {detail}")]
+    assert bus.told == [(AT, "INFO" if "read" in what else "WARN", f"{what}: {detail}")]
     assert bus.guard.counts == {what: 2}
     bus.guard.end(Instant(9_000))
     assert bus.told[1:] == [(9_000, "WARN", f"{what}: 2 times in all")]
@@ -138,8 +162,8 @@ def test_commands_of_others_are_told_by_their_rpdo() -> None:
 
 
 def test_what_belongs_to_the_bus_is_not_told() -> None:
-    bus = Bus(rules=ALL_TOLD)
-    bus.arm(own_sync=False)
+    bus = Bus(rules=ALL_TOLD, own_sync=False)
+    bus.arm()
     assert 0x080 not in bus.handlers, "somebody else makes the SYNCs"
     assert 0x609 not in bus.handlers, "node 9 is on another segment"
     for can_id in (0x705, 0x703):
@@ -148,24 +172,80 @@ def test_what_belongs_to_the_bus_is_not_told() -> None:
     assert bus.told == []
     assert 0x701 in bus.handlers
     assert 0x77E in bus.handlers
-    unconfigured = Bus(configured=False, rules=ALL_TOLD)
-    unconfigured.arm()
-    assert 0x203 not in unconfigured.handlers
 
 
-def test_the_guard_hears_after_whoever_listens_and_once_however_often_it_is_armed() -> None:
-    bus, order = Bus(rules=ALL_TOLD), list[str]()
-    bus.handlers[0x705] = lambda data, at: order.append(f"first {len(bus.told)}")
+def test_a_command_to_another_node_is_of_its_own_master() -> None:
+    bus = Bus(rules=ALL_TOLD)
+    bus.hear(0x000, "01 05")
+    assert bus.told == []
+    bus.hear(0x000, "01")
+    assert len(bus.told) == 1, "nobody knows whom it is for"
+
+
+def test_a_drive_that_is_not_configured_yet_may_take_the_pdos_of_its_id() -> None:
+    bus = Bus(configured=False, rules=ALL_TOLD)
+    bus.hear(0x503, "0f 00")
+    (text,) = bus.guard.end(AT)
+    assert text == "RPDO4 of node 3 (503h) that the bench did not send: data 0F 00, at -0.001 s"
+    bus.drive.plan = SimpleNamespace(rpdos=(RPDO,), tpdos=())
     bus.arm()
-    bus.arm()
-    bus.hear(0x705, "00")
-    assert order == ["first 0"]
-    assert bus.guard.counts == {"node 5 started": 1}
+    bus.hear(0x503, "0f 00")
+    assert list(bus.guard.counts.values()) == [1], "it takes 203h alone now"
+
+
+# ---- what disturbs a run ------------------------------------------------------------------------------
+
+FRAMES: Final = {
+    "nmt": (0x000, "02 00"),
+    "sync": (0x080, ""),
+    "heartbeat": (0x77F, "05"),
+    "sdo_write": (0x603, "2b 72 60 00 00 00 00 00"),
+    "sdo_read": (0x603, "40 72 60 00 00 00 00 00"),
+    "rpdo": (0x203, "ff 7f"),
+}
+
+
+@pytest.mark.parametrize("kind", FRAMES)
+def test_what_is_allowed_is_told_and_neither_disturbs_nor_ends_a_run(kind: str) -> None:
+    allowing = Bus(rules={"on_foreign": "stop", "allow": [kind]})
+    allowing.hear(*FRAMES[kind])
+    ((_, level, _),) = allowing.told
+    assert (level, allowing.guard.end(AT)) == ("INFO", ())
+    telling = Bus(rules={"allow": [other for other in FRAMES if other != kind]})
+    telling.hear(*FRAMES[kind], at=Instant(3_000_000))
+    telling.hear(*FRAMES[kind], at=Instant(4_000_000))
+    (what,) = telling.guard.counts
+    data = FRAMES[kind][1].upper() or "none"
+    assert telling.guard.end(AT) == (f"{what}: data {data}, at 0.002 s, 2 times",)
+    assert telling.guard.end(AT, Instant(0)) == (f"{what}: data {data}, at 0.003 s, 2 times",)
+    ending = Bus(rules={"on_foreign": "stop", "allow": []})
+    with pytest.raises(ForeignTraffic):
+        ending.hear(*FRAMES[kind])
+
+
+def test_who_writes_anything_is_told_a_bounded_number_of_times() -> None:
+    bus = Bus(rules=ALL_TOLD)
+    for index in range(0x2000, 0x2000 + 100):
+        bus.hear(0x603, f"2b {index & 255:02x} {index >> 8:02x} 00 00 00 00 00")
+    assert len(bus.guard.end(AT)) == OBJECTS_TOLD + 1
+    assert sum(bus.guard.counts.values()) == 100
+
+
+@pytest.mark.parametrize("kind", ["tpdo", "sdo_answer"])
+def test_what_faults_make_come_twice_is_nobodys(kind: Foreign) -> None:
+    for repeated, found in ((), 1), ((kind,), 0):
+        bus = Bus(tpdo(1), rules=ALL_TOLD, repeated=repeated)
+        bus.arm()
+        if kind == "tpdo":
+            attended(bus, 0, 9, 100)
+        else:
+            cast(Any, bus.network).on_surplus_answer(3, b"C", AT)
+        assert (len(bus.guard.counts), len(bus.guard.end(AT))) == (1, found)
 
 
 @pytest.mark.parametrize(
     ("rule", "can_id", "data"),
-    [("on_foreign", 0x000, "01 00"), ("on_foreign", 0x603, "40" + 7 * "00"), ("on_boot", 0x705, "00")],
+    [("on_foreign", 0x000, "01 00"), ("on_foreign", 0x603, "23" + 7 * "00"), ("on_boot", 0x705, "00")],
 )
 def test_a_rule_that_says_stop_ends_the_run_once(rule: str, can_id: int, data: str) -> None:
     bus = Bus(rules=ALL_TOLD | {rule: "stop"})
@@ -188,9 +268,9 @@ def test_an_answer_that_nobody_asked_for_has_two_nodes() -> None:
     bus = Bus(rules=ALL_TOLD)
     bus.arm()
     assert bus.network.on_surplus_answer is not None
-    bus.network.on_surplus_answer(3, AT)
+    bus.network.on_surplus_answer(3, b"C", AT)
     what = "node 3 answers more often than it is asked: two nodes are likely to have its id"
-    assert bus.told == [(AT, "WARN", f"{what}: an SDO answer too many")]
+    assert bus.told == [(AT, "WARN", f"{what}: an SDO answer too many (583h), data 43")]
 
 
 # ---- more TPDOs than SYNCs ----------------------------------------------------------------------------

@@ -112,6 +112,13 @@ def test_nothing_below_a_recording_and_nothing_deep_down_is_looked_at(lab: Path)
     assert [run["bench"] for run in listed(str(lab))] == ["first", "second", "third", "deep"]
 
 
+def test_who_asks_for_passed_is_not_shown_what_passed_disturbed(lab: Path) -> None:
+    for kind, found in (VerdictKind.PASSED, True), (VerdictKind.PASSED_DISTURBED, False):
+        outcome = {"cycles": 1, "verdict": {"outcome": kind.value}}
+        (lab / "c" / "summary.json").write_text(json.dumps(outcome))
+        assert ("first" in [run["bench"] for run in listed(str(lab), "--verdict", "Passed")]) is found
+
+
 def test_every_verdict_can_be_asked_for(lab: Path) -> None:
     for kind in VerdictKind:
         path = lab / "c" / "summary.json"

@@ -70,6 +70,7 @@ ONE_BY_ONE = {
         replace(WHOLE, drives=(replace(RESTING, at_rest=None),)), COUNT, KEPT, "", VerdictKind.PEER_FAULT
     ),
     "an EMCY": (replace(WHOLE, emergencies=("EMCY 8130h",)), COUNT, KEPT, "", VerdictKind.PEER_FAULT),
+    "others": (replace(WHOLE, disturbances=("a heartbeat",)), COUNT, KEPT, "", VerdictKind.DISTURBED),
     "timing": (replace(WHOLE, distrust=("two stamps",)), COUNT, KEPT, "", VerdictKind.NOT_TRUSTWORTHY),
     "recording": (WHOLE, COUNT, KEPT, "a full disk", VerdictKind.NOT_RECORDED),
     "cut short": (replace(WHOLE, completed=False, reason="away"), COUNT, KEPT, "", VerdictKind.CUT_SHORT),
@@ -86,11 +87,15 @@ ONE_BY_ONE = {
 }  # fmt: skip
 
 
+_PASSED, _COMPLETED = VerdictKind.PASSED_DISTURBED, VerdictKind.COMPLETED_DISTURBED
+"""What a run comes to of which nothing was found but others; without limits the second."""
+
+
 @pytest.mark.parametrize("what", ONE_BY_ONE)
 def test_each_condition_alone_keeps_a_run_from_passing(what: str) -> None:
     outcome, count, values, lacks, expected = ONE_BY_ONE[what]
     verdict = judge(outcome, count, values, LIMITS, lacks)
-    assert verdict.outcome is expected
+    assert verdict.outcome is (_PASSED if expected is VerdictKind.DISTURBED else expected)
     assert verdict.exit_status == expected.exit_status != 0
     assert not verdict.passed
     assert verdict.reason
@@ -104,7 +109,8 @@ OF_LIMITS = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
 @pytest.mark.parametrize("what", [name for name, case in ONE_BY_ONE.items() if case[4] not in OF_LIMITS])
 def test_nor_does_it_pass_for_a_completed_run_of_which_nothing_was_asked(what: str) -> None:
     outcome, count, values, lacks, expected = ONE_BY_ONE[what]
-    assert judge(outcome, count, values, VerdictLimits(), lacks).outcome is expected
+    verdict = judge(outcome, count, values, VerdictLimits(), lacks)
+    assert verdict.outcome is (_COMPLETED if expected is VerdictKind.DISTURBED else expected)
 
 
 def test_missed_cycles_are_accounted_for_where_limits_judge_them_and_not_without() -> None:
@@ -128,7 +134,8 @@ STATUSES_BY_GRAVITY = (70, 3, 130, 4, 5, 6, 1)
 
 def test_the_order_of_gravity_is_that_of_the_statuses() -> None:
     told = [outcome.exit_status for outcome in VerdictKind if outcome is not VerdictKind.BAD_INPUT]
-    assert [status for status, _ in itertools.groupby(told)] == [*STATUSES_BY_GRAVITY, 0]
+    disturbed = 4, 0
+    assert [status for status, _ in itertools.groupby(told)] == [*STATUSES_BY_GRAVITY, *disturbed]
     assert {status.value for status in ExitStatus} == {0, 1, 2, 3, 4, 5, 6, 7, 70, 130}
 
 
@@ -156,14 +163,18 @@ def test_of_two_the_graver_is_told(pair: tuple[int, int]) -> None:
 
 def test_whatever_is_found_the_gravest_is_told_and_nothing_is_dropped() -> None:
     draw = random.Random(12)
-    kinds = [outcome for outcome in VerdictKind if outcome.exit_status]
+    kinds = [
+        outcome for outcome in VerdictKind if outcome.exit_status and outcome not in (_PASSED, _COMPLETED)
+    ]
     for _ in range(200):
         found = [Finding(draw.choice(kinds), str(number)) for number in range(draw.randint(1, 6))]
         verdict = not_run(found[0].outcome, found[0].text)
         for finding in found[1:]:
             verdict = verdict.also(finding)
         gravest = min(found, key=lambda finding: list(VerdictKind).index(finding.outcome))
-        assert verdict.outcome is gravest.outcome
+        assert verdict.outcome is (
+            _COMPLETED if gravest.outcome is VerdictKind.DISTURBED else gravest.outcome
+        )
         assert sorted(each.text for each in verdict.findings) == sorted(each.text for each in found)
         assert not verdict.passed
 
