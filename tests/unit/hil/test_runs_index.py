@@ -116,6 +116,7 @@ def test_who_asks_for_passed_is_not_shown_what_passed_disturbed(lab: Path) -> No
     for kind, found in (VerdictKind.PASSED, True), (VerdictKind.PASSED_DISTURBED, False):
         outcome = {"cycles": 1, "verdict": {"outcome": kind.value}}
         (lab / "c" / "summary.json").write_text(json.dumps(outcome))
+        sealed(lab / "c")
         assert ("first" in [run["bench"] for run in listed(str(lab), "--verdict", "Passed")]) is found
 
 
