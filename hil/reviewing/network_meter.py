@@ -20,8 +20,9 @@ from hil.verdict.summary import Summary
 
 _BARS = 100
 """The largest delay is told to a percent, in bars of whole us."""
-ACTING, LOST, _NOT_IDENTIFIABLE = (
-    COMMAND_FATES.index(fate) for fate in (CommandFate.ACTING, CommandFate.LOST, CommandFate.NOT_IDENTIFIABLE)
+ACTING, LOST, _NOT_IDENTIFIABLE, _NOT_SENT = (
+    COMMAND_FATES.index(fate)
+    for fate in (CommandFate.ACTING, CommandFate.LOST, CommandFate.NOT_IDENTIFIABLE, CommandFate.NOT_SENT)
 )
 _RUN_MAX = 1000
 """Losses in a row that are counted apart; more count as so many."""
@@ -104,10 +105,11 @@ class AxisNetworkMeter:
         told, passed = rows["command_fate"], passed_over(rows)
         self.command_fates += np.bincount(told[told != NOTHING], minlength=len(COMMAND_FATES))
         self.passed += int(np.count_nonzero(passed))
-        known = (told == ACTING) | (told == LOST) | passed
+        lost = (told == LOST) | (told == _NOT_SENT)
+        known = (told == ACTING) | lost | passed
         due_at = rows["due_at"][known]
         self.commands_lost.add((told != ACTING)[known], due_at)
-        self.commands_lost_least.add((told == LOST)[known], due_at)
+        self.commands_lost_least.add(lost[known], due_at)
 
     def _add_actions(self, acting: Rows) -> None:
         least, most = action_delays_ns(acting, self._period_ns)
@@ -121,7 +123,7 @@ class AxisNetworkMeter:
     @property
     def commands_known(self) -> bool:
         """Whether the fate of any command is known."""
-        return self.passed + int(self.command_fates[[ACTING, LOST]].sum()) > 0
+        return self.passed + int(self.command_fates[[ACTING, LOST, _NOT_SENT]].sum()) > 0
 
     @property
     def losses_together(self) -> tuple[int, int]:
@@ -166,7 +168,8 @@ class NetworkMeter:
         action_least, action = map(delays_of, self.action_delays())
         fates = np.sum([axis.fates for axis in self.axes], axis=0)
         command_fates = np.sum([axis.command_fates for axis in self.axes], axis=0)
-        acting, lost = (int(command_fates[place]) for place in (ACTING, LOST))
+        not_sent = int(command_fates[_NOT_SENT])
+        acting, lost = int(command_fates[ACTING]), int(command_fates[LOST]) + not_sent
         passed = sum(axis.passed for axis in self.axes)
         told = acting + lost + passed
         count = {cause: int(fates[place]) for place, cause in enumerate(CAUSES, start=1)}
@@ -191,6 +194,7 @@ class NetworkMeter:
             command_delay_us=delays_of(merged(axis.command for axis in self.axes)),
             commands_acting=acting,
             commands_lost=lost,
+            commands_not_sent=not_sent,
             commands_passed_over=passed,
             commands_not_identifiable=int(command_fates[_NOT_IDENTIFIABLE]),
             command_loss_percent=100.0 * (lost + passed) / told if told else None,

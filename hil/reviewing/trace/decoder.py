@@ -17,6 +17,7 @@ from drivers.canopen.cob_ids import (
 )
 from drivers.canopen.objects301 import PDO_PARAMETERS, Cia301
 from drivers.canopen.sdo import abort_text, object_name
+from drivers.wire.error_frames import error_frame_text
 from hil.reviewing.trace.known_nodes import KnownNodes
 from hil.reviewing.trace.log_frame import LogFrame
 from hil.reviewing.trace.node_objects import NodeObjects
@@ -26,7 +27,6 @@ from hil.reviewing.trace.sdo_transfer import SdoChannel, SdoTransfer
 from hil.reviewing.trace.service_words import (
     emergency_text,
     error_control_text,
-    error_frame_text,
     lss_text,
     nmt_text,
     time_text,

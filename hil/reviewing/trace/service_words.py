@@ -1,5 +1,4 @@
-"""NMT, TIME, EMCY, error control and error frames in words (CiA 301 7.2.6 to 7.2.8, linux/can/error.h); LSS
-(CiA 305)."""
+"""NMT, TIME, EMCY and error control in words (CiA 301 7.2.6 to 7.2.8); LSS (CiA 305)."""
 
 from datetime import UTC, datetime, timedelta
 from typing import Final
@@ -12,38 +11,6 @@ from drivers.timebase import Instant
 
 _EPOCH: Final = datetime(1984, 1, 1, tzinfo=UTC)
 """TIME_OF_DAY counts its days from here (CiA 301 7.1.6.6)."""
-_CLASSES: Final = {
-    0x001: "transmission timed out",
-    0x002: "arbitration lost",
-    0x004: "controller",
-    0x008: "protocol violation",
-    0x010: "transceiver",
-    0x020: "no acknowledgement",
-    0x040: "bus-off",
-    0x080: "bus error",
-    0x100: "controller restarted",
-}
-_CONTROLLER: Final = {
-    0x01: "receive overflow",
-    0x02: "transmit overflow",
-    0x04: "receive warning",
-    0x08: "transmit warning",
-    0x10: "receive error passive",
-    0x20: "transmit error passive",
-    0x40: "error active",
-}
-_PROTOCOL: Final = {
-    0x01: "single bit",
-    0x02: "form",
-    0x04: "stuff",
-    0x08: "dominant bit not sent",
-    0x10: "recessive bit not sent",
-    0x20: "overload",
-    0x40: "active error announcement",
-    0x80: "while transmitting",
-}
-_CRC_SEQUENCE: Final = 0x08
-_COUNTERS: Final = 0x200
 _TIME_BYTES: Final = 6
 _PARTS: Final = ("vendor-ID", "product code", "revision number", "serial number")
 _IDENTIFY: Final = (
@@ -98,20 +65,6 @@ def error_control_text(data: bytes, guarded: bool) -> tuple[str, str]:
     if guarded or toggle:
         return "guarding", f"{state}, toggle {toggle}"
     return "heartbeat", "boot-up" if number == NmtState.INITIALISING else state
-
-
-def error_frame_text(classes: int, data: bytes) -> str:
-    """An error frame as SocketCAN tells it."""
-    data = data.ljust(8, b"\0")
-    told = [text for bit, text in _CLASSES.items() if classes & bit]
-    details = [text for bit, text in _CONTROLLER.items() if classes & 0x04 and data[1] & bit]
-    details += [text for bit, text in _PROTOCOL.items() if classes & 0x08 and data[2] & bit]
-    if classes & 0x08 and data[3] == _CRC_SEQUENCE:
-        details.append("in the CRC sequence")
-    if classes & _COUNTERS:
-        details.append(f"counters: transmit {data[6]}, receive {data[7]}")
-    text = ", ".join(told) or "no class of error"
-    return f"{text} ({', '.join(details)})" if details else text
 
 
 def lss_text(data: bytes, answer: bool) -> str:
