@@ -88,13 +88,16 @@ class FramePort:
         self.needs_watching = False
         """Whether somebody has to be inside ``receive`` while time passes: else frames are stamped or sent
         late."""
+        self.troubles: list[tuple[str, Instant]] = []
+        """What befell the adapter and was not told yet, in words that go on after its name, and when."""
 
     def receive(self, until: Instant) -> WireFrame | None:
         """The next frame; None once ``until`` has come and none is waiting."""
         raise NotImplementedError
 
     def transmit(self, frame: WireFrame) -> None:
-        """Queue a frame for sending."""
+        """Queue a frame for sending. Raises can.CanOperationError; its code is ENOBUFS where there is no room
+        now, ENETDOWN where the interface is down and may come up again."""
         raise NotImplementedError
 
 

@@ -1,5 +1,6 @@
 """python-can's SocketCAN bus with a frame port: stamps on the bench's axis, echoes, no message objects."""
 
+import errno
 import select
 import socket
 from contextlib import suppress
@@ -10,6 +11,7 @@ import can
 from can.interfaces.socketcan import SocketcanBus
 
 from drivers.timebase import NS_PER_S, Clock, Instant, MonotonicClock, wall_between
+from drivers.wire.error_frames import controller_state_text
 from drivers.wire.frame_port import EchoBasis, FramePort, WireFrame
 from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG, STANDARD_ID_MAX
 from drivers.wire.socketcan_stamps import (
@@ -33,6 +35,13 @@ _SO_RCVBUFFORCE = 33
 _FIRST_COMPARISONS = 8
 """Of the clocks, before the first frame: one alone is off by half of what the processor did in between, seen
 as 105 us on a busy machine; every frame adds one more."""
+_WHY = {
+    errno.ENOBUFS: "the transmit queue of the interface is full",
+    errno.ENETDOWN: "the interface is down",
+    errno.ENXIO: "the adapter was unplugged",
+    errno.ENODEV: "the adapter was unplugged",
+}
+"""What the kernel's errors mean here."""
 _MSG_CONFIRM = 0x800
 """On an own frame that comes back (linux/can.h). MSG_DONTROUTE, by which python-can tells own frames, stands
 on every frame of this machine, on a virtual interface on all."""
@@ -54,32 +63,48 @@ class SocketcanPort(FramePort):
         self._now = clock.now
         self._wall = WallStamps()
         self._adapter = AdapterClock()
+        self._down = False
+        """Whether the interface was down when it was last looked at."""
+        self._controller = ""
+        """What the last error frame told of its state."""
+        self._far_off = 0
         for _ in range(_FIRST_COMPARISONS):
             self._compare()
 
     def receive(self, until: Instant) -> WireFrame | None:
-        """The next frame, error frames among them; None once ``until`` has come."""
-        now = self._now()
-        try:
-            if not select.select([self._socket], [], [], max(0, until - now) / NS_PER_S)[0]:
-                self._compare()
-                self._wall.emptied(max(now, until))
-                return None
-            frame, ancillary, flags, _ = self._socket.recvmsg(_FRAME.size, ANCILLARY_BYTES)
-        except OSError as error:
-            raise can.CanOperationError(f"cannot receive: {error.strerror}", error.errno) from error
+        """The next frame, error frames among them; None once ``until`` has come.
+
+        An interface that goes down brings none until it is up again. Raises can.CanOperationError if the
+        adapter was unplugged.
+        """
+        while True:
+            now = self._now()
+            try:
+                if not select.select([self._socket], [], [], max(0, until - now) / NS_PER_S)[0]:
+                    self._compare()
+                    self._wall.emptied(max(now, until))
+                    return None
+                frame, ancillary, flags, _ = self._socket.recvmsg(_FRAME.size, ANCILLARY_BYTES)
+                break
+            except OSError as error:
+                if error.errno != errno.ENETDOWN:
+                    raise self._refusal("receive", error) from error
+                self._note_down(True)
+        self._note_down(False)
         self.came_own = bool(flags & _MSG_CONFIRM)
         self.came_at = self._stamp(ancillary)
         word, length, data = _FRAME.unpack(frame)
         remote, extended = bool(word & REMOTE_FLAG), bool(word & EXTENDED_FLAG)
         if word & ERROR_FLAG:
+            self._note_controller(word & EXTENDED_ID_MAX, data[:length])
             return WireFrame(word & (ERROR_FLAG | EXTENDED_ID_MAX), data[:length])
         can_id = word & (EXTENDED_ID_MAX if extended else STANDARD_ID_MAX)
         payload = b"" if remote else data[:length]
         return WireFrame(can_id, payload, extended, remote, length if remote else 0)
 
     def transmit(self, frame: WireFrame) -> None:
-        """Queue a frame; raises can.CanOperationError if the interface is down or its queue is full."""
+        """Queue a frame. Raises can.CanOperationError: ENOBUFS if the interface's queue is full, ENETDOWN if
+        it is down, another code if the adapter was unplugged."""
         can_id, data, extended = frame.can_id, frame.data, frame.extended
         remote, remote_length = frame.remote, frame.remote_length
         word = can_id | (EXTENDED_FLAG if extended else 0) | (REMOTE_FLAG if remote else 0)
@@ -87,7 +112,28 @@ class SocketcanPort(FramePort):
         try:
             self._socket.send(_FRAME.pack(word, length, data), socket.MSG_DONTWAIT)
         except OSError as error:
-            raise can.CanOperationError(f"cannot transmit: {error.strerror}", error.errno) from error
+            if error.errno == errno.ENETDOWN:
+                self._note_down(True)
+            raise self._refusal("transmit", error) from error
+        self._note_down(False)
+
+    def _refusal(self, action: str, error: OSError) -> can.CanOperationError:
+        why = _WHY.get(error.errno or 0, error.strerror)
+        return can.CanOperationError(f"cannot {action}: {why}", error.errno)
+
+    def _note_down(self, down: bool) -> None:
+        if down != self._down:
+            self._down = down
+            self._tell("is down: nothing is sent or heard" if down else "is up again")
+
+    def _note_controller(self, classes: int, data: bytes) -> None:
+        text = controller_state_text(classes, data)
+        if text and text != self._controller:
+            self._controller = text
+            self._tell(text)
+
+    def _tell(self, text: str) -> None:
+        self.troubles.append((text, self._now()))
 
     def _compare(self) -> Instant:
         before, wall, after = wall_between()
@@ -97,16 +143,26 @@ class SocketcanPort(FramePort):
     def _stamp(self, ancillary: Ancillary) -> Instant:
         now = self._compare()
         stamps = parse_ancillary(ancillary)
-        if stamps.lost_frames is not None:
+        if stamps.lost_frames is not None and stamps.lost_frames != self.lost_frames:
+            lost = stamps.lost_frames - self.lost_frames
             self.lost_frames = stamps.lost_frames
+            self._tell(f"dropped {lost} frames: they came faster than they were fetched")
         if stamps.software_ns is None:
             return now
         at = self._wall.instant(stamps.software_ns, now)
-        if stamps.hardware_ns is None:
+        if self._wall.far_off != self._far_off:
+            if not self._far_off:
+                self._tell("stamps frames far off its clock: such stamps are not used")
+            self._far_off = self._wall.far_off
+        if stamps.hardware_ns is None or self._adapter.useless:
             return at
-        if self.came_own:
+        at = self._adapter.instant(stamps.hardware_ns, at)
+        if self._adapter.useless:
+            self._tell("has stamps of its own that jump: the kernel's are used instead")
+            self.echoes = EchoBasis.KERNEL if self.echoes is EchoBasis.HARDWARE else self.echoes
+        elif self.came_own:
             self.echoes = EchoBasis.HARDWARE
-        return self._adapter.instant(stamps.hardware_ns, at)
+        return at
 
 
 class StampedSocketcanBus(SocketcanBus):

@@ -20,16 +20,20 @@ SO_TIMESTAMPNS: Final = 35
 SO_TIMESTAMPING: Final = 37
 SO_RXQ_OVFL: Final = 40
 """Options of the kernel's, and types of the ancillary data that they bring (asm-generic/socket.h)."""
+SO_TIMESTAMPNS_NEW: Final = 64
+SO_TIMESTAMPING_NEW: Final = 65
+"""The same with 64-bit times, as 32-bit programs that were built for them get it."""
 HARDWARE_STAMPS: Final = 1 << 2 | 1 << 6
 """SOF_TIMESTAMPING_RX_HARDWARE | SOF_TIMESTAMPING_RAW_HARDWARE (linux/net_tstamp.h). A CAN driver's transmit
 stamp is the receive stamp of the frame's echo, so that SOF_TIMESTAMPING_TX_HARDWARE, which reports by the
 error queue, tells no more."""
 
-_TIMESPEC: Final = Struct("@qq")
-_STAMPING: Final = Struct("@qqqqqq")
+_TIMESPECS: Final = (Struct("=qq"), Struct("=ii"))
+"""struct timespec of 64-bit programs, and the old one of 32-bit programs: the length tells which."""
+_STAMPINGS: Final = (Struct("=qqqqqq"), Struct("=iiiiii"))
 """struct scm_timestamping: software, (unused), raw hardware."""
 _OVERFLOW: Final = Struct("=I")
-ANCILLARY_BYTES: Final = sum(map(socket.CMSG_SPACE, (_TIMESPEC.size, _STAMPING.size, _OVERFLOW.size)))
+ANCILLARY_BYTES: Final = sum(map(socket.CMSG_SPACE, (_TIMESPECS[0].size, _STAMPINGS[0].size, _OVERFLOW.size)))
 Ancillary = Sequence[tuple[int, int, bytes]]
 
 REORDERED_MAX_NS: Final = NS_PER_MS
@@ -42,6 +46,12 @@ _BLOCKS: Final = 32
 """3.2 s: long for a rate from instants that are good to some us, short for a quartz that warms up."""
 _RESTARTED_NS: Final = 100 * NS_PER_MS
 """Longer than any adapter takes to hand over a frame: a counter that disagrees by more has been set anew."""
+FAR_OFF_NS: Final = NS_PER_S
+"""A stamp of the kernel that lies so far before the frame in front of it, or after now, is none of this
+clock; a wall clock that is set is told from it by the comparisons."""
+_RESTARTS_MAX: Final = 3
+"""Of a counter without a block of agreement between them: its stamps of own and of others' frames then count
+from different starts."""
 
 
 class FrameStamps(NamedTuple):
@@ -59,15 +69,22 @@ def parse_ancillary(ancillary: Ancillary) -> FrameStamps:
     """None for what is not there, or is zero as the kernel leaves it."""
     software = hardware = lost = None
     for _, kind, value in ancillary:
-        if kind == SO_TIMESTAMPNS and len(value) >= _TIMESPEC.size:
-            seconds, ns = _TIMESPEC.unpack_from(value)
-            software = seconds * NS_PER_S + ns
-        elif kind == SO_TIMESTAMPING and len(value) >= _STAMPING.size:
-            *_, seconds, ns = _STAMPING.unpack_from(value)
-            hardware = seconds * NS_PER_S + ns or None
+        if kind in (SO_TIMESTAMPNS, SO_TIMESTAMPNS_NEW):
+            software = _last_time(value, _TIMESPECS)
+        elif kind in (SO_TIMESTAMPING, SO_TIMESTAMPING_NEW):
+            hardware = _last_time(value, _STAMPINGS) or None
         elif kind == SO_RXQ_OVFL and len(value) >= _OVERFLOW.size:
             (lost,) = _OVERFLOW.unpack_from(value)
     return FrameStamps(software, hardware, lost)
+
+
+def _last_time(value: bytes, layouts: Sequence[Struct]) -> int | None:
+    """The last time in ``value``, ns; None if it has the length of no layout."""
+    for layout in layouts:
+        if len(value) == layout.size:
+            *_, seconds, ns = layout.unpack(value)
+            return int(seconds * NS_PER_S + ns)
+    return None
 
 
 class _Offset:
@@ -107,6 +124,8 @@ class WallStamps:
     """
 
     def __init__(self) -> None:
+        self.far_off = 0
+        """How many stamps were not used, as they lay far outside of what is possible."""
         self._offsets: list[_Offset] = []
         self._floor = 0
         """No frame to come was stamped before."""
@@ -133,7 +152,11 @@ class WallStamps:
                 del offsets[:number]
                 break
         else:
-            at = min(max(stamp_ns - offsets[-1].value, self._floor), now)
+            at = stamp_ns - offsets[-1].value
+            if not self._floor - FAR_OFF_NS <= at <= now + FAR_OFF_NS:
+                self.far_off += 1
+                at = now
+            at = min(max(at, self._floor), now)
         self._floor = max(self._floor, at - REORDERED_MAX_NS)
         return Instant(at)
 
@@ -151,17 +174,24 @@ class AdapterClock:
     def __init__(self) -> None:
         self._blocks: deque[tuple[int, int]] = deque(maxlen=_BLOCKS)
         """Of each block of time the point that lies lowest."""
+        self.useless = False
+        """Whether its stamps jump so often that they are used no more."""
+        self._restarts = 0
         self._block_ends = 0
         self._last = 0
 
     def instant(self, hardware_ns: int, software_at: Instant) -> Instant:
         """When the adapter stamped a frame that the kernel stamped at ``software_at``; never after that."""
+        if self.useless:
+            return software_at
         late = software_at - hardware_ns
         if self._blocks and (
             hardware_ns < self._last - REORDERED_MAX_NS
             or abs(late - self._lateness_min(hardware_ns)) > _RESTARTED_NS
         ):
             self._blocks.clear()
+            self._restarts += 1
+            self.useless = self._restarts > _RESTARTS_MAX
         if not self._blocks or hardware_ns > self._last:
             self._note(hardware_ns, late)
             self._last = hardware_ns
@@ -169,6 +199,8 @@ class AdapterClock:
 
     def _note(self, hardware_ns: int, late: int) -> None:
         if not self._blocks or hardware_ns >= self._block_ends:
+            if self._blocks:
+                self._restarts = 0
             self._blocks.append((hardware_ns, late))
             self._block_ends = hardware_ns + _BLOCK_NS
         elif late < self._blocks[-1][1]:

@@ -49,6 +49,7 @@ class FaultyPort(FramePort):
         super().__init__()
         self.echoes = inner.echoes
         self.needs_watching = True
+        self.troubles = inner.troubles
         self.held_in = HeldFrames()
         self.held_out = HeldFrames()
         self._inner = inner
