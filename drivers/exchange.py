@@ -92,7 +92,7 @@ class DemandChange(Record):
 class SentCommand:
     """A set-point that was handed to the bus, and what the bus told of it since."""
 
-    __slots__ = ("handed_at", "on_bus_at", "raw", "sequence")
+    __slots__ = ("handed_at", "on_bus_at", "raw", "sequence", "unsent")
 
     def __init__(self, sequence: int, raw: int, handed_at: Instant) -> None:
         self.sequence = sequence
@@ -100,7 +100,9 @@ class SentCommand:
         self.raw = raw
         """As it was sent, in the unit of 0x6071 (0x60FF, 0x607A)."""
         self.handed_at = handed_at
-        """Just before the bus was given it."""
+        """Just before the bus was offered it."""
+        self.unsent = False
+        """Whether the bus had no room for it until a newer one was to be sent: it never went out."""
         self.on_bus_at: Instant | None = None
         """End of its frame on the bus, by its echo; None until that comes, and for ever on a bus without
         echoes or for a frame that never reached the wire."""
@@ -192,6 +194,9 @@ class Master:
         self.on_sync_echo: Callable[[Instant, Instant], None] | None = None
         """Told of each of our SYNCs that was on the bus: its end of frame, and when it had been handed over,
         which is UNTOLD where the bus does not tell it."""
+        self.on_sync_unsent: Callable[[Instant], None] | None = None
+        """Told of each of our SYNCs that never went out, as the bus had no room for it: when it was handed
+        over."""
 
     def send_sync(self) -> Instant:
         """Send a SYNC; when it was handed to the bus, of several to the first."""

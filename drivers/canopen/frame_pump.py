@@ -41,14 +41,22 @@ class FramePump(Master):
         self.handlers: dict[int, Handler] = {}
         self.echo_handlers: dict[int, EchoHandler] = {SYNC: self._on_sync_echo}
         """Who is told of our own frames once they were on the bus, by identifier."""
+        self.unsent_handlers: dict[int, Callable[[Instant], None]] = {SYNC: self._on_sync_unsent}
+        """Who is told of our own frames that never went out, by identifier: the instant of the hand-over."""
         self.housekeeping_at: Instant = NEVER
         self._link = link
         self._now = clock.now
         self._sleep_until = clock.sleep_until
         self._others = others
         self._keep_house = keep_house
+        link.on_unsent = self._on_unsent
         self._listeners: dict[int, Handler] = {}
         self._overhearers: dict[int, Handler] = {}
+
+    @property
+    def attend_at(self) -> Instant:
+        """When somebody has to be here at the latest: for housekeeping, or for frames that wait for room."""
+        return min(self.housekeeping_at, self._link.retry_at)
 
     def listen(self, can_id: int, handler: Handler | None) -> None:
         """Have ``handler`` take the frames of an identifier; None: ``others`` again."""
@@ -121,6 +129,15 @@ class FramePump(Master):
     def _on_sync_echo(self, _data: bytes, at: Instant, handed_at: Instant) -> None:
         if self.on_sync_echo is not None:
             self.on_sync_echo(at, handed_at)
+
+    def _on_unsent(self, can_id: int, handed_at: Instant) -> None:
+        handler = self.unsent_handlers.get(can_id)
+        if handler is not None:
+            handler(handed_at)
+
+    def _on_sync_unsent(self, handed_at: Instant) -> None:
+        if self.on_sync_unsent is not None:
+            self.on_sync_unsent(handed_at)
 
     def send_sync(self) -> Instant:
         """Send a SYNC without counter (CiA 301 7.2.5); returns the instant at which the bus was given it."""

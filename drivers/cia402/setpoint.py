@@ -50,6 +50,14 @@ class _Awaited:
         """A command was handed to the bus."""
         self._waiting.append((data, command))
 
+    def given_up(self, handed_at: Instant) -> None:
+        """The frame that was handed over then never went out."""
+        for place, (_, command) in enumerate(self._waiting):
+            if command.handed_at == handed_at:
+                command.unsent = True
+                del self._waiting[place]
+                return
+
     def echoed(self, data: bytes, at: Instant, handed_at: Instant) -> None:
         """A frame of this RPDO was on the bus. Where nobody tells which, it is that of the first command that
         sent such data since the last one seen there; or, if the bus let frames overtake each other, of the
@@ -119,6 +127,7 @@ class SetPointFrames:
         for pdo in plan.rpdos:
             carrier = _Carrier(pdo)
             network.frame_pump.echo_handlers[pdo.cob_id] = carrier.awaited.echoed
+            network.frame_pump.unsent_handlers[pdo.cob_id] = carrier.awaited.given_up
             for place, entry in enumerate(pdo.entries):
                 key = (entry.index, entry.sub)
                 self._places.setdefault(key, []).append(_Place(carrier, place))

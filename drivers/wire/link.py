@@ -1,20 +1,23 @@
 """Frames in and out of a bus, stamped on the bench's clock."""
 
-from typing import NoReturn
+from collections.abc import Callable
+from typing import Final, NoReturn
 
 import can
 
 from drivers.errors import BusDown
-from drivers.timebase import Clock, Instant
+from drivers.timebase import NEVER, Clock, Instant
 from drivers.wire.frame_port import UNTOLD, CallbackTap, EchoBasis, FramePort, FrameTap, WireFrame
 from drivers.wire.frame_port import Direction as Direction
 from drivers.wire.frame_port import Tap as Tap
 from drivers.wire.identifiers import ERROR_FLAG
 from drivers.wire.message_port import MessagePort
 from drivers.wire.message_port import StampSource as StampSource
+from drivers.wire.send_queue import NO_ROOM, RETRY_EVERY, SendQueue
 
 Received = tuple[int, bytes, Instant]
 """Identifier, data, and the bus's stamp of the frame."""
+_STUCK: Final = "it has taken no frame for a second: its queue is full as nobody acknowledges, or it is down"
 
 
 class BusLink:
@@ -25,6 +28,9 @@ class BusLink:
 
     A frame sent here that has been on the bus comes back as an *echo* where the bus has them (``echoes``).
     Echoes reach no tap and are not counted as received.
+
+    A frame that the bus has no room for waits here (:mod:`drivers.wire.send_queue`) and goes out while
+    somebody receives. The tap sees it when the bus takes it.
     """
 
     def __init__(
@@ -47,6 +53,16 @@ class BusLink:
         """Whether it is an echo."""
         self.last_handed_at = UNTOLD
         """If so, when the frame had been handed over, where the bus tells that."""
+        self.on_unsent: Callable[[int, Instant], None] | None = None
+        """Is told of a frame that never went out, as a newer one took its place: identifier, and the instant
+        that :meth:`send` returned for it."""
+        self.on_trouble: Callable[[str, Instant], None] | None = None
+        """Is told what befell the adapter, in words."""
+        self.unsent_frames = 0
+        """How many never went out."""
+        self.retry_at: Instant = NEVER
+        """When somebody has to receive at the latest, as frames wait here."""
+        self._waiting: SendQueue | None = None
         self._now = clock.now
         self._taps: list[FrameTap] = []
         port: FramePort | None = getattr(bus, "frame_port", None)
@@ -60,7 +76,7 @@ class BusLink:
     @property
     def needs_watching(self) -> bool:
         """Whether somebody has to receive while time passes, or frames are stamped or sent late."""
-        return self._port.needs_watching
+        return self._port.needs_watching or self._waiting is not None
 
     def tap(self, tap: Tap | FrameTap) -> None:
         """Have ``tap`` see every frame from now on."""
@@ -81,11 +97,16 @@ class BusLink:
         and ``last_own``. Lets time pass. Raises BusDown if the bus is gone."""
         port = self._port
         while True:
+            wait = until if self._waiting is None else self._send_waiting(until)
             try:
-                item = port.receive(until)
+                item = port.receive(wait)
             except (can.CanError, OSError) as error:
                 self._fail("receive from", error)
+            if port.troubles:
+                self._tell_troubles()
             if item is None:
+                if wait < until:
+                    continue
                 return False
             can_id = item.can_id
             if can_id >= ERROR_FLAG:
@@ -106,9 +127,9 @@ class BusLink:
             self.ignored_frames += 1
 
     def send(self, can_id: int, data: bytes) -> Instant:
-        """Queue a frame; returns the instant just before the bus was given it.
+        """Queue a frame; returns the instant just before the bus was offered it.
 
-        Raises BusDown if the bus is gone or its transmit queue is full.
+        Raises BusDown if the bus is gone, or has taken nothing for a second.
         """
         return self._hand_over(WireFrame(can_id, data))
 
@@ -118,16 +139,75 @@ class BusLink:
 
     def _hand_over(self, frame: WireFrame) -> Instant:
         frame.handed_at = at = self._now()
+        if self._waiting is not None:
+            self._send_waiting(at)
+        if self._waiting is not None or not self._takes(frame, at):
+            self._let_wait(frame, at)
+        return at
+
+    def _takes(self, frame: WireFrame, at: Instant) -> bool:
+        """Whether the bus takes ``frame``, at ``at``; False if it has no room for it now."""
         try:
             self._port.transmit(frame)
         except (can.CanError, OSError) as error:
-            self._fail("send on", error)
+            if _code(error) not in NO_ROOM:
+                self._fail("send on", error)
+            if self._waiting is None:
+                self._tell(f"takes no frames: {error}", at)
+            return False
         self.sent_frames += 1
         for tap in self._taps:
             tap.frame("tx", frame.can_id, frame.data, False, frame.remote, at)
-        return at
+        return True
+
+    def _let_wait(self, frame: WireFrame, at: Instant) -> None:
+        if self._waiting is None:
+            self._waiting, self.retry_at = SendQueue(), Instant(at + RETRY_EVERY)
+        try:
+            older = self._waiting.put(frame, at)
+        except can.CanOperationError as error:
+            self._fail("send on", error)
+        if older is not None:
+            self.unsent_frames += 1
+            if self.on_unsent is not None:
+                self.on_unsent(older.can_id, older.handed_at)
+
+    def _send_waiting(self, until: Instant) -> Instant:
+        """Hand over what the bus takes by now; returns when to look again, ``until`` at the latest."""
+        waiting, now = self._waiting, self._now()
+        while waiting is not None:
+            frame = waiting.first()
+            if frame is None:
+                self._waiting, self.retry_at = None, NEVER
+                self._tell(f"takes frames again; {waiting.replaced} were given up meanwhile", now)
+                break
+            if not self._takes(frame, now):
+                if waiting.stuck(now):
+                    self._fail("send on", can.CanOperationError(_STUCK))
+                self.retry_at = Instant(now + RETRY_EVERY)
+                return min(until, self.retry_at)
+            waiting.went(now)
+        return until
+
+    def _tell_troubles(self) -> None:
+        troubles = self._port.troubles
+        for text, at in troubles:
+            self._tell(text, at)
+        troubles.clear()
+
+    def _tell(self, text: str, at: Instant) -> None:
+        if self.on_trouble is not None:
+            self.on_trouble(f"{self.name} {text}", at)
 
     def _fail(self, action: str, error: Exception) -> NoReturn:
         raise BusDown(
             f"cannot {action} {self.name}", str(error), "check that the interface is up and the cable is in"
         ) from error
+
+
+def _code(error: Exception) -> int | None:
+    """The number of the system's error that python-can or the socket tells."""
+    code = getattr(error, "error_code", None)
+    if code is None:
+        code = getattr(error, "errno", None)
+    return code if isinstance(code, int) else None

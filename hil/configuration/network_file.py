@@ -112,6 +112,8 @@ class Network(Section):
     """Commands that the drive was seen to follow."""
     commands_lost: int = Field(default=0, ge=0)
     """Commands that it cannot have followed at any instant."""
+    commands_not_sent: int = Field(default=0, ge=0)
+    """Those among them that the adapter had no room for until the next one was to be sent."""
     commands_not_identifiable: int = Field(default=0, ge=0)
     """Commands of which neither can be said: they equal a neighbour, or were not asked for in time."""
     commands_passed_over: int = Field(default=0, ge=0)

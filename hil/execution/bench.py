@@ -179,6 +179,7 @@ class _Run:
             own_sync=config.loop.sync == "own",
             repeated=made_twice(config.faults),
         )
+        world.tell_troubles(recorder.event)
         if config.recording.frames:
             record_frames(world, recorder.tap)
 
@@ -272,8 +273,7 @@ class _Run:
             self._start,
             lambda done: self._note_progress(done * period_s),
         )
-        took = Duration(wall.now() - began)
-        self._note_ended(ended, took)
+        self._note_ended(ended, Duration(wall.now() - began))
         if not ended.interrupted:
             self.conclusion.look_at(self._drives)
 

@@ -75,7 +75,7 @@ class SegmentMasters(Master):
                     return True
             if now >= until:
                 return False
-            self._wait(min(until, *[pump.housekeeping_at for pump in self._pumps]))
+            self._wait(min(until, *[pump.attend_at for pump in self._pumps]))
 
 
 def sync_log(network: CanopenNetwork, latency: Duration, period: Duration) -> SyncLog:
@@ -85,6 +85,7 @@ def sync_log(network: CanopenNetwork, latency: Duration, period: Duration) -> Sy
     """
     log = SyncLog(latency, period, network.link.echoes)
     network.frame_pump.on_sync_echo = log.came
+    network.frame_pump.on_sync_unsent = log.never_sent
     network.listen(SYNC, lambda _data, at: log.stray(at))
     return log
 

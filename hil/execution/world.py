@@ -55,6 +55,12 @@ class World:
     trouble: Callable[[], str] = str
     """What the adapter counted of lost frames and the like, in words; empty if there is nothing."""
 
+    def tell_troubles(self, tell: Callable[[Instant, str, str], None]) -> None:
+        """From now on let ``tell`` know what befalls an adapter: the instant, the level and the text of an
+        event."""
+        for link in (self.link, *[segment.link for segment in self.further]):
+            link.on_trouble = lambda text, at: tell(at, "WARN", text)
+
 
 @dataclass(frozen=True, slots=True)
 class FurtherSegment:

@@ -20,7 +20,7 @@ from hil.loop.lessons import Lessons
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.readback_tie import ReadbackTie, Telling
 from hil.loop.safety import SafetyGuard
-from hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Sending
+from hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Sending, without_sync
 from hil.loop.scenario import Quantity, ReferenceProfile
 from hil.loop.stamp_attribution import REVOKED, StampAttribution
 from hil.loop.syncs import SyncLog, SyncMark
@@ -353,12 +353,12 @@ class Axis:
         tick, fate, mark = decision.tick, decision.fate, decision.mark
         assert fate is not None
         if sending is not None and not decision.follows:
-            sending = Sending(
-                sending.raw, sending.handed_at, sending.on_bus_at, CommandFate.NOT_FOLLOWED, None, None
-            )
+            sending = replaced(sending, fate=CommandFate.NOT_FOLLOWED, acts_after=None, acts_by=None)
         clock = self.by_stamp.clock
         observation = self.by_order.question.applied(self.by_stamp.question.applied(fate.observation))
         by_others = isinstance(observation, Dropout) and observation.cause in _SHOWN_BY_OTHERS
+        if mark is not None and mark.unsent:
+            mark, observation = None, without_sync(observation)
         if (mark is not None and not mark.sure) or (by_others and self.meter.doubts(tick.sequence)):
             observation = replaced(observation, certain=False)
         self.uncertain += not observation.certain

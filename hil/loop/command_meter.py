@@ -353,7 +353,7 @@ class CommandMeter:
         if self._asked == len(followed) or followed[self._asked].sent.sequence != sequence:
             return None
         command = followed[self._asked]
-        fate = command.fate
+        fate = CommandFate.NOT_SENT if command.sent.unsent else command.fate
         if fate is not None:
             if self._stamping and self.patient and not command.stamped and now - sequence < self._horizon:
                 return None

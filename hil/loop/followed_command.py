@@ -57,7 +57,7 @@ class FollowedCommand:
         on_bus_at = self.sent.on_bus_at
         if on_bus_at is not None:
             return on_bus_at <= at
-        return not self.shows and self.sent.handed_at <= at
+        return not (self.shows or self.sent.unsent) and self.sent.handed_at <= at
 
     def acted_before(self, at: Instant) -> bool:
         """Whether it is known to have acted before ``at``."""

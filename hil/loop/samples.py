@@ -19,7 +19,8 @@ class DropoutCause(Enum):
     STALE = "stale"
     """It came in time, but a newer one had already been used."""
     MISSED = "missed"
-    """The host sent no SYNC: it was too late itself, or its last SYNC was not on the bus yet."""
+    """The host sent no SYNC: it was too late itself, its last SYNC was not on the bus yet, or the adapter had
+    no room for it."""
 
 
 class Sample(Record):
@@ -60,6 +61,13 @@ class Dropout(Record):
 Observation = Sample | Dropout
 
 
+def without_sync(observation: Observation) -> Observation:
+    """What came of a cycle whose SYNC never went out."""
+    if isinstance(observation, Dropout):
+        return Dropout(observation.sequence, observation.due_at, DropoutCause.MISSED, True)
+    return observation
+
+
 class StateEstimate(Record):
     """What the controller is given: the state, and the instant for which it holds."""
 
@@ -94,6 +102,8 @@ class CommandFate(Enum):
     """It equals a neighbour, or was replaced before the drive told."""
     NOT_FOLLOWED = "not followed"
     """The drive was in another mode, or said that it ignores its target."""
+    NOT_SENT = "not sent"
+    """The adapter had no room for it until the next one was to be sent: queue full, or interface down."""
 
 
 class Sending(Record):

@@ -59,6 +59,8 @@ class SyncMark:
         self.late_ns = 0
         """By how much it may have ended before ``on_bus_at``, as its echo took so much longer from the
         hand-over than the quickest of the last ones: it waited in front of the bus, or was stamped late."""
+        self.unsent = False
+        """Whether it never went out, as the bus had no room for it."""
 
 
 class SyncLog:
@@ -154,6 +156,15 @@ class SyncLog:
                 self._put_on_bus(mark, at)
                 return
         self.stray(at)
+
+    def never_sent(self, handed_at: Instant) -> None:
+        """The SYNC that was handed over then never went out."""
+        for mark in reversed(self.marks):
+            if mark.handed_at == handed_at:
+                mark.unsent, mark.on_bus_at = True, None
+                if mark in self._pending:
+                    self._pending.remove(mark)
+                return
 
     def _place_by_order(self, at: Instant) -> None:
         pending, instants = self._pending, self._instants

@@ -45,6 +45,7 @@ COMMAND_FATES: tuple[CommandFate, ...] = (
     CommandFate.LOST,
     CommandFate.NOT_IDENTIFIABLE,
     CommandFate.NOT_FOLLOWED,
+    CommandFate.NOT_SENT,
 )
 """``command_fate`` is the fate's place here; :data:`NOTHING` for a command that was not sent."""
 
@@ -298,4 +299,6 @@ def _place_of(fate: CommandFate) -> int:
         return 3
     if fate is CommandFate.NOT_FOLLOWED:
         return 4
+    if fate is CommandFate.NOT_SENT:
+        return 5
     return 2 if fate is CommandFate.LOST else 0

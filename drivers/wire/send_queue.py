@@ -1,0 +1,84 @@
+"""Frames that wait in front of a bus whose own transmit queue is full, or whose interface is down.
+
+first     NMT: a stop is not to wait behind anything
+then      SYNC, PDOs, EMCY, TIME, error control: in the order of their hand-over; of one identifier the
+          newest alone, as an older one would reach its node late, and several in a burst
+last      SDO and LSS requests: in the order of their hand-over
+"""
+
+import errno
+from collections import deque
+from typing import Final
+
+import can
+
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
+from drivers.wire.frame_port import WireFrame
+
+NO_ROOM: Final = frozenset({errno.ENOBUFS, errno.EAGAIN, errno.ENETDOWN})
+"""Errors of a bus that may take the same frame later. ENETDOWN: a SocketCAN socket works again once its
+interface is up."""
+RETRY_EVERY: Final = Duration(130 * NS_PER_US)
+"""A frame of 8 bytes at 1 Mbit/s: no place becomes free faster for long."""
+STUCK_AFTER: Final = Duration(NS_PER_S)
+"""No queue of a sound bus stands still so long: that is ten thousand frames. Any drive that is watched stops
+by itself before."""
+ROOM: Final = 512
+"""Requests: each node has one under way, and each master's search as many."""
+
+_SDO_FIRST, _SDO_LAST = 0x580, 0x67F
+_LSS_FIRST, _LSS_LAST = 0x7E4, 0x7E5
+
+
+class SendQueue:
+    """The frames of one link that its bus did not take yet."""
+
+    def __init__(self) -> None:
+        self.blocked_since = Instant(0)
+        """When the bus last took a frame, or the first of these began to wait."""
+        self.replaced = 0
+        """How many never went out, as a newer one with their identifier came."""
+        self._classes: tuple[deque[WireFrame], ...] = (deque(), deque(), deque())
+
+    def __len__(self) -> int:
+        return sum(map(len, self._classes))
+
+    def put(self, frame: WireFrame, now: Instant) -> WireFrame | None:
+        """Let ``frame`` wait. Returns the one that it replaces, which is not sent at all.
+
+        Raises can.CanOperationError if there are too many requests already.
+        """
+        if not self:
+            self.blocked_since = now
+        can_id = frame.can_id
+        if _SDO_FIRST <= can_id <= _SDO_LAST or _LSS_FIRST <= can_id <= _LSS_LAST:
+            if len(self._classes[2]) >= ROOM:
+                raise can.CanOperationError(f"{ROOM} requests wait already", errno.ENOBUFS)
+            self._classes[2].append(frame)
+            return None
+        if not can_id:
+            self._classes[0].append(frame)
+            return None
+        waiting = self._classes[1]
+        older = next((one for one in waiting if (one.can_id, one.remote) == (can_id, frame.remote)), None)
+        if older is not None:
+            waiting.remove(older)
+            self.replaced += 1
+        waiting.append(frame)
+        return older
+
+    def first(self) -> WireFrame | None:
+        """The one that is due next; it stays until :meth:`went`."""
+        for waiting in self._classes:
+            if waiting:
+                return waiting[0]
+        return None
+
+    def went(self, now: Instant) -> None:
+        """The bus took the first one."""
+        self.blocked_since = now
+        next(waiting for waiting in self._classes if waiting).popleft()
+
+    def stuck(self, now: Instant) -> bool:
+        """Whether the bus takes nothing any more."""
+        return bool(self) and now - self.blocked_since > STUCK_AFTER
