@@ -40,7 +40,7 @@ class Pump:
     """Frames that are there at instants of the test's choice."""
 
     def __init__(self, log: list[tuple[str, Instant]], name: str, handed_at: int = 0) -> None:
-        self.housekeeping_at = FAR
+        self.attend_at = FAR
         self.frames: list[int] = []
         self._log, self._name, self._handed_at = log, name, handed_at
 
@@ -52,8 +52,8 @@ class Pump:
         if self.frames and self.frames[0] <= until:
             self._log.append((self._name, Instant(self.frames.pop(0))))
             return True
-        if until >= self.housekeeping_at:
-            self.housekeeping_at = FAR
+        if until >= self.attend_at:
+            self.attend_at = FAR
             return True
         return False
 
@@ -119,7 +119,7 @@ def test_at_its_end_what_is_there_is_still_handled_and_nothing_is_waited_for(two
 
 
 def test_nobody_sleeps_beyond_the_next_housekeeping_of_any(two: Segments) -> None:
-    two.pumps[1].housekeeping_at = Instant(40)
+    two.pumps[1].attend_at = Instant(40)
     assert two.masters.pump_one(Instant(90))
     assert not two.masters.pump_one(Instant(90))
     assert two.waits == [40, 90]
