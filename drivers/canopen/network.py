@@ -279,8 +279,7 @@ class CanopenNetwork(canopen.Network):
 
     def poll(self, polled: Polled) -> ObjectPoll:
         """Read an object again and again; the pump looks after it. Until ``polls.end``."""
-        now = self.clock.now()
-        poll = self.polls.begin(polled, now)
+        poll = self.polls.begin(polled, now := self.clock.now())
         self._keep_house(now)
         return poll
 
@@ -325,19 +324,15 @@ class CanopenNetwork(canopen.Network):
     def _client(
         self, node_id: int, timeout_s: float | None = None, attempts: int = SDO_ATTEMPTS
     ) -> PumpedSdoClient:
-        """The node's SDO client, once its channel is free of posted transfers: polls wait meanwhile, or one
-        whose node is silent would be posted anew whenever it was given up."""
+        """The node's SDO client, once its channel is free of posted transfers."""
         client = self._client_of(node_id)
         client.RESPONSE_TIMEOUT = self.sdo_timeout_s if timeout_s is None else timeout_s
         client.MAX_RETRIES = attempts
         post = self._posts.get(node_id)
-        client.busy = True
-        try:
+        with client.taken():  # or a poll of a silent node is posted anew whenever one was given up
             while post is not None and post.in_flight is not None:
                 if not self.pump_one(post.in_flight.deadline):
                     self._keep_house(self.clock.now())  # at its deadline it is repeated or given up
-        finally:
-            client.busy = False
         return client
 
     def _on_sdo_answer(self, node_id: int, data: bytes, at: Instant) -> None:

@@ -7,7 +7,8 @@ for that queue, and waiting on it lets the network handle frames until the answe
 import logging
 import queue
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from struct import Struct
 from typing import Any, Protocol
@@ -157,9 +158,15 @@ class PumpedSdoClient(SdoClient):
         self._initiating = sdo_request[0] >> 5 in _INITIATE_REQUESTS
         if self._initiating:
             self._multiplexer = bytes(sdo_request[1:4])
+        with self.taken():
+            return super().request_response(sdo_request)  # type: ignore[no-untyped-call]
+
+    @contextmanager
+    def taken(self) -> Iterator[None]:
+        """Keep the channel: polls wait."""
         self.busy = True
         try:
-            return super().request_response(sdo_request)  # type: ignore[no-untyped-call]
+            yield
         finally:
             self.busy = False
 

@@ -38,11 +38,11 @@ def test_two_nodes_on_one_id_are_refused_and_told_at_their_answers(rig: Rig) -> 
     bus, _, network = rig
     FakeServo(bus)
     told: list[tuple[int, Instant]] = []
-    network.on_surplus_answer = lambda node_id, at: told.append((node_id, at))
+    network.on_surplus_answer = lambda node_id, _data, at: told.append((node_id, at))
     read_repeatedly(network)
     with pytest.raises(AnswersTwice, match="two devices are likely to have the node id 1"):
         network.refuse_two(1)
-    assert [node_id for node_id, _ in told] == [1] * (READS - 1)
+    assert [node_id for node_id, _ in told] == [1] * READS
     assert all(at <= bus.now() for _, at in told)
 
 
@@ -62,7 +62,7 @@ def test_answers_to_another_master_are_not_too_many(rig: Rig) -> None:
 def test_an_answer_under_way_to_another_master_at_the_first_look_is_none_too_many(rig: Rig) -> None:
     bus, _, network = rig
     told: list[int] = []
-    network.on_surplus_answer = lambda node_id, _at: told.append(node_id)
+    network.on_surplus_answer = lambda node_id, _data, _at: told.append(node_id)
     bus.deliver(0x581, bytes.fromhex("4318100134120000"), NS_PER_MS // 20)
     read_repeatedly(network)
     assert told == []
@@ -82,7 +82,7 @@ def test_answers_to_repeated_requests_are_owed_however_late(rig: Rig, late_ms: i
     """Each request is answered once, the repeated ones too, by a node that is slow for a while."""
     _, servo, network = rig
     told: list[int] = []
-    network.on_surplus_answer = lambda node_id, _at: told.append(node_id)
+    network.on_surplus_answer = lambda node_id, _data, _at: told.append(node_id)
     servo.sdo_takes_ns = late_ms * NS_PER_MS
     poll = network.poll(Polled(1, 0x6061, 0, Duration(50 * NS_PER_MS), lambda _data, _at: None))
     for index in (0x1000, 0x6071):
