@@ -14,7 +14,9 @@ EchoHandler = Callable[[bytes, Instant, Instant], None]
 """The same, and when the frame had been handed over; UNTOLD if the bus does not tell that."""
 
 
-def _one_after_another(first: Handler, second: Handler) -> Handler:
+def one_after_another(first: Handler, second: Handler) -> Handler:
+    """A handler of both."""
+
     def both(data: bytes, at: Instant) -> None:
         first(data, at)
         second(data, at)
@@ -74,7 +76,7 @@ class FramePump(Master):
     def _join(self, can_id: int) -> None:
         first, second = self._listeners.get(can_id), self._overhearers.get(can_id)
         if second is not None:
-            first = _one_after_another(first or partial(self._others, can_id), second)
+            first = one_after_another(first or partial(self._others, can_id), second)
         if first is None:
             self.handlers.pop(can_id, None)
         else:

@@ -114,9 +114,18 @@ class ReadingAssembler:
         self._inlets: dict[int, _Inlet] = {}
         self._subscribe(network, plan, follow, stamp.index)
 
-    def frames_taken(self, cob_id: int) -> int:
-        """How many frames of a TPDO came, malformed ones among them."""
-        return self._inlets[cob_id].frames
+    def keep_frames(self, cob_id: int) -> None:
+        """From now on keep the frames of a TPDO, malformed ones among them, for :meth:`take_frames`."""
+        self._inlets[cob_id].kept = []
+
+    def take_frames(self, cob_id: int) -> list[tuple[bytes, Instant]]:
+        """Those that came since the last call, each with its instant; none if nobody keeps them."""
+        inlet = self._inlets[cob_id]
+        kept = inlet.kept
+        if not kept:
+            return []
+        inlet.kept = []
+        return kept
 
     def take(self) -> list[Reading]:
         """The readings completed since the last call, oldest first."""
@@ -281,7 +290,7 @@ class _Inlet:
         stamp_index: int,
     ) -> None:
         codec = pdo.codec()
-        self.frames = 0
+        self.kept: list[tuple[bytes, Instant]] | None = None
         self._assembler = assembler
         self._told = told
         self._follow = follow
@@ -299,7 +308,8 @@ class _Inlet:
 
     def take(self, data: bytes, at: Instant) -> None:
         assembler = self._assembler
-        self.frames += 1
+        if self.kept is not None:
+            self.kept.append((data, at))
         if len(data) != self._size:
             assembler.malformed += 1
             return

@@ -248,7 +248,7 @@ class Exerciser:
         self.port.take_readings()
         self.port.begin()
         try:
-            self.guard.arm({None: syncs})
+            self.guard.arm({None: syncs}, self.timing.period)
             loop.calibrate()
             loop.run(
                 duration_s(duration),

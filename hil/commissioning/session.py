@@ -284,7 +284,7 @@ class Session:
             notes += refused
         notes += set_ramps(self.objects, findings, mode, self.most_told)
         self._port = DrivePort(self.drive, mode, findings.period / NS_PER_S, braking_rad_s2)
-        self.guard.arm({})
+        self.guard.arm({}, findings.period)
         return notes
 
     def most_told(self, index: int) -> int | None:

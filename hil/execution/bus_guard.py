@@ -13,27 +13,30 @@ instant of its frame; further ones are counted, for the summary. The first two k
 
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Final, NamedTuple
 
 from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, NMT, SDO_ANSWER, SDO_REQUEST, SYNC
-from drivers.canopen.frame_pump import Handler
+from drivers.canopen.frame_pump import Handler, one_after_another
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt import Emergency, parse_emergency
 from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.canopen.objects301 import Cia301
-from drivers.canopen.owed import Owed
-from drivers.canopen.pdo import PdoMap
 from drivers.canopen.sdo import object_name
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.config import Foreign, Guard, Rule
+from hil.execution.stream_watch import QUIET_SYNCS, Delays, SyncedStream, TimedStream
+from hil.loop.axis import Axis
 from hil.loop.syncs import REMEMBERED, SyncLog
 from hil.rows.frame_names import frame_name
 
 LOOK_EVERY: Final = Duration(100 * NS_PER_MS)
 """Far below a second, in which a bench can still be stopped in time; far above a cycle, which it is not to
 cost anything."""
+LOOK_EVERY_SYNCS: Final = REMEMBERED // 2
+"""So often, where that is more: later the SYNCs are forgotten that frames are held against."""
 ERRORS_A_SECOND_MAX: Final = 16
 """A transmitter that meets so many errors in a row is error passive (8 are counted for each, 128 is the
 limit: ISO 11898-1, 12.1.4); a bus in order has less than one an hour."""
@@ -51,6 +54,9 @@ OBJECTS_TOLD: Final = 16
 """So many written objects are told apart: who writes more writes anything."""
 
 
+NO_HEARTBEATS: Final[Mapping[str, int]] = {}
+
+
 class ForeignTraffic(PeerFault):
     """Somebody else does on the bus what ``[guard]`` of the bench does not bear."""
 
@@ -62,24 +68,9 @@ class GuardedSegment(NamedTuple):
     drives: tuple[ServoDrive, ...]
 
 
-class _TpdoAccount:
-    """TPDOs of one drive, held against the SYNCs of its segment."""
-
-    def __init__(self, drive: ServoDrive, pdo: PdoMap, syncs: SyncLog) -> None:
-        self.title = f"{pdo.name} of node {drive.node_id} ({pdo.cob_id:03X}h)"
-        self._drive, self._cob_id, self._syncs = drive, pdo.cob_id, syncs
-        self._syncs_each = max(1, pdo.transmission_type)
-        self._owed = Owed(REMEMBERED + self._syncs_each)
-        self._owed.expect(2 * self._syncs_each)  # one under way, and the phase of one that comes seldom
-        self._counted, self._taken = syncs.counted, drive.assembler.frames_taken(pdo.cob_id)
-
-    def surplus(self) -> int:
-        """How many more came since the last call than the SYNCs since then ask for."""
-        counted, taken = self._syncs.counted, self._drive.assembler.frames_taken(self._cob_id)
-        self._owed.expect(counted - self._counted)
-        beyond = self._owed.came((taken - self._taken) * self._syncs_each)
-        self._counted, self._taken = counted, taken
-        return -(-beyond // self._syncs_each)
+class _WatchedTpdo(NamedTuple):
+    title: str
+    stream: SyncedStream
 
 
 class BusGuard:
@@ -121,7 +112,8 @@ class BusGuard:
         self._tell = tell
         self._error_frames = error_frames
         self._ends_run = True
-        self._accounts: list[_TpdoAccount] = []
+        self._tpdos: list[_WatchedTpdo] = []
+        self._look_every = LOOK_EVERY
         self._errors: deque[int] = deque([error_frames()], maxlen=NS_PER_S // LOOK_EVERY + 1)
         self._look_at = Instant(0)
         self._on_emergency = {
@@ -132,18 +124,34 @@ class BusGuard:
             segment.network.on_surplus_answer = self._on_surplus_answer
             self._watch_own_identifiers(segment, own_sync)
 
-    def arm(self, syncs: Mapping[str | None, SyncLog]) -> None:
+    def arm(
+        self,
+        syncs: Mapping[str | None, SyncLog],
+        period: Duration,
+        axes: Sequence[Axis] = (),
+        heartbeats_ms: Mapping[str, int] = NO_HEARTBEATS,
+    ) -> None:
         """The drives are configured, and nobody starts any more.
 
-        ``syncs``: by the name of their segment, where readings are held against them.
+        ``syncs``: by the name of their segment, where readings are held against them; ``period``: of them.
+        ``axes``: what is known of the delays of readings; without it no single one is told.
+        ``heartbeats_ms``: periods of the drives' heartbeats, by name.
         """
         self._ends_run = True
-        self._accounts = []
+        self._look_every = Duration(min(LOOK_EVERY, LOOK_EVERY_SYNCS * period))
+        delays = {axis.parts.name: partial(_delays_of, axis, period) for axis in axes}
+        self._tpdos = []
         for name, segment in self._segments.items():
+            self._watch_nodes(name, segment)
             for drive in segment.drives:
                 self._watch_commands(segment, drive)
-            self._watch_nodes(name, segment)
-            self._accounts += _accounts(segment, syncs[name]) if name in syncs else []
+                self._watch_timers(segment, drive, heartbeats_ms.get(drive.name, 0))
+                for pdo in drive.plan.tpdos if drive.plan is not None and name in syncs else ():
+                    if pdo.synchronous:
+                        title = f"{pdo.name} of node {drive.node_id} ({pdo.cob_id:03X}h)"
+                        known = delays.get(drive.name, _unknown)
+                        stream = SyncedStream(pdo, drive.assembler, syncs[name], known)
+                        self._tpdos.append(_WatchedTpdo(title, stream))
 
     def attend(self, now: Instant) -> None:
         """To be called in each cycle; costs something ten times a second."""
@@ -151,12 +159,8 @@ class BusGuard:
             return
         if now - self._look_at > NS_PER_S:
             self._forget_errors()
-        self._look_at = Instant(now + LOOK_EVERY)
-        for account in self._accounts:
-            surplus = account.surplus()
-            if surplus:
-                what = f"{account.title}: more than the SYNCs ask for"
-                self._foreign("tpdo", what, now, f"{surplus} within the last 0.1 s", surplus)
+        self._look_at = Instant(now + self._look_every)
+        self._look_at_tpdos(now)
         errors = self._error_frames()
         rise = errors - self._errors[0]
         self._errors.append(errors)
@@ -164,6 +168,15 @@ class BusGuard:
             self._forget_errors()
             what = f"{ERRORS_A_SECOND_MAX} and more error frames within a second"
             self._note(self._rules.on_bus_errors, what, now, f"{rise} now, {errors} in all")
+
+    def _look_at_tpdos(self, now: Instant, *, at_end: bool = False) -> None:
+        for tpdo in self._tpdos:
+            what = f"{tpdo.title}: more than the SYNCs ask for"
+            extras, more = tpdo.stream.look(at_end=at_end)
+            for extra in extras:
+                self._foreign("tpdo", what, extra.at, f"data {_hex(extra.data)}")
+            if more:
+                self._foreign("tpdo", what, now, f"{more} since the last look", more)
 
     def attending(self, chore: Callable[[Instant], None] | None) -> Callable[[Instant], None]:
         """:meth:`attend` and another chore of the loop."""
@@ -180,7 +193,6 @@ class BusGuard:
     def calm(self) -> None:
         """The run is over: from now on all is only told."""
         self._ends_run = False
-        self._accounts = []
 
     def end(self, now: Instant, zero: Instant | None = None) -> tuple[str, ...]:
         """Say what was seen more than once, and return what others sent that ``[guard] allow`` does not name:
@@ -188,6 +200,7 @@ class BusGuard:
 
         ``zero``: of the run; None: the guard's own beginning is.
         """
+        self._look_at_tpdos(now, at_end=True)
         since = self._made_at if zero is None else zero
         found = []
         for what, count in self.counts.items():
@@ -252,6 +265,31 @@ class BusGuard:
                 pump.overhear(ERROR_CONTROL + node_id, self._boot_watcher(node_id))
             if node_id not in own:
                 pump.overhear(EMERGENCY + node_id, _emergency_watcher(node_id, listener))
+
+    def _watch_timers(self, segment: GuardedSegment, drive: ServoDrive, heartbeat_ms: int) -> None:
+        """Heartbeats, unless the drive is guarded, and TPDOs that come by a timer while nothing changes."""
+        node_id, pump = drive.node_id, segment.network.frame_pump
+        if heartbeat_ms and not segment.network.status(node_id).guarded:
+            can_id = ERROR_CONTROL + node_id
+            title = f"heartbeat of node {node_id} ({can_id:03X}h)"
+            stream = TimedStream(Duration(heartbeat_ms * NS_PER_MS), repeats=True)
+            boots, beats = self._boot_watcher(node_id), self._timer_watcher("heartbeat", title, stream)
+            pump.overhear(can_id, one_after_another(boots, beats))
+        for pdo in drive.plan.tpdos if drive.plan is not None else ():
+            if pdo.event_timer_ms and not pdo.synchronous:
+                period = Duration(pdo.event_timer_ms * NS_PER_MS)
+                title = f"{pdo.name} of node {drive.node_id} ({pdo.cob_id:03X}h)"
+                watch = self._timer_watcher("tpdo", title, TimedStream(period, repeats=False))
+                pump.overhear(pdo.cob_id, watch)
+
+    def _timer_watcher(self, kind: Foreign, title: str, stream: TimedStream) -> Handler:
+        what = f"{title}: more than its timer asks for"
+
+        def watch(data: bytes, at: Instant) -> None:
+            for extra in stream.take(data, at):
+                self._foreign(kind, what, extra.at, f"data {_hex(extra.data)}")
+
+        return watch
 
     def _foreign_watcher(self, kind: Foreign, can_id: int) -> Handler:
         what = f"{frame_name(can_id)} ({can_id:03X}h) that the bench did not send"
@@ -334,14 +372,17 @@ def _unless_others(drive: ServoDrive, can_id: int, watch: Handler) -> Handler:
     return watch_own
 
 
-def _accounts(segment: GuardedSegment, syncs: SyncLog) -> list[_TpdoAccount]:
-    return [
-        _TpdoAccount(drive, pdo, syncs)
-        for drive in segment.drives
-        if drive.plan is not None
-        for pdo in drive.plan.tpdos
-        if pdo.synchronous
-    ]
+def _unknown() -> Delays:
+    return Delays.UNKNOWN
+
+
+def _delays_of(axis: Axis, period: Duration) -> Delays:
+    stamped = axis.by_stamp.clock.ready
+    known = not axis.by_stamp.question.open if stamped else axis.by_order.settled
+    if not known or axis.meter.typical_delay >= period:
+        return Delays.UNKNOWN
+    enough = stamped and axis.by_stamp.health.placed >= QUIET_SYNCS
+    return Delays.ALL_SHORT if enough and axis.by_stamp.longest_delay < period else Delays.SHORT
 
 
 def _emergency_watcher(node_id: int, listener: Callable[[Emergency], None]) -> Handler:

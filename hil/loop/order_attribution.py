@@ -58,6 +58,11 @@ class OrderAttribution:
         """Cycles whose readings wait for the end of the probe, and the bounds of their samples if they are
         placed right."""
 
+    @property
+    def settled(self) -> bool:
+        """Whether it is known that readings answer the SYNC before them."""
+        return self._sure and not self._beyond
+
     def learn(self, reading: Reading, mark: SyncMark) -> None:
         """Take a reading that can only answer the SYNC of ``mark``."""
         if mark.on_bus_at is not None:

@@ -84,6 +84,11 @@ class StampAttribution:
         may not show with the first reading: a placement is final only :data:`REVOKED` readings later."""
         return self._case.delays.spreads(self._half)
 
+    @property
+    def longest_delay(self) -> int:
+        """Of the last thousand readings or so, ns."""
+        return self._case.delays.high
+
     def learn(self, reading: Reading, mark: SyncMark) -> None:
         """Take a reading that can only answer the SYNC of ``mark``."""
         device_ns, on_bus_at = reading.device_time_ns, mark.on_bus_at

@@ -137,7 +137,7 @@ class Measurement:
         self._axes = [subject.join(number, syncs, self._say) for number, subject in enumerate(self._subjects)]
         pump = self._network.frame_pump
         pace = OwnSync(pump, world.clock, timing.period, [syncs], world.faults.host_stall)
-        self._guard.arm({None: syncs})
+        self._guard.arm({None: syncs}, timing.period, self._axes)
         loop = Loop(pump, world.clock, self._axes, pace, timing, self._guard.attend)
         self._progress("calibrating", 0.0)
         loop.calibrate()

@@ -1,0 +1,239 @@
+"""Frames that come regularly, and what comes between two of them.
+
+A drive answers each SYNC once, and sends its heartbeat, or a TPDO of which nothing changes, by a timer. While
+a stream was regular for long enough, a frame is one too many if the next one comes in its own time as if it
+had not been there:
+
+    place     61   62   63   64 64   65      a SYNC each, or a time
+    frames    a    b    c    d  x    e       x: nobody asked for it
+
+Of two frames of one SYNC that is taken for the extra one whose delay is less usual. One that equals another
+of the last frames is no news: a bus, an adapter or a gateway may repeat it.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+from drivers.canopen.owed import Owed
+from drivers.canopen.pdo import PdoMap
+from drivers.cia402.readings import ReadingAssembler
+from drivers.timebase import Duration, Instant
+from hil.loop.syncs import REMEMBERED, SyncLog
+
+REGULAR: Final = 64
+"""SYNCs that must have been answered in order before one too many is told: a frame that was held back for
+longer than so many periods is taken for lost by any bench."""
+REGULAR_IN_TIME: Final = 2
+"""The same where all readings that are remembered were sampled less than a period before they came, and no
+SYNC had two frames for :data:`QUIET_SYNCS`: then a frame that is missing was lost, and not held back."""
+QUIET_SYNCS: Final = 2000
+"""A fault that holds one frame in two hundred back would have shown ten times."""
+REGULAR_TIMED: Final = 2
+"""The same of a stream by timer, whose next frame has to come where it was due."""
+TOLERANCE: Final = 40
+"""A frame by timer is in time within this part of its period: what a busy bus holds it up."""
+RECENT: Final = 32
+"""Frames of which another one may be a repetition."""
+EXTRAS_MAX: Final = 16
+"""More between two regular frames are a flood, which is counted against the SYNCs."""
+
+
+class Delays(IntEnum):
+    """What is known of the delays of a drive's readings."""
+
+    UNKNOWN = 0
+    """Or some are longer than a period."""
+    SHORT = 1
+    """Most are shorter than a period."""
+    ALL_SHORT = 2
+    """All are, of a thousand or so, by the drive's stamps."""
+
+
+class Extra(NamedTuple):
+    """A frame that nobody asked for."""
+
+    at: Instant
+    data: bytes
+
+
+class _Frame(NamedTuple):
+    extra: Extra
+    delay: int
+    repeated: bool
+
+
+class RegularStream:
+    """One such stream: frames whose places are ``step`` apart, within ``tolerance``."""
+
+    def __init__(
+        self,
+        step: int,
+        tolerance: int = 0,
+        least: int = REGULAR,
+        *,
+        repeats: bool = False,
+        same: bool = False,
+    ) -> None:
+        """``least``: regular frames before an extra one. ``repeats``: frames are all alike. ``same``: the
+        regular frame after an extra one must be as the one before."""
+        self.last: int | None = None
+        """Place of the last regular frame."""
+        self.regular = 0
+        """How many came in order."""
+        self.least = least
+        self.repetitions = 0
+        """Frames too many that may be repetitions of one before."""
+        self.doubled = False
+        """Since this was last set back there was more than one frame where one was due."""
+        self._step, self._tolerance = step, tolerance
+        self._repeats, self._same = repeats, same
+        self._recent: deque[bytes] = deque(maxlen=RECENT)
+        self._usual = 0.0
+        self._frame = _Frame(Extra(Instant(0), b""), 0, False)
+        self._extras: list[_Frame] = []
+
+    def trust(self, place: int) -> None:
+        """Nothing was ever lost: the frame at ``place`` is expected next."""
+        self.last, self.regular = place - self._step, self.least
+
+    def take(self, place: int, delay: int, data: bytes, at: Instant) -> list[Extra]:
+        """A frame has come, ``delay`` after what it answers; which before it were extra ones."""
+        frame = _Frame(Extra(at, data), delay, not self._repeats and data in self._recent)
+        last = self.last
+        moved = self._step if last is None else place - last
+        if abs(moved - self._step) <= self._tolerance:
+            self._recent.append(data)
+            found = self._found(data) if self._extras else []
+            self.last, self._frame = place, frame
+            self.regular += 1
+            self._usual += (delay - self._usual) / 8.0
+            return found
+        if 0 <= moved < self._step:
+            self.doubled = True
+            self.repetitions += frame.repeated or self._frame.repeated
+        if 0 <= moved < self._step and self.regular >= self.least and len(self._extras) < EXTRAS_MAX:
+            if not moved and abs(delay - self._usual) < abs(self._frame.delay - self._usual):
+                frame, self._frame = self._frame, frame
+            if not frame.repeated:
+                self._extras.append(frame)
+            return []
+        self._recent.append(data)
+        self.last, self._frame, self.regular = place, frame, 0
+        self._extras.clear()
+        return []
+
+    def pass_over(self, places: range, delay: int, frames: list[bytes]) -> None:
+        """Frames have come, one for each of ``places``, which follow the last."""
+        self.last = places[-1]
+        self.regular += len(places)
+        self._recent.extend(frames)
+        self._usual += (delay - self._usual) / 8.0
+        self._frame = _Frame(Extra(Instant(0), frames[-1]), delay, False)
+
+    def end(self) -> list[Extra]:
+        """No regular frame comes any more: what came since the last one nobody asked for."""
+        extras, self._extras = self._extras, []
+        return [frame.extra for frame in extras]
+
+    @property
+    def calm(self) -> bool:
+        """Nothing extra is in question."""
+        return not self._extras
+
+    def _found(self, data: bytes) -> list[Extra]:
+        """The extra frames before a regular one."""
+        extras, before = self._extras, self._frame
+        self._extras = []
+        back = data == before.extra.data
+        if (self._same and not back) or (before.repeated and not back):
+            return []
+        return [frame.extra for frame in extras]
+
+
+class TimedStream:
+    """Frames by a timer of ``period``."""
+
+    def __init__(self, period: Duration, *, repeats: bool) -> None:
+        tolerance = period // TOLERANCE
+        self._stream = RegularStream(period, tolerance, REGULAR_TIMED, repeats=repeats, same=not repeats)
+
+    def take(self, data: bytes, at: Instant) -> list[Extra]:
+        """A frame has come; which before it nobody asked for."""
+        return self._stream.take(at, 0, data, at)
+
+
+class SyncedStream:
+    """The frames of a synchronous TPDO, held against the SYNCs of its segment."""
+
+    def __init__(
+        self, pdo: PdoMap, assembler: ReadingAssembler, syncs: SyncLog, delays: Callable[[], Delays]
+    ) -> None:
+        """``delays``: of the drive's readings, asked at each look: one that was longer than a period and then
+        is not brings two frames for one SYNC."""
+        self._assembler, self._syncs, self._delays = assembler, syncs, delays
+        self._cob_id = pdo.cob_id
+        self._each = max(1, pdo.transmission_type)
+        self._owed = Owed(REMEMBERED + self._each)
+        self._owed.expect(2 * self._each)  # one under way, and the phase of one that comes seldom
+        self._stream = RegularStream(self._each)
+        self._counted = self._told = 0
+        self._were = Delays.UNKNOWN
+        self._quiet_since = syncs.counted
+        assembler.keep_frames(pdo.cob_id)
+        self._seen = syncs.marks[-1].number if syncs.marks else 0
+        self._counted = syncs.counted
+        if self._each == 1:
+            self._stream.trust(self._seen + 1)
+
+    def look(self, *, at_end: bool = False) -> tuple[list[Extra], int]:
+        """What has come since the last call that no SYNC asked for: frames that are known, and how many more
+        there are than SYNCs. To be called before so many SYNCs are forgotten; ``at_end``: no more come."""
+        frames = self._assembler.take_frames(self._cob_id)
+        quiet = self._syncs.counted - self._quiet_since >= QUIET_SYNCS and self._were is Delays.ALL_SHORT
+        self._stream.least, self._stream.doubled = REGULAR_IN_TIME if quiet else REGULAR, False
+        extras = [*self._extras(frames), *(self._stream.end() if at_end else ())]
+        found = extras if self._were else []
+        self._were = self._delays()
+        if self._stream.doubled and not found:
+            self._quiet_since = self._syncs.counted
+        counted = self._syncs.counted
+        self._owed.expect(counted - self._counted)
+        self._counted = counted
+        self._owed.came(len(frames) * self._each)
+        self._told += len(found)
+        beyond = -(-self._owed.surplus // self._each) - self._told - self._stream.repetitions
+        self._told += max(0, beyond)
+        return found, max(0, beyond)
+
+    def _extras(self, frames: list[tuple[bytes, Instant]]) -> Iterator[Extra]:
+        starts = [
+            (mark.handed_at if mark.on_bus_at is None else mark.on_bus_at, mark.number)
+            for mark in self._syncs.marks
+            if mark.number >= self._seen
+        ]
+        if self._passes(starts, frames):
+            return
+        place = 0
+        for data, at in frames:
+            while place + 1 < len(starts) and starts[place + 1][0] <= at:
+                place += 1
+            if starts and starts[place][0] <= at:
+                self._seen = starts[place][1]
+                yield from self._stream.take(self._seen, at - starts[place][0], data, at)
+
+    def _passes(self, starts: list[tuple[Instant, int]], frames: list[tuple[bytes, Instant]]) -> bool:
+        """Whether each SYNC since the last look has its one frame: so it is nearly always."""
+        stream, new = self._stream, starts[1:]
+        if not frames or self._each > 1 or len(new) != len(frames) or not stream.calm:
+            return False
+        if starts[0][1] != self._seen or stream.last != self._seen:
+            return False
+        came = [at for _, at in frames]
+        begun = [at for at, _ in new]
+        if not all(map(int.__lt__, begun, came)) or not all(map(int.__lt__, came, begun[1:])):
+            return False
+        first, self._seen = self._seen + 1, new[-1][1]
+        stream.pass_over(range(first, self._seen + 1), came[-1] - begun[-1], [data for data, _ in frames])
+        return True

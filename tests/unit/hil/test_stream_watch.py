@@ -1,0 +1,126 @@
+"""A stream that is regular: what comes between two of its frames is told, and nothing else is."""
+
+from random import Random
+from typing import Final, cast
+
+import pytest
+
+from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
+from drivers.cia402.readings import ReadingAssembler
+from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.wire.frame_port import EchoBasis
+from hil.execution.stream_watch import Delays, SyncedStream, TimedStream
+from hil.loop.syncs import SyncLog
+
+PERIOD: Final = NS_PER_MS
+DELAY: Final = 300_000
+LOOK: Final = 50
+FORGED: Final = b"forged"
+
+
+class Stream:
+    """A drive that answers SYNCs, and a bench that looks every 50."""
+
+    def __init__(self, every: int = 1, delays: Delays = Delays.SHORT) -> None:
+        self.delays = delays
+        self.frames: list[tuple[Instant, bytes]] = []
+        self.syncs = SyncLog(Duration(0), Duration(PERIOD), EchoBasis.NONE)
+        pdo = PdoMap(PdoDirection.TRANSMIT, 1, 0x181, (PdoEntry(0x606C, 0, "i"),), every)
+        self.watch = SyncedStream(pdo, cast(ReadingAssembler, self), self.syncs, lambda: self.delays)
+
+    def keep_frames(self, cob_id: int) -> None:
+        assert cob_id == 0x181
+
+    def take_frames(self, cob_id: int) -> list[tuple[bytes, Instant]]:
+        assert cob_id == 0x181
+        frames, self.frames = sorted(self.frames), []
+        return [(data, at) for at, data in frames]
+
+    def told(self, arrivals: dict[int, list[int]], syncs: int, at_end: bool = False) -> list[bytes]:
+        """What is told of ``syncs``; ``arrivals``: by SYNC, delays of its frames, ns, negative: forged."""
+        found: list[bytes] = []
+        for number in range(1, syncs + 1):
+            at = number * PERIOD
+            self.syncs.handed(number, Instant(at))
+            for nth, delay in enumerate(arrivals.get(number, [])):
+                data = FORGED if delay < 0 else b"%d %d" % (number, nth)
+                self.frames.append((Instant(at + abs(delay)), data))
+            if number % LOOK == 0:
+                found += self.look(at)
+        return found + (self.look(1 << 60, at_end=True) if at_end else [])
+
+    def look(self, at: int, at_end: bool = False) -> list[bytes]:
+        later = [frame for frame in self.frames if frame[0] > at]
+        self.frames = [frame for frame in self.frames if frame[0] <= at]
+        extras, more = self.watch.look(at_end=at_end)
+        self.frames += later
+        return [extra.data for extra in extras] + more * [b"too many"]
+
+
+def regular(syncs: int, every: int = 1) -> dict[int, list[int]]:
+    return {number: [DELAY] for number in range(every, syncs + 1, every)}
+
+
+@pytest.mark.parametrize("every", [1, 10])
+@pytest.mark.parametrize("late", [-1000, -DELAY + 1000, -999_000])
+def test_a_single_frame_too_many_is_told_wherever_it_comes(every: int, late: int) -> None:
+    for number in (810, 813, 850, 1499):
+        arrivals = regular(1500, every)
+        arrivals[number] = [*arrivals.get(number, []), late]
+        found = Stream(every).told(arrivals, 1500, at_end=True)
+        assert found == [FORGED], (number, late)
+
+
+def test_what_was_held_back_is_nobodys() -> None:
+    """Losses, and frames up to 40 periods late, out of order, drawn 40 times."""
+    for seed in range(40):
+        draw, stream = Random(seed), Stream()
+        rate = draw.choice((0.003, 0.02, 0.2))
+        arrivals = {
+            number: [DELAY + draw.choice((0, draw.randrange(40 * PERIOD)))]
+            if draw.random() < rate
+            else [DELAY]
+            for number in range(1, 3001)
+            if draw.random() > rate
+        }
+        assert stream.told(arrivals, 3000, at_end=True) == []
+
+
+def test_a_delay_that_was_longer_than_a_period_and_then_is_not_is_nobodys() -> None:
+    arrivals = {number: [DELAY + (number < 1010) * PERIOD] for number in range(1, 2001)}
+    assert Stream(delays=Delays.UNKNOWN).told(arrivals, 2000) == []
+
+
+@pytest.mark.parametrize("later", [0, 100_000, 900_000, 2_500_000])
+def test_a_repetition_is_no_news(later: int) -> None:
+    stream = Stream()
+    arrivals = regular(1000)
+    for number in range(500, 900, 70):
+        at = Instant(number * PERIOD + DELAY + later)
+        stream.frames.append((at, b"%d 0" % number))
+    assert stream.told(arrivals, 1000) == []
+
+
+def test_where_all_delays_are_short_losses_hide_nothing() -> None:
+    draw, found = Random(7), 0
+    for number in range(2300, 2330):
+        arrivals = {each: [DELAY] for each in range(1, 2501) if draw.random() > 0.05}
+        arrivals[number] = [*arrivals.get(number, []), -draw.randrange(PERIOD)]
+        found += Stream(delays=Delays.ALL_SHORT).told(arrivals, 2500) == [FORGED]
+    assert found >= 22, "all but those beside a loss"
+
+
+@pytest.mark.parametrize("off_ms", [1, 12, 24])
+def test_a_frame_between_two_of_a_timer_is_told_and_one_that_begins_it_anew_is_not(off_ms: int) -> None:
+    period = Duration(25 * NS_PER_MS)
+
+    def told(*frames: tuple[int, bytes]) -> list[bytes]:
+        stream = TimedStream(period, repeats=False)
+        return [extra.data for at, data in frames for extra in stream.take(data, Instant(at * NS_PER_MS))]
+
+    before = [(at, b"state") for at in range(0, 200, 25)]
+    after = [(at, b"state") for at in range(200, 400, 25)]
+    assert told(*before, (175 + off_ms, FORGED), *after) == [FORGED]
+    changed = 175 + off_ms
+    assert told(*before, *[(at, b"changed") for at in range(changed, 400, 25)]) == []
+    assert told(*before, (changed, b"state"), *after) == [], "the same again"
