@@ -244,9 +244,7 @@ class _Run:
             )
             for number, drive in enumerate(self._drives)
         ]
-        self._guard.arm(
-            syncs, timing.period, self._axes, {n: d.heartbeat_ms for n, d in config.drive.items()}
-        )
+        self._guard.arm(syncs, timing.period, self._axes, config.drive)
         chore = self._guard.attending(self._load.chore)
         loop = Loop(self._master, world.clock, self._axes, pace, timing, chore)
         with sync_producer(config.loop.sync, world.link.bus, timing.period):

@@ -27,7 +27,8 @@ from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.config import Foreign, Guard, Rule
-from hil.execution.stream_watch import QUIET_SYNCS, Delays, SyncedStream, TimedStream
+from hil.configuration.config_axis import DriveConfig
+from hil.execution.stream_watch import QUIET_SYNCS, DelaysKnown, SyncedStream, TimedStream
 from hil.loop.axis import Axis
 from hil.loop.syncs import REMEMBERED, SyncLog
 from hil.rows.frame_names import frame_name
@@ -54,7 +55,7 @@ OBJECTS_TOLD: Final = 16
 """So many written objects are told apart: who writes more writes anything."""
 
 
-NO_HEARTBEATS: Final[Mapping[str, int]] = {}
+NO_BENCH: Final[Mapping[str, DriveConfig]] = {}
 
 
 class ForeignTraffic(PeerFault):
@@ -129,13 +130,13 @@ class BusGuard:
         syncs: Mapping[str | None, SyncLog],
         period: Duration,
         axes: Sequence[Axis] = (),
-        heartbeats_ms: Mapping[str, int] = NO_HEARTBEATS,
+        bench: Mapping[str, DriveConfig] = NO_BENCH,
     ) -> None:
         """The drives are configured, and nobody starts any more.
 
         ``syncs``: by the name of their segment, where readings are held against them; ``period``: of them.
         ``axes``: what is known of the delays of readings; without it no single one is told.
-        ``heartbeats_ms``: periods of the drives' heartbeats, by name.
+        ``bench``: what a bench file says of the drives, by name: periods of their heartbeats.
         """
         self._ends_run = True
         self._look_every = Duration(min(LOOK_EVERY, LOOK_EVERY_SYNCS * period))
@@ -145,7 +146,7 @@ class BusGuard:
             self._watch_nodes(name, segment)
             for drive in segment.drives:
                 self._watch_commands(segment, drive)
-                self._watch_timers(segment, drive, heartbeats_ms.get(drive.name, 0))
+                self._watch_timers(segment, drive, bench.get(drive.name))
                 for pdo in drive.plan.tpdos if drive.plan is not None and name in syncs else ():
                     if pdo.synchronous:
                         title = f"{pdo.name} of node {drive.node_id} ({pdo.cob_id:03X}h)"
@@ -266,13 +267,13 @@ class BusGuard:
             if node_id not in own:
                 pump.overhear(EMERGENCY + node_id, _emergency_watcher(node_id, listener))
 
-    def _watch_timers(self, segment: GuardedSegment, drive: ServoDrive, heartbeat_ms: int) -> None:
+    def _watch_timers(self, segment: GuardedSegment, drive: ServoDrive, said: DriveConfig | None) -> None:
         """Heartbeats, unless the drive is guarded, and TPDOs that come by a timer while nothing changes."""
         node_id, pump = drive.node_id, segment.network.frame_pump
-        if heartbeat_ms and not segment.network.status(node_id).guarded:
+        if said is not None and not segment.network.status(node_id).guarded:
             can_id = ERROR_CONTROL + node_id
             title = f"heartbeat of node {node_id} ({can_id:03X}h)"
-            stream = TimedStream(Duration(heartbeat_ms * NS_PER_MS), repeats=True)
+            stream = TimedStream(Duration(said.heartbeat_ms * NS_PER_MS), repeats=True)
             boots, beats = self._boot_watcher(node_id), self._timer_watcher("heartbeat", title, stream)
             pump.overhear(can_id, one_after_another(boots, beats))
         for pdo in drive.plan.tpdos if drive.plan is not None else ():
@@ -372,17 +373,17 @@ def _unless_others(drive: ServoDrive, can_id: int, watch: Handler) -> Handler:
     return watch_own
 
 
-def _unknown() -> Delays:
-    return Delays.UNKNOWN
+def _unknown() -> DelaysKnown:
+    return DelaysKnown.UNKNOWN
 
 
-def _delays_of(axis: Axis, period: Duration) -> Delays:
+def _delays_of(axis: Axis, period: Duration) -> DelaysKnown:
     stamped = axis.by_stamp.clock.ready
     known = not axis.by_stamp.question.open if stamped else axis.by_order.settled
     if not known or axis.meter.typical_delay >= period:
-        return Delays.UNKNOWN
+        return DelaysKnown.UNKNOWN
     enough = stamped and axis.by_stamp.health.placed >= QUIET_SYNCS
-    return Delays.ALL_SHORT if enough and axis.by_stamp.longest_delay < period else Delays.SHORT
+    return DelaysKnown.ALL_SHORT if enough and axis.by_stamp.longest_delay < period else DelaysKnown.SHORT
 
 
 def _emergency_watcher(node_id: int, listener: Callable[[Emergency], None]) -> Handler:

@@ -40,7 +40,7 @@ EXTRAS_MAX: Final = 16
 """More between two regular frames are a flood, which is counted against the SYNCs."""
 
 
-class Delays(IntEnum):
+class DelaysKnown(IntEnum):
     """What is known of the delays of a drive's readings."""
 
     UNKNOWN = 0
@@ -168,7 +168,7 @@ class SyncedStream:
     """The frames of a synchronous TPDO, held against the SYNCs of its segment."""
 
     def __init__(
-        self, pdo: PdoMap, assembler: ReadingAssembler, syncs: SyncLog, delays: Callable[[], Delays]
+        self, pdo: PdoMap, assembler: ReadingAssembler, syncs: SyncLog, delays: Callable[[], DelaysKnown]
     ) -> None:
         """``delays``: of the drive's readings, asked at each look: one that was longer than a period and then
         is not brings two frames for one SYNC."""
@@ -179,7 +179,7 @@ class SyncedStream:
         self._owed.expect(2 * self._each)  # one under way, and the phase of one that comes seldom
         self._stream = RegularStream(self._each)
         self._counted = self._told = 0
-        self._were = Delays.UNKNOWN
+        self._were = DelaysKnown.UNKNOWN
         self._quiet_since = syncs.counted
         assembler.keep_frames(pdo.cob_id)
         self._seen = syncs.marks[-1].number if syncs.marks else 0
@@ -191,7 +191,7 @@ class SyncedStream:
         """What has come since the last call that no SYNC asked for: frames that are known, and how many more
         there are than SYNCs. To be called before so many SYNCs are forgotten; ``at_end``: no more come."""
         frames = self._assembler.take_frames(self._cob_id)
-        quiet = self._syncs.counted - self._quiet_since >= QUIET_SYNCS and self._were is Delays.ALL_SHORT
+        quiet = self._syncs.counted - self._quiet_since >= QUIET_SYNCS and self._were is DelaysKnown.ALL_SHORT
         self._stream.least, self._stream.doubled = REGULAR_IN_TIME if quiet else REGULAR, False
         extras = [*self._extras(frames), *(self._stream.end() if at_end else ())]
         found = extras if self._were else []

@@ -9,7 +9,7 @@ from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
 from drivers.cia402.readings import ReadingAssembler
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from drivers.wire.frame_port import EchoBasis
-from hil.execution.stream_watch import Delays, SyncedStream, TimedStream
+from hil.execution.stream_watch import DelaysKnown, SyncedStream, TimedStream
 from hil.loop.syncs import SyncLog
 
 PERIOD: Final = NS_PER_MS
@@ -21,7 +21,7 @@ FORGED: Final = b"forged"
 class Stream:
     """A drive that answers SYNCs, and a bench that looks every 50."""
 
-    def __init__(self, every: int = 1, delays: Delays = Delays.SHORT) -> None:
+    def __init__(self, every: int = 1, delays: DelaysKnown = DelaysKnown.SHORT) -> None:
         self.delays = delays
         self.frames: list[tuple[Instant, bytes]] = []
         self.syncs = SyncLog(Duration(0), Duration(PERIOD), EchoBasis.NONE)
@@ -88,7 +88,7 @@ def test_what_was_held_back_is_nobodys() -> None:
 
 def test_a_delay_that_was_longer_than_a_period_and_then_is_not_is_nobodys() -> None:
     arrivals = {number: [DELAY + (number < 1010) * PERIOD] for number in range(1, 2001)}
-    assert Stream(delays=Delays.UNKNOWN).told(arrivals, 2000) == []
+    assert Stream(delays=DelaysKnown.UNKNOWN).told(arrivals, 2000) == []
 
 
 @pytest.mark.parametrize("later", [0, 100_000, 900_000, 2_500_000])
@@ -106,7 +106,7 @@ def test_where_all_delays_are_short_losses_hide_nothing() -> None:
     for number in range(2300, 2330):
         arrivals = {each: [DELAY] for each in range(1, 2501) if draw.random() > 0.05}
         arrivals[number] = [*arrivals.get(number, []), -draw.randrange(PERIOD)]
-        found += Stream(delays=Delays.ALL_SHORT).told(arrivals, 2500) == [FORGED]
+        found += Stream(delays=DelaysKnown.ALL_SHORT).told(arrivals, 2500) == [FORGED]
     assert found >= 22, "all but those beside a loss"
 
 
