@@ -1,17 +1,16 @@
 """The table of a campaign on disk: a Parquet dataset that only grows, by whole files.
 
 Each file holds the next runs in order of their number, is written beside its place, synced, and put there by
-one rename: whatever is killed when, what is there is whole, and goes from run 0 on without a gap. The name of
-a file ends with the BLAKE2b of its bytes, which is checked whenever it is read: Parquet's own checksums cover
-the pages, and not what says how to read them.
+one rename: whatever is killed when, what is there is whole, and goes from run 0 on without a gap. A seal has
+the digest of each (:mod:`hil.campaign.store_seal`), which is checked whenever it is read.
 """
 
 import fcntl
-import hashlib
 import json
 import os
 import platform
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, Self
@@ -24,30 +23,32 @@ from drivers.errors import BadInput
 from drivers.written_file import writing
 from hil.campaign.identity import Identity, require_program
 from hil.campaign.plan import CampaignPlan
+from hil.campaign.store_seal import SUFFIX, StoreSeal, sealed_files
 from hil.campaign.worker import FIGURES, Row
-from hil.machine.on_disk import sync_folder, write_synced
+from hil.machine.on_disk import is_locked
+from hil.rows.run_files import SEAL_FILE
 
-FORMAT: Final = "2"
+FORMAT: Final = "3"
 PLAN_FILE: Final = "campaign.json"
 RUNS_FOLDER: Final = "runs"
 LOCK_FILE: Final = "campaign.lock"
 _HOLDER_BYTES: Final = 200
 """Of the lock file: a process and the name of a host, 64 characters on Linux."""
-_PART: Final = "part-{:09d}-{}.parquet"
-_SUFFIX: Final = ".writing"
+_PART: Final = "part-{:09d}.parquet"
+_PARTS: Final = f"{RUNS_FOLDER}/part-*.parquet"
 
 
 class RunStore:
     """Of one campaign, below its folder, which nobody else writes to meanwhile."""
 
-    def __init__(self, folder: Path, plan: CampaignPlan, lock: int) -> None:
-        """``folder``: of the campaign, which is there; ``lock``: a descriptor to be closed with the store.
-        Raises BadInput for one whose files are not whole."""
-        self.folder, self._plan, self._lock = folder, plan, lock
+    def __init__(self, folder: Path, plan: CampaignPlan, lock: int, seal: StoreSeal) -> None:
+        """``folder``: of the campaign, which is there; ``lock``: a descriptor to be closed with the store, as
+        ``seal`` is. Raises BadInput for one whose files are not whole."""
+        self.folder, self._plan, self._lock, self._seal = folder, plan, lock, seal
         self._runs = folder / RUNS_FOLDER
         self.schema = schema_of(plan)
         self._runs.mkdir(exist_ok=True)
-        for left in self._runs.glob(f"*{_SUFFIX}"):
+        for left in self._runs.glob(f"*{SUFFIX}"):
             left.unlink()
         self.count = self.table().num_rows
         """Runs that are stored: 0 to ``count`` - 1."""
@@ -56,6 +57,8 @@ class RunStore:
         """Let others write to the folder; a second time is no harm."""
         lock, self._lock = self._lock, -1
         if lock >= 0:
+            with suppress(OSError):  # the disk is full: --resume will end it
+                self._seal.close()
             os.close(lock)
 
     def __enter__(self) -> Self:
@@ -72,16 +75,10 @@ class RunStore:
         if not rows:
             return
         if self._plan.files.fresh():  # before the rows that rest on them
-            _write_plan(self.folder, self._plan)
+            _write_plan(self._seal, self._plan)
         sink = pa.BufferOutputStream()
         pq.write_table(pa.Table.from_pylist(list(rows), schema=self.schema), sink, compression="zstd")
-        data = sink.getvalue().to_pybytes()
-        place = self._runs / _PART.format(self.count, _checksum(data))
-        beside = place.with_suffix(_SUFFIX)
-        with beside.open("wb") as file:
-            write_synced(file, data)
-        beside.rename(place)
-        sync_folder(self._runs)
+        self._seal.put(f"{RUNS_FOLDER}/{_PART.format(self.count)}", sink.getvalue().to_pybytes())
         self.count += len(rows)
 
     def table(self) -> pa.Table:
@@ -92,23 +89,14 @@ class RunStore:
 def stored_runs(folder: Path, schema: pa.Schema) -> pa.Table:
     """All runs in order of the campaign in ``folder``, also while it goes on.
 
-    Raises BadInput for a file that is damaged, or missing between others.
+    Raises BadInput for a file that is damaged or missing, or that none of its runs has written.
     """
-    parts = []
-    expected = 0
-    for path in sorted((folder / RUNS_FOLDER).glob("part-*.parquet")):
-        data = path.read_bytes()
-        if path.name != _PART.format(expected, _checksum(data)):
-            due = f"the part that begins with run {expected}, and BLAKE2b {_checksum(data)} in its name"
-            raise BadInput(str(path), "", path.name, due, "it is damaged, or one before it is missing")
-        part = pq.read_table(pa.BufferReader(data), schema=schema)
-        expected += part.num_rows
-        parts.append(part)
+    parts = [pq.read_table(path, schema=schema) for path in _sealed(folder) if path.name != PLAN_FILE]
     return pa.concat_tables(parts) if parts else schema.empty_table()
 
 
-def _checksum(data: bytes) -> str:
-    return hashlib.blake2b(data, digest_size=8).hexdigest()
+def _sealed(folder: Path) -> list[Path]:
+    return list(sealed_files(folder, under_way=is_locked(folder / LOCK_FILE), among=_PARTS))
 
 
 def schema_of(plan: CampaignPlan) -> pa.Schema:
@@ -171,8 +159,7 @@ def open_campaign(folder: Path, plan: CampaignPlan, resume: bool) -> RunStore:
         lock = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         _lock(folder, lock)
-        _begin(folder, plan, resume)
-        return RunStore(folder, plan, lock)
+        return RunStore(folder, plan, lock, _begin(folder, plan, resume))
     except BaseException:
         os.close(lock)
         raise
@@ -193,13 +180,17 @@ def _lock(folder: Path, lock: int) -> None:
     os.pwrite(lock, f"process {os.getpid()} on {platform.node()}\n".encode(), 0)
 
 
-def _begin(folder: Path, plan: CampaignPlan, resume: bool) -> None:
+def _begin(folder: Path, plan: CampaignPlan, resume: bool) -> StoreSeal:
     place = folder / PLAN_FILE
     if not place.exists():
-        if any(each.suffix != _SUFFIX and each.name != LOCK_FILE for each in folder.iterdir()):
+        others = (each.name for each in folder.iterdir() if each.suffix != SUFFIX)
+        if not {LOCK_FILE, SEAL_FILE}.issuperset(others):
             raise BadInput("--out", "", str(folder), "a new or empty folder, or that of a campaign")
-        _write_plan(folder, plan)
-        return
+        seal = StoreSeal(folder, fresh=True)
+        _write_plan(seal, plan)
+        return seal
+    seal = StoreSeal(folder, fresh=False)
+    _sealed(folder)
     sweep, identity = _stored(place)
     if sweep.name != plan.source.name:
         expected = "a folder of its own, or the sweep of that campaign"
@@ -208,17 +199,13 @@ def _begin(folder: Path, plan: CampaignPlan, resume: bool) -> None:
     if not resume:
         raise BadInput("--out", "", str(folder), "a new or empty folder", "--resume goes on with it")
     require_program(identity["program"], str(place))
+    return seal
 
 
-def _write_plan(folder: Path, plan: CampaignPlan) -> None:
+def _write_plan(seal: StoreSeal, plan: CampaignPlan) -> None:
     plan.files.fresh()
-    place = folder / PLAN_FILE
-    beside = place.with_suffix(_SUFFIX)
     told = {"sweep": str(plan.source), "identity": plan.identity}
-    with beside.open("wb") as file:
-        write_synced(file, json.dumps(told, indent=1).encode())
-    beside.rename(place)
-    sync_folder(folder)
+    seal.put(PLAN_FILE, json.dumps(told, indent=1).encode())
 
 
 def plan_in(folder: Path) -> CampaignPlan:
@@ -227,6 +214,7 @@ def plan_in(folder: Path) -> CampaignPlan:
     place = folder / PLAN_FILE
     if not place.exists():
         raise BadInput("DIR", "", str(folder), "the folder of a campaign: --out of hil campaign")
+    _sealed(folder)
     sweep, identity = _stored(place)
     plan = CampaignPlan.load(sweep)
     plan.require(identity)

@@ -1,5 +1,6 @@
 """What is on the disk when a call returns, and not only in the kernel's cache."""
 
+import fcntl
 import os
 from pathlib import Path
 from typing import BinaryIO
@@ -10,6 +11,21 @@ def write_synced(file: BinaryIO, data: bytes) -> None:
     file.write(data)
     file.flush()
     os.fsync(file.fileno())
+
+
+def is_locked(path: Path) -> bool:
+    """Whether somebody holds the lock (flock) of a file; not of one that is not there."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
 
 
 def sync_folder(folder: Path) -> None:

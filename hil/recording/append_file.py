@@ -39,6 +39,10 @@ class AppendFile:
         self._size = 0
         self.write(data)
 
+    def sync(self) -> None:
+        """Wait until the disk has it. Error: OSError."""
+        os.fsync(self._descriptor)
+
     def close(self) -> None:
         os.close(self._descriptor)
 

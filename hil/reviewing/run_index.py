@@ -1,6 +1,5 @@
 """The recordings below a folder: when, which bench, which drives, which verdict, and which are not whole."""
 
-import fcntl
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -13,6 +12,7 @@ from typing import Any, Final
 from drivers.bounded_file import parse_json, read_text, read_toml
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S
+from hil.machine.on_disk import is_locked
 from hil.rows.records_file import is_whole, read_metadata, refuse_later_format
 from hil.rows.run_files import (
     BENCH_FILE,
@@ -164,7 +164,7 @@ def _state(folder: Path, metadata: Mapping[str, str], summary: Mapping[str, Any]
     except BadInput as error:
         return RunState.LATER_FORMAT, f"format {metadata['format']}: expected {error.expected}"
     if not summary:
-        if _is_recorded(folder):
+        if is_locked(folder / RESERVE_FILE):  # by who records, hil.recording.run_folder
             return RunState.RECORDING, ""
         return RunState.NO_SUMMARY, f"its recorder did not live to its end: hil recover {folder}"
     if not records.is_file():
@@ -173,21 +173,6 @@ def _state(folder: Path, metadata: Mapping[str, str], summary: Mapping[str, Any]
         return RunState.DAMAGED, f"{RECORDS_FILE} has no end, though there is a summary"
     lacks = summary.get("recording_faults") or []
     return RunState.WHOLE, "; ".join(map(str, lacks)) if isinstance(lacks, list) else ""
-
-
-def _is_recorded(folder: Path) -> bool:
-    """Whether somebody holds the lock of who records (hil.recording.run_folder)."""
-    try:
-        descriptor = os.open(folder / RESERVE_FILE, os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False
 
 
 def _at(folder: Path, metadata: Mapping[str, str]) -> datetime:

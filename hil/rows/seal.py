@@ -86,16 +86,16 @@ def digest_of(file: BinaryIO, begin: int, end: int) -> str:
     return digest.hexdigest()
 
 
-def read_seal(folder: Path) -> Iterator[tuple[Piece | str, str]]:
+def read_seal(folder: Path, remedy: str = _SHOWN) -> Iterator[tuple[Piece | str, str]]:
     """Its pieces, :data:`ENDED` and :data:`RECOVERED`, each with its chain.
 
-    Raises BadInput for a line outside the chain.
+    Raises BadInput for a line outside the chain, with ``remedy``.
     """
     path, chain = folder / SEAL_FILE, FIRST_CHAIN
     for number, line in enumerate(read_lines(path, "seal"), 1):
         match = _LINE.fullmatch(line)
         if match is None or _chained(match[1], chain) != match[2]:
-            raise BadInput(str(path), f"line {number}", line[:60], "a line of the chain", _SHOWN)
+            raise BadInput(str(path), f"line {number}", line[:60], "a line of the chain", remedy)
         chain, plain = match[2], json.loads(match[1] + "}")
         yield (Piece(**{"rows": None, **plain}) if "file" in plain else next(iter(plain))), chain
 

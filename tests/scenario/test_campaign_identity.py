@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from drivers.errors import BadInput
 from hil.campaign import Campaign, CampaignProgress, run_campaign
+from hil.campaign.store_seal import StoreSeal
 from hil.campaign.worker import NotTheSame
 from hil.cli import app
 from hil.configuration.config_errors import BadInputs
@@ -215,10 +216,11 @@ def begun(tmp_path: Path) -> tuple[Path, Path]:
 
 def test_another_program_does_not_go_on(begun: tuple[Path, Path]) -> None:
     path, out = begun
-    place = out / "campaign.json"
-    table = json.loads(place.read_text())
+    table = json.loads((out / "campaign.json").read_text())
     table["identity"]["program"] |= {"numpy": "1.26.4"}
-    place.write_text(json.dumps(table))
+    seal = StoreSeal(out, fresh=False)
+    seal.put("campaign.json", json.dumps(table).encode())
+    seal.close()
     with pytest.raises(BadInput, match=r"campaign.json: identity.program.numpy: found '1.26.4'"):
         run_campaign(path, out, resume=True, workers=1)
 

@@ -2,6 +2,7 @@
 
 import os
 import platform
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 
 from drivers.errors import BadInput
 from hil.campaign.plan import CampaignPlan
-from hil.campaign.store import RunStore, open_campaign
+from hil.campaign.store import RunStore, open_campaign, plan_in, stored_runs
 from hil.campaign.sweep_file import sweep_from
 from hil.campaign.worker import FIGURES
 
@@ -51,7 +52,7 @@ def store(tmp_path: Path) -> Iterator[RunStore]:
 
 
 def reopened(store: RunStore) -> RunStore:
-    """Both are unlocked, and can be read and appended to."""
+    """Both are unlocked, and can be read."""
     store.close()
     with open_campaign(store.folder, plan(), resume=True) as again:
         return again
@@ -76,22 +77,25 @@ def test_runs_are_appended_in_order_and_once(store: RunStore) -> None:
 def test_a_file_that_was_being_written_is_not_there(store: RunStore, tmp_path: Path) -> None:
     store.append([row(0)])
     (tmp_path / "campaign" / "runs" / "part-000000001.writing").write_bytes(b"PAR1 half a fi")
-    again = reopened(store)
-    assert again.count == 1
-    again.append([row(1)])
+    store.close()
+    with open_campaign(store.folder, plan(), resume=True) as again:
+        assert again.count == 1
+        again.append([row(1)])
     assert [path.suffix for path in (tmp_path / "campaign" / "runs").iterdir()] == [".parquet"] * 2
 
 
-@pytest.mark.long
 def test_every_byte_that_changes_is_noticed(store: RunStore, tmp_path: Path) -> None:
     store.append([row(number) for number in range(50)])
-    (path,) = (tmp_path / "campaign" / "runs").iterdir()
-    whole = path.read_bytes()
-    for place in range(0, len(whole), 97):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
-        with pytest.raises(BadInput, match="it is damaged"):
-            reopened(store)
-    path.write_bytes(whole)
+    store.close()
+    folder = tmp_path / "campaign"
+    (part,) = (folder / "runs").iterdir()
+    for path in (part, folder / "campaign.json", folder / "seal"):
+        whole = path.read_bytes()
+        for place in range(0, len(whole), 97):
+            path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
+            with pytest.raises(BadInput, match=path.name):
+                stored_runs(folder, store.schema)
+        path.write_bytes(whole)
     assert reopened(store).count == 50
 
 
@@ -100,13 +104,45 @@ def test_a_missing_or_shortened_file_is_told(store: RunStore, tmp_path: Path) ->
         store.append([row(number)])
     paths = sorted((tmp_path / "campaign" / "runs").iterdir())
     paths[2].write_bytes(paths[2].read_bytes()[:-20])
-    with pytest.raises(BadInput, match="it is damaged"):
+    for path in (paths[2], paths[0]):
+        with pytest.raises(BadInput, match=r"runs/part-00000000[02].parquet: found 'BLAKE2b "):
+            reopened(store)
+        path.unlink(missing_ok=True)
+    with pytest.raises(BadInput, match=r"part-000000000.parquet: found 'BLAKE2b no file'"):
         reopened(store)
-    paths[2].unlink()
-    assert reopened(store).count == 2
-    paths[0].unlink()
-    with pytest.raises(BadInput, match="expected the part that begins with run 0"):
+
+
+def test_a_part_that_no_run_of_the_campaign_has_written_is_told(store: RunStore, tmp_path: Path) -> None:
+    store.append([row(0)])
+    runs = tmp_path / "campaign" / "runs"
+    shutil.copy(runs / "part-000000000.parquet", runs / "part-000000001.parquet")
+    with pytest.raises(BadInput, match=r"part-000000001.parquet: found 'a file'"):
         reopened(store)
+
+
+@pytest.mark.parametrize("name", ["runs/part-000000001.parquet", "campaign.json"])
+def test_a_campaign_that_was_killed_before_a_file_was_in_its_place_goes_on(
+    store: RunStore, tmp_path: Path, name: str
+) -> None:
+    store.append([row(0)])
+    store.append([row(1)])
+    store.close()
+    folder = tmp_path / "campaign"
+    lines = (folder / "seal").read_text().splitlines(keepends=True)
+    place = folder / name
+    last = next(number for number, line in enumerate(lines) if name in line)
+    for path in [] if name == "campaign.json" else [folder / "runs" / "part-000000001.parquet"]:
+        path.rename(path.with_suffix(".writing"))
+    if name == "campaign.json":
+        place.rename(place.with_suffix(".writing"))
+        shutil.rmtree(folder / "runs")
+    (folder / "seal").write_text("".join(lines[: last + 1]))
+    with pytest.raises(BadInput, match=r"no last line|expected the folder of a campaign"):
+        plan_in(folder)
+    with open_campaign(folder, plan(), resume=True) as again:
+        assert again.count == (0 if name == "campaign.json" else 2)
+    assert (folder / "seal").read_text().endswith("}\n")
+    assert '"ended"' in (folder / "seal").read_text().splitlines()[-1]
 
 
 def test_a_folder_is_of_one_campaign(store: RunStore, tmp_path: Path) -> None:
