@@ -21,16 +21,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
     parser.add_argument("--inputs", type=int, default=20_000)
     parser.add_argument("--seconds", type=float, default=1e9)
+    parser.add_argument("--first", type=int, default=0, help="number of the first mutant of each")
+    parser.add_argument("--seals", action="store_true", help="of sealed files alone")
     options = parser.parse_args()
     clock = MonotonicClock()
     ends_at = clock.now() + options.seconds * NS_PER_S
     done = broken = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        recordings = recording_kinds(folder / "recording")
+        recordings = [] if options.seals else recording_kinds(folder / "recording")
         seal_broken = seal_breaker(folder / "sealed")
-        for number in count():
-            turns = [(kind, number) for kind in KINDS]
+        for number in count(options.first):
+            turns = [] if options.seals else [(kind, number) for kind in KINDS]
             if number % LOADERS_EACH == 0:
                 turns += [(kind, number // LOADERS_EACH) for kind in recordings]
             for kind, mutant in turns:
