@@ -67,7 +67,7 @@ def seal_breaker(folder: Path) -> Callable[[int], list[str]]:
     done = run_campaign(sweep, folder / "store", workers=1)
     kept = ("campaign.json", "seal", "runs/part-000000000.parquet")
     files = [run / path.name for path in sorted(run.iterdir()) if path.stat().st_size]
-    readers = dict.fromkeys(files, partial(check_seal, run))
+    readers: dict[Path, Callable[[], object]] = dict.fromkeys(files, partial(check_seal, run))
     readers |= dict.fromkeys([done.folder / name for name in kept], partial(_table, done))
     wholes = {path: path.read_bytes() for path in readers}
 
