@@ -199,9 +199,10 @@ class SyncedStream:
         if self._stream.doubled and not found:
             self._quiet_since = self._syncs.counted
         counted = self._syncs.counted
-        self._owed.expect(counted - self._counted)
+        more = len(frames) * self._each - (counted - self._counted)
         self._counted = counted
-        self._owed.came(len(frames) * self._each)
+        self._owed.expect(max(0, -more))
+        self._owed.came(max(0, more))
         self._told += len(found)
         beyond = -(-self._owed.surplus // self._each) - self._told - self._stream.repetitions
         self._told += max(0, beyond)

@@ -91,6 +91,16 @@ def test_a_delay_that_was_longer_than_a_period_and_then_is_not_is_nobodys() -> N
     assert Stream(delays=DelaysKnown.UNKNOWN).told(arrivals, 2000) == []
 
 
+def test_nobody_need_look_before_more_syncs_have_come_than_are_remembered() -> None:
+    """As while drives are stopped, with SYNCs that somebody else makes."""
+    stream = Stream()
+    assert stream.told(regular(100), 100) == []
+    for number in range(101, 801):
+        stream.syncs.handed(number, Instant(number * PERIOD))
+        stream.frames.append((Instant(number * PERIOD + DELAY), b"%d" % number))
+    assert stream.look(1 << 60, at_end=True) == []
+
+
 @pytest.mark.parametrize("later", [0, 100_000, 900_000, 2_500_000])
 def test_a_repetition_is_no_news(later: int) -> None:
     stream = Stream()
