@@ -16,6 +16,8 @@
 #   make rehearsals  commission simulated drives by made-up data sheets, each with what vendors' sheets lack or
 #                    have oddly, alone and in pairs, for at most SECONDS
 #   make mistakes    commission drawn drives by nameplates with the mistakes that people make, for at most SECONDS
+#   make strangers   put single forged frames on drawn buses, and look for strangers where there are none, for at
+#                    most SECONDS
 #   make sheets      have hil eds, hil commission and hil run at each of 40 made-up data sheets, and before them at
 #                    vendors' own (SHEETS=FOLDER), on the hub, with a third party that writes every frame down
 #   make mutate      put defects into the product: all in its safety limits and fault reactions, and for at
@@ -46,7 +48,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit edits test-dask test-vcan truth swarm rehearsals sheets mistakes mutate pictures exits bench docs lock clean
+.PHONY: help setup compile pure wheel demo check format test unit edits test-dask test-vcan truth swarm rehearsals sheets mistakes strangers mutate pictures exits bench docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -144,6 +146,9 @@ rehearsals: $(TOOLS) compile
 
 mistakes: $(TOOLS) compile
 	@$(BIN)/python -m tests.mistakes --seconds $(SECONDS)
+
+strangers: $(TOOLS) compile
+	@$(BIN)/python -m tests.strangers --seconds $(SECONDS)
 
 # Vendors' files are not in the repository: where the folder is missing they are left out, and the table says so.
 SHEETS ?= ../shared/eds

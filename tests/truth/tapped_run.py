@@ -16,6 +16,7 @@ from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
 from hil.rows.side_rows import TextEvent
+from hil.verdict.summary import Summary
 from tests.truth.adapter import Adapter, AdapterPort
 from tests.truth.taps import HostTap, TapLog, tap_drives
 from virtual_bus.device.canopen_device import CanopenDevice
@@ -33,6 +34,7 @@ class TappedRun:
     """The error that ended it before its time; empty if none did."""
     events: tuple[str, ...]
     """What it told, in order of time."""
+    summary: Summary
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +54,7 @@ def run_with_taps(config: BenchConfig, surroundings: Surroundings = PLAIN) -> Ta
     """Run ``config`` on its simulated bus."""
     log = TapLog()
     recorders: list[MemoryRecorder] = []
+    summaries: list[Summary] = []
 
     def in_memory(plan: RecordingPlan) -> MemoryRecorder:
         recorders.append(MemoryRecorder(plan, keep_all=True))
@@ -72,6 +75,7 @@ def run_with_taps(config: BenchConfig, surroundings: Surroundings = PLAIN) -> Ta
                 bus_spec="simulated",
                 privileged=False,
                 recording=in_memory,
+                concluded=summaries.append,
             )
         except BenchError as error:
             if not recorders:
@@ -83,6 +87,7 @@ def run_with_taps(config: BenchConfig, surroundings: Surroundings = PLAIN) -> Ta
         log,
         ended_by,
         tuple(event.text for event in events if isinstance(event, TextEvent)),
+        summaries[-1],
     )
 
 
