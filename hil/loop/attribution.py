@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 from drivers.record import replaced
-from drivers.timebase import NS_PER_MS
+from drivers.timebase import NS_PER_MS, Duration
 from hil.loop.samples import Observation, Sample
 
 HELD_MAX: Final = 64
@@ -40,6 +40,15 @@ class Health:
         """SYNCs with two different stamps, in readings that were placed for certain."""
         self.error_ns_max = 0
         """Largest error bound of a reading placed for certain."""
+
+    def judge(self, delay: int, transit: Duration, error_ns: int) -> None:
+        """Count what cannot be, of a reading placed for certain whose frame takes ``transit`` or more."""
+        if delay < transit - error_ns:
+            self.below_transit += 1
+            if delay < 0:
+                self.before_sync += 1
+        if error_ns > self.error_ns_max:
+            self.error_ns_max = error_ns
 
 
 class Question:

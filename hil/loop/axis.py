@@ -310,7 +310,7 @@ class Axis:
         was_open, duplicates = question.open, self.by_stamp.health.duplicates
         sample = self.by_stamp.place(reading) if by_stamp else self.by_order.place(reading)
         again = self.by_stamp.health.duplicates > duplicates
-        self.readbacks.reading(sample, reading.received_at, again)
+        self.readbacks.reading(sample, reading.received_at, again or self.by_stamp.may_overtake)
         if question.cleared:
             question.cleared = False
             self.meter.forget_doubts()

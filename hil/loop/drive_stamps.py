@@ -67,7 +67,7 @@ class DriveStamps:
         self._coarsen(step_of(self._handed))
         residuals.learn(residuals_of(pairs), self.unmapped_ns)
         if residuals.spread:
-            self.clock.start_anew(pairs, residuals.variance_ns2)
+            self.clock.start_anew(pairs, residuals.variance_ns2(self.unmapped_ns))
 
     def _coarsen(self, step: int) -> None:
         """Stamps advance by ``step`` at a time; one of a maker is known to be of that resolution at least."""
@@ -93,13 +93,15 @@ class DriveStamps:
         """Let map and residuals follow a stamp that lies on its SYNC."""
         residuals, match_ns = self.residuals, self.match_ns
         on_map = Instant(on_bus_at + residual - residuals.cut(residual, match_ns))
-        self.clock.observe(device_ns, on_map, max(self._echo_variance_ns2, residuals.variance_ns2))
+        self.clock.observe(
+            device_ns, on_map, max(self._echo_variance_ns2, residuals.variance_ns2(self.unmapped_ns))
+        )
         residuals.add(residual, match_ns)
 
     def move_to(self, pairs: list[tuple[int, Instant]]) -> None:
         """The clock was set: the map goes through these stamps and their SYNCs, in any order."""
         pairs.sort()
         residuals = self.residuals
-        self.clock.move_to(pairs, residuals.variance_ns2)
+        self.clock.move_to(pairs, residuals.variance_ns2(self.unmapped_ns))
         if residuals.spread:  # from here on they lie about another line
             residuals.learn(residuals_of(pairs), self.unmapped_ns)

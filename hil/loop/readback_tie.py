@@ -97,9 +97,9 @@ class ReadbackTie:
             self.readings += 1
             self._by_count[self.readings % READINGS_REMEMBERED] = None
 
-    def reading(self, sample: Sample | None, received_at: Instant, again: bool) -> None:
-        """The next reading has been taken in; ``sample``: where it was placed, None: nowhere. ``again``: it
-        came for the second time."""
+    def reading(self, sample: Sample | None, received_at: Instant, unordered: bool) -> None:
+        """The next reading has been taken in; ``sample``: where it was placed, None: nowhere. ``unordered``:
+        it came for the second time, or delays spread so much that frames may overtake one another."""
         self.readings += 1
         placed = None
         mark = self._syncs.last_of(sample.sequence) if sample is not None and sample.certain else None
@@ -108,9 +108,9 @@ class ReadbackTie:
             since, until = Instant(sample.sampled_at - error_ns), Instant(sample.sampled_at + error_ns)
             placed = _Placed(mark, received_at, since, until)
             self._by_sync[mark.number % REMEMBERED] = placed
-            again = mark.number <= self._newest
+            unordered = unordered or mark.number <= self._newest
             self._newest = max(self._newest, mark.number)
-        if again:
+        if unordered:
             self.doubt()
         self._by_count[self.readings % READINGS_REMEMBERED] = placed
 

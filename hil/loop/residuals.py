@@ -22,6 +22,9 @@ OUTLYING: Final = 4
 """Changes beyond so many times the mean one move neither that nor the map by more: a value that is evenly
 spread reaches three times its mean change, so only rare ones are cut."""
 
+CHANGING: Final = 3.0
+"""Values that are spread evenly over a width change by a third of it on the average. Behind a calibration,
+where the map itself errs by more, changes alone show that they scatter."""
 RARELY_LATE: Final = 8.0
 """Deviation of values of which one in sixty reaches so many times further than the others."""
 
@@ -71,15 +74,17 @@ class Residuals:
         self._expected = self.change_ns = expected
         """The mean change from one to the next."""
 
-    @property
-    def variance_ns2(self) -> float:
-        """Of one of them; 0 where they reach no further than the map itself errs by.
+    def variance_ns2(self, unmapped_ns: int) -> float:
+        """Of one of them; 0 where they neither reach nor change by more than stamps and echoes account for,
+        which err by up to ``unmapped_ns`` to either side.
 
         By changes, as a map that lags moves neighbours alike: evenly spread values change by 1.2 times their
         deviation on the average. And by how far they reach, as much as late ones now and then make of it.
         """
         spread = self.early + self.late
-        return max(self.change_ns, spread / RARELY_LATE) ** 2 if spread else 0.0
+        if spread or self.change_ns > unmapped_ns / CHANGING:
+            return max(self.change_ns, spread / RARELY_LATE) ** 2
+        return 0.0
 
     @property
     def least(self) -> int:

@@ -76,6 +76,8 @@ class StampAttribution:
         self._suspects: list[Suspect] = []
         self._early = False
         """Whether a suspect would have come before its SYNC, which no network can do."""
+        self._slowest = 0
+        """The longest delay of a suspect that lies on a SYNC."""
         self._recent: deque[SyncMark] = deque(maxlen=REVOKED)
 
     @property
@@ -88,6 +90,12 @@ class StampAttribution:
     def longest_delay(self) -> int:
         """Of the last thousand readings or so, ns."""
         return self._case.delays.high
+
+    @property
+    def may_overtake(self) -> bool:
+        """Whether delays spread so much that a frame may come before one of the SYNC before its own."""
+        delays = self._case.delays
+        return max(delays.high, self._slowest) - delays.low >= self._half + self._half // 2
 
     def learn(self, reading: Reading, mark: SyncMark) -> None:
         """Take a reading that can only answer the SYNC of ``mark``."""
@@ -127,6 +135,8 @@ class StampAttribution:
 
     def _usual(self, mark: SyncMark, delay: int) -> bool:
         """Whether a reading on a free SYNC raises no question, and answers the one that may be open."""
+        if delay < self._transit and self.spread and delay < self._transit - self.stamps.near_ns:
+            return False
         bearable = self._half + self._case.delays.slack()
         if not self._case.delays.low - bearable <= delay <= self._case.delays.high + bearable:
             return False
@@ -160,18 +170,8 @@ class StampAttribution:
         if self.doubt.open:
             self.doubt.rows.append((mark.sequence, error_ns))
             return Sample(mark.sequence, reading, sampled_at, self.doubtful_error_ns, False)
-        self._judge(reading.received_at - sampled_at, error_ns)
+        health.judge(reading.received_at - sampled_at, self._transit, error_ns)
         return Sample(mark.sequence, reading, sampled_at, error_ns, True)
-
-    def _judge(self, delay: int, error_ns: int) -> None:
-        """What cannot be is an alarm."""
-        health = self.health
-        if delay < self._transit - error_ns:
-            health.below_transit += 1
-            if delay < 0:
-                health.before_sync += 1
-        if error_ns > health.error_ns_max:
-            health.error_ns_max = error_ns
 
     @property
     def map_error_ns(self) -> int:
@@ -240,6 +240,7 @@ class StampAttribution:
         self._suspects.clear()
         self._case.revoked.clear()
         self._early = False
+        self._slowest = 0
         self.question.open = self.doubt.open
         self.question.since = None
 
@@ -263,6 +264,8 @@ class StampAttribution:
         latest = reading.received_at - self._transit + self.stamps.near_ns - self.clock.error_ns
         self._early = self._early or at > latest
         suspects.append(Suspect(device_ns, reading.received_at, second))
+        if free is not None:
+            self._slowest = max(self._slowest, reading.received_at - at)
         self.question.open = True
         guess = self._guess(reading, free)
         if guess is not None:
@@ -332,11 +335,8 @@ class StampAttribution:
             self._tell_step(self.clock.place(pairs[0][0]) - pairs[0][1], len(self._suspects))
             self.stamps.move_to(pairs)
             self.doubt.moved()
-        others = [
-            (mark_at - first_at, other.steps)
-            for other in lines[1:]
-            if (mark_at := other.marks[0].on_bus_at) is not None
-        ]
+        firsts = [(other.marks[0].on_bus_at, other.steps) for other in lines[1:]]
+        others = [(at - first_at, steps) for at, steps in firsts if at is not None]
         if others and line.cost >= STEP_COST:
             self.doubt.put(line.steps, others, self._case.delays, self._case.since)
         if not line.steps:

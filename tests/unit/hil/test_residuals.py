@@ -70,7 +70,13 @@ def spread_evenly(low: int, high: int, count: int = 2_000) -> Residuals:
 
 def test_what_map_and_stamp_err_by_is_no_spread() -> None:
     made = spread_evenly(-UNSEEN, UNSEEN)
-    assert (made.early, made.late, made.least, made.spread, made.variance_ns2) == (0, 0, 0, 0, 0.0)
+    assert (made.early, made.late, made.least, made.spread) == (0, 0, 0, 0)
+
+
+def test_values_that_scatter_within_what_the_map_errs_by_have_a_variance_of_their_own() -> None:
+    """The map would follow each of them else."""
+    assert spread_evenly(-UNSEEN // 2 + 100, UNSEEN // 2 - 100).variance_ns2(UNSEEN) == 0.0
+    assert spread_evenly(-UNSEEN, UNSEEN).variance_ns2(UNSEEN) ** 0.5 == pytest.approx(UNSEEN / 1.5, rel=0.2)
 
 
 def test_a_spread_is_known_on_either_side_and_no_next_one_lies_beyond_it() -> None:
@@ -85,7 +91,7 @@ def test_a_spread_is_known_on_either_side_and_no_next_one_lies_beyond_it() -> No
 
 def test_the_deviation_is_hardly_larger_than_that_of_values_evenly_spread() -> None:
     deviation_ns = 100_000 / 12**0.5
-    assert 1.0 <= spread_evenly(-50_000, 50_000).variance_ns2 ** 0.5 / deviation_ns <= 1.5
+    assert 1.0 <= spread_evenly(-50_000, 50_000).variance_ns2(UNSEEN) ** 0.5 / deviation_ns <= 1.5
 
 
 def test_a_rare_one_is_cut_and_a_spread_is_not() -> None:
