@@ -149,7 +149,7 @@ class Loop:
             self._miss(start.due_at, start.woke_at)
 
     def _miss(self, due: Instant, woke_at: Instant | None) -> None:
-        """A tick goes without SYNC."""
+        """A tick goes without SYNC; the drives are looked at all the same."""
         self._number += 1
         self._missed += 1
         tick = Tick(self._number, due, woke_at, (due - self._started_at) / NS_PER_S)
@@ -160,6 +160,8 @@ class Loop:
         for reason in reasons:
             if reason is not None:
                 raise LimitExceeded(reason, remedy="the drive is being brought to rest")
+        for axis in self._axes:
+            axis.parts.drive.check()
 
     def _cycle(self, due: Instant, woke_at: Instant) -> None:
         axes = self._axes
