@@ -28,6 +28,7 @@ PERIOD_NS = NS_PER_MS
 CYCLES_MAX = 3
 """In which the bench reacts to the frame that tells it."""
 QUICK_STOP = "201#0200...."
+SYNC = 0x080
 STAY_AWAY = 110
 """Cycles: a tenth longer than the drive's own timer of 100 ms."""
 READ_S = 0.056
@@ -45,6 +46,7 @@ class Shaft:
     def __init__(self, drives: Sequence[SimulatedServo]) -> None:
         self.wake_at: Instant | None = None
         self._speeds: list[tuple[Instant, float]] = []
+        self._sync_at = Instant(0)
         self._drives = drives
 
     def start(self, now: Instant) -> Sequence[Frame]:
@@ -52,7 +54,8 @@ class Shaft:
         return ()
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
-        del frame, now
+        if frame.can_id == SYNC:
+            self._sync_at = now
         return ()
 
     def wake(self, now: Instant) -> Sequence[Frame]:
@@ -64,6 +67,12 @@ class Shaft:
         """(n,) of the last seconds before its supply went."""
         end = self._speeds[-1][0] - last_s * NS_PER_S
         return np.array([speed for at, speed in self._speeds if at > end])
+
+    def between(self, run: Run, from_s: float, until_s: float) -> Any:
+        """(n,) of [from_s, until_s) after the first cycle of the run, which has seen the last SYNC too."""
+        zero = self._sync_at - run.wire.find("080#", sent=True)[-1].at
+        first, end = (zero + limit * NS_PER_S for limit in (from_s, until_s))
+        return np.array([speed for at, speed in self._speeds if first <= at < end])
 
 
 def run(

@@ -1,0 +1,1 @@
+"""Drives that leave their commands for a while and come back, drawn."""
