@@ -317,7 +317,7 @@ class _Run:
     def _note_ended(self, ended: LoopOutcome, took: Duration) -> None:
         if ended.cycles_missed:
             own = self.config.loop.sync == "own"
-            why = "the host was too late for it" if own else "it was not heard, or not in time"
+            why = "host or adapter was too late for it" if own else "it was not heard, or not in time"
             self._say(f"{ended.cycles_missed} cycles went without SYNC: {why}", "WARN")
         if reason := f"ended by {self.stop.asked_by}" if ended.interrupted else "":
             self._say(reason, "WARN")

@@ -4,11 +4,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+import can
+
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.write_list import WriteList
 from drivers.errors import BadInput
 from drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
-from drivers.wire.adapters import BusSpec, open_bus, shared_bus
+from drivers.wire.adapters import SOCKETCAN, BusSpec, open_bus, shared_bus
+from drivers.wire.attached import can_links, link_advice
 from drivers.wire.link import BusLink, StampSource, Tap
 from hil.configuration.background import BackgroundTables
 from hil.configuration.config import BenchConfig, BusSegment
@@ -20,6 +23,7 @@ from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.device.background import background_nodes
 from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.faults.adapter_outage import OutageBus
 from virtual_bus.faults.fault_log import FaultLog
 from virtual_bus.faults.faulty_bus import FaultyBus
 from virtual_bus.faults.frame_fault import Side
@@ -55,9 +59,14 @@ class World:
     trouble: Callable[[], str] = str
     """What the adapter counted of lost frames and the like, in words; empty if there is nothing."""
 
+    notes: tuple[str, ...] = ()
+    """What of the adapter's settings does not fit, each with the command that mends it."""
+
     def tell_troubles(self, tell: Callable[[Instant, str, str], None]) -> None:
         """From now on let ``tell`` know what befalls an adapter: the instant, the level and the text of an
-        event."""
+        event; at once what of its settings does not fit."""
+        for note in self.notes:
+            tell(self.clock.now(), "WARN", note)
         for link in (self.link, *[segment.link for segment in self.further]):
             link.on_trouble = lambda text, at: tell(at, "WARN", text)
 
@@ -210,7 +219,8 @@ class _SimulatedSegment:
                 self._attach(device)
         for other in background_nodes([entry.stream for entry in (own or plan).background], plan.seed):
             AttachedDevice(other, segment, f"background 0x{other.stream.can_id:X}")
-        self.link = BusLink(self.faulty or bus, clock, StampSource.MONOTONIC, name or str(plan.spec))
+        reached = _through_outages(self.faulty or bus, self.injection, clock, StampSource.MONOTONIC)
+        self.link = BusLink(reached, clock, StampSource.MONOTONIC, name or str(plan.spec))
 
     def _attach(self, device: CanopenDevice) -> None:
         injection, segment = self.injection, self.segment
@@ -286,7 +296,8 @@ def _real_world(plan: WorldPlan) -> World:
     faulty = None
     if injection is not None and injection.fates is not None:
         faulty = FaultyBus(opened.bus, injection.fates, clock, plan.side, opened.stamps)
-    link = BusLink(faulty or opened.bus, clock, opened.stamps, str(plan.spec))
+    reached = _through_outages(faulty or opened.bus, injection, clock, opened.stamps)
+    link = BusLink(reached, clock, opened.stamps, str(plan.spec))
     meter = LoadMeter(plan.bitrate_bit_s)
     link.tap(meter.count)
     return World(
@@ -299,7 +310,23 @@ def _real_world(plan: WorldPlan) -> World:
         lambda: link.error_frames,
         lambda _tap: None,
         trouble=getattr(opened.bus, "trouble", str),
+        notes=_setting_notes(plan),
     )
+
+
+def _setting_notes(plan: WorldPlan) -> tuple[str, ...]:
+    links = can_links() if plan.spec.interface == SOCKETCAN else []
+    mine = [link for link in links if link.spec == str(plan.spec)]
+    return tuple(note for link in mine for note in link_advice(link, plan.bitrate_bit_s))
+
+
+def _through_outages(
+    bus: can.BusABC, injection: Injection | None, clock: Clock, stamps: StampSource
+) -> can.BusABC:
+    """``bus``, or the adapter in front of it that fails now and then."""
+    if injection is None or injection.outages is None:
+        return bus
+    return OutageBus(bus, injection.outages, clock, stamps)
 
 
 class LoadMeter:

@@ -8,6 +8,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.identifiers import EXTENDED_FLAG
 from hil.rows.side_rows import StateEvent, TextEvent
 from virtual_bus.faults.fault_log import HOST_KINDS, FaultEntry
+from virtual_bus.faults.kinds.host_stall import HostStall
 from virtual_bus.faults.log_kind import NONE
 from virtual_bus.faults.node_fault import NodeEvent
 from virtual_bus.faults.node_faults import node_kind
@@ -126,7 +127,7 @@ def _struck(entry: FaultEntry) -> str:
 
 def _first(entry: FaultEntry) -> str:
     if entry.kind in HOST_KINDS:
-        return f", first by {entry.a / NS_PER_MS:g} ms"
+        return f", first {'by' if entry.kind == HostStall.kind else 'for'} {entry.a / NS_PER_MS:g} ms"
     return f", first frame {entry.can_id & ~EXTENDED_FLAG:03X}h"
 
 

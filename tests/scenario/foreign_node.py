@@ -66,9 +66,10 @@ class Act:
 def put_on_the_bus(world: World, *nodes: Any) -> None:
     """Have ``nodes`` on the first segment of a simulated world."""
     bus: Any = world.link.bus
-    segment = getattr(bus, "inner", bus).segment
+    while not hasattr(bus, "segment"):
+        bus = bus.inner
     for node in nodes:
-        AttachedDevice(node, segment, "foreign")
+        AttachedDevice(node, bus.segment, "foreign")
 
 
 @contextmanager

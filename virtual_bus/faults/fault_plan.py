@@ -37,6 +37,8 @@ This one the same, but for frames: PDOs, wherever one carries the object.
                      abort = 0x06040041
     [[repeated_emergency]]  code, period_ms = 10; duration_s         when
     [[host_stall]]   late_us, or late_min_us and late_max_us         when
+    [[full_queue]]   duration_s: the host's adapter takes no frames  when
+    [[link_down]]    duration_s: its interface is down               when
 
 ``when``: at_s, or every_s or probability_per_s with from_s and until_s. Each but the host's may hold nodes.
 
@@ -56,6 +58,7 @@ from drivers.key_advice import unknown_key
 from drivers.timebase import Duration
 from virtual_bus.faults.fault_table import A_NUMBER, A_WHOLE_NUMBER, FaultTable
 from virtual_bus.faults.frame_fault import FrameFault, LinkFault, Side
+from virtual_bus.faults.kinds.full_queue import AdapterOutage
 from virtual_bus.faults.kinds.host_stall import HostStall
 from virtual_bus.faults.kinds.signal import SignalFault
 from virtual_bus.faults.node_fault import NodeFault
@@ -86,6 +89,7 @@ class FaultPlan:
     node_faults: tuple[NodeFault, ...] = ()
     host_stalls: tuple[HostStall, ...] = ()
     signals: tuple[SignalFault, ...] = ()
+    outages: tuple[AdapterOutage, ...] = ()
 
     @property
     def sides(self) -> list[tuple[str, Side]]:
@@ -110,7 +114,7 @@ class FaultPlan:
 
     @property
     def _tables(self) -> tuple[FaultTable, ...]:
-        return *self._on_links, *self.node_faults, *self.host_stalls
+        return *self._on_links, *self.node_faults, *self.host_stalls, *self.outages
 
     @property
     def span(self) -> Duration:
@@ -164,6 +168,7 @@ def read_fault_plan(
         tuple(fault for fault in faults if isinstance(fault, NodeFault)),
         tuple(fault for fault in faults if isinstance(fault, HostStall)),
         tuple(fault for fault in faults if isinstance(fault, SignalFault)),
+        tuple(fault for fault in faults if isinstance(fault, AdapterOutage)),
     )
     return plan, errors
 

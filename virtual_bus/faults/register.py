@@ -12,8 +12,10 @@ from virtual_bus.faults.kinds.corruption import Corruption
 from virtual_bus.faults.kinds.delay import Delay
 from virtual_bus.faults.kinds.drive_fault import DriveFault
 from virtual_bus.faults.kinds.duplicate import Duplicate
+from virtual_bus.faults.kinds.full_queue import FullQueue
 from virtual_bus.faults.kinds.host_stall import HostStall
 from virtual_bus.faults.kinds.ignored_commands import IgnoredCommands
+from virtual_bus.faults.kinds.link_down import LinkDown
 from virtual_bus.faults.kinds.loss import Loss
 from virtual_bus.faults.kinds.lss_yes_sayer import LssYesSayer
 from virtual_bus.faults.kinds.measured_delay import MeasuredDelay
@@ -52,6 +54,8 @@ _ALL: Final[tuple[type[FaultTable], ...]] = (
     RefusedMapping,
     RepeatedEmergency,
     SignalFault,
+    FullQueue,
+    LinkDown,
 )
 TABLES: Final = {table.kind: table for table in _ALL}
 """By the name of a plan's tables."""

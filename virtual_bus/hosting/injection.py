@@ -13,6 +13,8 @@ from functools import partial
 from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant
 from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.faults.adapter_outage import KINDS as OUTAGES
+from virtual_bus.faults.adapter_outage import Outages
 from virtual_bus.faults.disturber import Disturber, disturber
 from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.fault_injector import FaultInjector
@@ -82,6 +84,8 @@ class Injection:
         self.log = log
         self.fates = _fates(faults, seed, log, error_frames, link, side)
         """What befalls frames at the bus; None if nothing does."""
+        self.outages = Outages.of(faults, seed, link, log) if side == "host" else None
+        """What befalls the host's adapter; None if nothing does."""
         self._late_by = _late_by(faults, seed, link)
         self._zero: Instant | None = None
         """Since when the host may be late."""
@@ -150,6 +154,8 @@ class Injection:
         """Time zero is ``now``. The frames' faults are started by the bus that wears them."""
         if self.disturber is not None:
             self.disturber.start(now)
+        if self.outages is not None:
+            self.outages.start(now)
         self._zero, self._actions = now, 0
         for device in self._devices:
             device.start_faults(now)
@@ -160,6 +166,8 @@ class Injection:
         """No frame is touched any more, and nothing new strikes a node."""
         if self.disturber is not None:
             self.disturber.stop()
+        if self.outages is not None:
+            self.outages.stop()
         self._zero = None
         for device in self._devices:
             device.stop_faults()
@@ -201,13 +209,18 @@ def refuse_misplaced(faults: Faults, side: Side, bus: str) -> None:
     """Raise BadInput if something of ``faults`` cannot act at ``side``'s connection to a real-time ``bus``.
 
     At the host's: what befalls nodes, and frames at a drive's connection. At a drive's: frames at the host's
-    connection. At neither: lateness of the host.
+    connection, and its adapter. At neither: lateness of the host.
     """
     if isinstance(faults, RecordedFaults):
-        nodes, sides = faults.node_kinds, ["side"] if faults.drives_struck else []
+        kinds, sides = faults.node_kinds, ["side"] if faults.drives_struck else []
     else:
-        nodes = tuple(fault.kind for fault in (*faults.host_stalls, *faults.node_faults))
+        kinds = tuple(fault.kind for fault in (*faults.host_stalls, *faults.node_faults, *faults.outages))
         sides = [f"{kind}.side" for kind, where in faults.sides if where != side]
+    nodes = [kind for kind in kinds if kind not in OUTAGES]
+    if side == "drive" and len(nodes) < len(kinds):
+        kind = next(kind for kind in kinds if kind in OUTAGES)
+        remedy = "give these faults to the bench: hil run"
+        raise BadInput("fault plan", kind, bus, "faults that the drives can have", remedy)
     if HostStall.kind in nodes:
         expected = "the bus 'simulated', in whose time the host can be late"
         raise BadInput("fault plan", HostStall.kind, bus, expected, "run it with --bus simulated")

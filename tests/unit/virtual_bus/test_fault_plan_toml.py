@@ -79,7 +79,7 @@ def test_an_empty_plan_has_no_faults() -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
 def test_examples_load_and_survive_being_written(path: Path) -> None:
     plan = load_fault_plan(tomllib.loads(path.read_text()), str(path))
-    assert plan.faults or plan.node_faults or plan.host_stalls or plan.signals
+    assert plan.faults or plan.node_faults or plan.host_stalls or plan.signals or plan.outages
     assert load_fault_plan(plan.as_tables(), "written") == plan
 
 

@@ -1,0 +1,164 @@
+"""The host's own CAN adapter, which now and then takes no frames or does nothing at all."""
+
+import os
+from collections.abc import Iterator
+from functools import partial
+from heapq import merge
+from typing import Any
+
+import can
+from can.broadcastmanager import CyclicSendTaskABC
+
+from drivers.timebase import NEVER, NS_PER_S, Clock, Instant
+from drivers.wire.frame_port import FramePort, WireFrame
+from drivers.wire.link import StampSource
+from drivers.wire.message import frame_of, message_of
+from drivers.wire.message_port import MessagePort
+from virtual_bus.faults.fault_log import KIND_CODES, FaultLog
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.fault_streams import uniform_stream
+from virtual_bus.faults.kinds.full_queue import AdapterOutage, FullQueue
+from virtual_bus.faults.kinds.link_down import LinkDown
+from virtual_bus.faults.node_fault import NodeEvent
+from virtual_bus.faults.node_faults import Events
+from virtual_bus.faults.replay import RecordedFaults
+
+KINDS: dict[str, type[AdapterOutage]] = {kind.kind: kind for kind in (FullQueue, LinkDown)}
+
+
+class Outages:
+    """When which outage is in force. Of two at a time the one counts that began last."""
+
+    def __init__(self, events: Iterator[NodeEvent], log: FaultLog | None) -> None:
+        self._events = Events(events)
+        self._log = log
+        self._zero: Instant | None = None
+        self._kind: type[AdapterOutage] | None = None
+        self.until = Instant(0)
+        """When the one that is in force ends."""
+
+    @classmethod
+    def of(
+        cls, faults: FaultPlan | RecordedFaults, seed: int, link: str, log: FaultLog | None
+    ) -> "Outages | None":
+        """Those of a plan, or as they were in a recorded run; None if there are none."""
+        if isinstance(faults, RecordedFaults):
+            mine = [entry for entry in faults.entries if entry.kind in KINDS]
+            events = iter([NodeEvent(entry.at_ns, entry.kind, entry.a) for entry in mine])
+            return cls(events, log) if mine else None
+        tables = [
+            outage.events(partial(uniform_stream, seed, f"{link}/adapter/{outage.kind}/{place}"))
+            for place, outage in enumerate(faults.outages)
+        ]
+        return cls(merge(*tables, key=lambda event: event.at_ns), log) if tables else None
+
+    def start(self, now: Instant) -> None:
+        """Time zero of the plan is ``now``."""
+        self._zero = now
+
+    def stop(self) -> None:
+        """From here on the adapter is sound."""
+        self._zero, self._kind = None, None
+
+    def now(self, at: Instant) -> type[AdapterOutage] | None:
+        """The one in force at ``at``; instants must not fall."""
+        zero = self._zero
+        if zero is None:
+            return None
+        while zero + self._events.next_at() <= at:
+            event = self._events.take()
+            self._kind, self.until = KINDS[event.kind], Instant(zero + event.at_ns + event.a)
+            if self._log is not None:
+                self._log.note(KIND_CODES[event.kind], event.at_ns, 0, 0, 0, event.a)
+        if at >= self.until:
+            self._kind = None
+        return self._kind
+
+    def next_at(self) -> Instant:
+        """When the next one begins, or the present one ends."""
+        if self._zero is None:
+            return NEVER
+        begins = min(NEVER, self._zero + self._events.next_at())
+        return Instant(begins if self._kind is None else min(begins, self.until))
+
+
+class OutagePort(FramePort):
+    """``inner``, out of order where ``outages`` says so."""
+
+    def __init__(self, inner: FramePort, outages: Outages, clock: Clock) -> None:
+        super().__init__()
+        self.echoes, self.needs_watching, self.troubles = inner.echoes, inner.needs_watching, inner.troubles
+        self._inner = inner
+        self._outages = outages
+        self._now = clock.now
+        self._silent = False
+
+    def receive(self, until: Instant) -> WireFrame | None:
+        """The next frame that is heard; what comes while the interface is down is gone."""
+        while True:
+            self._note()
+            step = min(until, self._outages.next_at())
+            frame = self._inner.receive(step)
+            if frame is None:
+                if step >= until:
+                    return None
+            elif not self._silent:
+                self.came_at, self.came_own = self._inner.came_at, self._inner.came_own
+                self.echoes = self._inner.echoes
+                return frame
+
+    def transmit(self, frame: WireFrame) -> None:
+        """Hand ``frame`` on. Raises can.CanOperationError as a kernel does."""
+        outage = self._note()
+        if outage is not None:
+            raise can.CanOperationError(f"cannot transmit: {os.strerror(outage.code)}", outage.code)
+        self._inner.transmit(frame)
+
+    def _note(self) -> type[AdapterOutage] | None:
+        now = self._now()
+        outage = self._outages.now(now)
+        silent = outage is not None and not outage.hears
+        if silent != self._silent:
+            self._silent = silent
+            self.troubles.append(("is down: nothing is sent or heard" if silent else "is up again", now))
+        return outage
+
+
+class OutageBus(can.BusABC):
+    """``bus`` seen through ``outages``, by its ``frame_port`` and as python-can sees it."""
+
+    def __init__(
+        self, bus: can.BusABC, outages: Outages, clock: Clock, stamps: StampSource = StampSource.RECEIPT
+    ) -> None:
+        """``stamps``: those of a bus that has no ``frame_port``."""
+        self.inner = bus
+        self.channel_info = bus.channel_info
+        self._can_protocol = bus.protocol
+        self._clock = clock
+        inner: FramePort = getattr(bus, "frame_port", None) or MessagePort(bus, clock, stamps)
+        self.frame_port = OutagePort(inner, outages, clock)
+        super().__init__(channel="", can_filters=bus.filters)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next message that is heard, within ``timeout`` seconds."""
+        until = NEVER if timeout is None else self._clock.now() + round(timeout * NS_PER_S)
+        port = self.frame_port
+        frame = port.receive(Instant(until))
+        return None if frame is None else message_of(frame, port.came_at, is_rx=not port.came_own)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
+        """Hand ``msg`` on. Raises can.CanOperationError while there is no room."""
+        self.frame_port.transmit(frame_of(msg))
+
+    def shutdown(self) -> None:
+        """Close ``bus``."""
+        super().shutdown()
+        self.inner.shutdown()
+
+    def set_filters(self, filters: can.typechecking.CanFilters | None = None) -> None:
+        """Filter in the bus below."""
+        self._filters = filters or None
+        self.inner.set_filters(filters)
+
+    def _send_periodic_internal(self, *arguments: Any, **options: Any) -> CyclicSendTaskABC:
+        return self.inner._send_periodic_internal(*arguments, **options)

@@ -1,0 +1,15 @@
+"""``[[link_down]]``: the host's interface is down."""
+
+import errno
+
+from virtual_bus.faults.kinds.full_queue import AdapterOutage
+from virtual_bus.faults.log_kind import LogKind, LogNumber
+
+
+class LinkDown(AdapterOutage):
+    """Somebody has set the interface down, or its cable is out: nothing is sent or heard until it is up."""
+
+    kind = "link_down"
+    logs = (LogKind("link_down", (LogNumber("duration_ns"),), "host", "nothing"),)
+    code = errno.ENETDOWN
+    hears = False
