@@ -20,6 +20,17 @@ _TIMEOUT_S = 5.0
 _SYSFS = Path("/sys/class/net")
 
 
+_ADAPTER = "can"
+_BUS_OFF = "BUS-OFF"
+RESTART_MS = 100
+"""Shorter than drives wait for a master's heartbeat, far above the 1.4 ms of a recovery at 1 Mbit/s."""
+QUEUE_LENGTH_MIN = 10
+"""What Linux gives an adapter: room for SYNC, the commands of three axes and their SDO requests."""
+FAST_BIT_S = 800_000
+SAMPLE_POINTS, SAMPLE_POINTS_FAST, SAMPLE_POINT = (0.85, 0.90), (0.75, 0.90), 0.875
+"""Of a bit (CiA 301, 5.3): the valid range below and from 800 kbit/s, and what is recommended."""
+
+
 class CanLink(NamedTuple):
     """One CAN interface of the kernel."""
 
@@ -34,6 +45,12 @@ class CanLink(NamedTuple):
     transmit_errors: int | None = None
     receive_errors: int | None = None
     listen_only: bool = False
+    queue_length: int | None = None
+    """Frames that its transmit queue holds (txqueuelen)."""
+    restart_ms: int | None = None
+    """So long after bus-off it starts anew; 0: never by itself."""
+    sample_point: float | None = None
+    """Of a bit, from its beginning, 0 to 1."""
 
     @property
     def spec(self) -> str:
@@ -77,7 +94,52 @@ def _link(link: dict[str, Any]) -> CanLink:
         counters.get("tx"),
         counters.get("rx"),
         "LISTEN-ONLY" in (data.get("ctrlmode") or ()),
+        link.get("txqlen"),
+        data.get("restart_ms", 0) if info.get("info_kind") == _ADAPTER else None,
+        _real((data.get("bittiming") or {}).get("sample_point")),
     )
+
+
+def _real(told: Any) -> float | None:
+    try:
+        return float(told)
+    except (TypeError, ValueError):
+        return None
+
+
+def link_advice(link: CanLink, bitrate_bit_s: int | None = None) -> list[str]:
+    """What of an adapter's settings does not fit a bench, each with the command that mends it; nothing of a
+    virtual interface. ``bitrate_bit_s``: what the bus is meant to have; None: whatever it has."""
+    if link.kind != _ADAPTER or not link.up:
+        return []
+    name, rate, found = link.name, bitrate_bit_s or link.bitrate_bit_s, []
+    again = f"ip link set {name} down; ip link set {name} up type can"
+    if bitrate_bit_s and link.bitrate_bit_s not in (None, bitrate_bit_s):
+        found.append(
+            f"{name} is set to {link.bitrate_bit_s} bit/s, the bench to {bitrate_bit_s} (bus.bitrate_bit_s): "
+            f"{again} bitrate {bitrate_bit_s}"
+        )
+    if link.listen_only:
+        found.append(f"{name} only listens: {again} bitrate {rate} listen-only off")
+    if link.state == _BUS_OFF:
+        found.append(f"{name} is bus-off: ip link set {name} type can restart")
+    if link.restart_ms == 0:
+        found.append(
+            f"{name} stays bus-off once it is so (restart-ms 0): "
+            f"{again} bitrate {rate} restart-ms {RESTART_MS}"
+        )
+    if link.queue_length is not None and link.queue_length < QUEUE_LENGTH_MIN:
+        found.append(
+            f"{name} has a queue of {link.queue_length} frames: "
+            f"ip link set {name} txqueuelen {QUEUE_LENGTH_MIN}"
+        )
+    least, most = SAMPLE_POINTS_FAST if (rate or 0) >= FAST_BIT_S else SAMPLE_POINTS
+    if link.sample_point is not None and not least <= link.sample_point <= most:
+        found.append(
+            f"{name} samples a bit at {100 * link.sample_point:g} %, CiA 301 has {100 * least:g} to "
+            f"{100 * most:g} %: {again} bitrate {rate} sample-point {SAMPLE_POINT}"
+        )
+    return found
 
 
 def _ask_ip() -> str:

@@ -18,6 +18,7 @@ from serial.tools import list_ports
 
 from drivers import compiled
 from drivers.wire.adapters import link_up_command, socketcan_links
+from drivers.wire.attached import can_links, link_advice
 
 
 class Look(NamedTuple):
@@ -153,6 +154,18 @@ def real_interfaces(machine: Machine) -> Look:
     if interfaces:
         return Look(f"{', '.join(interfaces)} up")
     return Look("none", "plug in an adapter that the kernel drives (lsusb, dmesg)")
+
+
+def interface_settings(machine: Machine) -> Look:
+    """Whether the CAN adapters of the kernel are set up as a bench needs them."""
+    links = can_links(machine.path("sys", "class", "net"))
+    advice = [text for link in links for text in link_advice(link)]
+    if advice:
+        what, _, command = advice[0].partition(": ")
+        more = f", and {len(advice) - 1} more (hil scan)" if len(advice) > 1 else ""
+        return Look(f"{what}{more}", f"sudo sh -c '{command}'")
+    known = [link.name for link in links if link.kind == "can" and link.up]
+    return Look(f"{', '.join(known)} fit" if known else "no adapter that is up")
 
 
 def can_interfaces(machine: Machine) -> dict[str, bool]:
@@ -316,6 +329,7 @@ CHECKS: Final[tuple[tuple[str, str, Callable[[Machine], Look]], ...]] = (
     ("vcan driver", "--bus socketcan:vcan0", vcan_module),
     ("vcan0", "--bus socketcan:vcan0", vcan_interface),
     ("CAN interfaces", "--bus socketcan:can0", real_interfaces),
+    ("CAN settings", "--bus socketcan:can0", interface_settings),
     ("CAP_NET_ADMIN", "making and setting CAN interfaces", net_admin),
     ("python-can adapters", "--bus pcan:..., kvaser:..., gs_usb:..., ...", adapters),
     ("serial ports", "--bus slcan:/dev/...", serial_ports),

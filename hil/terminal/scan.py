@@ -63,12 +63,15 @@ def scan(
 def _print_adapters(adapters: "Adapters") -> None:
     from rich.console import Console
 
+    from drivers.wire.attached import link_advice
+
     console = Console(highlight=False)
     table = columns("adapter", "what", "bit rate", "state", overflow="fold")
     for link in adapters.can_links:
         rate = f"{link.bitrate_bit_s}" if link.bitrate_bit_s else "-"
         state = f"up, {link.state.lower()}" if link.up and link.state else "up" if link.up else "down"
         table.add_row(link.spec, f"kernel, {link.kind or 'can'}", rate, state)
+    advice = [text for link in adapters.can_links for text in link_advice(link)]
     for port in adapters.serial_ports:
         what = ", ".join(part for part in (port.usb_id, port.description, port.hint) if part)
         table.add_row(port.spec, what, "-", "ready" if port.permitted else "no permission (group dialout)")
@@ -78,6 +81,8 @@ def _print_adapters(adapters: "Adapters") -> None:
         table.add_row(f"hub:{hub}", "hub of this user", "-", "-")
     if table.row_count:
         console.print(table)
+        for text in advice:
+            console.print(f"note: {text}", soft_wrap=True)
         console.print("\nWho is on a bus: hil scan --bus ADAPTER")
     else:
         console.print("No CAN adapter and no USB serial port. What this machine can do: hil doctor")

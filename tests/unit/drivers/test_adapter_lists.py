@@ -3,10 +3,11 @@
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from drivers.wire.attached import CanLink, can_links, parse_links, serial_adapters
+from drivers.wire.attached import CanLink, can_links, link_advice, parse_links, serial_adapters
 
 DESCRIBED = json.dumps(
     [
@@ -15,6 +16,7 @@ DESCRIBED = json.dumps(
             "ifname": "can0",
             "link_type": "can",
             "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"],
+            "txqlen": 10,
             "linkinfo": {
                 "info_kind": "can",
                 "info_data": {
@@ -38,8 +40,8 @@ DESCRIBED = json.dumps(
 
 def test_links_are_read_with_rate_state_and_counters() -> None:
     assert parse_links(DESCRIBED) == [
-        CanLink("can0", True, "can", 500_000, "ERROR-PASSIVE", 128, 3, True),
-        CanLink("can1", False, "can", None, "STOPPED"),
+        CanLink("can0", True, "can", 500_000, "ERROR-PASSIVE", 128, 3, True, 10, 0, 0.875),
+        CanLink("can1", False, "can", None, "STOPPED", restart_ms=0),
         CanLink("vcan0", True, "vcan", None, ""),
     ]
 
@@ -80,3 +82,38 @@ def test_usb_serial_ports_are_listed_with_what_they_may_be(
     assert canable.usb_id == "16d0:117e"
     assert "CANable" in canable.hint
     assert canable.permitted
+
+
+SOUND = CanLink(
+    "can0", True, "can", 500_000, "ERROR-ACTIVE", queue_length=10, restart_ms=100, sample_point=0.875
+)
+
+
+@pytest.mark.parametrize(
+    ("changed", "bitrate", "advice"),
+    [
+        ({}, 500_000, ""),
+        ({}, None, ""),
+        ({"kind": "vcan", "restart_ms": 0, "queue_length": 1}, 250_000, ""),
+        ({"up": False, "restart_ms": 0}, None, ""),
+        (
+            {},
+            1_000_000,
+            "set to 500000 bit/s, the bench to 1000000 (bus.bitrate_bit_s): ip link set can0 down;",
+        ),
+        ({"listen_only": True}, None, "up type can bitrate 500000 listen-only off"),
+        ({"state": "BUS-OFF"}, None, "bus-off: ip link set can0 type can restart"),
+        ({"restart_ms": 0}, None, "up type can bitrate 500000 restart-ms 100"),
+        ({"queue_length": 9}, None, "a queue of 9 frames: ip link set can0 txqueuelen 10"),
+        ({"sample_point": 0.8}, None, "at 80 %, CiA 301 has 85 to 90 %"),
+        ({"sample_point": 0.75, "bitrate_bit_s": 1_000_000}, None, ""),
+        ({"sample_point": 0.7, "bitrate_bit_s": 1_000_000}, 1_000_000, "at 70 %, CiA 301 has 75 to 90 %"),
+        ({"queue_length": None, "restart_ms": None, "sample_point": None}, None, ""),
+    ],
+)
+def test_settings_that_do_not_fit_are_named_with_the_command_that_mends_them(
+    changed: dict[str, Any], bitrate: int | None, advice: str
+) -> None:
+    found = link_advice(SOUND._replace(**changed), bitrate)
+    assert len(found) == bool(advice)
+    assert advice in "".join(found)
