@@ -25,7 +25,8 @@
 #   make pictures    draw every page of runs of every kind, for at most SECONDS, into build/pictures, and look in
 #                    the pixels for what has to be there
 #   make exits       end and hold up each process of a run in each of its phases, then have code of the user's end
-#                    its command in every way, for at most SECONDS each
+#                    its command in every way, for at most SECONDS each, then have every command write to streams
+#                    that are gone, full or closed
 #   make bench       print the benchmarks' figures
 #   make compile     compile what has changed of the hot modules; test and bench do it by themselves
 #   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command leaves them unused)
@@ -166,6 +167,7 @@ pictures: $(TOOLS) compile
 exits: $(TOOLS) compile
 	@$(BIN)/python -m tests.exits --seconds $(SECONDS)
 	@$(BIN)/python -m tests.exits.misuse --runs 10000 --seconds $(SECONDS)
+	@STREAMS=0 $(BIN)/pytest --quiet --numprocesses=2 --dist=load tests/exits/test_streams.py
 
 # What the benchmarks compare with has an environment of its own, and nothing else needs it.
 $(PEERS)/.installed: requirements-bench.lock | $(BIN)/python

@@ -50,7 +50,7 @@ from hil.terminal.runs import runs
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
 from hil.terminal.stop import stop
-from hil.terminal.supervision import is_supervised, supervised
+from hil.terminal.supervision import is_supervised, supervised, unsupervised
 from hil.terminal.trace import trace
 from hil.terminal.view import missing_display, view
 
@@ -250,7 +250,7 @@ def main() -> None:
 
     if is_supervised(arguments):
         supervised(command, arguments)
-    command()
+    unsupervised(command)
 
 
 if __name__ == "__main__":

@@ -41,12 +41,14 @@ class Terminals(NamedTuple):
     stderr: bool
 
 
-class _PipeEnd(io.RawIOBase):
-    """Takes every write at once; what finds the pipe full, or nobody at its other end, is lost."""
+class StreamEnd(io.RawIOBase):
+    """Takes every write; what finds a pipe full, nobody at its other end, or no room on a disk, is lost."""
 
     def __init__(self, descriptor: int, on_terminal: bool) -> None:
         self._descriptor = descriptor
         self._on_terminal = on_terminal
+        self.trouble: OSError | None = None
+        """Why the first write that was lost was."""
 
     def writable(self) -> bool:
         return True
@@ -66,8 +68,8 @@ class _PipeEnd(io.RawIOBase):
         try:
             while left:
                 left = left[os.write(self._descriptor, left) :]
-        except OSError:
-            """Full, or the parent is gone: nothing is owed to a reader who does not read."""
+        except OSError as error:  # nothing is owed to a reader who does not read
+            self.trouble = self.trouble or error
         return size
 
 
@@ -152,6 +154,6 @@ def messages() -> TextIO:
 
 
 def _text(descriptor: int, on_terminal: bool) -> TextIO:
-    end = _PipeEnd(descriptor, on_terminal)
+    end = StreamEnd(descriptor, on_terminal)
     # the buffer of a text stream may be raw where each write goes through, as in python -u
     return io.TextIOWrapper(end, encoding="utf-8", errors="backslashreplace", write_through=True)  # type: ignore[type-var]

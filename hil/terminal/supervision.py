@@ -9,6 +9,8 @@ A command that ends without a result (``os._exit(0)``, a crash, another program 
 stopped, its recording finished and its object printed by :mod:`hil.terminal.taken_over`.
 """
 
+import errno
+import io
 import os
 import signal
 import sys
@@ -18,7 +20,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, NoReturn
 
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
-from hil.machine.parent_process import Pipes, Terminals, live_under, messages
+from hil.machine.parent_process import Pipes, StreamEnd, Terminals, live_under, messages
 from hil.machine.stopping import heard_signals
 from hil.terminal.relay import Relay, write_all
 from hil.terminal.taken_over import Ended, concluded, lost
@@ -32,6 +34,10 @@ _GRACE: Final = Duration(2 * NS_PER_S)
 """From its result until the command has ended: threads that the user's code left would keep it for ever."""
 _DYING: Final = Duration(NS_PER_S // 2)
 """From the end of what it tells until its own: a core that is written, memory that is given back."""
+
+
+_WITH_RESULTS: Final = (ExitStatus.PASSED, ExitStatus.FAILED, ExitStatus.INCOMPLETE)
+"""Statuses that say what is in the results."""
 
 
 def is_supervised(arguments: Sequence[str]) -> bool:
@@ -58,6 +64,37 @@ def supervised(work: Callable[[], None], arguments: Sequence[str]) -> NoReturn:
     ended = _watch(child, relay, watched)
     # at once: nothing here has to be cleaned up, and to take the interpreter down takes longer than all else
     os._exit(_leave(relay, ended, arguments))
+
+
+def unsupervised(work: Callable[[], None]) -> NoReturn:
+    """Run ``work``, which leaves by SystemExit, in this process, to its end also where nobody reads it.
+
+    A stdout that does not take its results makes of a status of 0, 1 and 6 a 5.
+    """
+    _open_standard_descriptors()
+    out, messages = StreamEnd(1, os.isatty(1)), StreamEnd(2, os.isatty(2))
+    encoding = sys.stdout.encoding if sys.stdout else "utf-8"
+    sys.stdout, sys.stderr = (
+        io.TextIOWrapper(io.BufferedWriter(end), encoding, "backslashreplace", line_buffering=end is messages)
+        for end in (out, messages)
+    )
+    status: Any = 0
+    try:
+        work()
+    except SystemExit as leaving:
+        status = leaving.code
+    sys.stdout.flush()
+    if out.trouble is not None and status in (None, *_WITH_RESULTS):
+        if out.trouble.errno != errno.EPIPE:  # who reads has enough, as of `| head`
+            print(f"hil: error: stdout: {out.trouble.strerror}", file=sys.stderr)
+        status = ExitStatus.NOT_RECORDED
+    raise SystemExit(status)
+
+
+def is_read() -> bool:
+    """Whether stdout has taken all that was written to it so far: who has very much may stop."""
+    end = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+    return not (isinstance(end, StreamEnd) and end.trouble)
 
 
 def _open_standard_descriptors() -> None:
@@ -125,7 +162,7 @@ def _leave(relay: Relay, ended: Ended, arguments: Sequence[str]) -> int:
         write_all(1, text.encode(sys.stdout.encoding if sys.stdout else "utf-8", "backslashreplace"))
     except OSError as error:
         relay.say(f"hil: error: stdout: {error.strerror}")
-        if status in (ExitStatus.PASSED, ExitStatus.FAILED, ExitStatus.INCOMPLETE):
+        if status in _WITH_RESULTS:
             status = ExitStatus.NOT_RECORDED
     relay.drain()
     return status

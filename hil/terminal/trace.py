@@ -1,7 +1,6 @@
 """``hil trace``: what was said on a bus, decoded: a recording, a log of another program, or live."""
 
 import json
-import os
 import sys
 from collections.abc import Iterable
 from contextlib import closing
@@ -15,6 +14,7 @@ from drivers.errors import BadInput
 from drivers.printable import printable
 from hil.terminal.options import JsonLinesOption, UnsealedOption, bitrate_option, bus_option, flag, valued
 from hil.terminal.output import say, write_line
+from hil.terminal.supervision import is_read
 
 if TYPE_CHECKING:
     from hil.reviewing.trace.known_nodes import SheetFile
@@ -109,13 +109,11 @@ def _follow(
 
 def _print(selection: "TraceSelection", entries: "Iterable[TraceEntry]", zero_ns: int, as_json: bool) -> None:
     """Line by line; whoever reads them may have enough (``| head``)."""
-    try:
-        for entry in selection.of(entries, zero_ns):
-            write_line(json.dumps(entry.as_json(zero_ns)) if as_json else _line(entry, zero_ns))
-        sys.stdout.flush()
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise typer.Exit from None
+    for entry in selection.of(entries, zero_ns):
+        write_line(json.dumps(entry.as_json(zero_ns)) if as_json else _line(entry, zero_ns))
+        if not is_read():
+            return
+    sys.stdout.flush()
 
 
 def _line(entry: "TraceEntry", zero_ns: int) -> str:
