@@ -1,10 +1,12 @@
 """``hil review``: a recorded run judged anew from its files."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drivers.errors import BadInput
 from hil.terminal.options import JsonOption, RunArgument, UnsealedOption, valued
 from hil.terminal.output import columns, put, say_written
 
@@ -25,6 +27,9 @@ def review(
     report: Annotated[
         Path | None, valued("--report", "FILE", "Write a report with pictures: one .html or .md file.")
     ] = None,
+    signers: Annotated[
+        Path | None, valued("--signers", "FILE", "Who may have signed it: allowed signers of ssh-keygen.")
+    ] = None,
     unsealed: UnsealedOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -36,7 +41,16 @@ def review(
     from hil.recorded.judgement import judge_run
     from hil.recorded.recorded_run import open_run
 
-    judged = judge_run(open_run(run, unsealed=unsealed), against)
+    opened = open_run(run, unsealed=unsealed)
+    if signers is not None:
+        from hil.recorded.signature import signed_by
+
+        if unsealed:
+            raise BadInput(
+                "--signers", "", str(signers), "no --unsealed beside it: it is the seal that is signed"
+            )
+        opened = replace(opened, seal=f"{opened.seal}; signed by {signed_by(opened.folder, signers)}")
+    judged = judge_run(opened, against)
     put(judged.summary.as_json() | {"seal": judged.run.seal}, as_json, lambda _figures: _print(judged))
     if report is not None:
         from hil.recorded.report import write_report

@@ -114,6 +114,34 @@ def test_a_run_of_the_python_api_is_read_only_as_it_was_recorded(tmp_path: Path)
             read_of()
 
 
+def key_of(name: str, folder: Path) -> Path:
+    """A key, and its line as an allowed signer beside it."""
+    key = folder / name
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(key)], check=True)
+    (folder / f"{name}.allowed").write_text(f"{name} {(folder / f'{name}.pub').read_text()}")
+    return key
+
+
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="no ssh-keygen here")
+def test_a_signature_is_that_of_its_signer_for_this_recording(run: Path, tmp_path: Path) -> None:
+    copy = copied(run, tmp_path)
+    key, _ = key_of("lab@example.org", tmp_path), key_of("other@example.org", tmp_path)
+    status, told = read("review", copy, "--signers", str(tmp_path / "lab@example.org.allowed"))
+    assert (status, "ssh-keygen -Y sign -f KEY -n servobench" in told) == (2, True)
+    for purpose, expected in (("servobench", 0), ("file", 2)):
+        (copy / "seal.sig").unlink(missing_ok=True)
+        sign = ["ssh-keygen", "-q", "-Y", "sign", "-f", str(key), "-n", purpose, str(copy / "seal")]
+        subprocess.run(sign, check=True, capture_output=True)
+        status, told = read("review", copy, "--signers", str(tmp_path / "lab@example.org.allowed"))
+        assert (status, "sealed; signed by lab@example.org" in told) == (expected, expected == 0), told
+        status, told = read("review", copy, "--signers", str(tmp_path / "other@example.org.allowed"))
+        assert (status, f"{copy / 'seal.sig'}: found" in told) == (2, True), told
+    assert read("review", copy, "--unsealed", "--signers", "any")[0] == 2
+    shutil.copytree(short_run(tmp_path / "remade", seed=5), copy, dirs_exist_ok=True)
+    status, told = read("review", copy, "--signers", str(tmp_path / "lab@example.org.allowed"))
+    assert (status, f"{copy / 'seal.sig'}: found" in told) == (2, True), "whole, and not what was signed"
+
+
 @pytest.mark.parametrize(("lines", "rows"), [(6, 300), (1, 0)])
 def test_recover_says_up_to_where_the_seal_is_not_its_own(
     run: Path, tmp_path: Path, lines: int, rows: int
