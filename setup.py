@@ -53,7 +53,7 @@ GROUPS = {
         *_below(
             "hil/loop", "delay loop order_attribution pace position_path safety samples scenario way_back"
         ),
-        *_below("hil/loop", "drive_stamps followed_command lessons period_doubt"),
+        *_below("hil/loop", "drive_stamps followed_command lessons order_evidence period_doubt"),
         *_below("hil/loop", "readback_tie residuals stamp_attribution syncs"),
         *_below("hil/recording", "ring row_writer"),
         *_below("hil/rows", "records side_rows"),

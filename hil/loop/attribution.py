@@ -80,6 +80,8 @@ class Question:
         if not self._amended:
             return observation
         amended = self._amended.pop(observation.sequence, None)
+        if len(self._amended) > 2 * HELD_MAX:  # of rows that had been recorded
+            self._amended = {row: what for row, what in self._amended.items() if row > observation.sequence}
         if amended is None:
             return observation
         certain, error_ns = amended

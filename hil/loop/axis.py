@@ -158,8 +158,10 @@ class Axis:
 
     def discard(self) -> None:
         """Let go of what has come: it answers SYNCs from before."""
-        self.readbacks.pass_over(len(self._drive.take_readings()) + len(self._kept))
-        self._kept.clear()
+        kept, self._kept = [*self._kept, *self._drive.take_readings()], []
+        self.readbacks.pass_over(len(kept))
+        if kept:
+            self.by_order.skip(kept[-1])
         self._drive.take_readbacks()
         self._drive.take_demand_changes()
 
@@ -281,9 +283,8 @@ class Axis:
 
     def settle_all(self, now: int) -> None:
         """End of the run: record what is left, with what is known; ``now``: beyond any horizon."""
-        kept, self._kept = self._kept, []
-        for reading in kept:
-            self._take(reading)
+        while self._kept:
+            self._take(self._kept.pop(0))
         self._collect_demands(at_end=True)
         for fate in self.meter.settle_all(self.parts.syncs.heard_ns):
             if self._decisions:

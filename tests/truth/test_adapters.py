@@ -35,8 +35,10 @@ def test_a_reading_that_is_fetched_before_the_echo_of_its_sync_waits_for_it(
     assert (result.rows, result.uncertain, result.wrong, result.bound_broken) == (CYCLES, 0, 0, 0)
 
 
-@pytest.mark.parametrize("stamps", [True, False])
-@pytest.mark.parametrize(("basis", "late_us"), [(EchoBasis.KERNEL, 900.0), (EchoBasis.RECEIPT, 500.0)])
+@pytest.mark.parametrize(
+    ("basis", "late_us", "stamps"),
+    [(EchoBasis.KERNEL, 900.0, True), (EchoBasis.RECEIPT, 500.0, True), (EchoBasis.RECEIPT, 500.0, False)],
+)
 def test_syncs_whose_echoes_are_stamped_late_are_placed_by_their_hand_over(
     basis: EchoBasis, late_us: float, stamps: bool
 ) -> None:

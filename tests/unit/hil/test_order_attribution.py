@@ -4,7 +4,15 @@ import pytest
 
 from drivers.timebase import NS_PER_US, Instant
 from drivers.wire.frame_port import EchoBasis
-from hil.loop.order_attribution import PROBE_AGAIN_AFTER, OrderAttribution
+from hil.loop.attribution import HELD_MAX
+from hil.loop.order_attribution import (
+    ASK_AGAIN_AFTER,
+    HELD_UP,
+    PROBE_AFTER,
+    STRAYS_MAX,
+    WITHOUT_PROBE,
+    OrderAttribution,
+)
 from hil.loop.samples import Sample
 from hil.loop.syncs import SURPLUS, SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
@@ -12,22 +20,19 @@ from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
 DELAY = 240_000
 ECHO = NS_PER_US
 """How far an echo with the stamp of an adapter may err."""
-BEYOND = (
-    "its readings come later than the next SYNC; without a stamp of the drive's clock beside the"
-    " speed it cannot be told which SYNC they answer: they are marked uncertain"
-)
-AGAIN = "its readings answer the SYNC before them again"
+QUARTER = PERIOD // 4
 
 
 class Rig:
     """SYNC n ends at n periods, those that are left out as well, and the first has taught the usual delay."""
 
-    def __init__(self, echoes: EchoBasis = EchoBasis.HARDWARE) -> None:
+    def __init__(self) -> None:
         self.told: list[str] = []
-        self.log = SyncLog(SYNC_LATENCY, PERIOD, echoes)
+        self.log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.HARDWARE)
         self.order = OrderAttribution(self.log, PERIOD, TRANSIT, self.told.append)
         self.sync(1)
         self.order.learn(reading_at(Instant(PERIOD + DELAY)), self.log.marks[0])
+        self.speed = 0.0
 
     def sync(self, number: int, late: int = 0, sequence: int | None = None) -> None:
         for unanswered in range(self.log.counted + 1, number):
@@ -35,210 +40,210 @@ class Rig:
         at = Instant(number * PERIOD + late)
         self.log.heard(number if sequence is None else sequence, at)
 
-    def answer(self, delay: int = DELAY) -> Sample | None:
-        """What comes so long after the last SYNC."""
-        at = self.log.marks[-1].on_bus_at
-        assert at is not None
-        return self.order.place(reading_at(Instant(at + delay)))
+    def comes(self, at: int) -> Sample | None:
+        self.speed += 1.0
+        return self.order.place(reading_at(Instant(at), velocity_rad_s=self.speed))
 
     def answered(self, number: int, late: int = 0, delay: int = DELAY) -> Sample | None:
+        """SYNC ``number`` goes out, and a reading comes ``delay`` after it."""
         self.sync(number, late)
-        return self.answer(delay)
+        return self.comes(number * PERIOD + late + delay)
 
-    def probe(self, number: int, late: int = PERIOD // 4, delay: int = DELAY) -> Sample | None:
-        """SYNC ``number`` goes out late and is answered."""
+    def ask(self, missing: int = 1) -> list[Sample | None]:
+        """So many readings are missing, and as many come as are watched before a probe."""
+        first = 2 + missing
+        return [self.answered(first + place) for place in range(PROBE_AFTER)]
+
+    def probe(self, lag: int = 0) -> list[Sample | None]:
+        """The next SYNC goes out late; what comes until one so many SYNCs later has been answered, as late as
+        the one that it answers."""
         assert self.order.wants_probe
-        self.sync(number, PERIOD // 4)
-        self.order.probed(self.log.marks[-1])
-        return self.answer(delay + PERIOD // 4 - late)
+        number = self.log.counted + 1
+        samples = []
+        for place in range(lag + 1):
+            self.sync(number + place, QUARTER if place == 0 else 0)
+            if place == 0:
+                self.order.probed(self.log.marks[-1])
+            samples.append(self.comes((number + place) * PERIOD + DELAY + (QUARTER if place == lag else 0)))
+        return samples
 
-    def amended(self, *samples: Sample | None) -> list[tuple[int, bool, int]]:
+    def amended(self, *samples: Sample | None) -> list[tuple[int, bool]]:
         """What the rows of these say after all."""
         made = [self.order.question.applied(sample) for sample in samples if sample is not None]
-        return [
-            (each.sequence, each.certain, each.sampled_at_error_ns)
-            for each in made
-            if isinstance(each, Sample)
-        ]
+        return [(each.sequence, each.certain) for each in made]
 
 
-def placed(sample: Sample | None) -> tuple[int, int, int, bool] | None:
-    if sample is None:
-        return None
-    return sample.sequence, sample.sampled_at, sample.sampled_at_error_ns, sample.certain
+def placed(sample: Sample | None) -> tuple[int, bool] | None:
+    return None if sample is None else (sample.sequence, sample.certain)
 
 
-def counts(rig: Rig) -> tuple[int, int, int, int]:
-    health = rig.order.health
-    return health.placed, health.unmatched, health.below_transit, health.error_ns_max
-
-
-def test_a_reading_answers_the_sync_before_it() -> None:
+def test_a_reading_answers_the_sync_that_ended_as_long_before_as_is_usual() -> None:
     rig = Rig()
-    assert [placed(rig.answered(number)) for number in (2, 3)] == [
-        (2, 2 * PERIOD, ECHO, True),
-        (3, 3 * PERIOD, ECHO, True),
-    ]
-    assert counts(rig) == (2, 0, 0, ECHO)
+    samples = [rig.answered(number) for number in (2, 3)]
+    assert [placed(sample) for sample in samples] == [(2, True), (3, True)]
+    assert samples[0] is not None
+    assert (samples[0].sampled_at, samples[0].sampled_at_error_ns) == (2 * PERIOD, ECHO)
+    health = rig.order.health
+    assert (health.placed, health.unmatched, health.below_transit, health.error_ns_max) == (2, 0, 0, ECHO)
     assert (rig.told, rig.order.wants_probe, rig.order.question.open) == ([], False, False)
 
 
 def test_a_reading_without_a_sync_before_it_or_of_no_cycle_answers_none() -> None:
     rig = Rig()
-    assert rig.order.place(reading_at(Instant(PERIOD - 1))) is None
+    assert rig.comes(PERIOD - 1) is None
     rig.sync(2, sequence=SURPLUS)
-    assert rig.answer() is None
-    assert counts(rig) == (0, 2, 0, 0)
+    assert rig.comes(2 * PERIOD + DELAY) is None
+    assert rig.order.health.unmatched == 2
 
 
 @pytest.mark.parametrize(("early", "below"), [(0, 0), (ECHO, 0), (ECHO + 1, 1)])
 def test_a_reading_that_comes_sooner_than_its_frame_takes_is_counted(early: int, below: int) -> None:
     rig = Rig()
-    assert placed(rig.answered(2, delay=TRANSIT - early)) == (2, 2 * PERIOD, ECHO, True)
-    assert counts(rig) == (1, 0, below, ECHO)
+    rig.order.learn(reading_at(Instant(PERIOD + TRANSIT)), rig.log.marks[0])
+    assert placed(rig.answered(2, delay=TRANSIT - early)) == (2, True)
+    assert rig.order.health.below_transit == below
 
 
-def test_after_a_gap_readings_are_uncertain_until_a_probe_is_answered_as_late_as_it_went() -> None:
+def test_a_delay_that_changes_within_the_period_is_no_question_while_every_sync_is_answered() -> None:
     rig = Rig()
-    first = rig.answered(3)
-    assert placed(first) == (3, 3 * PERIOD, ECHO + 2 * PERIOD + DELAY, False), "it may be of any SYNC known"
+    assert [placed(rig.answered(number, delay=DELAY + 300_000)) for number in (2, 3)] == [
+        (2, True),
+        (3, True),
+    ]
+    assert placed(rig.answered(4, delay=DELAY)) == (4, True)
+    assert not rig.order.question.open
+
+
+def test_after_a_gap_a_probe_that_is_answered_late_shows_that_a_reading_was_lost() -> None:
+    rig = Rig()
+    before = rig.ask()
+    assert [placed(sample) for sample in before] == [(3, False), (4, False), (5, False)]
     assert (rig.order.wants_probe, rig.order.question.open) == (True, True)
-    second = rig.answered(4)
-    assert placed(second) == (4, 4 * PERIOD, ECHO + 3 * PERIOD + DELAY, False)
-    assert counts(rig) == (2, 0, 0, 0), "what is uncertain tells nothing of errors"
-    third = rig.probe(5)
-    assert placed(third) == (5, 5 * PERIOD + PERIOD // 4, ECHO, True)
+    assert [placed(sample) for sample in rig.probe()] == [(6, True)]
     assert (rig.order.wants_probe, rig.order.question.open, rig.order.question.cleared) == (
         False,
         False,
         True,
     )
-    assert rig.amended(first, second) == [(3, True, ECHO), (4, True, ECHO)]
-    told_again = [(3, False, ECHO + 2 * PERIOD + DELAY), (4, False, ECHO + 3 * PERIOD + DELAY)]
-    assert rig.amended(first, second) == told_again, "amended once"
+    assert rig.amended(*before) == [(3, True), (4, True), (5, True)]
     assert rig.told == []
 
 
-def test_while_a_probe_is_out_no_other_is_wanted() -> None:
+@pytest.mark.parametrize("lag", [1, 2])
+def test_after_a_gap_a_probe_that_is_answered_later_shows_by_how_much_the_delay_has_grown(lag: int) -> None:
     rig = Rig()
-    rig.answered(3)
-    rig.sync(4, PERIOD // 4)
-    rig.order.probed(rig.log.marks[-1])
-    assert not rig.order.wants_probe
-    assert placed(rig.order.place(reading_at(Instant(4 * PERIOD + DELAY)))) is None, "a second answer to 3"
-    assert not rig.order.wants_probe
+    before = rig.ask(missing=2)
+    *_, last = rig.probe(lag)
+    assert placed(last) == (7, True), "the probe"
+    assert rig.amended(*before) == [(4, False), (5, False), (6, False)]
+    assert rig.told == [f"its readings come {DELAY // 1000 + 1000 * lag} us after their SYNC now"]
+    after = rig.answered(8 + lag)
+    assert placed(after) == (8, True)
 
 
-@pytest.mark.parametrize(
-    ("off", "sure"),
-    [(PERIOD // 8 - 1, True), (PERIOD // 8, False), (-PERIOD // 8 + 1, True), (-PERIOD // 8, False)],
-)
-def test_a_probe_is_answered_if_its_reading_is_an_eighth_of_a_period_from_the_usual_at_most(
-    off: int, sure: bool
-) -> None:
+def test_an_uneven_host_answers_by_itself() -> None:
     rig = Rig()
-    rig.answered(3)
-    sample = rig.probe(4, delay=DELAY + off)
-    assert sample is not None
-    assert sample.certain is sure
-    assert rig.told == ([] if sure else [BEYOND])
+    samples = [rig.answered(number, late) for number, late in ((3, 0), (4, 90_000))]
+    assert placed(samples[-1]) == (4, True)
+    assert (rig.amended(samples[0]), rig.order.wants_probe) == ([(3, True)], False)
+
+
+@pytest.mark.parametrize(("off", "believed"), [(0, True), (30_000, True), (40_000, False)])
+def test_where_no_probe_goes_out_the_delay_is_what_it_was_if_it_looks_so(off: int, believed: bool) -> None:
+    rig = Rig()
+    samples = [rig.answered(3 + number, delay=DELAY + off) for number in range(WITHOUT_PROBE + 1)]
+    assert samples[-1] is not None
+    assert samples[-1].certain is believed
+
+
+def test_a_question_without_an_answer_ends_and_is_put_again() -> None:
+    """Its readings come at another phase, and nobody sends a probe."""
+    rig = Rig()
+    for number in range(HELD_MAX):
+        rig.answered(4 + number, delay=DELAY + 300_000)
+    assert rig.order.question.open
+    rig.answered(4 + HELD_MAX, delay=DELAY + 300_000)
     assert not rig.order.question.open
+    assert ["it cannot be told which SYNCs" in text for text in rig.told] == [True]
+    assert not rig.order.wants_probe
+    number = rig.log.counted
+    while not rig.order.wants_probe:
+        number += 1
+        rig.answered(number, delay=DELAY + 300_000)
+    assert number == 4 + HELD_MAX + ASK_AGAIN_AFTER
 
 
-def test_the_usual_delay_follows_by_a_quarter_of_each_change() -> None:
-    """From 240 us to 240 + 80 (1 - 0.75^2) = 275 us after two readings."""
-    for last, sure in [(275_000 + PERIOD // 8 - 1, True), (275_000 + PERIOD // 8, False)]:
-        rig = Rig()
-        rig.answered(3, delay=320_000)
-        rig.answered(4, delay=320_000)
-        sample = rig.probe(5, delay=last)
-        assert sample is not None
-        assert sample.certain is sure
-
-
-def test_a_second_reading_between_two_syncs_shows_that_they_come_late() -> None:
+def test_a_reading_that_was_held_up_is_uncertain_and_the_others_are_not() -> None:
     rig = Rig()
-    rig.answered(2)
-    assert rig.answer(DELAY + 100_000) is None
-    assert rig.told == [BEYOND]
-    late = rig.answered(3)
-    assert placed(late) == (3, 3 * PERIOD, ECHO + 2 * PERIOD + DELAY, False)
-    assert (counts(rig), rig.order.question.open) == ((2, 1, 0, ECHO), False)
-    assert rig.answer(DELAY + 100_000) is None
-    assert rig.told == [BEYOND], "said once"
-    assert counts(rig) == (2, 2, 0, ECHO)
-
-
-def test_a_second_reading_after_a_gap_ends_the_wait_for_a_probe() -> None:
-    rig = Rig()
-    rig.answered(3)
-    assert (rig.order.wants_probe, rig.order.question.open) == (True, True)
-    assert rig.answer(DELAY + 100_000) is None
-    assert (rig.order.wants_probe, rig.order.question.open, rig.told) == (False, False, [BEYOND])
-
-
-def test_each_gap_has_its_own_question_and_answer() -> None:
-    rig = Rig()
-    first = rig.answered(3)
-    rig.probe(4)
-    assert rig.amended(first) == [(3, True, ECHO)]
-    second = rig.answered(6)
-    rig.probe(7)
-    assert rig.amended(second, first) == [(6, True, ECHO), (3, False, ECHO + 2 * PERIOD + DELAY)]
+    rig.ask()
+    rig.probe()
+    held = rig.comes(6 * PERIOD + DELAY + 500_000)
+    assert placed(held) == (2, False), "the one that is missing"
+    assert rig.amended(Sample(6, reading_at(Instant(0)), Instant(0), 0, certain=True)) == [(6, False)]
+    assert placed(rig.answered(7)) == (7, True)
     assert rig.told == []
 
 
-def test_that_readings_come_late_is_said_anew_after_they_came_in_time() -> None:
+def test_while_frames_are_held_up_a_reading_behind_a_gap_may_be_an_earlier_one() -> None:
+    rig = Rig()
+    rig.ask()
+    rig.probe()
+    rig.comes(6 * PERIOD + DELAY + 500_000)
+    rig.answered(8)
+    rig.answered(9, 90_000)
+    assert not rig.order.question.open
+    certain = [rig.answered(number) for number in range(10, 9 + HELD_UP)]
+    assert [sample is not None and sample.certain for sample in certain] == [False, False, True]
+
+
+def test_of_two_readings_of_one_sync_neither_is_believed() -> None:
+    rig = Rig()
+    first = rig.answered(2)
+    assert rig.comes(2 * PERIOD + DELAY + 10_000) is None
+    assert rig.amended(first) == [(2, False)]
+    assert rig.order.health.unmatched == 1
+
+
+def test_a_copy_of_a_reading_is_not_believed_where_frames_come_twice() -> None:
     rig = Rig()
     rig.answered(2)
-    rig.answer(DELAY + 100_000)
-    rig.answered(2 + PROBE_AGAIN_AFTER)
-    rig.probe(3 + PROBE_AGAIN_AFTER)
-    rig.answered(5 + PROBE_AGAIN_AFTER)
-    assert rig.order.question.open, "there was a gap"
-    rig.answer(DELAY + 100_000)
-    assert rig.told == [BEYOND, AGAIN, BEYOND]
+    rig.comes(2 * PERIOD + DELAY + 10_000)
+    assert placed(rig.answered(3)) == (3, True)
+    rig.speed -= 1.0
+    assert placed(rig.answered(4)) == (4, False), "it tells what the one before told"
 
 
-@pytest.mark.parametrize("answered_in_time", [True, False])
-def test_a_hundred_syncs_after_a_failure_it_is_tried_again(answered_in_time: bool) -> None:
+def test_several_readings_at_another_phase_put_the_question_and_a_probe_answers_it() -> None:
+    """Each comes 1300 us later than before, and the first is missing."""
     rig = Rig()
-    rig.answered(2)
-    rig.answer(DELAY + 100_000)
-    uncertain = []
-    for number in range(3, 2 + PROBE_AGAIN_AFTER):
-        uncertain.append(rig.answered(number))
-        assert not rig.order.wants_probe
-    uncertain.append(rig.answered(2 + PROBE_AGAIN_AFTER))
-    last = rig.probe(3 + PROBE_AGAIN_AFTER, late=PERIOD // 4 if answered_in_time else 0)
-    assert last is not None
-    assert last.certain is answered_in_time
-    assert {certain for _, certain, _ in rig.amended(*uncertain)} == {False}, "they stay so"
-    assert not rig.order.question.cleared
-    assert rig.told == ([BEYOND, AGAIN] if answered_in_time else [BEYOND])
-    following = rig.answered(4 + PROBE_AGAIN_AFTER)
-    assert following is not None
-    assert (following.certain, rig.order.wants_probe) == (answered_in_time, False)
+    late = DELAY + 300_000
+    number = 2
+    while not rig.order.wants_probe:
+        number += 1
+        sample = rig.answered(number, delay=late)
+        assert sample is None or not sample.certain
+    assert number >= 2 + STRAYS_MAX
+    number += 1
+    rig.sync(number, QUARTER)
+    rig.order.probed(rig.log.marks[-1])
+    rig.comes(number * PERIOD + late)
+    sample = rig.answered(number + 1, delay=late + QUARTER)
+    while sample is None or not sample.certain:
+        assert rig.log.counted < number + 8
+        sample = rig.answered(rig.log.counted + 1, delay=late)
+    assert sample.sequence == rig.log.counted - 1
+    assert rig.told == [f"its readings come {(late + PERIOD) // 1000} us after their SYNC now"]
 
 
-def test_what_is_learned_is_the_last_sync_answered() -> None:
-    """Its number and its delay; of a SYNC whose end is not known, nothing."""
-    rig = Rig(EchoBasis.BUS)
+def test_readings_that_were_let_go_of_before_the_run_are_not_missing() -> None:
+    rig = Rig()
+    rig.sync(5)
+    rig.order.skip(reading_at(Instant(5 * PERIOD + DELAY)))
+    assert placed(rig.answered(6)) == (6, True)
+
+
+def test_of_a_sync_whose_end_is_not_known_nothing_is_learned() -> None:
+    rig = Rig()
     rig.log.handed(2, Instant(2 * PERIOD))
-    rig.order.learn(reading_at(Instant(2 * PERIOD + 9 * DELAY)), rig.log.marks[-1])
-    sample = rig.answered(3)
-    assert sample is not None
-    assert not sample.certain, "2 is open as before"
-
-
-def test_where_the_oldest_sync_never_came_to_the_bus_its_hand_over_bounds_the_error() -> None:
-    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.HARDWARE)
-    order = OrderAttribution(log, PERIOD, TRANSIT, print)
-    log.handed(1, Instant(PERIOD))
-    log.heard(2, Instant(2 * PERIOD))
-    assert placed(order.place(reading_at(Instant(2 * PERIOD + DELAY)))) == (
-        2,
-        2 * PERIOD,
-        ECHO + PERIOD + DELAY,
-        False,
-    )
+    rig.order.learn(reading_at(Instant(2 * PERIOD + 2 * DELAY)), rig.log.marks[-1])
+    assert placed(rig.answered(3)) == (3, True), "the second was never on the bus"

@@ -1,0 +1,103 @@
+"""What is uneven in SYNCs, and which of them the readings follow.
+
+    SYNC ends    1      2         3      4      5         1 to 2, 2 to 3, ... are of different lengths
+    readings       |r     |r        |r     |r     |r      they follow the SYNC before them: lag 0
+                          |r     |r        |r     |r      the one before that: lag 1
+
+With the right lag the delays of readings are as even as the network has them, with a wrong one what is uneven
+in the SYNCs is in them too. SYNCs at equal distances say nothing.
+"""
+
+from typing import Final
+
+from drivers.timebase import NS_PER_US, Instant
+from hil.loop.syncs import SyncLog
+
+WATCHED: Final = 32
+"""Readings that are weighed: rows wait for no more than twice as many."""
+LAGS_MAX: Final = 32
+"""Lags that are told apart."""
+EXCLUDING: Final = 12.0
+"""A lag is none if another is e^12, 160 000 times, likelier: it is asked hundreds of times in a run."""
+OUTLYING: Final = 6.0
+"""Deviations beyond which a reading weighs no more: one alone, e^18 against e^0, decides by a probe."""
+RESOLUTION_NS: Final = 2 * NS_PER_US
+"""Deviation that delays have at least: the stuff bits of one frame or two."""
+
+
+class OrderEvidence:
+    """Readings of one delay, whole periods aside."""
+
+    def __init__(self, syncs: SyncLog) -> None:
+        self._syncs = syncs
+        self._age = 0
+        self._numbers: list[int] = []
+        """Of each reading, the SYNC that it answers with lag 0."""
+        self._came_at: list[Instant] = []
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def begin(self, age: int) -> None:
+        """Weigh readings that come ``age`` after a SYNC."""
+        self._age = age
+        self._numbers.clear()
+        self._came_at.clear()
+
+    def add(self, received_at: Instant) -> int:
+        """Take a reading; number of the SYNC that it answers with lag 0. 0: it is the second one of that."""
+        mark = self._syncs.nearest(Instant(received_at - self._age))
+        if mark is None or mark.on_bus_at is None or (self._numbers and mark.number <= self._numbers[-1]):
+            return 0
+        self._numbers.append(mark.number)
+        self._came_at.append(received_at)
+        if len(self._numbers) > WATCHED:
+            del self._numbers[0], self._came_at[0]
+        return mark.number
+
+    def delays(self, lag: int) -> list[int]:
+        """Of the readings with this lag; none if they would answer a SYNC that was never on the bus."""
+        marks = self._syncs.marks
+        first = marks[0].number + lag
+        delays: list[int] = []
+        for number, came_at in zip(self._numbers, self._came_at, strict=True):
+            on_bus_at = marks[number - first].on_bus_at if number >= first else None
+            if on_bus_at is None:
+                return []
+            delays.append(came_at - on_bus_at)
+        return delays
+
+    def usual_delays(self, lag: int) -> list[int]:
+        """The same, without those of single readings that were held up."""
+        delays = self.delays(lag)
+        middle = sorted(delays)[len(delays) // 2]
+        off = sorted(abs(delay - middle) for delay in delays)
+        most = max(OUTLYING * off[len(off) // 2], float(RESOLUTION_NS))
+        return [delay for delay in delays if abs(delay - middle) <= most]
+
+    def verdict(self, lags: int, deviation_ns: int) -> int | None:
+        """The lag, if the readings leave one of 0, 1, ... ``lags`` - 1; ``deviation_ns``: of delays as they
+        were."""
+        of_lags = [self.delays(lag) for lag in range(min(lags, LAGS_MAX))]
+        squares = [_squares(delays) if delays else -1.0 for delays in of_lags]
+        possible = [each for each in squares if each >= 0.0]
+        if not possible or len(self) < 2:
+            return None
+        floor = float(max(deviation_ns, RESOLUTION_NS, self._syncs.error_ns // 3)) ** 2
+        variance = max(floor, min(possible) / (len(self) - 1))
+        misfits = [_misfit(delays, variance) if delays else -1.0 for delays in of_lags]
+        least = min(each for each in misfits if each >= 0.0)
+        left = [lag for lag, each in enumerate(misfits) if 0.0 <= each <= least + EXCLUDING]
+        return left[0] if len(left) == 1 else None
+
+
+def _squares(delays: list[int]) -> float:
+    middle = sorted(delays)[len(delays) // 2]
+    return sum(float(delay - middle) ** 2 for delay in delays)
+
+
+def _misfit(delays: list[int], variance: float) -> float:
+    """The logarithm of how much likelier even delays would be."""
+    middle = sorted(delays)[len(delays) // 2]
+    most = OUTLYING**2
+    return sum(min(float(delay - middle) ** 2 / variance, most) for delay in delays) / 2.0
