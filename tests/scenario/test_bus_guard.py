@@ -231,6 +231,7 @@ def test_on_a_hub_it_is_the_same(servo_bench: BenchRunner, servo_bus: str) -> No
         frames.stop()
     what = "heartbeat of node 127 (77Fh) that the bench did not send"
     assert others(told)[what] > 20
+    assert [*others(told)] == [what], "nothing else"
     assert what in str(ended.error)
     with pytest.raises(AssertionError, match="never in 'operation enabled'"):
         ended.assert_reached(State.OPERATION_ENABLED)
