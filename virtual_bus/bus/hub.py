@@ -12,7 +12,16 @@ import subprocess
 import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
-from drivers.timebase import NEVER, NS_PER_S, Clock, Duration, Instant, MonotonicClock, instant_after
+from drivers.timebase import (
+    NEVER,
+    NS_PER_MS,
+    NS_PER_S,
+    Clock,
+    Duration,
+    Instant,
+    MonotonicClock,
+    instant_after,
+)
 from drivers.wire.message import frame_of, message_of
 from virtual_bus.bus.error_message import bus_state
 from virtual_bus.bus.hub_place import HubPlace, known_hubs
@@ -142,7 +151,9 @@ class HubBus(can.BusABC):
         remaining_ns = deadline - self._clock.now()
         if remaining_ns <= 0:
             return False
-        select.select([], [self._socket], [], remaining_ns / NS_PER_S)
+        room = select.poll()  # no select: the descriptor may be any
+        room.register(self._socket, select.POLLOUT)
+        room.poll(remaining_ns / NS_PER_MS)
         return True
 
     @staticmethod

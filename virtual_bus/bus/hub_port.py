@@ -29,6 +29,8 @@ from virtual_bus.frame import Frame
 
 _WAIT_MAX_S: Final = 3_600.0
 """Of one ``poll``, whose milliseconds are a C int; the wait goes on after it."""
+_SELECT_MAX: Final = 1024
+"""FD_SETSIZE of <sys/select.h>; beyond it poll waits by the millisecond, and asks through the last one."""
 _ANSWER_MAX_S: Final = 5.0
 """The broker answers at once; a process of a busy machine may be kept waiting for seconds."""
 _ASK_AGAIN_S: Final = 0.01
@@ -57,6 +59,7 @@ class HubPort(FramePort):
         # select, as poll and epoll wait by the millisecond; poll where there is nothing to wait for, as it
         # takes half the time. An exception for an empty socket would take three times that.
         self._ready = [connection.fileno()]
+        self._selects = connection.fileno() < _SELECT_MAX
         self._nobody: list[int] = []
         poller = select.poll()
         poller.register(connection, select.POLLIN)
@@ -114,7 +117,11 @@ class HubPort(FramePort):
         if remaining_ns <= 0:
             return bool(self._poll(0))
         wait_s = min(remaining_ns / NS_PER_S, _WAIT_MAX_S)
-        while not select.select(self._ready, self._nobody, self._nobody, wait_s)[0]:
+        while not (
+            select.select(self._ready, self._nobody, self._nobody, wait_s)[0]
+            if self._selects
+            else self._poll(int(wait_s * 1000.0))
+        ):
             remaining_ns = until - self._now()
             if remaining_ns <= 0:
                 return False

@@ -3,6 +3,7 @@
 Real time, as this is what is tested; every wait is bounded by a deadline and ends as soon as it may.
 """
 
+import os
 import resource
 import socket
 
@@ -117,4 +118,24 @@ def test_a_thousand_idle_connections_do_not_end_the_hub(place: HubPlace, buses: 
     finally:
         for each in idle:
             each.close()
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_a_process_with_more_descriptors_than_select_takes_is_a_client_too(buses: list[HubBus]) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard < 2048:
+        pytest.skip("no more descriptors than select takes are allowed here")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
+    held = [os.open(os.devnull, os.O_RDONLY) for _ in range(1100)]
+    try:
+        one, other = join(buses), join(buses)
+        assert one.fileno() >= 1024
+        assert other.recv(0.002) is None, "in time"
+        for number in range(200):
+            one.send(can.Message(arbitration_id=number, is_extended_id=False), timeout=PATIENCE_S)
+        heard = [message.arbitration_id for _ in range(200) if (message := other.recv(PATIENCE_S))]
+        assert heard == list(range(200))
+    finally:
+        for descriptor in held:
+            os.close(descriptor)
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
