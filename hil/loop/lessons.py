@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from drivers.exchange import Reading
-from drivers.timebase import Instant
+from drivers.timebase import Duration, Instant
 from hil.loop.clock_map import residuals_of
 from hil.loop.syncs import STAMPED_LATE, SyncLog, SyncMark
 
@@ -71,3 +71,17 @@ class Lessons:
         if max(off) - min(off) <= 2 * syncs.error_ns:
             return False
         return sum(each * each for each in residuals_of(hand_overs)) < sum(each * each for each in off)
+
+    def drop_overdue(self, period: Duration) -> bool:
+        """Let go of readings that came behind the next SYNC and were taken for that one's; whether there were
+        any. By the stamps that SYNC is a period later than those of the others."""
+        offsets = [
+            mark.on_bus_at - reading.device_time_ns
+            for reading, mark in self.pairs
+            if mark.on_bus_at is not None and reading.device_time_ns is not None
+        ]
+        if len(offsets) < len(self.pairs) or max(offsets, default=0) - min(offsets, default=0) < period // 2:
+            return False
+        latest = min(offsets) + period // 2
+        self.pairs = [pair for pair, offset in zip(self.pairs, offsets, strict=True) if offset < latest]
+        return True

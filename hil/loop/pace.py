@@ -255,6 +255,9 @@ class HeardSync(Pace):
         for _ in range(CALIBRATION_SPACINGS):
             self._await_sync(axes, answered)
         self._check_period([at for _, at in self._heard])
+        for axis in axes:
+            if axis.lessons.drop_overdue(self._period):
+                axis.learn_anew()
         return answered
 
     def begin(self, axes: Sequence[Axis]) -> Instant:

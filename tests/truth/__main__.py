@@ -162,7 +162,11 @@ def _unsure_share(verdict: Verdict) -> float:
 
 
 def _classes(verdicts: Sequence[Verdict]) -> Iterator[tuple[str, list[Verdict]]]:
-    yield "with stamps", [verdict for verdict in verdicts if verdict.plan.has_stamps]
+    stamped = [verdict for verdict in verdicts if verdict.plan.has_stamps]
+    yield "with stamps", stamped
+    yield "with stamps, delays below two periods", [v for v in stamped if v.plan.delays_are_short]
+    fine = [v for v in stamped if v.plan.delays_are_short and v.plan.stamps_are_fine]
+    yield "these, stamps finer than a tenth of a period", fine
     without = [verdict for verdict in verdicts if not verdict.plan.has_stamps]
     yield "without, delays below two periods", [v for v in without if v.plan.delays_are_short]
     yield "without, longer delays", [v for v in without if not v.plan.delays_are_short]

@@ -70,6 +70,12 @@ class DrawnPlan:
         """Whether delays stay below two periods: then doubt is rare without stamps too."""
         return self.reading_delay_us < 2 * self.period_us
 
+    @property
+    def stamps_are_fine(self) -> bool:
+        """Whether the steps of the stamps say which SYNC they are of; else order places the readings."""
+        steps_us = (self.stamp_resolution_us, self.simulation.get("stamp_resolution_us", 1))
+        return self.has_stamps and 10 * max(steps_us) <= self.period_us
+
     def add(self, kind: str, **keys: Any) -> None:
         """One more fault, as in a fault plan."""
         self.faults.setdefault(kind, []).append(keys)
