@@ -11,7 +11,7 @@ from drivers.canopen.data_types import SIGNED_BITS, DataType
 from drivers.canopen.objects301 import MANDATORY, MANUFACTURER
 from drivers.cia402.drive_setup import Identity
 from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, QuickStopOption, run_words
+from drivers.cia402.profile import BENCH_MODES, Mode, QuickStopOption, run_words
 from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from hil.commissioning.findings import Findings
 from hil.commissioning.outcome import LOSSES_MAX
@@ -32,6 +32,8 @@ _EXERCISE: Final = frozenset({*SET_POINTS, Object.HOMING_METHOD, Object.HOMING_S
 """What only served the steps."""
 _ERROR_SHARE: Final = 0.25
 """Of the reference, rms: what a sign or a unit that is wrong breaks, and a busy machine does not."""
+_REFERENCE_SHARE: Final = 0.4
+"""Of the limits of speed and travel: what overshoots stays within them."""
 _SETTINGS: Final = (Object.POLARITY,)
 """What a run needs of it beside what it writes itself."""
 
@@ -66,26 +68,32 @@ def write_files(session: Session) -> None:
             session.request.bitrate_bit_s,
             findings.identity,
         )
-    if findings.controller and MOTOR_FILE in texts and _can_run(session):
+    mode = _mode_to_run(session, MOTOR_FILE in texts)
+    if mode is not None:
+        served = "the suggested controller" if mode == "cst" else f'set-points in mode "{mode}"'
         lines = [
-            f"A bench for this drive, with the suggested controller and limits.{_rests(session)}",
+            f"A bench for this drive, with {served} and limits.{_rests(session)}",
             *ways_to_run(session.request, Path()),
         ]
-        texts[BENCH_FILE] = _headed("\n# ".join(lines), _bench_tables(session))
+        texts[BENCH_FILE] = _headed("\n# ".join(lines), _bench_tables(session, mode))
         texts |= copied_files(session.request)
     for name, text in texts.items():
         (out / name).write_text(text, encoding="utf-8")
 
 
-def _can_run(session: Session) -> bool:
-    """The drive has the mode that the suggested controller is for; without it that is said."""
+def _mode_to_run(session: Session, shaft_known: bool) -> str | None:
+    """The ``mode`` of a bench for this drive: that of the suggested controller, or where the drive has not
+    that, one of speeds or positions. None where there is no bench to make, and why is said."""
     modes = session.found.modes
     if Mode.CYCLIC_SYNCHRONOUS_TORQUE in modes:
-        return True
-    session.dialog.tell(
-        f"no {BENCH_FILE}: the suggested controller needs cyclic synchronous torque mode; {run_words(modes)}"
-    )
-    return False
+        return "cst" if session.found.controller and shaft_known else None
+    mode = next((key for key, each in BENCH_MODES.items() if each in modes), None)
+    if mode is not None and shaft_known and session.configured:
+        return mode
+    if modes:
+        why = run_words(modes) if mode is None else "inertia and friction of the shaft were not found"
+        session.dialog.tell(f"no {BENCH_FILE}: {why}")
+    return None
 
 
 def set_objects(session: Session) -> dict[ObjectKey, bytes]:
@@ -222,12 +230,17 @@ def _by_word(findings: Findings) -> list[str]:
     return notes + [f"Not measured: {name}, {by}." for name, by in by_drive.items()]
 
 
-def _bench_tables(session: Session) -> dict[str, Any]:
+def _bench_tables(session: Session, mode: str) -> dict[str, Any]:
     findings = session.found
     limits = suggested_limits(session)
-    rpm = float(round(0.4 * session.limits.speed_rad_s * RPM_PER_RAD_S))
+    controller: dict[str, Any] = findings.controller
+    if mode != "cst":
+        controller = {"kind": "stream"}
+        del limits["torque_slew_max_nm_s"]
+        limits["set_acceleration_max_rpm_s"] = rounded(_acceleration(session) * RPM_PER_RAD_S)
     drive: dict[str, Any] = {
         "node": session.request.node,
+        **({} if mode == "cst" else {"mode": mode}),
         "motor": MOTOR_FILE,
         "commissioned": COMMISSIONED_FILE,
         **_heartbeats(session),
@@ -235,25 +248,40 @@ def _bench_tables(session: Session) -> dict[str, Any]:
         **({"unwatched": True} if session.unwatched else {}),
         **({"simulation": simulation} if (simulation := simulation_table(session.request)) else {}),
         "limits": limits,
-        "controller": findings.controller,
+        "controller": controller,
     }
+    asked, error = _reference(session, mode)
     return {
         "bench": {"name": "commissioned", "duration_s": 3.0},
         "bus": {"spec": session.request.bus, "bitrate_bit_s": session.request.bitrate_bit_s},
         "host": _heartbeats(session),
         "loop": {"period_us": round(findings.period / 1000)},
         "drive": {"axis1": drive},
-        "reference": {
-            "axis1": [
-                {"kind": "ramp", "at_s": 0.2, "speed_rpm": rpm, "over_s": 0.4},
-                {"kind": "ramp", "at_s": 1.5, "speed_rpm": -rpm, "over_s": 0.8},
-            ]
-        },
-        "verdict": {
-            "speed_error_rms_rad_s_max": rounded(_ERROR_SHARE * rpm * RAD_S_PER_RPM),
-            "dropouts_percent_max": 100.0 * LOSSES_MAX,
-        },
+        "reference": {"axis1": asked},
+        "verdict": {**error, "dropouts_percent_max": 100.0 * LOSSES_MAX},
     }
+
+
+def _acceleration(session: Session) -> float:
+    """Of set-points, rad/s^2: what half of the torque that the steps allowed has for the inertia, at most."""
+    limits = session.limits
+    return min(limits.acceleration_rad_s2, 0.5 * limits.torque_nm / session.mechanics.inertia_kg_m2)
+
+
+def _reference(session: Session, mode: str) -> tuple[list[dict[str, Any]], dict[str, float]]:
+    """To and fro, and the limit of the error."""
+    rpm = float(round(_REFERENCE_SHARE * session.limits.speed_rad_s * RPM_PER_RAD_S))
+    if mode in ("csp", "ip"):
+        way = rounded(min(rpm * RAD_S_PER_RPM, _REFERENCE_SHARE * session.limits.travel_rad))
+        to, fro = (
+            {"kind": "ramp", "at_s": at_s, "position_rad": end, "over_s": 1.0}
+            for at_s, end in ((0.2, way), (1.5, 0.0))
+        )
+        return [to, fro], {"position_error_rms_rad_max": rounded(_ERROR_SHARE * way)}
+    return [
+        {"kind": "ramp", "at_s": 0.2, "speed_rpm": rpm, "over_s": 0.4},
+        {"kind": "ramp", "at_s": 1.5, "speed_rpm": -rpm, "over_s": 0.8},
+    ], {"speed_error_rms_rad_s_max": rounded(_ERROR_SHARE * rpm * RAD_S_PER_RPM)}
 
 
 def _heartbeats(session: Session) -> dict[str, int]:

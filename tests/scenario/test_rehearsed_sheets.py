@@ -11,7 +11,7 @@ from hil.cli import app
 from tests.motors import LING
 from tests.rehearsals.__main__ import complaints
 from tests.rehearsals.made_sheet import MadeSheet
-from tests.rehearsals.rehearsal import contradictions, made_sheet, rehearsed
+from tests.rehearsals.rehearsal import contradictions, made_sheet, ran, rehearsed
 from tests.rehearsals.traits import TRAITS
 from virtual_bus.drive.servo import SimulatedServo
 
@@ -141,11 +141,22 @@ def test_a_whole_commissioning_by_a_data_sheet(tmp_path: Path) -> None:
     assert result.exit_code == 0
     bench = tmp_path / "out" / "bench.toml"
     (tmp_path / "made.eds").unlink()
-    ran = CliRunner().invoke(app, ["run", str(bench), "--record", str(tmp_path / "run"), "--json"])
-    assert ran.exit_code == 0, ran.stderr
+    first = CliRunner().invoke(app, ["run", str(bench), "--record", str(tmp_path / "run"), "--json"])
+    assert first.exit_code == 0, first.stderr
     again = CliRunner().invoke(app, ["run", str(tmp_path / "run" / "bench.toml"), "--no-record", "--json"])
     assert again.exit_code == 0, again.stderr
-    assert json.loads(again.stdout)["digest"] == json.loads(ran.stdout)["digest"]
+    assert json.loads(again.stdout)["digest"] == json.loads(first.stdout)["digest"]
+
+
+def test_a_drive_that_is_commissioned_in_one_mode_is_run_in_another(tmp_path: Path) -> None:
+    """hil eds gives vl to commission it and ip to run it, as of an iPOS."""
+    case = "6502h is 43h, 6060h 7"
+    sheet = made_sheet([case], tmp_path)
+    result = rehearsed(sheet, tmp_path)
+    assert complaints((case,), result) == []
+    assert contradictions(sheet, result) == []
+    assert (tmp_path / "out" / "bench.toml").exists()
+    assert ran(tmp_path) == ""
 
 
 def test_all_that_neither_drive_nor_nameplate_tells_is_asked_for_at_once(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.cia402.drive_setup import Identity
 from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, QuickStopOption
+from drivers.cia402.profile import Mode, QuickStopOption, run_words
 from drivers.cia402.scaling import ScaleOverride
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, Duration
@@ -25,6 +25,7 @@ from hil.commissioning.findings import Stated
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.request import Nameplate
 from hil.commissioning.session import Session
+from hil.configuration.bench_file import load_bench
 from hil.configuration.network_file import Network, load_network
 from hil.restoring.journal import ObjectKey
 from tests.unit.hil.simulated_shaft import LIMITS, RATED_NM, Shaft, session_of, shaft_of
@@ -320,18 +321,31 @@ def test_all_files_are_written_and_read_again(tmp_path: Path) -> None:
     assert texts["drive.dcf"] == dcf_text(found.settings, held, None, 5, 500_000, IDENTITY)
 
 
-def test_without_the_mode_of_its_controller_there_is_no_bench(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("modes", "mode"),
+    [
+        ((Mode.PROFILE_VELOCITY, Mode.INTERPOLATED_POSITION), "ip"),
+        ((Mode.PROFILE_TORQUE, Mode.CYCLIC_SYNCHRONOUS_VELOCITY), "csv"),
+        ((Mode.PROFILE_VELOCITY, Mode.PROFILE_POSITION), None),
+    ],
+)
+def test_the_bench_is_of_a_mode_that_the_drive_has(
+    tmp_path: Path, modes: tuple[Mode, ...], mode: str | None
+) -> None:
+    """Set-points of speed or position where it has no torque mode of cycles."""
     said: list[str] = []
-    journal = Journal((0x1017, 0, b"\0\0", b"\x32\0"))
     made = session(
         requested={"out": tmp_path},
-        network=SimpleNamespace(journal=journal),
+        network=SimpleNamespace(journal=Journal((0x1017, 0, b"\0\0", b"\x32\0"))),
         dialog=SimpleNamespace(tell=said.append),
     )
     made.found.controller = dict(CONTROLLER)
-    made.found.modes = (Mode.PROFILE_TORQUE, Mode.CYCLIC_SYNCHRONOUS_VELOCITY)
-    assert "bench.toml" not in written(made, tmp_path)
-    assert said == [
-        "no bench.toml: the suggested controller needs cyclic synchronous torque mode; `hil run` can use it "
-        'with mode = "csv"'
-    ]
+    made.found.modes = modes
+    texts = written(made, tmp_path)
+    if mode is None:
+        assert "bench.toml" not in texts
+        assert said == [f"no bench.toml: {run_words(modes)}"]
+        return
+    bench = load_bench(tmp_path / "bench.toml")
+    drive = bench.drive["axis1"]
+    assert (drive.mode, drive.controller.kind, said) == (mode, "stream", [])
