@@ -106,7 +106,7 @@ class OrderAttribution:
 
     @property
     def settled(self) -> bool:
-        """Whether it is known that readings answer the SYNC before them."""
+        """Whether it is known which SYNCs readings answer."""
         return self._sure and not self._beyond
 
     def learn(self, reading: Reading, mark: SyncMark) -> None:

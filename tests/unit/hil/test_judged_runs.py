@@ -142,6 +142,15 @@ def test_what_no_limit_found_stays_found_and_what_limits_found_does_not() -> Non
     assert found.completed
 
 
+def test_what_others_did_to_a_run_stays_and_is_told_by_the_limits_that_it_is_held_against() -> None:
+    disturbed = Finding(VerdictKind.DISTURBED, "a SYNC that the bench did not send")
+    found = judge_run(with_verdict(summary().verdict.also(disturbed))).summary.verdict
+    assert (found.outcome, found.exit_status) == (VerdictKind.PASSED_DISTURBED, 4)
+    assert (found.findings, found.reason) == ((disturbed,), disturbed.text)
+    unasked = judge_run(run_of(VerdictLimits(), verdict=summary().verdict.also(disturbed))).summary.verdict
+    assert unasked.outcome is VerdictKind.COMPLETED_DISTURBED
+
+
 def test_a_run_that_was_cut_short_stays_so_with_its_cause() -> None:
     found = judge_run(with_verdict(not_run(VerdictKind.PEER_FAULT, "the drive is gone"))).summary.verdict
     assert found.findings == (Finding(VerdictKind.PEER_FAULT, "the drive is gone"),)
