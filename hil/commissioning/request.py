@@ -173,7 +173,9 @@ def in_which_they_agree(figures: SheetFigures) -> str:
     """The slips of the pen that would explain figures that contradict each other."""
     agreeing = readings(figures)[:_READINGS_SHOWN]
     if not agreeing:
-        return "no usual slip of one figure explains it: look at the motor's plate"
+        return (
+            "no unit or convention explains it: one of them is misread, or another motor's; look at the plate"
+        )
     return f"they agree if it is {', or '.join(agreeing)}: look at the motor's plate"
 
 

@@ -56,6 +56,15 @@ def test_twice_the_torque_and_newton_millimetres_are_refused(
     assert not (tmp_path / "out").exists()
 
 
+def test_twice_the_torque_is_told_beside_what_the_other_figures_make(tmp_path: Path) -> None:
+    own = unknown_drive(SEED)[1].nameplate
+    status, said = commissioned({**own, "rating": own["rating"] | {"torque_nm": 3.684}}, tmp_path)
+    assert status == 2
+    assert "rated torque 3.684 N m and rated current 10.93 A rms: " in said
+    assert "with ke_line_vrms_krpm this current makes 1.842 N m" in said
+    assert "no unit or convention explains it: one of them is misread, or another motor's" in said
+
+
 def test_a_plate_of_a_program_is_refused_before_anything_moves(tmp_path: Path) -> None:
     _, result, _ = unknown_world(SEED, tmp_path, plate=plate(torque_nm=3.684))
     assert result.records[-1].name == "units"
