@@ -17,6 +17,8 @@ EVIDENCE_MIN: Final = 2
 """Readings that may tell, where the spread of delays is known;"""
 EVIDENCE_UNUSUAL: Final = 6
 """where it is to be seen in themselves."""
+HIDDEN_PARTS: Final = 16
+"""Three idle bits behind a SYNC hide how late it was to the drive: less than a part of 48 bits or more."""
 PROBE_AFTER: Final = 3
 """Readings that may show by themselves which SYNCs they answer: an uneven host, or a watermark of ten times
 what delays spread over, needs no more."""
@@ -299,7 +301,8 @@ class OrderAttribution:
         off = max(0, delay - delays.low)
         if self._echoes_late:
             off = max(off, delays.high - delay)
-        return self._echo_error + min(off + SLACKS * delays.slack(), max(off, delay - self._transit))
+        off_most = off + SLACKS * delays.slack() + self._transit // HIDDEN_PARTS
+        return self._echo_error + min(off_most, max(off, delay - self._transit))
 
     def _oldest_at(self) -> Instant:
         """No SYNC that is remembered ended before."""
@@ -390,9 +393,6 @@ class OrderAttribution:
     def _is_copy(self, reading: Reading) -> bool:
         """Whether it may be one of the last readings again."""
         self._untidy -= 1
-        speeds = self._speeds
-        copied = reading.velocity_rad_s in speeds
-        speeds.append(reading.velocity_rad_s)
-        if len(speeds) > COPIES:
-            del speeds[0]
+        copied = reading.velocity_rad_s in self._speeds
+        self._speeds = [*self._speeds[1 - COPIES :], reading.velocity_rad_s]
         return copied

@@ -8,6 +8,7 @@ from hil.loop.attribution import HELD_MAX
 from hil.loop.order_attribution import (
     ASK_AGAIN_AFTER,
     HELD_UP,
+    HIDDEN_PARTS,
     PROBE_AFTER,
     STRAYS_MAX,
     WITHOUT_PROBE,
@@ -20,6 +21,8 @@ from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
 DELAY = 240_000
 ECHO = NS_PER_US
 """How far an echo with the stamp of an adapter may err."""
+ERROR = ECHO + TRANSIT // HIDDEN_PARTS
+"""Beside that, what the three bits between SYNC and reading hide."""
 QUARTER = PERIOD // 4
 
 
@@ -82,9 +85,9 @@ def test_a_reading_answers_the_sync_that_ended_as_long_before_as_is_usual() -> N
     samples = [rig.answered(number) for number in (2, 3)]
     assert [placed(sample) for sample in samples] == [(2, True), (3, True)]
     assert samples[0] is not None
-    assert (samples[0].sampled_at, samples[0].sampled_at_error_ns) == (2 * PERIOD, ECHO)
+    assert (samples[0].sampled_at, samples[0].sampled_at_error_ns) == (2 * PERIOD, ERROR)
     health = rig.order.health
-    assert (health.placed, health.unmatched, health.below_transit, health.error_ns_max) == (2, 0, 0, ECHO)
+    assert (health.placed, health.unmatched, health.below_transit, health.error_ns_max) == (2, 0, 0, ERROR)
     assert (rig.told, rig.order.wants_probe, rig.order.question.open) == ([], False, False)
 
 
