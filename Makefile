@@ -8,6 +8,7 @@
 #   make edits       edit the files of a campaign EDITS times between its runs: no row may rest on another content
 #   make test-dask   campaigns on a Dask cluster of this machine
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
+#   make test-can    the tests on two CAN controllers of one bus: CAN0=can0 CAN1=can1, or emulated by QEMU
 #   make truth       hold the rows of runs against the truth: of given plans, then of drawn ones, for at most
 #                    SECONDS each
 #   make swarm       hold runs drawn at random against what must be true of each, as a campaign (OUT=DIR: its
@@ -49,7 +50,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit edits test-dask test-vcan truth swarm rehearsals sheets mistakes strangers mutate pictures exits bench docs lock clean
+.PHONY: help setup compile pure wheel demo check format test unit edits test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers mutate pictures exits bench docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -129,6 +130,9 @@ test-dask: $(TOOLS) compile
 
 test-vcan: $(TOOLS) compile
 	@.ci/test-vcan $(BIN)/pytest tests/vcan
+
+test-can: $(TOOLS) compile
+	@.ci/test-can $(BIN)/pytest -o timeout=600 tests/can
 
 SECONDS ?= 300
 

@@ -188,6 +188,17 @@ def test_every_pin_is_exact_and_hashed(lock: str) -> None:
     ] == []
 
 
-@pytest.mark.parametrize("script", [".ci/run", ".ci/test-vcan", ".ci/uml/run", ".ci/uml/init"])
+@pytest.mark.parametrize(
+    "script",
+    [
+        ".ci/run",
+        ".ci/test-vcan",
+        ".ci/test-can",
+        ".ci/uml/run",
+        ".ci/uml/init",
+        ".ci/qemu/run",
+        ".ci/qemu/inside",
+    ],
+)
 def test_scripts_can_be_run(script: str) -> None:
     assert os.access(ROOT / script, os.X_OK)

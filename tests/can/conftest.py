@@ -1,0 +1,52 @@
+"""Tests on two CAN controllers of one bus, can0 and can1 (or what CAN0 and CAN1 name): skipped where they are
+not up, a failure where they were promised."""
+
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.vcan.conftest import is_up
+
+CHANNELS = os.environ.get("CAN0", "can0"), os.environ.get("CAN1", "can1")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip this folder's tests without controllers, unless ``make test-can`` runs them."""
+    if all(map(is_up, CHANNELS)):
+        return
+    if os.environ.get("SERVOBENCH_CAN") == "required":
+        raise pytest.UsageError(f"{' and '.join(CHANNELS)} are not up")
+    here = Path(__file__).parent
+    for item in items:
+        if item.path.is_relative_to(here):
+            item.add_marker(pytest.mark.skip(reason=f"{CHANNELS} are not up; make test-can brings its own"))
+
+
+@pytest.fixture
+def channel() -> str:
+    """The controller that the bench has."""
+    return CHANNELS[0]
+
+
+@pytest.fixture
+def other() -> str:
+    """The controller at the other end of the bus."""
+    return CHANNELS[1]
+
+
+@pytest.fixture
+def ip_link(channel: str) -> Iterator[Callable[..., None]]:
+    """``ip link set`` of the bench's controller; afterwards it is up, with ten frames in its queue."""
+    if os.geteuid():
+        pytest.skip("setting an interface needs root")
+
+    def setting(*words: str) -> None:
+        subprocess.run(["ip", "link", "set", channel, *words], check=True, timeout=60)
+
+    yield setting
+    setting("down")
+    setting("up", "type", "can", "bitrate", "1000000", "restart-ms", "100", "listen-only", "off")
+    setting("txqueuelen", "10")
