@@ -25,6 +25,9 @@ WAY_PERIODS: Final = 200
 CATCH_UP: Final = 0.02
 """Of the speed. A position loop over csv overshoots such a path by 2.2 %: an overspeed stays below 5 %, with
 room for a softer loop."""
+JERK: Final = 1.25
+"""Of the reference's speed: one reading may show so much of a drive that takes positions as they arrive. A
+shaft that is faster as the drive leaves is on its way after a step."""
 SLOWEST: Final = 0.05
 """Of the highest speed that set-points may have: a path goes as fast, however slow the reference is."""
 ACCELERATION: Final = 0.25
@@ -79,8 +82,8 @@ class WayBack(ReferenceProfile):
         self._at_s, self._level, self._rate = time_s, speed, 0.0
         if self._positions:
             if not self.active:
-                self._rate_asked, self._swing = abs(speed), 0.0
-                self._rate_last = self._reference.rate(time_s)
+                self._rate_last, self._swing = self._reference.rate(time_s), 0.0
+                self._rate_asked = abs(speed) if abs(speed) > JERK * abs(self._rate_last) else 0.0
             self._note_rate(time_s)
             turned_rad = speed * (now - newest.sampled_at) / NS_PER_S
             self._level, self._rate = newest.reading.position_rad + turned_rad, speed
