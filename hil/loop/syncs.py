@@ -271,6 +271,8 @@ class SyncLog:
 
     def _put_on_bus(self, mark: SyncMark, at: Instant) -> None:
         if self.basis is not self.echoes:
+            if at - mark.handed_at > self._ways.high + self._ways.slack():
+                mark.sure = False  # it may have waited in front of the bus
             at = Instant(mark.handed_at + self._latency)
         elif self._echoes_late:
             way = at - mark.handed_at
