@@ -171,7 +171,8 @@ pictures: $(TOOLS) compile
 exits: $(TOOLS) compile
 	@$(BIN)/python -m tests.exits --seconds $(SECONDS)
 	@$(BIN)/python -m tests.exits.misuse --runs 10000 --seconds $(SECONDS)
-	@STREAMS=0 $(BIN)/pytest --quiet --numprocesses=2 --dist=load tests/exits/test_streams.py
+	@STREAMS=0 ENVIRONMENTS=0 $(BIN)/pytest --quiet --numprocesses=2 --dist=load tests/exits/test_streams.py \
+	  tests/exits/test_environments.py
 
 # What the benchmarks compare with has an environment of its own, and nothing else needs it.
 $(PEERS)/.installed: requirements-bench.lock | $(BIN)/python

@@ -10,7 +10,7 @@ import fcntl
 import os
 import pickle
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, TypeVar, cast
 
 import numba
@@ -36,7 +36,10 @@ def kept(function: F, **options: Any) -> F:
     """``function`` compiled by numba with ``options`` of ``njit``, typed as the plain function that it is."""
     compiled = numba.njit(**options)(function)
     if isinstance(compiled, Dispatcher):  # NUMBA_DISABLE_JIT leaves the function as it is
-        cast(Any, compiled)._cache = _SharedCache(function)  # type: ignore[no-untyped-call]
+        with suppress(
+            RuntimeError
+        ):  # no folder can be written, here or at home: each process compiles it anew
+            cast(Any, compiled)._cache = _SharedCache(function)  # type: ignore[no-untyped-call]
     return cast(F, compiled)
 
 
