@@ -113,7 +113,7 @@ format: $(TOOLS)
 
 # A third process on two cores: the tests in real time, which mostly wait, are in the first and go before the others.
 test: $(TOOLS) compile
-	$(BIN)/pytest --tx popen --tx '2*popen//nice=10' --dist=loadgroup --ignore=tests/vcan --ignore=tests/dask
+	$(BIN)/pytest --tx popen --tx '2*popen//nice=10' --dist=loadgroup --ignore=tests/vcan --ignore=tests/can --ignore=tests/dask
 
 ROOM ?= $(error which room? make unit ROOM=drivers, virtual_bus, design or hil)
 
