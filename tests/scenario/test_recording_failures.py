@@ -140,7 +140,7 @@ def test_a_logger_killed_before_a_drive_is_enabled_lets_none_be_enabled(tmp_path
 def test_a_run_that_cannot_be_set_up_leaves_a_recording_that_has_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, status: int
 ) -> None:
-    def refused(*_: object) -> BusGuard:
+    def refused(*_: object, **_options: object) -> BusGuard:
         raise error
 
     monkeypatch.setattr(bench_module, "BusGuard", refused)

@@ -223,7 +223,7 @@ def test_damaged_records_without_a_seal_are_bad_input_at_worst(run: Path, tmp_pa
     copy, draw = copied(run, tmp_path), random.Random(70)
     whole = (run / "records.arrow").read_bytes()
     refused = 0
-    for _ in range(30):
+    for _ in range(60):
         damaged = bytearray(whole)
         damaged[draw.choice([draw.randrange(6000), len(whole) - 1 - draw.randrange(9000)])] ^= (
             1 << draw.randrange(8)
