@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.cia402.profile import State
-from drivers.errors import BadInput, LimitExceeded, NoAnswer, PeerFault
+from drivers.errors import BadInput, DriveInFault, NoAnswer, PeerFault
 from drivers.timebase import NS_PER_S, NS_PER_US, Instant
 from hil.execution import world
 from hil.rows.records import Rows
@@ -69,8 +69,8 @@ def test_a_producer_that_stops_ends_the_run_with_the_drive_at_rest(
         return [Stopping(node.stream, seed, "0") for node in background_nodes(streams, seed)]
 
     monkeypatch.setattr(world, "background_nodes", stopping)
-    run = servo_bench(LING2012, {**produced(), "bench.duration_s": 3.0}, faults={}, ends_in=LimitExceeded)
-    assert "no usable reading for" in str(run.error)
+    run = servo_bench(LING2012, {**produced(), "bench.duration_s": 3.0}, faults={}, ends_in=DriveInFault)
+    assert "8250h (RPDO time-out)" in str(run.error)
     assert 0 < run.summary.cycles < 1500
     states = [event["state"] for event in run.events if event.get("track") == "axis1 drive"]
     assert states[-1].lower() == State.SWITCH_ON_DISABLED.value
