@@ -149,7 +149,8 @@ class Loop:
             self._miss(start.due_at, start.woke_at)
 
     def _miss(self, due: Instant, woke_at: Instant | None) -> None:
-        """A tick goes without SYNC; the drives are looked at all the same."""
+        """A tick goes without SYNC. The drives are looked at all the same, once the ticks of a host that was
+        away are accounted for."""
         self._number += 1
         self._missed += 1
         tick = Tick(self._number, due, woke_at, (due - self._started_at) / NS_PER_S)
@@ -160,8 +161,9 @@ class Loop:
         for reason in reasons:
             if reason is not None:
                 raise LimitExceeded(reason, remedy="the drive is being brought to rest")
-        for axis in self._axes:
-            axis.parts.drive.check()
+        if self._now() - due <= self._timing.period:
+            for axis in self._axes:
+                axis.parts.drive.check()
 
     def _cycle(self, due: Instant, woke_at: Instant) -> None:
         axes = self._axes

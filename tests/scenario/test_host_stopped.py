@@ -39,5 +39,5 @@ def test_a_host_stopped_across_the_end_never_passes(tmp_path: Path) -> None:
     if process.returncode == 0 or verdict["completed"]:
         raise Untrue(out)
     assert process.returncode == verdict["exit_status"] == 3, (out, said)
-    assert told["dropouts"]["missed"] > 0
+    assert told["dropouts"]["missed"] > 10
     assert told == json.loads((tmp_path / "run" / "summary.json").read_text(encoding="utf-8"))
