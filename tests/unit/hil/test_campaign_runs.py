@@ -123,7 +123,7 @@ def sweep(tmp_path: Path) -> Callable[..., Path]:
 
 def stored(folder: Path) -> list[int]:
     """How many rows each file of the store holds, by the numbers in their names."""
-    begins = [int(path.name.split("-")[1]) for path in sorted((folder / "runs").iterdir())]
+    begins = [int(path.stem.split("-")[1]) for path in sorted((folder / "runs").iterdir())]
     ends = [*begins[1:], Campaign.load(folder).table.num_rows]
     return [end - begin for begin, end in zip(begins, ends, strict=True)]
 

@@ -67,6 +67,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
         module = ModuleType(name)
         setattr(module, function, stand_in)
         monkeypatch.setitem(sys.modules, name, module)
+    sys.modules["hil.rows.seal"].SEALED = "sealed"  # type: ignore[attr-defined]
     return found
 
 

@@ -59,9 +59,7 @@ class Bench:
             pump=self._pump,
             deadline_after=lambda duration: duration,
         )
-        mine.guard = SimpleNamespace(
-            arm=lambda syncs, own_sync: self.notes.append(f"armed {syncs} {own_sync}")
-        )
+        mine.guard = SimpleNamespace(arm=lambda syncs, period: self.notes.append(f"armed {syncs} {period}"))
         mine.gaps = SimpleNamespace(begin=lambda: self.notes.append("gaps"), cause_of=lambda failure: failure)
         mine.world = SimpleNamespace(real_time=False)
         mine.log = SimpleNamespace(write=lambda: self.notes.append(threading.current_thread().name))
@@ -139,7 +137,7 @@ def test_a_drive_that_fell_out_of_its_setting_is_set_up_again(monkeypatch: pytes
     bench.lapsed = ["it is stopped", "6072h holds 0"]
     bench.session.begin_attempt()
     told = "    the drive is set up again: it is stopped; 6072h holds 0"
-    assert bench.notes == ["gaps", told, "armed {} True"]
+    assert bench.notes == ["gaps", told, "armed {} 1000000"]
     assert len(bench.settings) == 1
 
 
@@ -148,7 +146,7 @@ def test_after_an_attempt_that_failed_the_drive_is_set_up_again_once(monkeypatch
     failure = StepFailed("it went wrong")
     assert bench.session.end_attempt(failure) is failure
     bench.session.begin_attempt()
-    assert bench.notes == ["gaps", "armed {} True"]
+    assert bench.notes == ["gaps", "armed {} 1000000"]
     bench.session.begin_attempt()
     assert bench.session.end_attempt(None) is None
     bench.session.begin_attempt()
@@ -196,7 +194,7 @@ def test_all_that_a_drive_is_set_up_with(monkeypatch: pytest.MonkeyPatch) -> Non
         )
     ]
     assert bench.session.found.plan is bench.plan
-    assert bench.notes == ["armed {} True"]
+    assert bench.notes == ["armed {} 2000000"]
     port = bench.session.port
     assert (port.mode, port._period_s) == (CST, 0.002)
 
@@ -226,7 +224,7 @@ def test_a_drive_that_turns_out_to_be_unwatched_is_set_up_again_with_less(
     less = cautious(LIMITS)
     assert [each.torque_max_nm for each in bench.settings] == [LIMITS.torque_nm, less.torque_nm]
     assert bench.settings[1].speed_max_rad_s == 1.3 * less.speed_rad_s
-    assert bench.notes == ["armed {} True"]
+    assert bench.notes == ["armed {} 1000000"]
     assert bench.session.limits == less
     bench.session.configure()
     assert len(bench.settings) == 3

@@ -83,7 +83,7 @@ class Bench:
         network = SimpleNamespace(frame_pump=self.bus, clock=self.bus, pump=self._settle)
         guard = SimpleNamespace(
             attend=lambda _now: self.notes.append("attend"),
-            arm=lambda _syncs, own_sync: self.notes.append(f"arm, own SYNC {own_sync}"),
+            arm=lambda _syncs, period: self.notes.append(f"arm, {period} ns"),
             calm=lambda: self.notes.append("calm"),
         )
         self.exerciser = Exerciser(
@@ -149,7 +149,7 @@ def test_a_tenth_of_a_second_without_reading_is_borne_or_ten_cycles(period_ms: i
 def test_readings_of_before_are_let_go_and_the_bus_is_guarded_while_it_runs(bench: Bench) -> None:
     bench.exerciser.run(Asked(), 0.01)
     notes = bench.notes
-    assert notes[:4] == ["wait 3 ms", "take readings", "begin", "arm, own SYNC True"]
+    assert notes[:4] == ["wait 3 ms", "take readings", "begin", "arm, 1000000 ns"]
     assert notes.index("SYNC") > 3
     assert notes.count("SYNC") == CALIBRATION_SYNCS + 10
     assert "command" not in notes[: notes.index("SYNC")]
