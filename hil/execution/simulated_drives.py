@@ -19,7 +19,7 @@ from drivers.canopen.cob_ids import NODE_BITS, SENT_BY_NODES
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
 from drivers.canopen.objects301 import Cia301
-from drivers.errors import BadInput, NoAnswer, PeerFault
+from drivers.errors import AnswersTwice, BadInput, NoAnswer, PeerFault
 from drivers.printable import printable
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from drivers.wire.adapters import BusSpec, shared_bus
@@ -274,6 +274,8 @@ def _who_is(network: CanopenNetwork, node: int, heard: str) -> str | None:
         network.upload(node, Cia301.DEVICE_TYPE, 0, ANSWER_LIMIT_S, ATTEMPTS)
     except NoAnswer:
         answers = False
+    except AnswersTwice:  # nobody has asked for what came
+        answers, heard = False, heard or "an SDO answer"
     except PeerFault:
         pass  # an abort is an answer too
     if not answers:

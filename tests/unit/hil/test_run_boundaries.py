@@ -13,6 +13,7 @@ from drivers.cia402.profile import State
 from drivers.errors import BusDown
 from drivers.timebase import NS_PER_MS, Instant
 from hil.recording.run_folder import write_summary
+from hil.recording.sealer import Sealer
 from hil.rows.records import NOTHING, Rows
 from hil.rows.records_file import RecordsWriter
 from hil.testing.history import AxisHistory, Stretch
@@ -270,6 +271,7 @@ def test_a_recording_is_read_when_it_is_asked_for(tmp_path: Path) -> None:
     write_summary(tmp_path, summary())
     events = [{"at_ns": 5, "text": "later"}, {"at_ns": -5, "text": "sooner"}]
     (tmp_path / "events.jsonl").write_text("\n".join(map(json.dumps, events)))
+    Sealer(tmp_path).finish()
     error = BusDown("the bus is down")
     run = Run(BENCH, tmp_path, error)
     assert (run.folder, run.error, run.place) == (tmp_path, error, f"\nrecording: {tmp_path}")
