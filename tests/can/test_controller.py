@@ -138,7 +138,7 @@ def test_a_scan_finds_who_is_there_through_a_short_queue(
             check=False,
         )
     assert ended.returncode == 0, ended.stderr
-    assert [node["node"] for node in json.loads(ended.stdout)["bus"]["nodes"]] == [1]
+    assert [node["node_id"] for node in json.loads(ended.stdout)["bus"]["nodes"]] == [1]
 
 
 def test_an_adapter_that_is_pulled_out_is_an_end_and_comes_back(channel: str, link: BusLink) -> None:
