@@ -23,10 +23,10 @@ from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.device.background import background_nodes
 from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.faults.adapter_outage import OutageBus
 from virtual_bus.faults.fault_log import FaultLog
 from virtual_bus.faults.faulty_bus import FaultyBus
 from virtual_bus.faults.frame_fault import Side
+from virtual_bus.faults.outage_bus import OutageBus
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.hosting.faulty_device import FaultyDevice

@@ -58,10 +58,10 @@ from drivers.key_advice import unknown_key
 from drivers.timebase import Duration
 from virtual_bus.faults.fault_table import A_NUMBER, A_WHOLE_NUMBER, FaultTable
 from virtual_bus.faults.frame_fault import FrameFault, LinkFault, Side
-from virtual_bus.faults.kinds.full_queue import AdapterOutage
 from virtual_bus.faults.kinds.host_stall import HostStall
 from virtual_bus.faults.kinds.signal import SignalFault
 from virtual_bus.faults.node_fault import NodeFault
+from virtual_bus.faults.outage import AdapterOutage
 from virtual_bus.faults.register import TABLES
 
 _EXPECTED = {

@@ -13,8 +13,6 @@ from functools import partial
 from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant
 from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.faults.adapter_outage import KINDS as OUTAGES
-from virtual_bus.faults.adapter_outage import Outages
 from virtual_bus.faults.disturber import Disturber, disturber
 from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.fault_injector import FaultInjector
@@ -25,6 +23,8 @@ from virtual_bus.faults.frame_fault import Side
 from virtual_bus.faults.kinds.host_stall import HostStall
 from virtual_bus.faults.mangler import DrawnSignals, Mangler, ReplayedSignals
 from virtual_bus.faults.node_faults import DrawnNode, Events, node_source
+from virtual_bus.faults.outage_bus import KINDS as OUTAGES
+from virtual_bus.faults.outage_bus import Outages
 from virtual_bus.faults.replay import RecordedFaults, ReplayedFates
 from virtual_bus.hosting.faulty_device import FaultyDevice
 

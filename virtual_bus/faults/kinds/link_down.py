@@ -2,8 +2,8 @@
 
 import errno
 
-from virtual_bus.faults.kinds.full_queue import AdapterOutage
 from virtual_bus.faults.log_kind import LogKind, LogNumber
+from virtual_bus.faults.outage import AdapterOutage
 
 
 class LinkDown(AdapterOutage):

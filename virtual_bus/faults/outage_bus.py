@@ -9,18 +9,19 @@ from typing import Any
 import can
 from can.broadcastmanager import CyclicSendTaskABC
 
-from drivers.timebase import NEVER, NS_PER_S, Clock, Instant
+from drivers.timebase import NEVER, Clock, Instant
 from drivers.wire.frame_port import FramePort, WireFrame
 from drivers.wire.link import StampSource
-from drivers.wire.message import frame_of, message_of
+from drivers.wire.message import frame_of
 from drivers.wire.message_port import MessagePort
 from virtual_bus.faults.fault_log import KIND_CODES, FaultLog
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.fault_streams import uniform_stream
-from virtual_bus.faults.kinds.full_queue import AdapterOutage, FullQueue
+from virtual_bus.faults.kinds.full_queue import FullQueue
 from virtual_bus.faults.kinds.link_down import LinkDown
 from virtual_bus.faults.node_fault import NodeEvent
 from virtual_bus.faults.node_faults import Events
+from virtual_bus.faults.outage import AdapterOutage
 from virtual_bus.faults.replay import RecordedFaults
 
 KINDS: dict[str, type[AdapterOutage]] = {kind.kind: kind for kind in (FullQueue, LinkDown)}
@@ -125,7 +126,7 @@ class OutagePort(FramePort):
 
 
 class OutageBus(can.BusABC):
-    """``bus`` seen through ``outages``, by its ``frame_port`` and as python-can sees it."""
+    """``bus`` seen through ``outages``, for a link: received is by its ``frame_port`` alone."""
 
     def __init__(
         self, bus: can.BusABC, outages: Outages, clock: Clock, stamps: StampSource = StampSource.RECEIPT
@@ -139,13 +140,6 @@ class OutageBus(can.BusABC):
         self.frame_port = OutagePort(inner, outages, clock)
         super().__init__(channel="", can_filters=bus.filters)
 
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next message that is heard, within ``timeout`` seconds."""
-        until = NEVER if timeout is None else self._clock.now() + round(timeout * NS_PER_S)
-        port = self.frame_port
-        frame = port.receive(Instant(until))
-        return None if frame is None else message_of(frame, port.came_at, is_rx=not port.came_own)
-
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
         """Hand ``msg`` on. Raises can.CanOperationError while there is no room."""
         self.frame_port.transmit(frame_of(msg))
@@ -154,11 +148,6 @@ class OutageBus(can.BusABC):
         """Close ``bus``."""
         super().shutdown()
         self.inner.shutdown()
-
-    def set_filters(self, filters: can.typechecking.CanFilters | None = None) -> None:
-        """Filter in the bus below."""
-        self._filters = filters or None
-        self.inner.set_filters(filters)
 
     def _send_periodic_internal(self, *arguments: Any, **options: Any) -> CyclicSendTaskABC:
         return self.inner._send_periodic_internal(*arguments, **options)
