@@ -147,11 +147,12 @@ class DelayMeter:
 
     def settle_all(self, heard_ns: int) -> list[Fate]:
         """End of the run: what has not come by now is lost. For certain, if the bus was heard of since the
-        SYNC after its own: the last reading may lie on its way yet."""
+        SYNC after its own, and a later reading has come: a drive that stands still may be about to answer."""
         fates: list[Fate] = []
         after = 1 << 62
         for place in reversed(self._outstanding):
-            fates.append(place.fate or self._lost(place, heard_ns > after))
+            certain = heard_ns > after and place.sequence < self._newest_certain
+            fates.append(place.fate or self._lost(place, certain))
             after = min(after, place.heard_ns)
         self._outstanding.clear()
         fates.reverse()
