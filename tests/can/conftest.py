@@ -8,21 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.vcan.conftest import is_up
+from tests.vcan.conftest import skip_unless_up
 
 CHANNELS = os.environ.get("CAN0", "can0"), os.environ.get("CAN1", "can1")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skip this folder's tests without controllers, unless ``make test-can`` runs them."""
-    if all(map(is_up, CHANNELS)):
-        return
-    if os.environ.get("SERVOBENCH_CAN") == "required":
-        raise pytest.UsageError(f"{' and '.join(CHANNELS)} are not up")
-    here = Path(__file__).parent
-    for item in items:
-        if item.path.is_relative_to(here):
-            item.add_marker(pytest.mark.skip(reason=f"{CHANNELS} are not up; make test-can brings its own"))
+    skip_unless_up(items, Path(__file__).parent, CHANNELS, "SERVOBENCH_CAN")
 
 
 @pytest.fixture

@@ -81,6 +81,7 @@ def drawn(draw: Random, longest_s: float) -> dict[str, Any]:
                 "mode": mode,
                 "motor": str(EXAMPLES / "motors/ling2012.toml"),
                 "controller": controller,
+                "simulation": {"lacks": draw.choice(([], ["1013"]))},
                 "limits": {"speed_max_rpm": 2500.0, "torque_max_nm": 5.0, "dropouts_consecutive_max": 60},
             }
         },
@@ -99,6 +100,9 @@ def test_each_cycle_tells_what_did_not_come_to_the_wire(servo_bench: BenchRunner
     assert {zero + int(at) for at in told[~np.isnan(told)]} <= set(wire.syncs)
     first = zero + handed[~np.isnan(handed)][0]
     assert sum(at >= first for at in wire.syncs) == np.count_nonzero(~np.isnan(handed))
+    waited = ran.column("received_at") - told
+    assert np.nanmin(waited) > 0, "no reading is placed at another SYNC"
+    assert np.nanmax(waited) < ran.config.loop.period
     fates, commands = ran.column("command_fate"), ran.column("command_handed_at")
     went = commands[~np.isnan(commands) & (fates != NOT_SENT)]
     on_wire = [at for at in wire.commands if at >= zero + went[0]][: len(went)]

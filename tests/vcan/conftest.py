@@ -1,6 +1,7 @@
 """Tests on SocketCAN's vcan0: skipped where it is not up, a failure where it was promised."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -15,16 +16,23 @@ def is_up(channel: str) -> bool:
     return flags.exists() and bool(int(flags.read_text(), 16) & IFF_UP)
 
 
+def skip_unless_up(items: list[pytest.Item], folder: Path, channels: Sequence[str], promised: str) -> None:
+    """Skip the tests of ``folder`` without its interfaces; raises UsageError if the variable ``promised`` of
+    the environment says that they are there."""
+    down = [channel for channel in channels if not is_up(channel)]
+    if not down:
+        return
+    reason = f"{' and '.join(down)} not up; make test-{folder.name} brings its own"
+    if os.environ.get(promised) == "required":
+        raise pytest.UsageError(reason)
+    for item in items:
+        if item.path.is_relative_to(folder):
+            item.add_marker(pytest.mark.skip(reason=reason))
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skip this folder's tests without vcan0, unless ``make test-vcan`` runs them."""
-    if is_up(CHANNEL):
-        return
-    if os.environ.get("SERVOBENCH_VCAN") == "required":
-        raise pytest.UsageError(f"{CHANNEL} is not up")
-    here = Path(__file__).parent
-    for item in items:
-        if item.path.is_relative_to(here):
-            item.add_marker(pytest.mark.skip(reason=f"{CHANNEL} is not up; make test-vcan brings its own"))
+    skip_unless_up(items, Path(__file__).parent, [CHANNEL], "SERVOBENCH_VCAN")
 
 
 @pytest.fixture

@@ -22,6 +22,7 @@ from drivers.wire.socketcan_stamps import (
     SO_TIMESTAMPNS,
     SO_TIMESTAMPNS_NEW,
     FrameStamps,
+    WallStamps,
     parse_ancillary,
 )
 
@@ -191,3 +192,14 @@ def test_an_adapter_whose_own_stamps_jump_is_not_believed_any_more(kernel: Socke
         assert abs(port.came_at - after) < 100 * NS_PER_MS
     assert told(port) == ["has stamps of its own that jump: the kernel's are used instead"]
     assert port.echoes is EchoBasis.KERNEL
+
+
+@pytest.mark.parametrize("off_s", [-6, 6])
+def test_in_place_of_a_stamp_that_is_seconds_off_stands_the_instant_of_fetching(off_s: int) -> None:
+    stamps, epoch = WallStamps(), 1_700_000_000 * NS_PER_S
+    for at in (NS_PER_S, NS_PER_S * 3 // 2):
+        stamps.compare(at, at + epoch, at)
+    stamps.emptied(NS_PER_S)
+    now = Instant(NS_PER_S * 3 // 2)
+    assert stamps.instant(now + epoch + off_s * NS_PER_S, now) == now
+    assert stamps.far_off == 1
