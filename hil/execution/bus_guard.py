@@ -16,7 +16,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Final, NamedTuple
 
-from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, NMT, SDO_ANSWER, SDO_REQUEST, SYNC
+from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, NMT, RPDOS, SDO_ANSWER, SDO_REQUEST, SYNC
 from drivers.canopen.frame_pump import Handler, one_after_another
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt import Emergency, parse_emergency
@@ -49,8 +49,6 @@ _SDO_READS: Final = (2, 3, 5)
 _NMT_BYTES: Final = 2
 _MESSAGE_BYTES: Final = 8
 """Of every SDO request, CiA 301 7.2.4.3."""
-RPDOS: Final = (0x200, 0x300, 0x400, 0x500)
-"""Those of a node that has not been configured, CiA 301 7.3.5."""
 OBJECTS_TOLD: Final = 16
 """So many written objects are told apart: who writes more writes anything."""
 
