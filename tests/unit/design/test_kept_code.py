@@ -60,6 +60,36 @@ def test_processes_that_start_together_compile_anew_what_is_damaged_or_not_their
     assert hits[6] == [0, 1], "code of other types is no hit"
 
 
+COUNTED = """
+import sys
+import numpy
+from design.kept_code import kept
+def doubled(values):
+    for k in range(len(values)): values[k] += values[k]
+doubled, values = kept(doubled, _nrt=False), numpy.ones(2)
+doubled(values)
+print(*values, sum(doubled.stats.cache_hits.values()), "scipy.linalg" in sys.modules)
+"""
+
+
+def test_kept_code_without_references_starts_without_what_numba_compiles_with(tmp_path: Path) -> None:
+    (tmp_path / "program.py").write_text(COUNTED)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    compiled, loaded = (
+        subprocess.run(
+            [sys.executable, str(tmp_path / "program.py")],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=True,
+        ).stdout.split()
+        for _ in range(2)
+    )
+    assert compiled == ["2.0", "2.0", "0", "True"]
+    assert loaded == ["2.0", "2.0", "1", "False"]
+
+
 def test_the_length_of_frames_is_counted_though_its_code_is_damaged(tmp_path: Path) -> None:
     """As numba compiles it, where mypyc has not."""
     program = "from virtual_bus.bus.bit_length import wire_bits; print(wire_bits(0x601 << 4 | 2, b'ab'))"
