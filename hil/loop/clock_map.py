@@ -13,6 +13,7 @@ stamp belongs to, and whether a stamp that lies off the line may move it, is dec
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Final
 
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
@@ -20,13 +21,16 @@ from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 STAMP_RESOLUTION: Final = Duration(NS_PER_US)
 """1013h counts whole microseconds, rounded down (CiA 301 7.5.2.16); makers differ."""
 STEP_SHOWS: Final = 50
-"""So small a part of a step shows that instants are on no common grid of that step, and stamps on it coarse:
-more than a clock of a microsecond hides, for the steps that matter."""
+"""So small a part of a step shows that instants are on no common grid of it, and stamps on it coarse,"""
+STEP_SHOWS_NS: Final = 3 * NS_PER_US
+"""and so much does of any: more than two roundings to a microsecond hide."""
 _RATE_WALK: Final = 1e-11
 """How fast the rate of a quartz clock wanders, (ns/ns)^2 per s: 3 ppm in a second, faster than that of a
 clock being warmed, so that the filter never falls asleep."""
-_FIRST_RATE_VARIANCE: Final = (2e-3) ** 2
-"""Before anything is known of the rate: 2000 ppm, ten times a poor quartz."""
+RATE_MAX: Final = 2e-3
+"""By which a clock may be expected to be off: 2000 ppm, ten times a poor quartz."""
+_FIRST_RATE_VARIANCE: Final = RATE_MAX**2
+"""Before anything is known of the rate."""
 
 
 class ClockMap:
@@ -142,24 +146,42 @@ class ClockMap:
 def residuals_of(pairs: Sequence[tuple[int, Instant]]) -> list[int]:
     """By how much the straight line through all (stamp, host instant) pairs, by least squares, places each
     stamp later than its host instant, ns."""
+    return _fitted(pairs)[1]
+
+
+def _fitted(pairs: Sequence[tuple[int, Instant]]) -> tuple[float, list[int]]:
+    """The slope of that line, and by how much it places each stamp later."""
     device_ns, host_ns = pairs[0]
     xs = [float(device - device_ns) for device, _ in pairs]
     ys = [float(host - host_ns) for _, host in pairs]
     mean_x, mean_y = sum(xs) / len(xs), sum(ys) / len(ys)
     spread = sum((x - mean_x) ** 2 for x in xs)
     slope = sum((x - mean_x) * (y - mean_y) for x, y in zip(xs, ys, strict=True)) / spread if spread else 1.0
-    return [round(mean_y + slope * (x - mean_x) - y) for x, y in zip(xs, ys, strict=True)]
+    return slope, [round(mean_y + slope * (x - mean_x) - y) for x, y in zip(xs, ys, strict=True)]
+
+
+def evenly_spaced(pairs: Sequence[tuple[int, Instant]], period: int) -> Sequence[tuple[int, Instant]]:
+    """(stamp, host instant) pairs of SYNCs that come every ``period`` ns, with instants at equal distances;
+    as they are if two of them have stamps of one period."""
+    device_ns, host_ns = pairs[0]
+    places = [round((device - device_ns) / period) for device, _ in pairs]
+    if any(later <= earlier for earlier, later in pairwise(places)):
+        return pairs
+    return [
+        (device, Instant(host_ns + place * period)) for (device, _), place in zip(pairs, places, strict=True)
+    ]
 
 
 def step_of(pairs: Sequence[tuple[int, Instant]]) -> int:
     """By how much the stamps of (stamp, host instant) pairs advance at a time, ns; 0 if that does not show.
 
-    The greatest common divisor of their differences, unless the host instants have it too: stamps that
-    advance as they do, say by whole periods, may do so in steps of any size.
+    The greatest common divisor of their differences, unless the host instants have it too, but for a clock's
+    rate: stamps that advance as they do, say by whole periods, may do so in steps of any size.
     """
-    device_ns, host_ns = pairs[0]
+    device_ns, _ = pairs[0]
     step = math.gcd(*(device - device_ns for device, _ in pairs))
     if step == 0:
         return 0
-    off = max(abs((host - host_ns + step // 2) % step - step // 2) for _, host in pairs)
-    return step if off > step // STEP_SHOWS else 0
+    slope, residuals = _fitted(pairs)
+    off = max(abs(residual) for residual in residuals)
+    return step if off > min(step // STEP_SHOWS, STEP_SHOWS_NS) or abs(slope - 1.0) > RATE_MAX else 0

@@ -8,7 +8,7 @@ from collections import deque
 from typing import Final
 
 from drivers.timebase import NS_PER_US, Duration, Instant
-from hil.loop.clock_map import STAMP_RESOLUTION, ClockMap, residuals_of, step_of
+from hil.loop.clock_map import STAMP_RESOLUTION, ClockMap, evenly_spaced, residuals_of, step_of
 from hil.loop.residuals import Residuals
 from hil.loop.syncs import SyncMark
 
@@ -24,14 +24,20 @@ LEARNED_MAX: Final = 64
 class DriveStamps:
     """What is known of the stamps of one drive."""
 
-    def __init__(self, period: Duration, echo_error: int, resolution: Duration) -> None:
-        """``resolution``: of a stamp. ``echo_error``: how far an echo may be from the end of its SYNC, ns."""
+    def __init__(
+        self, period: Duration, echo_error: int, resolution: Duration, echoes_late: bool = False
+    ) -> None:
+        """``resolution``: of a stamp. ``echo_error``: how far an echo may be from the end of its SYNC, ns;
+        ``echoes_late``: it may be stamped any time after."""
         self.clock = ClockMap(resolution)
         self.residuals = Residuals(echo_error / 3.0)
         self.resolution = resolution
         """As given, or as the steps of the stamps have shown while learning."""
         self._echo_error = echo_error
-        self._quarter = period // 4
+        self._echoes_late = echoes_late
+        self._period = period
+        self._farthest = period // 4
+        """How far from its SYNC a stamp is that one's only: SYNCs are at least half a period apart."""
         self._echo_variance_ns2 = float(echo_error) ** 2 / 9.0
         self.unmapped_ns = self._unmapped()
         """How far a stamp may lie from its SYNC if neither is late: by its step and the echo."""
@@ -39,6 +45,8 @@ class DriveStamps:
         """Stamps and SYNCs of a calibration."""
         self._handed: deque[tuple[int, Instant]] = deque(maxlen=LEARNED_MAX)
         """Its stamps, and when their SYNCs were handed over, which no adapter stamps."""
+        self._heard_late = False
+        """Whether SYNCs are another's, and their instants may all be late: they show no steps of stamps."""
 
     @property
     def match_ns(self) -> int:
@@ -61,10 +69,13 @@ class DriveStamps:
         self.clock.observe(device_ns, on_bus_at, self._echo_variance_ns2)
         learned.append((device_ns, on_bus_at))
         self._handed.append((device_ns, mark.handed_at))
+        if self._echoes_late and mark.handed_at == on_bus_at:
+            self._heard_late, self._farthest = True, self._period * 7 // 16
         if len(learned) < LEARNED_MIN:
             return
         pairs = list(learned)
-        self._coarsen(step_of(self._handed))
+        handed = list(self._handed)
+        self._coarsen(step_of(evenly_spaced(handed, self._period) if self._heard_late else handed))
         residuals.learn(residuals_of(pairs), self.unmapped_ns)
         if residuals.spread:
             self.clock.start_anew(pairs, residuals.variance_ns2(self.unmapped_ns))
@@ -86,7 +97,7 @@ class DriveStamps:
         """
         residuals, match_ns = self.residuals, self.match_ns
         least = match_ns + residuals.spread // 4
-        most = max(match_ns, self._quarter)
+        most = max(match_ns, self._farthest)
         return -min(least + residuals.early, most) <= residual <= min(least + residuals.late, most)
 
     def follow(self, device_ns: int, on_bus_at: Instant, residual: int) -> None:

@@ -92,6 +92,16 @@ class Residuals:
         return self._extremes.low if self.early or self.late else 0
 
     @property
+    def middle(self) -> int:
+        """Half way between the least and the largest."""
+        return (self._extremes.low + self._extremes.high) // 2
+
+    @property
+    def high(self) -> int:
+        """The largest that the next may well be."""
+        return self._extremes.high + self._extremes.slack()
+
+    @property
     def spread(self) -> int:
         """How far they reach in all, and the next may well do, beyond what the map itself errs by."""
         return self.early + self.late + self.slack

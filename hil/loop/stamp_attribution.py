@@ -61,7 +61,8 @@ class StampAttribution:
         ``resolution``: of a stamp."""
         self.health = Health()
         self.question = Question()
-        self.stamps = DriveStamps(period, syncs.error_ns, resolution)
+        self._echoes_late = syncs.basis in STAMPED_LATE
+        self.stamps = DriveStamps(period, syncs.error_ns, resolution, self._echoes_late)
         self.clock = self.stamps.clock
         self.doubtful_error_ns = REMEMBERED * period
         """Of a reading of uncertain place: any SYNC that is remembered may be its own."""
@@ -69,7 +70,6 @@ class StampAttribution:
         self._half = period // 2
         self._transit = transit
         self._tell = tell
-        self._echoes_late = syncs.basis in STAMPED_LATE
         self._residuals = self.stamps.residuals
         self._case = ClockQuestion(syncs, self.stamps, period, transit)
         self.doubt = PeriodDoubt(syncs, self.stamps, period, transit, tell)
@@ -125,7 +125,8 @@ class StampAttribution:
             self._case.twice += 1
             return None
         free = fits and known is None
-        if free and self._usual(mark, reading.received_at - mark.on_bus_at):
+        sampled_at = at - self._residuals.middle if self._echoes_late else mark.on_bus_at
+        if free and self._usual(mark, reading.received_at - sampled_at):
             if self._suspects:
                 self._exonerate_free()
                 self._acquit()
@@ -154,9 +155,11 @@ class StampAttribution:
         lateness = max(0, residual - residuals.least) if residuals.spread else residual
         # A SYNC that was late by less than can be told moves the map by as much, so the bound is twice that.
         sampled_at, error_ns = on_bus_at, 2 * match_ns + residuals.slack
-        if self._echoes_late:
-            # What is early and late cannot be told apart: either may be all of it.
-            error_ns = max(error_ns + residuals.early + residuals.late, match_ns + mark.late_ns)
+        if self._echoes_late and residuals.spread:
+            # What is early and late cannot be told apart: the clock's map alone knows when it was, to half of
+            # what residuals reach over.
+            sampled_at = Instant(on_bus_at + residual - residuals.middle)
+            error_ns = residuals.reach // 2 + match_ns
         elif residuals.early or residuals.late or lateness > match_ns:
             # Late to the drive: the stamp knows better. Nothing but the SYNC itself excludes that it was not.
             sampled_at, error_ns = Instant(on_bus_at + lateness), lateness + match_ns + residuals.slack
@@ -262,6 +265,8 @@ class StampAttribution:
             if self.spread:
                 self._revoke()
         latest = reading.received_at - self._transit + self.stamps.near_ns - self.clock.error_ns
+        if self._echoes_late:  # the map lies in the middle of what it may be off
+            latest = reading.received_at - self._transit + self.stamps.match_ns + self._residuals.high
         self._early = self._early or at > latest
         suspects.append(Suspect(device_ns, reading.received_at, second))
         if free is not None:
