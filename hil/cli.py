@@ -3,10 +3,10 @@
 What a command needs is imported inside it, so that ``hil --help`` answers at once.
 """
 
-from hil.terminal.hidden_rooms import refuse_hidden_rooms
 from hil.terminal.options import JsonOption, SeedOption, bus_option, flag, valued
+from hil.terminal.start_conditions import refuse_to_begin
 
-refuse_hidden_rooms()  # before the first import from a package that a folder of the user's could hide
+refuse_to_begin()  # before the first import from a package that a folder of the user's could hide
 
 import os
 

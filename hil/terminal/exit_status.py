@@ -9,6 +9,7 @@ import typer
 from drivers.errors import BenchError
 from drivers.printable import printable
 from hil.machine.parent_process import messages, tell_parent
+from hil.machine.refusals import as_refusal
 from hil.terminal.output import say
 from hil.verdict.verdict import ExitStatus
 
@@ -22,9 +23,7 @@ def reported_errors(conclude: Callable[[int, str], int] = lambda status, _text: 
     try:
         yield
     except BenchError as error:
-        say(error_text(error))
-        tell_parent(error=str(error))
-        raise typer.Exit(conclude(error.exit_status, str(error))) from None
+        raise typer.Exit(_told(error, conclude)) from None
     except KeyboardInterrupt:
         say("interrupted")
         tell_parent(error="interrupted")
@@ -32,10 +31,18 @@ def reported_errors(conclude: Callable[[int, str], int] = lambda status, _text: 
     except (typer.Exit, typer.Abort, typer.BadParameter):
         raise
     except (Exception, SystemExit, GeneratorExit) as error:  # noqa: BLE001 - top of the process: a defect, or code of the user's that calls sys.exit(), must not leave with the status of a verdict
+        if refusal := as_refusal(error):
+            raise typer.Exit(_told(refusal, conclude)) from None
         traceback.print_exc(file=messages())
         text = f"{type(error).__name__}: {error}"
         tell_parent(error=text)
         raise typer.Exit(conclude(ExitStatus.DEFECT, text)) from None
+
+
+def _told(error: BenchError, conclude: Callable[[int, str], int]) -> int:
+    say(error_text(error))
+    tell_parent(error=str(error))
+    return conclude(error.exit_status, str(error))
 
 
 def error_text(error: BenchError) -> str:

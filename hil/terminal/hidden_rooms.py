@@ -4,12 +4,8 @@
 imported instead. Nothing of these packages is imported here, before that is known.
 """
 
-import sys
 from importlib.util import find_spec
 from pathlib import Path
-
-from hil.terminal.run_object import not_begun
-from hil.verdict.verdict import ExitStatus
 
 ROOMS = ("design", "drivers", "virtual_bus")
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,11 +24,3 @@ def hidden_room(root: Path = ROOT) -> str | None:
                 "of a test module)"
             )
     return None
-
-
-def refuse_hidden_rooms() -> None:
-    """Leave with one line on stderr, and the object of ``hil run --json``, if a package is hidden."""
-    if (trouble := hidden_room()) is not None:
-        print(f"hil: error: {trouble}", file=sys.stderr)
-        not_begun(ExitStatus.BAD_INPUT, trouble)
-        sys.exit(ExitStatus.BAD_INPUT)

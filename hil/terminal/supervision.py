@@ -21,9 +21,10 @@ from typing import Any, Final, NoReturn
 
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
 from hil.machine.parent_process import Pipes, StreamEnd, Terminals, live_under, messages
+from hil.machine.refusals import as_refusal
 from hil.machine.stopping import heard_signals
 from hil.terminal.relay import Relay, write_all
-from hil.terminal.taken_over import Ended, concluded, lost
+from hil.terminal.taken_over import Ended, concluded, lost, not_begun
 from hil.verdict.verdict import ExitStatus
 
 SUPERVISED: Final = ("run", "campaign", "measure", "commission")
@@ -46,7 +47,26 @@ def is_supervised(arguments: Sequence[str]) -> bool:
 
 
 def supervised(work: Callable[[], None], arguments: Sequence[str]) -> NoReturn:
-    """Run ``work``, which leaves by SystemExit, in a child process, and leave as is told of it."""
+    """Run ``work``, which leaves by SystemExit, in a child process, and leave as is told of it.
+
+    Where the machine gives no such process, the command ends as one that a refusal has ended later.
+    """
+    try:
+        child, relay, watched = _begin(work)
+    except (OSError, RuntimeError) as error:
+        if (refusal := as_refusal(error)) is None:
+            raise
+        status, text = not_begun(refusal, arguments)
+        print(f"hil: error: {refusal}", file=sys.stderr)
+        print(text, end="", flush=True)
+        os._exit(status)  # a child that has just begun dies with this process
+    ended = _watch(child, relay, watched)
+    # at once: nothing here has to be cleaned up, and to take the interpreter down takes longer than all else
+    os._exit(_leave(relay, ended, arguments))
+
+
+def _begin(work: Callable[[], None]) -> tuple[int, Relay, set[int]]:
+    """The child, who reads what it writes, and the signals to watch for. Returns in the parent alone."""
     _open_standard_descriptors()
     pipes = [os.pipe() for _ in Pipes._fields]
     terminals = Terminals(os.isatty(1), os.isatty(2))
@@ -60,10 +80,7 @@ def supervised(work: Callable[[], None], arguments: Sequence[str]) -> NoReturn:
     own = Pipes(*(ends[mine] for ends in pipes))
     if not child:
         _work(work, own, terminals, parent, before)
-    relay = Relay(own, threading.get_ident())
-    ended = _watch(child, relay, watched)
-    # at once: nothing here has to be cleaned up, and to take the interpreter down takes longer than all else
-    os._exit(_leave(relay, ended, arguments))
+    return child, Relay(own, threading.get_ident()), watched
 
 
 def unsupervised(work: Callable[[], None]) -> NoReturn:

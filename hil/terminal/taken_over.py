@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from hil.machine.refusals import MachineRefused
 from hil.machine.stopping import STOP_SIGNALS
 from hil.rows.run_files import SUMMARY_FILE
 from hil.verdict.summary import Summary, summary_without_run
@@ -100,6 +101,15 @@ def lost(known: Known, ended: Ended, arguments: Sequence[str], say: Say) -> tupl
     if "--json" not in arguments:
         return status, ""
     return status, _object(summary) if arguments[0] == "run" else _error_object(text, status)
+
+
+def not_begun(refusal: MachineRefused, arguments: Sequence[str]) -> tuple[int, str]:
+    """Exit status and text for stdout of a command for which the machine gives no process."""
+    summary = summary_without_run(VerdictKind.CUT_SHORT, str(refusal))
+    if "--json" not in arguments:
+        return refusal.exit_status, ""
+    own = arguments[0] == "run"
+    return refusal.exit_status, _object(summary) if own else _error_object(str(refusal), refusal.exit_status)
 
 
 def _stop_drives(known: Known, say: Say) -> Iterator[Finding]:

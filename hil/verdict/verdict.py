@@ -73,6 +73,7 @@ def outcome_of_status(status: int) -> VerdictKind:
         VerdictKind.INTERRUPTED,
         VerdictKind.BAD_INPUT,
         VerdictKind.NOT_RECORDED,
+        VerdictKind.CUT_SHORT,
     ):
         if outcome.exit_status == status:
             return outcome

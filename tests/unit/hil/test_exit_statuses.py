@@ -23,7 +23,7 @@ STATUSES = {
         "StepFailed", "TransferAborted", "UnitNotTold", "WrongSetPoint",
     },
     ExitStatus.NOT_RECORDED: {"DiskFull", "RecordingFailed"},
-    ExitStatus.INCOMPLETE: {"NothingCertified", "WorkerDied"},
+    ExitStatus.INCOMPLETE: {"MachineRefused", "NothingCertified", "WorkerDied"},
     ExitStatus.COUNTER_EXAMPLE: {"CounterExample"},
     ExitStatus.DEFECT: {"NotTheSame"},
     ExitStatus.INTERRUPTED: {"Interrupted"},
