@@ -61,7 +61,9 @@ GROUPS = {
     "bus": [
         *_below("virtual_bus", "event_heap frame timeline"),
         *_below("virtual_bus/bus", "bit_length bus_load controller error_frame error_handling"),
-        *_below("virtual_bus/bus", "frame_image held_frames host_port hub_broker hub_port hub_protocol"),
+        *_below(
+            "virtual_bus/bus", "frame_image held_frames host_port hub_broker hub_client hub_port hub_protocol"
+        ),
         *_below("virtual_bus/bus", "judge port segment trial"),
         *_below("virtual_bus/faults", "fates fault_injector fault_log fault_streams strikes"),
     ],

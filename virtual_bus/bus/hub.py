@@ -7,6 +7,7 @@ the hub's broker (virtual_bus.bus.hub_process), which leaves after the last one.
 import errno
 import select
 import socket
+import struct
 import subprocess
 
 import can
@@ -32,6 +33,7 @@ from virtual_bus.bus.hub_protocol import (
     HubStatus,
     MalformedRecord,
     Request,
+    Welcome,
     decode_answer,
     encode_hello,
 )
@@ -163,8 +165,10 @@ class HubBus(can.BusABC):
 
 DEFAULT_BITRATE_BIT_S = 1_000_000
 """That of a bench file and of the commands that name none."""
-_ANSWER_PATIENCE_S = 10.0
-"""A broker that runs answers within 1 ms; a process of a busy machine may be kept waiting for seconds."""
+_ANSWER_PATIENCE = struct.pack("@ll", 10, 0)
+"""Seconds and microseconds (struct timeval). A broker that runs answers within 1 ms; a process of a busy
+machine may be kept waiting for seconds. The limit is the kernel's: a socket with a time-out of Python's does
+not wait for a place in a full queue of connections."""
 _START_PATIENCE_S = 60.0
 """Twenty times what a start took on two cores that had fourteen processes to serve, 3 s."""
 _SEND_BUFFER_BYTES = 131_072
@@ -177,27 +181,30 @@ def join(place: HubPlace, hello: Hello, clock: Clock) -> tuple[socket.socket, in
 
     Raises can.CanInitializationError if the hub refuses, does not answer or cannot be started.
     """
-    joined = _try_to_join(place, hello)
+    joined = _try_to_join(place, hello, clock)
     if joined is None:
         with place.locked(clock, Duration(round(_START_PATIENCE_S * NS_PER_S))):
-            joined = _try_to_join(place, hello)  # another process may have started it meanwhile
+            joined = _try_to_join(place, hello, clock)  # another process may have started it meanwhile
             if joined is None:
                 _start(place, hello.bitrate_bit_s or DEFAULT_BITRATE_BIT_S)
-                joined = _try_to_join(place, hello)
+                joined = _try_to_join(place, hello, clock)
     if joined is None:
         raise can.CanInitializationError(f"hub {place.name!r}: its broker ended at once; see {place.log}")
     return joined
 
 
-def _try_to_join(place: HubPlace, hello: Hello) -> tuple[socket.socket, int] | None:
+def _try_to_join(place: HubPlace, hello: Hello, clock: Clock) -> tuple[socket.socket, int] | None:
     """None if no broker is there, or it is just leaving."""
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        connection.settimeout(_ANSWER_PATIENCE_S)
+        for limit in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):
+            connection.setsockopt(socket.SOL_SOCKET, limit, _ANSWER_PATIENCE)
         connection.connect(str(place.socket))
+        asked_at = clock.now()
         connection.send(encode_hello(hello))
         packet = connection.recv(PACKET_BYTES_MAX)
+        answered_at = clock.now()
     except (FileNotFoundError, ConnectionError):
         connection.close()
         return None
@@ -207,19 +214,27 @@ def _try_to_join(place: HubPlace, hello: Hello) -> tuple[socket.socket, int] | N
     if not packet:
         connection.close()
         return None
-    return _answered(place, connection, packet)
+    return _answered(place, connection, packet, (asked_at, answered_at))
 
 
-def _answered(place: HubPlace, connection: socket.socket, packet: bytes) -> tuple[socket.socket, int]:
+def _answered(
+    place: HubPlace, connection: socket.socket, packet: bytes, during: tuple[Instant, Instant]
+) -> tuple[socket.socket, int]:
+    """``during``: from the hello to the answer, in which the broker has read its clock."""
     try:
-        answer = decode_answer(packet)
+        answer: Welcome | str = decode_answer(packet)
     except MalformedRecord as error:
         answer = f"hub {place.name!r}: {error}; another program listens on {place.socket}"
+    if isinstance(answer, Welcome) and not during[0] <= answer.now <= during[1]:
+        answer = (
+            f"hub {place.name!r}: its clock (CLOCK_MONOTONIC) is not this process's; run both in one time"
+            " namespace"
+        )
     if isinstance(answer, str):
         connection.close()
         raise can.CanInitializationError(answer)
     connection.setblocking(False)
-    return connection, answer
+    return connection, answer.bitrate_bit_s
 
 
 def _start(place: HubPlace, bitrate_bit_s: int) -> None:

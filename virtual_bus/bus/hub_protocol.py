@@ -15,12 +15,13 @@ from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.port import Port
 from virtual_bus.frame import Frame
 
-VERSION = 4
+VERSION = 5
 PACKET_BYTES_MAX: Final = 512
 """Some 17 frames: a packet of the size that the kernel allocates for it in one piece."""
 
 _HELLO = struct.Struct("<4sHHI")
 _HELLO_MAGIC = b"SBhi"
+_WELCOME = struct.Struct("<4sHHIq")
 _WELCOME_MAGIC = b"SBok"
 _REFUSAL_MAGIC = b"SBno"
 _FRAME: Final = struct.Struct("<qqIBB8s")
@@ -89,9 +90,17 @@ def decode_hello(packet: bytes) -> Hello:
     return Hello(bitrate, bool(flags & _RECEIVE_OWN), bool(flags & _BATCHES))
 
 
-def encode_welcome(bitrate_bit_s: int) -> bytes:
+class Welcome(NamedTuple):
     """The broker's answer to a client that it takes in."""
-    return _HELLO.pack(_WELCOME_MAGIC, VERSION, 0, bitrate_bit_s)
+
+    bitrate_bit_s: int
+    now: Instant
+    """By the broker's CLOCK_MONOTONIC, in which all stamps are."""
+
+
+def encode_welcome(bitrate_bit_s: int, now: Instant) -> bytes:
+    """The broker's answer to a client that it takes in."""
+    return _WELCOME.pack(_WELCOME_MAGIC, VERSION, 0, bitrate_bit_s, now)
 
 
 def encode_refusal(reason: str) -> bytes:
@@ -99,14 +108,14 @@ def encode_refusal(reason: str) -> bytes:
     return _REFUSAL_MAGIC + reason.encode()[: PACKET_BYTES_MAX - len(_REFUSAL_MAGIC)]
 
 
-def decode_answer(packet: bytes) -> int | str:
-    """The hub's bit rate, or the words of the refusal. Raises MalformedRecord for anything else."""
+def decode_answer(packet: bytes) -> Welcome | str:
+    """A welcome, or the words of the refusal. Raises MalformedRecord for anything else."""
     if packet.startswith(_REFUSAL_MAGIC):
         return packet[len(_REFUSAL_MAGIC) :].decode(errors="replace")
-    if len(packet) != _HELLO.size or not packet.startswith(_WELCOME_MAGIC):
+    if len(packet) != _WELCOME.size or not packet.startswith(_WELCOME_MAGIC):
         raise MalformedRecord("the hub's answer is none of this protocol")
-    bitrate: int = _HELLO.unpack(packet)[3]
-    return bitrate
+    _, _, _, bitrate, now = _WELCOME.unpack(packet)
+    return Welcome(bitrate, Instant(now))
 
 
 def encode_frame(frame: Frame, at: Instant = Instant(0), own: bool = False) -> bytes:  # noqa: B008

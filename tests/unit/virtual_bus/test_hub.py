@@ -105,6 +105,18 @@ def test_second_bit_rate_is_refused_in_words(buses: list[HubBus]) -> None:
     assert join(buses, bitrate=500_000).bitrate_bit_s == 500_000
 
 
+def test_a_process_whose_clock_is_another_one_is_refused(buses: list[HubBus]) -> None:
+    join(buses)
+    away = ["unshare", "-T", "--monotonic", "100"]
+    if subprocess.run([*away, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("this user, or this machine, has no time namespaces")
+    joining = [sys.executable, "-c", "import can; can.Bus(interface='hub', channel='bench')"]
+    done = subprocess.run(
+        [*away, *joining], cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert "CanInitializationError: hub 'bench': its clock" in done.stderr
+
+
 def test_killed_broker_is_reported_and_replaced(place: HubPlace, buses: list[HubBus]) -> None:
     bus = join(buses)
     first = broker_process(place)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.timebase import Instant
-from virtual_bus.bus.hub_broker import Client
+from virtual_bus.bus.hub_client import Client
 from virtual_bus.bus.hub_protocol import (
     BATCH_FRAMES_MAX,
     ECHO_HELD_NS,

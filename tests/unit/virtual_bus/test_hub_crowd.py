@@ -6,13 +6,14 @@ Real time, as this is what is tested; every wait is bounded by a deadline and en
 import os
 import resource
 import socket
+from pathlib import Path
 
 import can
 import pytest
 
 from drivers.timebase import Instant
 from tests.ports import fetched
-from tests.unit.virtual_bus.hub_processes import PATIENCE_S, broker_process, end, join, participant
+from tests.unit.virtual_bus.hub_processes import PATIENCE_S, broker_process, join
 from virtual_bus.bus.hub import HubBus
 from virtual_bus.bus.hub_place import HubPlace
 from virtual_bus.frame import Frame
@@ -98,27 +99,47 @@ def test_client_that_only_knocks_holds_up_nobody(place: HubPlace, buses: list[Hu
     silent.close()
 
 
-def test_a_thousand_idle_connections_do_not_end_the_hub(place: HubPlace, buses: list[HubBus]) -> None:
-    """More than a process may watch by ``select``."""
+def test_a_crowd_of_idle_connections_keeps_nobody_from_the_hub(place: HubPlace, buses: list[HubBus]) -> None:
+    """More than a process may watch by ``select``, and more than the hub keeps."""
     one = join(buses)
     process = broker_process(place)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, 2_048), hard))
     idle: list[socket.socket] = []
+    joined: list[HubBus] = []
     try:
-        for _ in range(1_100):
+        for number in range(1_100):
             idle.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
             idle[-1].connect(str(place.socket))
-        other = participant("bus.send(can.Message(arbitration_id=0x100, is_extended_id=False))")
-        heard = one.recv(PATIENCE_S)
-        assert heard is not None
-        assert heard.arbitration_id == 0x100
-        end(other)
+            if number % 110 == 0:
+                joined.append(join(buses))
+        join(buses).send(can.Message(arbitration_id=0x100, is_extended_id=False))
+        for each in (one, *joined):
+            heard = each.recv(PATIENCE_S)
+            assert heard is not None
+            assert heard.arbitration_id == 0x100
         assert broker_process(place) == process
+        assert len(os.listdir(f"/proc/{process}/fd")) < 600
+        assert "said no hello" in place.log.read_text()
+        assert len(place.log.read_text().splitlines()) <= 100
     finally:
-        for each in idle:
-            each.close()
+        for connection in idle:
+            connection.close()
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_clients_that_come_and_go_leave_nothing_in_the_hub(place: HubPlace, buses: list[HubBus]) -> None:
+    """Its process collects no garbage."""
+    join(buses)
+
+    def come_and_go(times: int) -> int:
+        for _ in range(times):
+            with HubBus("bench", receive_own_messages=True):
+                pass
+        return int(Path(f"/proc/{broker_process(place)}/statm").read_text().split()[1])
+
+    pages = come_and_go(100)
+    assert come_and_go(300) - pages < 100
 
 
 def test_a_process_with_more_descriptors_than_select_takes_is_a_client_too(buses: list[HubBus]) -> None:

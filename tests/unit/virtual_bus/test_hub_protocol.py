@@ -116,7 +116,7 @@ def test_other_bytes_are_no_hello(packet: bytes) -> None:
 
 
 def test_answers() -> None:
-    assert decode_answer(encode_welcome(125_000)) == 125_000
+    assert decode_answer(encode_welcome(125_000, Instant(7))) == (125_000, 7)
     assert decode_answer(encode_refusal("too late")) == "too late"
     assert len(encode_refusal("x" * 2_000)) <= PACKET_BYTES_MAX
     with pytest.raises(MalformedRecord):
