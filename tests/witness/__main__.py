@@ -122,10 +122,13 @@ def main() -> None:
         folder = (asked.out or Path(name)).absolute()
         sheets = list(_sheets([] if asked.only else _given(asked.sheets), made, folder))
         results = _all(sheets, asked.side_by_side)
-    wrong = sum(bool(result.judged.wrong) for result in results)
+    wrong = [result for result in results if result.judged.wrong]
+    for result in wrong:
+        print(f"not as it should be: {result.sheet.title}")
+        print(*(f"    <-- {text}" for text in result.judged.wrong), sep="\n")
     late = sum(bool(result.judged.late) for result in results)
     print(
-        f"{len(results)} sheets, {wrong} not as they should be, "
+        f"{len(results)} sheets, {len(wrong)} not as they should be, "
         f"{late} whose motion the machine had no time for; {(clock.now() - began) / NS_PER_S:.0f} s"
     )
     raise SystemExit(bool(wrong) or late > LATE_SHARE_MAX * len(results))
