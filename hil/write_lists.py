@@ -66,8 +66,8 @@ RESTORE: Final = (
             listed(
                 Object.PROFILE_DECELERATION, "ramp of a motion and of a stop", "steps that turn the shaft"
             ),
-            listed(Object.MAX_ACCELERATION, "ramps that it makes too slow", _LIMITS),
-            listed(Object.MAX_DECELERATION, "ramps that it makes too slow", _LIMITS),
+            listed(Object.MAX_ACCELERATION, "ramps that it makes too slow", f"{_LIMITS}; in profile modes"),
+            listed(Object.MAX_DECELERATION, "ramps that it makes too slow", f"{_LIMITS}; in profile modes"),
             listed(Object.TORQUE_SLOPE, "a slope that hides commands", f"{_LIMITS}; in profile torque"),
             listed(Object.HOMING_METHOD, "homing on the index: one turn", _TURN),
             listed(Object.HOMING_SPEEDS, "speeds of that homing", _TURN, (1, 2)),

@@ -116,8 +116,8 @@ class DriveSettings:
     torque_max_nm: float | None = None
     speed_max_rad_s: float | None = None
     set_acceleration_rad_s2: float | None = None
-    """The steepest change of speeds that the drive is given: its own ramps of the velocity mode (6048h,
-    6049h) are to let it pass. Without effect in other modes."""
+    """The steepest change of speeds that the drive is given, in csp of the set-points' slope: its own ramps
+    of the velocity mode (6048h, 6049h) and its bounds in csv and csp (60C5h, 60C6h) are to let it pass."""
     quick_stop_deceleration_rad_s2: float | None = None
     quick_stop_option: QuickStopOption = QuickStopOption.QUICK_STOP_RAMP
     """How it stops on a quick stop and in the reaction to a fault: 605Ah and 605Eh have the same values."""

@@ -1,9 +1,15 @@
 """Ramps that a drive makes by itself (CiA 402-2), by the mode that obeys them."""
 
+import math
 from typing import Final
 
+from drivers.canopen.greatest import write_greatest
+from drivers.canopen.objects import RemoteObjects
+from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
+from drivers.cia402.scaling import Scaling
+from drivers.cia402.velocity_mode import write_velocity_mode_ramps
 
 _PROFILE: Final = (Object.PROFILE_ACCELERATION, Object.PROFILE_DECELERATION)
 _BOUNDS: Final = (Object.MAX_ACCELERATION, Object.MAX_DECELERATION)
@@ -15,3 +21,26 @@ RAMPS: Final = {
     Mode.PROFILE_TORQUE: (Object.TORQUE_SLOPE,),
 }
 """Other modes obey none of them."""
+_CYCLIC: Final = frozenset({Mode.CYCLIC_SYNCHRONOUS_VELOCITY, Mode.CYCLIC_SYNCHRONOUS_POSITION})
+_RAW_MAX: Final = 0xFFFF_FFFF
+
+
+def write_ramps(objects: RemoteObjects, settings: DriveSettings, scaling: Scaling) -> list[str]:
+    """Have the drive's own ramps let the steepest change of set-points pass that ``settings`` name; notes on
+    what was changed or refused. A drive whose ramp is slower lags behind its set-points without a word.
+
+    In csv and csp 60C5h and 60C6h are raised where they are lower; vl has ramps of its own. Nothing in
+    another mode.
+    """
+    notes = write_velocity_mode_ramps(objects, settings)
+    if settings.mode not in _CYCLIC or settings.set_acceleration_rad_s2 is None:
+        return notes
+    raw = math.floor(settings.set_acceleration_rad_s2 / scaling.acceleration_rad_s2)
+    wanted = min(max(1, raw), _RAW_MAX)
+    for index in _BOUNDS:
+        held = objects.read_if_there(index)
+        if held is not None and held < wanted:
+            granted = write_greatest(objects, index, "I", wanted, index.title)
+            notes += [f"{index:04X}h was {held}, {granted.held} is set"] if granted.held != held else []
+            notes += granted.notes
+    return notes

@@ -21,6 +21,7 @@ from drivers.cia402.drive_setup import (
 from drivers.cia402.drive_watch import DriveWatch
 from drivers.cia402.follow_watch import FollowWatch
 from drivers.cia402.mode_control import MODE_BITS, ModeControl
+from drivers.cia402.mode_ramps import write_ramps
 from drivers.cia402.motion import KEEP_HOMING, KEEP_PROFILE, HomingSetup, Motion, MoveProfile
 from drivers.cia402.objects402 import Object
 from drivers.cia402.observed import map_observed
@@ -30,7 +31,6 @@ from drivers.cia402.rest import calms, resting_since
 from drivers.cia402.setpoint import SetPointFrames
 from drivers.cia402.state_control import FAULTY, StateControl
 from drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
-from drivers.cia402.velocity_mode import write_velocity_mode_ramps
 from drivers.errors import BusDown, NoAnswer, PeerFault
 from drivers.exchange import (
     Command,
@@ -121,7 +121,7 @@ class ServoDrive(Drive):
         scaling = read_scaling(self.objects, settings.scale)
         notes = [*watched, *scaling.notes, *write_reactions(self.objects, settings.quick_stop_option)]
         notes += write_limits(self.objects, settings, scaling)
-        notes += write_velocity_mode_ramps(self.objects, settings)
+        notes += write_ramps(self.objects, settings, scaling)
         plan, pdo_notes = map_pdos(self.objects, settings)
         plan, observed_notes = map_observed(self.objects, plan, settings.observed)
         period, stamp = settings.sync_period_ns, settings.stamp

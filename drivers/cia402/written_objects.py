@@ -107,6 +107,12 @@ SET_UP = CONTROL | WriteList(
                 Object.VL_VELOCITY_QUICK_STOP,
             )
         ),
+        *(
+            listed(
+                index, "bound of the drive that is below the set-points' change", f"{_SET_UP}, csv and csp"
+            )
+            for index in (Object.MAX_ACCELERATION, Object.MAX_DECELERATION)
+        ),
         listed(
             Object.INTERPOLATION_SUB_MODE_SELECT,
             "linear interpolation, where a drive holds another",

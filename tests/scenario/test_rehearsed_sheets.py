@@ -148,9 +148,10 @@ def test_a_whole_commissioning_by_a_data_sheet(tmp_path: Path) -> None:
     assert json.loads(again.stdout)["digest"] == json.loads(first.stdout)["digest"]
 
 
-def test_a_drive_that_is_commissioned_in_one_mode_is_run_in_another(tmp_path: Path) -> None:
-    """hil eds gives vl to commission it and ip to run it, as of an iPOS."""
-    case = "6502h is 43h, 6060h 7"
+@pytest.mark.parametrize("case", ["6502h is 43h, 6060h 7", "60C5h is tiny"])
+def test_a_drive_without_torque_mode_leaves_a_bench_that_runs(case: str, tmp_path: Path) -> None:
+    """hil eds gives vl to commission the first and ip to run it, as of an iPOS; the second is run in csv,
+    with a bound of acceleration that a run raises as its commissioning did."""
     sheet = made_sheet([case], tmp_path)
     result = rehearsed(sheet, tmp_path)
     assert complaints((case,), result) == []
