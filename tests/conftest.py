@@ -6,7 +6,8 @@ all. A failure on a machine that kept its time stands; so does what was told wro
 Beside other workers these tests are in the first, which `make test` lets go before the others.
 """
 
-from collections.abc import Generator
+import sys
+from collections.abc import Generator, Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,16 @@ def pytest_sessionfinish() -> None:
     """Nothing is left running."""
     if _witness is not None:
         _witness.stop()
+
+
+@pytest.fixture(scope="module")
+def forked_children() -> Iterator[None]:
+    """Loggers, workers and hubs that the tests of a module start from their own process are forked."""
+    from tests.warm.start import python
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "executable", python())
+        yield
 
 
 def _is_in_real_time(item: pytest.Item) -> bool:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.scenario.processes import HIL, quiet_environment, serving
+from tests.scenario.processes import quiet_environment, serving
+from tests.warm.start import hil
 
 SEED = 3
 """Polarity, position and velocity are told wrong."""
@@ -45,7 +46,7 @@ class CommissionSuite:
         with unknown_drive(drive_spec, tmp_path):
             done = subprocess.run(
                 [
-                    *HIL, "commission", "--bus", bus_spec, "--node", "1", "--out", str(out),
+                    *hil(), "commission", "--bus", bus_spec, "--node", "1", "--out", str(out),
                     "--motor", str(tmp_path / "plate.toml"), "--yes", "--json",
                     "--period-us", "10000", "--heartbeat-timeout-ms", "1500",
                 ],

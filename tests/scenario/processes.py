@@ -4,9 +4,8 @@ import json
 import os
 import signal
 import subprocess
-import sysconfig
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,13 @@ from drivers.cia402.profile import State, state_of
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
 from drivers.wire.adapters import open_bus, parse_bus_spec
 from drivers.wire.link import BusLink
+from tests.warm.start import REAL_HIL, hil
+from virtual_bus.bus.hub_place import HubPlace
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 BENCH = EXAMPLES / "any_bus.toml"
-HIL = [str(Path(sysconfig.get_path("scripts"), "hil"))]
+HIL = [REAL_HIL]
+"""A process of its own from the first import on; :func:`hil` costs a tenth."""
 RPM_PER_RAD_S = 60.0 / 6.283185307179586
 VELOCITY_UNIT_RAD_S = 1e-3 / RPM_PER_RAD_S
 START_LIMIT_S = 60.0
@@ -58,7 +60,7 @@ def simulated_drive(bus: str, *options: str) -> Iterator[subprocess.Popen[str]]:
 @contextmanager
 def serving(command: Sequence[str], ends_with: Sequence[int] = (0,)) -> Iterator[subprocess.Popen[str]]:
     """A command of ``hil`` that serves until Ctrl-C: ready when entered, ended when left."""
-    process = subprocess.Popen([*HIL, *command], stderr=subprocess.PIPE, text=True, env=quiet_environment())
+    process = subprocess.Popen([*hil(), *command], stderr=subprocess.PIPE, text=True, env=quiet_environment())
     try:
         assert process.stderr is not None
         for line in process.stderr:
@@ -74,9 +76,12 @@ def serving(command: Sequence[str], ends_with: Sequence[int] = (0,)) -> Iterator
 
 
 def start_run(bench: Path, bus: str, folder: Path, *options: str) -> subprocess.Popen[str]:
-    """``hil run --json`` in the background."""
-    command = [*HIL, "run", str(bench), "--bus", bus, "--record", str(folder), "--json", *options]
-    return in_background(command)
+    """``hil run --json`` in the background, with the processes that a user's has."""
+    return in_background([*HIL, *_run_command(bench, bus, folder), *options])
+
+
+def _run_command(bench: Path, bus: str, folder: Path) -> list[str]:
+    return ["run", str(bench), "--bus", bus, "--record", str(folder), "--json"]
 
 
 def in_background(
@@ -136,15 +141,7 @@ def _children(process_id: int) -> list[int]:
 
 def broker_of(bus: str) -> int:
     """The process behind a hub."""
-    name = bus.removeprefix("hub:").encode()
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdecimal():
-            continue
-        with suppress(OSError):  # it has ended since
-            words = (entry / "cmdline").read_bytes().split(b"\0")
-            if b"virtual_bus.bus.hub_process" in words and name in words:
-                return int(entry.name)
-    raise AssertionError(f"{bus} has no broker")
+    return int(HubPlace(bus.removeprefix("hub:")).alive.read_text())
 
 
 def summary_of(folder: Path) -> dict[str, Any]:
@@ -163,7 +160,7 @@ def run(bench: Path, bus: str, folder: Path, lasts_s: float = 0.0) -> tuple[int,
 
     ``lasts_s``: what the bench itself lasts, if that is long.
     """
-    process = start_run(bench, bus, folder)
+    process = in_background([*hil(), *_run_command(bench, bus, folder)])
     out, said = process.communicate(timeout=RUN_TIMEOUT_S + lasts_s)
     return process.returncode, json.loads(out) if out.strip() else {}, said
 

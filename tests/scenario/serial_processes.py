@@ -5,7 +5,8 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tests.scenario.processes import HIL, START_LIMIT_S
+from tests.scenario.processes import START_LIMIT_S
+from tests.warm.start import hil
 
 
 class AdapterProcess:
@@ -25,7 +26,7 @@ class AdapterProcess:
 @contextmanager
 def adapter_process(bus: str, *options: str) -> Iterator[AdapterProcess]:
     """``hil adapter`` on ``bus``, ready when entered, ended when left."""
-    command = [*HIL, "adapter", "--bus", bus, *options]
+    command = [*hil(), "adapter", "--bus", bus, *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None

@@ -9,7 +9,8 @@ import pytest
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
 from hil.configuration.background import load_background
 from hil.verdict.verdict import ExitStatus
-from tests.scenario.processes import EXAMPLES, HIL, hub_name, run_command, simulated_drive
+from tests.scenario.processes import EXAMPLES, hub_name, run_command, simulated_drive
+from tests.warm.start import hil
 from virtual_bus.device.background import CATCH_UP_MAX
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -44,7 +45,7 @@ def test_the_traffic_of_a_file_is_on_the_bus_beside_the_drive() -> None:
 def test_a_file_with_a_fault_is_refused_with_its_place(tmp_path: Path) -> None:
     wrong = tmp_path / "traffic.toml"
     wrong.write_text("[[background]]\ncan_id = 0x900\nperiod_us = 1000\n")
-    command = [*HIL, "simulate", "--bus", hub_name("refused"), "--node", "1", "--background", str(wrong)]
+    command = [*hil(), "simulate", "--bus", hub_name("refused"), "--node", "1", "--background", str(wrong)]
     done = run_command(command)
     assert done.returncode == ExitStatus.BAD_INPUT, done.stderr
     assert "traffic.toml" in done.stderr

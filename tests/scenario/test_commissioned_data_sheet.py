@@ -10,8 +10,9 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.timebase import MonotonicClock
 from drivers.wire.adapters import open_bus, parse_bus_spec
 from drivers.wire.link import BusLink
-from tests.scenario.processes import HIL, START_LIMIT_S, hub_name, quiet_environment
+from tests.scenario.processes import START_LIMIT_S, hub_name, quiet_environment
 from tests.unit.hil.test_device_files import DCF
+from tests.warm.start import hil
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.xdist_group("real time")
 def test_a_dcf_brings_its_node_id_and_serial_number(tmp_path: Path) -> None:
     path, bus = tmp_path / "spindle.dcf", hub_name("dcf")
     path.write_text(DCF)
-    command = [*HIL, "simulate", "--bus", bus, "--eds", str(path), "--bitrate", "500000"]
+    command = [*hil(), "simulate", "--bus", bus, "--eds", str(path), "--bitrate", "500000"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=quiet_environment())
     try:
         assert process.stderr is not None

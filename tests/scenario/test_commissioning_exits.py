@@ -31,6 +31,7 @@ from tests.scenario.processes import (
     run_command,
     simulated_drive,
 )
+from tests.warm.start import hil
 from virtual_bus.drive.servo import SimulatedServo
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -137,7 +138,7 @@ def start(bus: str, out: Path, stdin: int = subprocess.DEVNULL) -> subprocess.Po
 
 
 def restore(bus: str, out: Path) -> subprocess.CompletedProcess[str]:
-    return run_command([*HIL, "restore", "--bus", bus, "--node", "1", str(out / "journal.jsonl")])
+    return run_command([*hil(), "restore", "--bus", bus, "--node", "1", str(out / "journal.jsonl")])
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -199,7 +200,9 @@ def test_a_host_that_is_gone_is_put_back_by_its_journal(tmp_path: Path, number: 
         assert done.returncode == 0, done.stderr
         assert "byte for byte" in done.stderr
         assert watching.memory() == before
-        refused = run_command([*HIL, "restore", "--bus", bus, "--node", "2", str(tmp_path / "journal.jsonl")])
+        refused = run_command(
+            [*hil(), "restore", "--bus", bus, "--node", "2", str(tmp_path / "journal.jsonl")]
+        )
         assert refused.returncode == 2
         assert "--node" in refused.stderr
 

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from tests.scenario.commission_suite import SEED, CommissionSuite, unknown_drive
-from tests.scenario.processes import HIL, hub_name, run, run_command
+from tests.scenario.processes import hub_name, run, run_command
 from tests.scenario.serial_processes import adapter_process
+from tests.warm.start import hil
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -28,7 +29,7 @@ class TestOverSerial(CommissionSuite):
 def test_a_bench_runs_with_the_files_that_it_leaves(tmp_path: Path) -> None:
     """The files are those of a rehearsal in simulated time: the drive of a seed is the same everywhere."""
     out, bus = tmp_path / "out", hub_name("commissioned")
-    rehearsal = [*HIL, "commission", "--bus", "simulated", "--node", "1", "--rehearse", str(SEED), "--yes"]
+    rehearsal = [*hil(), "commission", "--bus", "simulated", "--node", "1", "--rehearse", str(SEED), "--yes"]
     options = ["--out", str(out), "--period-us", "10000", "--heartbeat-timeout-ms", "1500"]
     done = run_command([*rehearsal, *options])
     assert done.returncode == 0, done.stderr

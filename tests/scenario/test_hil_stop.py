@@ -7,7 +7,6 @@ import pytest
 
 from drivers.cia402.profile import State
 from tests.scenario.processes import (
-    HIL,
     hub_name,
     long_bench,
     observer,
@@ -15,6 +14,7 @@ from tests.scenario.processes import (
     simulated_drive,
     start_run,
 )
+from tests.warm.start import hil
 
 
 @pytest.mark.xdist_group("real time")
@@ -24,7 +24,7 @@ def test_a_run_in_another_process_ends_at_rest_and_says_why(tmp_path: Path) -> N
         process = start_run(long_bench(tmp_path), bus, tmp_path / "run")
         with observer(bus) as watching:
             watching.until_turning(20.0)
-        done = run_command([*HIL, "stop", "--bus", bus, "--json"])
+        done = run_command([*hil(), "stop", "--bus", bus, "--json"])
         out, said = process.communicate(timeout=30)
         assert done.returncode == 0, done.stderr
         told = json.loads(done.stdout)

@@ -13,7 +13,6 @@ import pytest
 from drivers.timebase import MonotonicClock
 from tests.scenario.processes import (
     EXAMPLES,
-    HIL,
     START_LIMIT_S,
     hub_name,
     observer,
@@ -21,6 +20,7 @@ from tests.scenario.processes import (
     simulated_drive,
     start_run,
 )
+from tests.warm.start import hil
 from virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
 from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
 from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
@@ -211,7 +211,7 @@ def test_an_instrument_that_goes_away_ends_the_run_with_the_drive_at_rest(
 
 
 def test_faults_of_no_load_machine_are_refused() -> None:
-    command = [*HIL, "simulate", "--bus", "hub:none", "--node", "1", "--load-machine-fault", "drop=0.1"]
+    command = [*hil(), "simulate", "--bus", "hub:none", "--node", "1", "--load-machine-fault", "drop=0.1"]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=START_LIMIT_S, check=False)
     assert ended.returncode == 2
     assert "--load-machine PATH" in ended.stderr

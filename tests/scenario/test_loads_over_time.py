@@ -11,7 +11,10 @@ from pyarrow import parquet
 
 from drivers.errors import BadInput
 from hil import Bench, Run, run
-from tests.scenario.processes import EXAMPLES, HIL, hub_name, run_command, simulated_drive
+from tests.scenario.processes import EXAMPLES, hub_name, run_command, simulated_drive
+from tests.warm.start import hil
+
+pytestmark = pytest.mark.usefixtures("forked_children")
 
 LING = EXAMPLES / "ling2012.toml"
 TIMES_S = np.arange(0.0, 0.8, 0.0005)
@@ -133,7 +136,7 @@ class TestInAnotherProcess:
         resolved = bench([{"kind": "file", "path": str(folder / "load.parquet")}]).config.resolved_text()
         (folder / "bench.toml").write_text(resolved)
         command = [
-            *HIL,
+            *hil(),
             "run",
             str(folder / "bench.toml"),
             "--bus",
@@ -171,6 +174,6 @@ class TestInAnotherProcess:
 def test_a_file_for_no_node_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path / "load.parquet", [0.0, 0.1], [0.0, 0.1])
     for text in (f"2={path}", str(path), "1="):
-        done = run_command([*HIL, "simulate", "--bus", hub_name("none"), "--node", "1", "--load", text])
+        done = run_command([*hil(), "simulate", "--bus", hub_name("none"), "--node", "1", "--load", text])
         assert done.returncode == 2
         assert "--load" in done.stderr

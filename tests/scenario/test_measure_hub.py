@@ -7,7 +7,8 @@ import pytest
 
 from drivers.cia402.profile import State
 from hil.pytest_plugin import StartDrive
-from tests.scenario.processes import HIL, observer, run_command
+from tests.scenario.processes import observer, run_command
+from tests.warm.start import hil
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -34,7 +35,7 @@ def test_a_drive_of_another_process_is_measured_and_left_as_it_was(
         "--json",
     ]
     with observer(servo_bus) as watching:
-        done = run_command([*HIL, "measure", "--bus", servo_bus, "--node", "1", *options])
+        done = run_command([*hil(), "measure", "--bus", servo_bus, "--node", "1", *options])
         assert done.returncode == 0, done.stderr
         assert watching.state() is State.SWITCH_ON_DISABLED
     found = json.loads(done.stdout)

@@ -7,14 +7,15 @@ from typing import Any
 
 import pytest
 
-from tests.scenario.processes import HIL, START_LIMIT_S, hub_name, serving, simulated_drive
+from tests.scenario.processes import START_LIMIT_S, hub_name, serving, simulated_drive
 from tests.scenario.serial_processes import adapter_process
+from tests.warm.start import hil
 
 pytestmark = pytest.mark.xdist_group("real time")
 
 
 def scan(*options: str) -> tuple[int, dict[str, Any], str]:
-    command = [*HIL, "scan", "--json", *options]
+    command = [*hil(), "scan", "--json", *options]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=START_LIMIT_S, check=False)
     found = json.loads(ended.stdout) if ended.stdout.strip() else {}
     assert "Traceback" not in ended.stderr

@@ -6,7 +6,8 @@ import subprocess
 
 import pytest
 
-from tests.scenario.processes import HIL, START_LIMIT_S, hub_name, simulated_drive
+from tests.scenario.processes import START_LIMIT_S, hub_name, simulated_drive
+from tests.warm.start import hil
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -14,12 +15,12 @@ pytestmark = pytest.mark.xdist_group("real time")
 def test_a_bus_is_followed_until_ctrl_c() -> None:
     bus = hub_name("trace")
     with simulated_drive(bus, "--node", "5"):
-        command = [*HIL, "trace", "--live", "--bus", bus, "--json"]
+        command = [*hil(), "trace", "--live", "--bus", bus, "--json"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as tracing:
             assert tracing.stderr is not None
             while "listening on" not in tracing.stderr.readline():
                 assert tracing.poll() is None
-            asked = [*HIL, "fault", "--bus", bus, "--node", "5", "--json"]
+            asked = [*hil(), "fault", "--bus", bus, "--node", "5", "--json"]
             subprocess.run(asked, capture_output=True, timeout=START_LIMIT_S, check=True)
             tracing.send_signal(signal.SIGINT)
             said, complaint = tracing.communicate(timeout=START_LIMIT_S)

@@ -12,7 +12,8 @@ from hil.configuration.bench_file import bench_from
 from hil.configuration.config_errors import BadInputs, bad_inputs_of
 from hil.testing.bench_runs import BenchRunner
 from hil.verdict.verdict import ExitStatus
-from tests.scenario.processes import EXAMPLES, HIL, hub_name, run_command
+from tests.scenario.processes import EXAMPLES, hub_name, run_command
+from tests.warm.start import hil
 
 BENCH = EXAMPLES / "two_segments.toml"
 
@@ -95,7 +96,7 @@ def test_what_cannot_be_is_named_with_its_key(change: Any, key: str, expected: s
 
 
 def test_further_segments_are_refused_on_a_real_bus_from_the_command_line() -> None:
-    done = run_command([*HIL, "run", str(BENCH), "--bus", hub_name("segments")])
+    done = run_command([*hil(), "run", str(BENCH), "--bus", hub_name("segments")])
     assert done.returncode == ExitStatus.BAD_INPUT, done.stderr
     assert "bus.segment" in done.stderr
     assert "'simulated'" in done.stderr
