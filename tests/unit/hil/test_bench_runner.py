@@ -25,6 +25,8 @@ from hil.verdict.verdict import Finding, VerdictKind
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_report import summary
 
+pytestmark = pytest.mark.usefixtures("forked_children")
+
 EXAMPLES = Path(__file__).parents[3] / "examples"
 LING, THREE = EXAMPLES / "ling2012.toml", EXAMPLES / "three_axes.toml"
 

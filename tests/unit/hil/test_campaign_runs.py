@@ -19,6 +19,8 @@ from hil.campaign.worker import FIGURES, NotTheSame
 from hil.configuration.toml_text import toml_text
 from tests.unit.hil.test_campaign_plan import LOSS, tables
 
+pytestmark = pytest.mark.usefixtures("forked_children")
+
 KEY: str = LOSS["key"]
 FAILING = 4
 """Run that does not pass."""

@@ -18,7 +18,7 @@ from hil.rows.records import Rows
 from hil.rows.records_file import RecordsWriter, read_metadata, read_records
 from tests.unit.hil.recorded_runs import short_run
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]
 
 SEED_OF_THE_OTHER = 5
 

@@ -21,6 +21,8 @@ from hil.rows.run_files import RECORDS_FILE
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
+pytestmark = pytest.mark.usefixtures("forked_children")
+
 pd: Any = pytest.importorskip("pandas")
 
 ZERO = Instant(7_000_000_000)

@@ -28,6 +28,8 @@ from tests.unit.hil.test_frame_keepers import blocks
 from tests.unit.hil.test_report import summary
 from virtual_bus.faults.fault_log import KIND_CODES
 
+pytestmark = pytest.mark.usefixtures("forked_children")
+
 ZERO: Final = Instant(3 * NS_PER_MS)
 RECORDS: Final = list(synthetic_records(20, origin=ZERO))
 PLAN: Final = replace(

@@ -16,7 +16,7 @@ from hil.configuration.motor_file import LING2012
 from hil.configuration.toml_text import toml_text
 from tests.rrd_columns import numbers
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MOTOR = LING2012.parameters

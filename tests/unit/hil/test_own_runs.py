@@ -14,7 +14,7 @@ from hil.machine.stopping import StopRequest
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.hosted import DriveHost
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 BENCH = EXAMPLES / "ling2012.toml"

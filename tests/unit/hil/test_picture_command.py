@@ -17,7 +17,7 @@ from hil.recorded.viewer import _pages
 from hil.rows.run_files import RERUN_FILE
 from tests.unit.hil.recorded_runs import short_run
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]
 
 
 @pytest.fixture(scope="module")

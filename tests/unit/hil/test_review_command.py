@@ -12,7 +12,7 @@ from hil.cli import app
 from hil.rows.records_file import RecordsWriter, read_metadata, read_records
 from tests.unit.hil.recorded_runs import short_run
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]
 
 
 @pytest.fixture(scope="module")

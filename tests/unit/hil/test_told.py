@@ -21,6 +21,8 @@ from tests.page_text import page_text
 from tests.picture_text import drawn
 from tests.told import ROOT, hold
 
+pytestmark = pytest.mark.usefixtures("forked_children")
+
 EXAMPLES: Final = ROOT / "examples"
 TOLD: Final = Path(__file__).with_name("told")
 

@@ -8,7 +8,7 @@ from hil.configuration.network_file import load_network
 from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]
 
 SHORT: dict[str, Any] = {"bench.duration_s": 0.4, "verdict": {}, "load": {}}
 LACKS = "drive.axis1.simulation.lacks"
