@@ -19,6 +19,8 @@
 #   make mistakes    commission drawn drives by nameplates with the mistakes that people make, for at most SECONDS
 #   make strangers   put single forged frames on drawn buses, and look for strangers where there are none, for at
 #                    most SECONDS
+#   make outages     have the adapter of drawn benches take no frames, be down and lose what comes, in simulated time
+#                    and on a hub: no false pass, nothing unaccounted, no drive left turning; SECONDS each
 #   make sheets      have hil eds, hil commission and hil run at each of 40 made-up data sheets, and before them at
 #                    vendors' own (SHEETS=FOLDER), on the hub, with a third party that writes every frame down
 #   make mutate      put defects into the product: all in its safety limits and fault reactions, and for at
@@ -50,7 +52,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit edits test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers mutate pictures exits bench docs lock clean
+.PHONY: help setup compile pure wheel demo check format test unit edits test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -154,6 +156,10 @@ mistakes: $(TOOLS) compile
 
 strangers: $(TOOLS) compile
 	@$(BIN)/python -m tests.strangers --seconds $(SECONDS)
+
+outages: $(TOOLS) compile
+	@$(BIN)/python -m tests.outages --seconds $(SECONDS)
+	@$(BIN)/python -m tests.outages --hub --seconds $(SECONDS)
 
 # Vendors' files are not in the repository: where the folder is missing they are left out, and the table says so.
 SHEETS ?= ../shared/eds

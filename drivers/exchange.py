@@ -198,6 +198,9 @@ class Master:
         """Told of each of our SYNCs that never went out, as the bus had no room for it: when it was handed
         over."""
 
+        self.on_unheard: Callable[[Instant], None] | None = None
+        """Told that frames which were on the bus before an instant may not have come, echoes among them."""
+
     def send_sync(self) -> Instant:
         """Send a SYNC; when it was handed to the bus, of several to the first."""
         raise NotImplementedError

@@ -52,6 +52,7 @@ class FramePump(Master):
         self._others = others
         self._keep_house = keep_house
         link.on_unsent = self._on_unsent
+        link.on_unheard = self._on_unheard
         self._listeners: dict[int, Handler] = {}
         self._overhearers: dict[int, Handler] = {}
 
@@ -140,6 +141,10 @@ class FramePump(Master):
     def _on_sync_unsent(self, handed_at: Instant) -> None:
         if self.on_sync_unsent is not None:
             self.on_sync_unsent(handed_at)
+
+    def _on_unheard(self, until: Instant) -> None:
+        if self.on_unheard is not None:
+            self.on_unheard(until)
 
     def send_sync(self) -> Instant:
         """Send a SYNC without counter (CiA 301 7.2.5); returns the instant at which the bus was given it."""

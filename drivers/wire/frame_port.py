@@ -6,7 +6,7 @@ methods of a class that is known are called directly: that takes a twentieth of 
 
 from collections.abc import Callable
 from enum import Enum
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 from can.typechecking import CanFilters
 from mypy_extensions import mypyc_attr
@@ -75,6 +75,16 @@ class EchoBasis(Enum):
     """They come back with the computed end of frame, and tell which frame it is: simulated bus and hub."""
 
 
+class Trouble(NamedTuple):
+    """Something that befell an adapter."""
+
+    text: str
+    """In words that go on after its name."""
+    at: Instant
+    unheard: bool = False
+    """Whether frames that were on the bus before may not have come, echoes among them."""
+
+
 @mypyc_attr(allow_interpreted_subclasses=True)
 class FramePort:
     """What a bus has as its ``frame_port``. Override both methods."""
@@ -88,8 +98,8 @@ class FramePort:
         self.needs_watching = False
         """Whether somebody has to be inside ``receive`` while time passes: else frames are stamped or sent
         late."""
-        self.troubles: list[tuple[str, Instant]] = []
-        """What befell the adapter and was not told yet, in words that go on after its name, and when."""
+        self.troubles: list[Trouble] = []
+        """What befell the adapter and was not told yet."""
 
     def receive(self, until: Instant) -> WireFrame | None:
         """The next frame; None once ``until`` has come and none is waiting."""

@@ -6,7 +6,7 @@ from typing import Final, NoReturn
 import can
 
 from drivers.errors import BusDown
-from drivers.timebase import NEVER, Clock, Instant
+from drivers.timebase import NEVER, Clock, Duration, Instant
 from drivers.wire.frame_port import UNTOLD, CallbackTap, EchoBasis, FramePort, FrameTap, WireFrame
 from drivers.wire.frame_port import Direction as Direction
 from drivers.wire.frame_port import Tap as Tap
@@ -58,8 +58,12 @@ class BusLink:
         that :meth:`send` returned for it."""
         self.on_trouble: Callable[[str, Instant], None] | None = None
         """Is told what befell the adapter, in words."""
+        self.on_unheard: Callable[[Instant], None] | None = None
+        """Is told that frames of before an instant may not have come, echoes among them."""
         self.unsent_frames = 0
         """How many never went out."""
+        self.patience: dict[int, Duration] = {}
+        """By identifier, how long a frame may wait before it is given up; others wait for a newer one."""
         self.retry_at: Instant = NEVER
         """When somebody has to receive at the latest, as frames wait here."""
         self._waiting: SendQueue | None = None
@@ -168,9 +172,16 @@ class BusLink:
         except can.CanOperationError as error:
             self._fail("send on", error)
         if older is not None:
-            self.unsent_frames += 1
-            if self.on_unsent is not None:
-                self.on_unsent(older.can_id, older.handed_at)
+            self._give_up(older)
+
+    def _give_up(self, frame: WireFrame) -> None:
+        self.unsent_frames += 1
+        if self.on_unsent is not None:
+            self.on_unsent(frame.can_id, frame.handed_at)
+
+    def _is_too_late(self, frame: WireFrame, now: Instant) -> bool:
+        patience = self.patience.get(frame.can_id)
+        return patience is not None and now - frame.handed_at > patience
 
     def _send_waiting(self, until: Instant) -> Instant:
         """Hand over what the bus takes by now; returns when to look again, ``until`` at the latest."""
@@ -179,8 +190,12 @@ class BusLink:
             frame = waiting.first()
             if frame is None:
                 self._waiting, self.retry_at = None, NEVER
-                self._tell(f"takes frames again; {waiting.replaced} were given up meanwhile", now)
+                self._tell(f"takes frames again; {waiting.given_up} were given up meanwhile", now)
                 break
+            if self._is_too_late(frame, now):
+                waiting.drop()
+                self._give_up(frame)
+                continue
             if not self._takes(frame, now):
                 if waiting.stuck(now):
                     self._fail("send on", can.CanOperationError(_STUCK))
@@ -191,8 +206,10 @@ class BusLink:
 
     def _tell_troubles(self) -> None:
         troubles = self._port.troubles
-        for text, at in troubles:
-            self._tell(text, at)
+        for trouble in troubles:
+            self._tell(trouble.text, trouble.at)
+            if trouble.unheard and self.on_unheard is not None:
+                self.on_unheard(trouble.at)
         troubles.clear()
 
     def _tell(self, text: str, at: Instant) -> None:

@@ -36,8 +36,8 @@ class SendQueue:
     def __init__(self) -> None:
         self.blocked_since = Instant(0)
         """When the bus last took a frame, or the first of these began to wait."""
-        self.replaced = 0
-        """How many never went out, as a newer one with their identifier came."""
+        self.given_up = 0
+        """How many never went out: a newer one with their identifier came, or it was too late."""
         self._classes: tuple[deque[WireFrame], ...] = (deque(), deque(), deque())
 
     def __len__(self) -> int:
@@ -63,7 +63,7 @@ class SendQueue:
         older = next((one for one in waiting if (one.can_id, one.remote) == (can_id, frame.remote)), None)
         if older is not None:
             waiting.remove(older)
-            self.replaced += 1
+            self.given_up += 1
         waiting.append(frame)
         return older
 
@@ -77,6 +77,14 @@ class SendQueue:
     def went(self, now: Instant) -> None:
         """The bus took the first one."""
         self.blocked_since = now
+        self._take_first()
+
+    def drop(self) -> None:
+        """The first one is given up."""
+        self.given_up += 1
+        self._take_first()
+
+    def _take_first(self) -> None:
         next(waiting for waiting in self._classes if waiting).popleft()
 
     def stuck(self, now: Instant) -> bool:

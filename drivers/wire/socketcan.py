@@ -12,7 +12,7 @@ from can.interfaces.socketcan import SocketcanBus
 
 from drivers.timebase import NS_PER_S, Clock, Instant, MonotonicClock, wall_between
 from drivers.wire.error_frames import controller_state_text
-from drivers.wire.frame_port import EchoBasis, FramePort, WireFrame
+from drivers.wire.frame_port import EchoBasis, FramePort, Trouble, WireFrame
 from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG, STANDARD_ID_MAX
 from drivers.wire.socketcan_stamps import (
     ANCILLARY_BYTES,
@@ -124,7 +124,10 @@ class SocketcanPort(FramePort):
     def _note_down(self, down: bool) -> None:
         if down != self._down:
             self._down = down
-            self._tell("is down: nothing is sent or heard" if down else "is up again")
+            if down:
+                self._tell("is down: nothing is sent or heard")
+            else:
+                self._tell("is up again", unheard=True)
 
     def _note_controller(self, classes: int, data: bytes) -> None:
         text = controller_state_text(classes, data)
@@ -132,8 +135,8 @@ class SocketcanPort(FramePort):
             self._controller = text
             self._tell(text)
 
-    def _tell(self, text: str) -> None:
-        self.troubles.append((text, self._now()))
+    def _tell(self, text: str, unheard: bool = False) -> None:
+        self.troubles.append(Trouble(text, self._now(), unheard))
 
     def _compare(self) -> Instant:
         before, wall, after = wall_between()
@@ -146,7 +149,7 @@ class SocketcanPort(FramePort):
         if stamps.lost_frames is not None and stamps.lost_frames != self.lost_frames:
             lost = stamps.lost_frames - self.lost_frames
             self.lost_frames = stamps.lost_frames
-            self._tell(f"dropped {lost} frames: they came faster than they were fetched")
+            self._tell(f"dropped {lost} frames: they came faster than they were fetched", unheard=True)
         if stamps.software_ns is None:
             return now
         at = self._wall.instant(stamps.software_ns, now)

@@ -81,11 +81,14 @@ class SegmentMasters(Master):
 def sync_log(network: CanopenNetwork, latency: Duration, period: Duration) -> SyncLog:
     """The SYNCs that are sent on a network's segment. It hears their echoes from now on, and others' SYNCs.
 
-    ``latency``: from handing one over until its end on an idle bus.
+    ``latency``: from handing one over until its end on an idle bus. One that finds no room there for half
+    a ``period`` is given up: no drive gets two of them closer to one another than that.
     """
     log = SyncLog(latency, period, network.link.echoes)
+    network.link.patience[SYNC] = Duration(period // 2)
     network.frame_pump.on_sync_echo = log.came
     network.frame_pump.on_sync_unsent = log.never_sent
+    network.frame_pump.on_unheard = log.not_heard
     network.listen(SYNC, lambda _data, at: log.stray(at))
     return log
 
@@ -99,6 +102,7 @@ def heard_syncs(
     """
     basis = network.link.echoes
     log = SyncLog(Duration(0), period, EchoBasis.RECEIPT if basis is EchoBasis.NONE else basis)
+    network.frame_pump.on_unheard = log.not_heard
     pace = HeardSync(network.frame_pump, clock, period, log, stall)
     network.frame_pump.on_sync_echo = lambda at, _handed_at: pace.hear(at)
     network.listen(SYNC, lambda _data, at: pace.hear(at))

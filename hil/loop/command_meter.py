@@ -11,8 +11,8 @@ sent, each once, until a telling shows that they do not. From that alone:
 
 - *acting*: a telling that only this command explains. It began to act after it could be there first, and
   after the last telling of an older one; it acted by the end of the telling.
-- *lost*: it never was on the bus; or the drive takes set-points at SYNCs, and between its arrival and the
-  command that replaced it every SYNC has a telling, none of which it explains.
+- *lost*: it never was on the bus, as no echo came and none was lost; or the drive takes set-points at
+  SYNCs, and from its arrival to the command that replaced it each SYNC has a telling, none explained by it.
 - *not identifiable*: all others. It equals a neighbour, or the drive was not asked in time. One that was
   there at a SYNC and not followed then was *passed over*: lost, or followed between two SYNCs only, which no
   telling excludes.
@@ -325,7 +325,7 @@ class CommandMeter:
             return
         marks = self._syncs.marks
         place = sync.number - marks[0].number - 1
-        while place >= 0 and marks[place].on_bus_at is None and self._shows:
+        while place >= 0 and marks[place].on_bus_at is None and self._shows and marks[place].sure:
             place -= 1  # it has no echo, so it never was on the bus
         if place < 0 or marks[place] is not self._exact:
             self._seen_since = sync.handed_at if sync.on_bus_at is None else sync.on_bus_at
@@ -369,11 +369,12 @@ class CommandMeter:
 
     def _outcome_unseen(self, command: FollowedCommand, age: int) -> CommandFate | None:
         """Of a command that no telling was certainly of, after ``age`` cycles."""
-        missing = command.shows and command.sent.on_bus_at is None
+        no_echo = command.shows and command.sent.on_bus_at is None
+        missing = no_echo and command.sent.handed_at > self._syncs.unheard_until
         if command.replaced and not missing:
             if age < (self._horizon if command.excluded or self.patient else REPLACED_CYCLES):
                 return None
-            sure = command.excluded and not (command.possible or self.patient or self._unordered)
+            sure = command.excluded and not (no_echo or command.possible or self.patient or self._unordered)
             return CommandFate.LOST if sure else CommandFate.NOT_IDENTIFIABLE
         if age < (self._horizon if self._telling or missing else ECHO_CYCLES):
             return None

@@ -156,7 +156,8 @@ class OrderAttribution:
         delay = received_at - mark.on_bus_at
         if not self._sure and not self._beyond and self._is_usual(delay):
             self._unsure.append((mark.sequence, self._error_of(delay)))
-        return self._sample(reading, mark, certain=self._sure and not copied and not self._may_be_held(mark))
+        hidden = copied or self._may_be_held(mark) or self._syncs.may_hide(mark, received_at)
+        return self._sample(reading, mark, certain=self._sure and not hidden)
 
     def _expected(self, received_at: Instant) -> SyncMark | None:
         """The SYNC that a reading answers with a usual delay."""
@@ -317,7 +318,7 @@ class OrderAttribution:
         mark = self._syncs.newest_before(latest)
         if mark is not None and self._is_only_one(mark):
             self._answered = self._known = mark.number
-            return self._sample(reading, mark, certain=True)
+            return self._sample(reading, mark, certain=not self._syncs.may_hide(mark, reading.received_at))
         self._note_untidy()
         if mark is not None and mark.on_bus_at is not None:
             self._strays.append(reading.received_at - mark.on_bus_at)

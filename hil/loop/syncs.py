@@ -76,6 +76,8 @@ class SyncLog:
         :meth:`rest_on_hand_over`."""
         self.error_ns = ECHO_ERROR[echoes]
         """How far such an instant may be off in any case."""
+        self.unheard_until = Instant(0)
+        """Frames that were on the bus before may not have come, echoes among them."""
         self.surplus = 0
         """SYNCs on the bus that belong to no cycle: echoes beyond what was handed over, another master's."""
         self.crowded = 0
@@ -156,6 +158,23 @@ class SyncLog:
                 self._put_on_bus(mark, at)
                 return
         self.stray(at)
+
+    def not_heard(self, until: Instant) -> None:
+        """Frames of before ``until`` may not have come: a SYNC without an echo may have been on the bus."""
+        self.unheard_until = until
+        for mark in self.marks:
+            if mark.on_bus_at is None and mark.handed_at <= until:
+                mark.sure = False
+
+    def may_hide(self, mark: SyncMark, received_at: Instant) -> bool:
+        """Whether a reading that came then may answer a SYNC behind ``mark`` that was on the bus unheard."""
+        if self.unheard_until < mark.handed_at:
+            return False
+        return any(
+            later.number > mark.number and later.on_bus_at is None and later.handed_at <= received_at
+            for later in self.marks
+            if not (later.sure or later.unsent)
+        )
 
     def never_sent(self, handed_at: Instant) -> None:
         """The SYNC that was handed over then never went out."""

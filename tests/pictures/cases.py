@@ -60,6 +60,7 @@ FAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
     "host_stall": {"at_s": 1.5, "late_us": 3400},
     "full_queue": {"at_s": 0.6, "duration_s": 0.02},
     "link_down": {"at_s": 0.8, "duration_s": 0.015},
+    "receive_overflow": {"at_s": 1.0, "duration_s": 0.004},
     "signal": {"object": "velocity_actual_value", "how": "noise", "noise_raw_rms": 3000, "from_s": 0.5},
     "mode_change": {"at_s": 1.2, "mode": "pv", "duration_s": 0.1},
     "ignored_commands": {"at_s": 1.2, "duration_s": 0.1, "holds": "last"},

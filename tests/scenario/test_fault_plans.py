@@ -28,7 +28,7 @@ ENDS_IN_FAULT = {
     "ignored_commands": "ignores the commands",
 }
 INJECTED = {
-    "adapter": {"full_queue", "link_down"},
+    "adapter": {"full_queue", "link_down", "receive_overflow"},
     "demo": {"delay", "loss", "blackout"},
     "bursts": {"burst"},
     "every_third": {"periodic_loss", "blackout"},

@@ -5,13 +5,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from drivers.timebase import NS_PER_US, Duration
+from drivers.timebase import NS_PER_US, Duration, Instant
 from tests.truth.judge import EXAMPLES_MAX, NO_TIME
-from tests.truth.rows import ACTING, COMMAND_LOST, NO_INSTANT, NOT_IDENTIFIABLE, Told
+from tests.truth.rows import ACTING, COMMAND_LOST, NO_INSTANT, NOT_IDENTIFIABLE, NOT_MEASURED, NOT_SENT, Told
 from tests.truth.truth import AxisTruth, CommandTruth
 
 INSTANT_TOLERANCE: Final = Duration(100 * NS_PER_US)
 """How far the interval in which a command is told to act may be from the truth, if nothing else is asked."""
+
+_OPEN: Final = (NOT_MEASURED, NOT_IDENTIFIABLE)
+_WORDS: Final = {COMMAND_LOST: "lost", ACTING: "acting", NOT_SENT: "not sent"}
 
 
 @dataclass(slots=True)
@@ -26,7 +29,7 @@ class CommandJudgement:
     told_passed: int = 0
     """Told to have been passed over: lost, or followed between two SYNCs only."""
     wrong: int = 0
-    """Told lost and acted, or told acting and were lost."""
+    """Told lost and acted, told acting and were lost, or told not sent and went out."""
     unknown: int = 0
     """Told, and the truth knows of none that was handed over then."""
     outside: int = 0
@@ -91,45 +94,58 @@ def judge_commands(
     """Every command of one axis. ``tolerance``: how far the truth may be outside of an interval;
     ``stamp_error``: see :class:`.judge.Timing`."""
     result = CommandJudgement()
+    newest = int(told["command_handed_at"].max()) if told.size else NO_INSTANT
     for row in told:
-        handed_at = int(row["command_handed_at"])
+        handed_at, fate = int(row["command_handed_at"]), int(row["command_fate"])
         if handed_at == NO_INSTANT:
             continue
         command = truth.commands.get(handed_at)
-        if command is None:
-            result.unknown += 1
-            continue
-        result.handed += 1
-        result.lost += command.acts_at is None
-        on_bus_at = int(row["command_on_bus_at"])
-        fate = int(row["command_fate"])
-        if (fate == COMMAND_LOST and command.acts_at is not None) or (
-            fate == ACTING and command.acts_at is None
-        ):
-            result.wrong += 1
-            _keep_example(result, row, "lost" if fate == COMMAND_LOST else "acting", command)
-        if (
-            fate != NOT_IDENTIFIABLE and stamp_error is not None
-        ):  # of two equal frames the echo does not say whose it is
-            result.echo_wrong += on_bus_at != NO_INSTANT and (
-                command.on_bus_at is None or abs(on_bus_at - command.on_bus_at) > stamp_error
-            )
-        if fate == COMMAND_LOST:
-            result.told_lost += 1
-        elif fate == NOT_IDENTIFIABLE:
-            result.told_passed += int(row["command_acts_after"]) != NO_INSTANT
-        elif fate == ACTING:
-            result.told_acting += 1
-            if command.acts_at is None:
-                continue
-            after, by = int(row["command_acts_after"]), int(row["command_acts_by"])
-            inside = after - tolerance <= command.acts_at <= by + tolerance
-            result.outside += not inside
-            if not inside:
-                _keep_example(result, row, f"acting between {after} and {by}", command)
-            result.true_delays_ns.append(command.acts_at - handed_at)
-            result.told_delays_ns.append((after + by) // 2 - handed_at)
+        if command is not None:
+            _judge(result, row, command, tolerance, stamp_error)
+        elif fate != NOT_SENT:
+            # The last one may wait for room when the run ends, and give way to what stops the drive.
+            result.unknown += handed_at < newest or fate not in _OPEN
     return result
+
+
+def _judge(
+    result: CommandJudgement,
+    row: Any,
+    command: CommandTruth,
+    tolerance: Duration,
+    stamp_error: Duration | None,
+) -> None:
+    """A command that went out."""
+    fate, on_bus_at = int(row["command_fate"]), int(row["command_on_bus_at"])
+    result.handed += 1
+    result.lost += command.acts_at is None
+    wrongly = {COMMAND_LOST: command.acts_at is not None, ACTING: command.acts_at is None, NOT_SENT: True}
+    if wrongly.get(fate):
+        result.wrong += 1
+        _keep_example(result, row, _WORDS[fate], command)
+    # Of two equal frames the echo does not say whose it is.
+    if fate != NOT_IDENTIFIABLE and stamp_error is not None and on_bus_at != NO_INSTANT:
+        result.echo_wrong += command.on_bus_at is None or abs(on_bus_at - command.on_bus_at) > stamp_error
+    if fate == COMMAND_LOST:
+        result.told_lost += 1
+    elif fate == NOT_IDENTIFIABLE:
+        result.told_passed += int(row["command_acts_after"]) != NO_INSTANT
+    elif fate == ACTING:
+        result.told_acting += 1
+        if command.acts_at is not None:
+            _judge_interval(result, row, command, command.acts_at, tolerance)
+
+
+def _judge_interval(
+    result: CommandJudgement, row: Any, command: CommandTruth, acts_at: Instant, tolerance: Duration
+) -> None:
+    """Of a command that is told acting, and did at ``acts_at``."""
+    after, by = int(row["command_acts_after"]), int(row["command_acts_by"])
+    if not after - tolerance <= acts_at <= by + tolerance:
+        result.outside += 1
+        _keep_example(result, row, f"acting between {after} and {by}", command)
+    result.true_delays_ns.append(acts_at - command.handed_at)
+    result.told_delays_ns.append((after + by) // 2 - command.handed_at)
 
 
 def _keep_example(result: CommandJudgement, row: Any, told: str, command: CommandTruth) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import Duration
-from hil.rows.records import ROW_DTYPE, Rows
+from hil.rows.records import COMMAND_FATES, ROW_DTYPE, Rows
 
 NO_INSTANT: Final = -(2**63)
 """Stands for an instant that there is not."""
@@ -19,6 +19,7 @@ USED, LOST, LATE, STALE, MISSED = range(5)
 TORQUE_UNIT_NM: Final = 0.002
 """6071h counts thousandths of the rated torque, 2 N m of the motor of [Ling2012]."""
 NOT_MEASURED, ACTING, COMMAND_LOST, NOT_IDENTIFIABLE = range(4)
+NOT_SENT: Final = [fate.value for fate in COMMAND_FATES].index("not sent")
 """``command_fate``."""
 
 _INSTANTS = (

@@ -9,7 +9,7 @@ from unittest.mock import patch
 from drivers.errors import BenchError
 from drivers.wire.link import BusLink, StampSource
 from hil.configuration.config import BenchConfig
-from hil.execution import bench, world
+from hil.execution import bench
 from hil.execution.bench import run_bench
 from hil.execution.world import World, WorldPlan
 from hil.recording.memory_recorder import MemoryRecorder
@@ -55,6 +55,7 @@ def run_with_taps(config: BenchConfig, surroundings: Surroundings = PLAIN) -> Ta
     log = TapLog()
     recorders: list[MemoryRecorder] = []
     summaries: list[Summary] = []
+    inner = vars(bench)["open_world"]
 
     def in_memory(plan: RecordingPlan) -> MemoryRecorder:
         recorders.append(MemoryRecorder(plan, keep_all=True))
@@ -64,7 +65,7 @@ def run_with_taps(config: BenchConfig, surroundings: Surroundings = PLAIN) -> Ta
     def open_world(plan: WorldPlan, devices: Sequence[Any]) -> Iterator[World]:
         drives = [device for device in devices if isinstance(device, SimulatedServo)]
         taps = cast("list[CanopenDevice]", tap_drives(drives, log, surroundings.clock_starts_at_us))
-        with world.open_world(plan, taps) as made:
+        with inner(plan, taps) as made:
             yield _tapped(made, log, surroundings.adapter, plan.seed)
 
     ended_by = ""
@@ -96,7 +97,10 @@ def _tapped(made: World, log: TapLog, adapter: Adapter | None, seed: int) -> Wor
     if made.further:
         raise ValueError("the taps watch one segment")
     bus: Any = made.link.bus
-    log.watch(getattr(bus, "inner", bus).segment)
+    on_segment = bus
+    while not hasattr(on_segment, "segment"):
+        on_segment = on_segment.inner
+    log.watch(on_segment.segment)
     if adapter is not None:
         bus.frame_port = AdapterPort(bus.frame_port, adapter, seed, made.clock.now)
     bus.frame_port = HostTap(bus.frame_port, log, made.clock.now)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Instant
-from drivers.wire.frame_port import FramePort
+from drivers.wire.frame_port import UNTOLD, FramePort
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.application import Application
 from virtual_bus.device.device_clock import DeviceClock
@@ -117,7 +117,8 @@ class TapLog:
     """Everything that the taps of one segment saw, each list in order of time."""
 
     handed: list[Passed] = field(default_factory=list)
-    """SYNCs and PDOs that the loop handed over."""
+    """SYNCs and PDOs that the loop handed over and the port took, with the instant of the hand-over: one that
+    waits for room in front of the port goes out later."""
     on_bus: list[Passed] = field(default_factory=list)
     """SYNCs and PDOs of everybody, at their end of frame."""
     fetched: list[Passed] = field(default_factory=list)
@@ -145,7 +146,7 @@ class HostTap(FramePort):
         self._inner = inner
         self._log = log
         self._now = now
-        self.echoes, self.needs_watching = inner.echoes, inner.needs_watching
+        self.echoes, self.needs_watching, self.troubles = inner.echoes, inner.needs_watching, inner.troubles
 
     def __getattr__(self, name: str) -> Any:
         """What the bus itself asks of its port."""
@@ -167,9 +168,10 @@ class HostTap(FramePort):
         return frame
 
     def transmit(self, frame: Frame) -> None:
-        if frame.can_id == SYNC_ID or frame.can_id in PDO_IDS:
-            self._log.handed.append(Passed(self._now(), frame))
+        handed_at = self._now() if frame.handed_at == UNTOLD else frame.handed_at
         self._inner.transmit(frame)
+        if frame.can_id == SYNC_ID or frame.can_id in PDO_IDS:
+            self._log.handed.append(Passed(handed_at, frame))
 
 
 class DriveTap:

@@ -22,7 +22,8 @@ line of JSON, by kind (each says so itself, :class:`.log_kind.LogKind`):
     refused_mapping                         at_ns (the same), node, abort; parameter and mapped as the upper
                                             24 bits of a mapping word
     host_stall                              at_ns, n and late_ns: the host's n-th action came so much later
-    full_queue, link_down                   at_ns and duration_ns: the host's adapter
+    full_queue, link_down,                  at_ns and duration_ns: the host's adapter
+    receive_overflow
 
 A frame that was struck at a drive's own connection bears side ("drive") and node as well, and n counts there.
 """

@@ -39,6 +39,7 @@ This one the same, but for frames: PDOs, wherever one carries the object.
     [[host_stall]]   late_us, or late_min_us and late_max_us         when
     [[full_queue]]   duration_s: the host's adapter takes no frames  when
     [[link_down]]    duration_s: its interface is down               when
+    [[receive_overflow]]  duration_s: its kernel drops what comes    when
 
 ``when``: at_s, or every_s or probability_per_s with from_s and until_s. Each but the host's may hold nodes.
 

@@ -1,4 +1,4 @@
-"""What the outages of the host's own CAN adapter have in common."""
+"""What the outages of the host's own CAN adapter, and of its kernel, have in common."""
 
 from typing import ClassVar
 
@@ -7,12 +7,16 @@ from virtual_bus.faults.node_fault import Draw, Occasion
 
 
 class AdapterOutage(Occasion):
-    """For a while the host's adapter does not take frames, or does nothing at all."""
+    """For a while the host's adapter takes no frames, or gives none."""
 
-    code: ClassVar[int]
-    """What a sender is told, from errno."""
-    hears: ClassVar[bool]
+    code: ClassVar[int | None] = None
+    """What a sender is told, from errno; None: it takes frames."""
+    hears: ClassVar[bool] = True
     """Whether it goes on receiving."""
+    begins: ClassVar[str] = ""
+    """What is told when it begins; empty: nothing."""
+    ends: ClassVar[str] = ""
+    """The same when it ends; ``{unheard}``: how many frames came meanwhile."""
     duration_s: Lasting
 
     def numbers(self, draw: Draw) -> tuple[int, ...]:  # noqa: ARG002

@@ -1,6 +1,7 @@
-"""The host's own CAN adapter, which now and then takes no frames or does nothing at all."""
+"""The host's own CAN adapter, which now and then takes no frames or gives none."""
 
 import os
+from collections import deque
 from collections.abc import Iterator
 from functools import partial
 from heapq import merge
@@ -10,7 +11,7 @@ import can
 from can.broadcastmanager import CyclicSendTaskABC
 
 from drivers.timebase import NEVER, Clock, Instant
-from drivers.wire.frame_port import FramePort, WireFrame
+from drivers.wire.frame_port import FramePort, Trouble, WireFrame
 from drivers.wire.link import StampSource
 from drivers.wire.message import frame_of
 from drivers.wire.message_port import MessagePort
@@ -19,12 +20,26 @@ from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.fault_streams import uniform_stream
 from virtual_bus.faults.kinds.full_queue import FullQueue
 from virtual_bus.faults.kinds.link_down import LinkDown
+from virtual_bus.faults.kinds.receive_overflow import ReceiveOverflow
 from virtual_bus.faults.node_fault import NodeEvent
 from virtual_bus.faults.node_faults import Events
 from virtual_bus.faults.outage import AdapterOutage
 from virtual_bus.faults.replay import RecordedFaults
 
-KINDS: dict[str, type[AdapterOutage]] = {kind.kind: kind for kind in (FullQueue, LinkDown)}
+KINDS: dict[str, type[AdapterOutage]] = {kind.kind: kind for kind in (FullQueue, LinkDown, ReceiveOverflow)}
+
+
+class Deafness:
+    """What came to the host from one instant to another is gone."""
+
+    def __init__(self, kind: type[AdapterOutage], since: Instant, until: Instant) -> None:
+        self.kind = kind
+        self.since = since
+        self.until = until
+        self.begun = False
+        """Whether its begin was told."""
+        self.unheard = 0
+        """Frames."""
 
 
 class Outages:
@@ -35,8 +50,10 @@ class Outages:
         self._log = log
         self._zero: Instant | None = None
         self._kind: type[AdapterOutage] | None = None
-        self.until = Instant(0)
-        """When the one that is in force ends."""
+        self._until = Instant(0)
+        """When that one ends."""
+        self.deafnesses: deque[Deafness] = deque()
+        """Those that have begun, the oldest first; whoever hears no more of one takes it out."""
 
     @classmethod
     def of(
@@ -68,10 +85,15 @@ class Outages:
             return None
         while zero + self._events.next_at() <= at:
             event = self._events.take()
-            self._kind, self.until = KINDS[event.kind], Instant(zero + event.at_ns + event.a)
+            begins = Instant(zero + event.at_ns)
+            self._kind, self._until = KINDS[event.kind], Instant(begins + event.a)
+            if self.deafnesses:
+                self.deafnesses[-1].until = min(self.deafnesses[-1].until, begins)
+            if not self._kind.hears:
+                self.deafnesses.append(Deafness(self._kind, begins, self._until))
             if self._log is not None:
                 self._log.note(KIND_CODES[event.kind], event.at_ns, 0, 0, 0, event.a)
-        if at >= self.until:
+        if at >= self._until:
             self._kind = None
         return self._kind
 
@@ -80,7 +102,7 @@ class Outages:
         if self._zero is None:
             return NEVER
         begins = min(NEVER, self._zero + self._events.next_at())
-        return Instant(begins if self._kind is None else min(begins, self.until))
+        return Instant(begins if self._kind is None else min(begins, self._until))
 
 
 class OutagePort(FramePort):
@@ -92,18 +114,19 @@ class OutagePort(FramePort):
         self._inner = inner
         self._outages = outages
         self._now = clock.now
-        self._silent = False
 
     def receive(self, until: Instant) -> WireFrame | None:
-        """The next frame that is heard; what comes while the interface is down is gone."""
+        """The next frame that is heard; what came while nothing was heard is gone."""
         while True:
             self._note()
             step = min(until, self._outages.next_at())
             frame = self._inner.receive(step)
+            self._note()
             if frame is None:
+                self._end_deafnesses(self._now())
                 if step >= until:
                     return None
-            elif not self._silent:
+            elif not self._gone(self._inner.came_at):
                 self.came_at, self.came_own = self._inner.came_at, self._inner.came_own
                 self.echoes = self._inner.echoes
                 return frame
@@ -111,18 +134,37 @@ class OutagePort(FramePort):
     def transmit(self, frame: WireFrame) -> None:
         """Hand ``frame`` on. Raises can.CanOperationError as a kernel does."""
         outage = self._note()
-        if outage is not None:
+        if outage is not None and outage.code is not None:
             raise can.CanOperationError(f"cannot transmit: {os.strerror(outage.code)}", outage.code)
         self._inner.transmit(frame)
 
     def _note(self) -> type[AdapterOutage] | None:
         now = self._now()
         outage = self._outages.now(now)
-        silent = outage is not None and not outage.hears
-        if silent != self._silent:
-            self._silent = silent
-            self.troubles.append(("is down: nothing is sent or heard" if silent else "is up again", now))
+        for deafness in self._outages.deafnesses:
+            if not deafness.begun:
+                deafness.begun = True
+                if deafness.kind.begins:
+                    self.troubles.append(Trouble(deafness.kind.begins, now))
         return outage
+
+    def _gone(self, came_at: Instant) -> bool:
+        """Whether what came then was not heard."""
+        self._end_deafnesses(came_at)
+        deafnesses = self._outages.deafnesses
+        if not deafnesses or came_at < deafnesses[0].since:
+            return False
+        deafnesses[0].unheard += 1
+        return True
+
+    def _end_deafnesses(self, at: Instant) -> None:
+        """What comes from ``at`` on comes after some of them, and nothing from within them any more."""
+        deafnesses = self._outages.deafnesses
+        while deafnesses and deafnesses[0].until <= at:
+            deafness = deafnesses.popleft()
+            if deafness.unheard or deafness.kind.begins:
+                text = deafness.kind.ends.format(unheard=deafness.unheard)
+                self.troubles.append(Trouble(text, self._now(), unheard=True))
 
 
 class OutageBus(can.BusABC):

@@ -21,6 +21,7 @@ from virtual_bus.faults.kinds.lss_yes_sayer import LssYesSayer
 from virtual_bus.faults.kinds.measured_delay import MeasuredDelay
 from virtual_bus.faults.kinds.mode_change import ModeChange
 from virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
+from virtual_bus.faults.kinds.receive_overflow import ReceiveOverflow
 from virtual_bus.faults.kinds.refused_mapping import RefusedMapping
 from virtual_bus.faults.kinds.reorder import Reorder
 from virtual_bus.faults.kinds.repeated_emergency import RepeatedEmergency
@@ -56,6 +57,7 @@ _ALL: Final[tuple[type[FaultTable], ...]] = (
     SignalFault,
     FullQueue,
     LinkDown,
+    ReceiveOverflow,
 )
 TABLES: Final = {table.kind: table for table in _ALL}
 """By the name of a plan's tables."""

@@ -8,7 +8,7 @@ import can
 import pytest
 
 from drivers.errors import BusDown
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from drivers.wire.frame_port import FramePort, WireFrame
 from drivers.wire.link import BusLink
 
@@ -129,6 +129,24 @@ def test_of_a_command_the_newest_alone_is_sent_and_the_others_are_told(
     assert link.unsent_frames == len(unsent) == 80 - len(sent)
     assert [text.split()[1] for text in told] == ["takes", "takes"]
     assert f"{len(unsent)} were given up" in told[1]
+
+
+def test_what_may_wait_no_longer_is_given_up_and_the_rest_goes_out(made: tuple[NarrowPort, BusLink]) -> None:
+    """As a SYNC of half a period ago, which would come just before the next."""
+    port, link = made
+    unsent: list[int] = []
+    link.on_unsent = lambda can_id, _at: unsent.append(can_id)
+    link.patience[SYNC] = Duration(NS_PER_MS)
+    port.cut = True
+    for _ in range(port.places):
+        link.send(SDO, b"")
+    link.send(SYNC, b"")
+    link.send(RPDO, b"")
+    link.recv(Instant(2 * NS_PER_MS))
+    port.cut = False
+    link.recv(Instant(20 * NS_PER_MS))
+    assert [frame.can_id for _, frame in port.wire] == [*[SDO] * port.places, RPDO]
+    assert unsent == [SYNC]
 
 
 @pytest.mark.parametrize("code", [errno.ENOBUFS, errno.ENETDOWN])

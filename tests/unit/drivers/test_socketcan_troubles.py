@@ -75,7 +75,7 @@ def kernel_socket() -> Iterator[Socket]:
 
 
 def told(port: SocketcanPort) -> list[str]:
-    return [text for text, _ in port.troubles]
+    return [trouble.text for trouble in port.troubles]
 
 
 def software(ns: int) -> tuple[int, int, bytes]:

@@ -142,7 +142,7 @@ class Listening:
     """A network that is told what to listen for."""
 
     def __init__(self, echoes: EchoBasis) -> None:
-        self.link = SimpleNamespace(echoes=echoes)
+        self.link = SimpleNamespace(echoes=echoes, patience={})
         self.frame_pump = FakeBus([])
         self.heard: dict[int, Callable[[bytes, Instant], object]] = {}
 

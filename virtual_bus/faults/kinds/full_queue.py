@@ -12,4 +12,3 @@ class FullQueue(AdapterOutage):
     kind = "full_queue"
     logs = (LogKind("full_queue", (LogNumber("duration_ns"),), "host", "nothing"),)
     code = errno.ENOBUFS
-    hears = True

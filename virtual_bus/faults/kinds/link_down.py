@@ -13,3 +13,5 @@ class LinkDown(AdapterOutage):
     logs = (LogKind("link_down", (LogNumber("duration_ns"),), "host", "nothing"),)
     code = errno.ENETDOWN
     hears = False
+    begins = "is down: nothing is sent or heard"
+    ends = "is up again"

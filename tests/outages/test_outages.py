@@ -1,0 +1,19 @@
+"""A few of the drawn runs, each held against taps, drives and shafts; ``make outages`` draws many."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.outages import simulated
+from tests.outages.hub import HubRuns
+
+
+@pytest.mark.parametrize("seed", range(1, 17))
+def test_a_run_through_outages_tells_what_happened_and_leaves_no_drive_turning(seed: int) -> None:
+    assert simulated.run(seed).wrong == []
+
+
+@pytest.mark.xdist_group("real time")
+def test_the_same_in_real_time(tmp_path: Path) -> None:
+    with HubRuns(tmp_path) as runs:
+        assert runs.run(2).wrong == []

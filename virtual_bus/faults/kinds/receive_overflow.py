@@ -1,0 +1,14 @@
+"""``[[receive_overflow]]``: the kernel drops what comes to the host."""
+
+from virtual_bus.faults.log_kind import LogKind, LogNumber
+from virtual_bus.faults.outage import AdapterOutage
+
+
+class ReceiveOverflow(AdapterOutage):
+    """The receive buffer of the socket is full, as where frames come faster than a host fetches them that
+    stands still: what comes is dropped, echoes among it, and its number is told afterwards."""
+
+    kind = "receive_overflow"
+    logs = (LogKind("receive_overflow", (LogNumber("duration_ns"),), "host", "nothing"),)
+    hears = False
+    ends = "dropped {unheard} frames: they came faster than they were fetched"
