@@ -89,8 +89,7 @@ def run_command(
     figures = as_json(request, result)
     if result.error is not None:
         say(f"hil: error: {result.error}")
-        return result.error.exit_status, figures
-    return (0 if result.passed else 1), figures
+    return result.exit_status, figures
 
 
 def commission(
@@ -150,7 +149,7 @@ def _finish(session: Session, result: Commissioned) -> None:
                 if result.error is None or result.error.exit_status != PeerFault.exit_status:
                     result.error = failure
     finally:
-        session.guard.end(session.clock_now)
+        result.disturbances = session.guard.end(session.clock_now)
         network.fall_silent()
         network.watch(session.request.node, Duration(0))
         with suppress(OSError):  # a line that found no room was told when it was written

@@ -19,6 +19,7 @@ from hil.commissioning.outcome import StatedFigure, StepRecord, StepVerdict
 from hil.commissioning.request import CommissionRequest
 from hil.commissioning.torque_scale import TorqueScale, is_proportional, torque_scale
 from hil.rows.run_files import COMMISSIONING_FIGURES
+from hil.verdict.verdict import ExitStatus
 
 REPORT_FILE = "report.md"
 HTML_FILE = "report.html"
@@ -42,6 +43,8 @@ class Commissioned:
     """What ended it early."""
     defect: str = ""
     """An error of hil's own that ended it, or that is under way while the report is written."""
+    disturbances: tuple[str, ...] = ()
+    """What others sent on the bus that was not allowed: first frame, its time, how often."""
 
     @property
     def passed(self) -> bool:
@@ -49,6 +52,15 @@ class Commissioned:
         failed = any(record.verdict is StepVerdict.FAILED for record in self.records)
         left = self.left.stored or (self.left.as_found and not self.left.not_stored)
         return self.error is None and not failed and left
+
+    @property
+    def exit_status(self) -> int:
+        """How the command tells it."""
+        if self.error is not None:
+            return self.error.exit_status
+        if not self.passed:
+            return ExitStatus.FAILED
+        return ExitStatus.NOT_TRUSTWORTHY if self.disturbances else ExitStatus.PASSED
 
     @property
     def ended_by(self) -> str:
@@ -135,7 +147,7 @@ def summary_of(request: CommissionRequest, result: Commissioned) -> list[str]:
     lines = [f"{done} of {len(result.records)} steps done, {found}; see {request.out / HTML_FILE}"]
     if scale is not None:
         lines.append(f"each of inertia, friction and gains {scale.sentence}")
-    return lines
+    return [*lines, *(f"disturbed: {each}" for each in result.disturbances)]
 
 
 def _stated(findings: Findings) -> str | dict[str, str]:
@@ -171,6 +183,7 @@ def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
         "bus": request.bus,
         "node": request.node,
         "error": result.ended_by or None,
+        "disturbed": list(result.disturbances),
         "left": left.as_json(request),
         "stored": left.stored,
         "not_stored": left.not_stored,

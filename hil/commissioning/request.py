@@ -16,6 +16,7 @@ from drivers.errors import BadInput
 from drivers.printable import printable
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.vendors.motor_objects import POLE_PAIRS_MAX
+from hil.configuration.config import Foreign, Guard
 from hil.configuration.config_files import Section, load_file
 from hil.configuration.motor_file import LING2012, MotorFile
 from hil.configuration.quantities import Current, Inductance, Inertia, Resistance, Speed, Torque, Voltage
@@ -222,6 +223,8 @@ class CommissionRequest:
     """None: the drive is on the bus."""
     unwatched: bool = False
     """Bear a drive that has neither 1016h nor node guarding: within the limits of :func:`cautious`."""
+    allow: tuple[Foreign, ...] = Guard().allow
+    """What others may send, as in ``[guard]`` of a bench."""
 
     @property
     def heartbeat_ms(self) -> int:

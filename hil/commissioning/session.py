@@ -102,7 +102,8 @@ class Session:
         self.capability = None if self.sheet_told is None else self.sheet_told.capability
         self.drive = ServoDrive(network, request.node, "drive")
         self.objects = self.drive.objects
-        self.guard = BusGuard({None: network}, [self.drive], Guard(), self._tell, world.error_frames)
+        rules = Guard(allow=request.allow)
+        self.guard = BusGuard({None: network}, [self.drive], rules, self._tell, world.error_frames)
         self.found = Findings()
         self.configured = False
         self.energy = EnergyMeter()

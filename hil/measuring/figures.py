@@ -102,6 +102,8 @@ class Measured:
     """SYNCs that came to the bus after they had been given up: as many of those lost before it were late."""
     distrust: Sequence[str]
     """Why what was measured is not to be trusted."""
+    disturbances: Sequence[str] = ()
+    """What others sent on the bus that was not allowed: first frame, its time, how often."""
 
     def as_json(self) -> Json:
         """For ``--json``."""
@@ -120,6 +122,7 @@ class Measured:
             "network": self.network and self.network.model_dump(mode="json", exclude_none=True),
             "timing": self.timing,
             "distrust": list(self.distrust),
+            "disturbed": list(self.disturbances),
         }
 
 

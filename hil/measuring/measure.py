@@ -15,6 +15,7 @@ from hil.configuration.config import Guard
 from hil.configuration.motor_file import LING2012
 from hil.execution.bench import ENABLE_TIMEOUT_S, RUNS_FOLDER
 from hil.execution.bus_guard import BusGuard
+from hil.execution.conclusion import made_twice
 from hil.execution.drives import connect, stop_all
 from hil.execution.segments import sync_log
 from hil.execution.timing_report import distrust, timing_report
@@ -95,7 +96,15 @@ class Measurement:
             Subject(ServoDrive(self._network, node), world.clock, request) for node in request.nodes
         ]
         drives = [subject.drive for subject in self._subjects]
-        self._guard = BusGuard({None: self._network}, drives, Guard(), self._tell, world.error_frames)
+        self._guard = BusGuard(
+            {None: self._network},
+            drives,
+            Guard(allow=request.allow),
+            self._tell,
+            world.error_frames,
+            repeated=made_twice(request.faults),
+        )
+        self._disturbances: tuple[str, ...] = ()
         self._axes: list[Axis] = []
         self._timing = timing_of(request)
 
@@ -203,7 +212,7 @@ class Measurement:
             network.watch(node, Duration(0))
             journal.close()
         network.fall_silent()
-        self._guard.end(network.clock.now())
+        self._disturbances = self._guard.end(network.clock.now())
         for text in failures:
             self._say(text)
         if not failures:
@@ -242,6 +251,7 @@ class Measurement:
             timing=timing_report(self._axes, {self._request.bus: syncs}, self._guard.counts),
             surplus=syncs.surplus,
             distrust=distrust(self._axes, self._timing.period),
+            disturbances=self._disturbances,
         )
 
     def _drive_figures(

@@ -28,6 +28,7 @@ from drivers.errors import BadInput, TransferAborted
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, Duration
 from drivers.vendors.stamps import STANDARD_STAMP, StampProfile
+from hil.configuration.config import Foreign, Guard
 from hil.execution.assembly import command_duration, shortest_transit
 from hil.execution.segments import timing_without_bench
 from hil.loop.axis import Axis, AxisParts
@@ -87,6 +88,8 @@ class MeasureRequest:
     """Of the drives of a simulated bus."""
     faults: Faults | None = None
     seed: int = 0
+    allow: tuple[Foreign, ...] = Guard().allow
+    """What others may send, as in ``[guard]`` of a bench."""
 
     @property
     def period(self) -> Duration:

@@ -8,11 +8,13 @@ import typer
 
 from hil.machine.parent_process import tell_parent
 from hil.terminal.options import (
+    AllowOption,
     BitrateOption,
     DriveBusOption,
     DriveFaultsOption,
     DriveNodeOption,
     JsonOption,
+    allowed,
     bus_option,
     fault_plan,
     flag,
@@ -73,6 +75,7 @@ class CommissionOptions:
     trust_nameplate: Annotated[
         bool, flag("--trust-nameplate", "Take the nameplate, unasked, where the drive contradicts it by far.")
     ] = False
+    allow: AllowOption = None
     as_json: JsonOption = False
 
 
@@ -82,7 +85,8 @@ def commission(asked: CommissionOptions) -> None:
     Each step says what it will do, asks, does it and checks it. All changes are put back at the end, unless
     --store; DIR/journal.jsonl is what hil restore needs after a crash. Any key stops a moving shaft.
 
-    Exit status: 0 done, 1 a step failed or the end came early, 2 bad input, 3 bus or drive fault.
+    Exit status: 0 done, 1 a step failed or the end came early, 2 bad input, 3 bus or drive fault, 4 done, and
+    disturbed by others.
     """
     from hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
 
@@ -99,6 +103,7 @@ def commission(asked: CommissionOptions) -> None:
         trust_nameplate=asked.trust_nameplate,
         heartbeat_timeout_ms=asked.heartbeat_timeout_ms,
         unwatched=asked.unwatched,
+        allow=allowed(asked.allow),
     )
     from hil.commissioning.commission import run_command
 

@@ -10,9 +10,11 @@ from drivers.errors import BadInput
 from hil.machine.parent_process import messages, tell_parent
 from hil.terminal.options import (
     EVERY_STREAM,
+    AllowOption,
     BitrateOption,
     DriveMotorOption,
     JsonOption,
+    allowed,
     bus_option,
     fault_plan,
     faults_option,
@@ -58,6 +60,7 @@ class MeasureOptions:
     picture: Annotated[Path | None, valued("--picture", "FILE", "Draw the histograms: .png, .svg, .pdf.")] = (
         None
     )
+    allow: AllowOption = None
     motor: DriveMotorOption = None
     faults: Annotated[Path | None, faults_option("host")] = None
     bitrate: BitrateOption = 1_000_000
@@ -71,7 +74,8 @@ def measure(asked: MeasureOptions) -> None:
     The drives stay disabled unless --enable. What is changed in them is put back; after a crash
     runs/measure-TIME has what hil restore needs.
 
-    Exit status: 0 measured, 1 not to be trusted, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
+    Exit status: 0 measured, 1 not to be trusted, 2 bad input, 3 bus or drive fault, 4 disturbed by others,
+    130 ended by a signal.
     """
     from drivers.rotation import RAD_S_PER_RPM
     from hil.execution.bench import RUNS_FOLDER
@@ -92,6 +96,7 @@ def measure(asked: MeasureOptions) -> None:
         motor=motor_file(asked.motor, "--motor").parameters if asked.motor else None,
         faults=fault_plan(asked.faults),
         seed=asked.seed,
+        allow=allowed(asked.allow),
     )
     advice = f"hil restore puts back what was changed, by the journals in {RUNS_FOLDER}/measure-*"
     if asked.enable:
@@ -102,7 +107,13 @@ def measure(asked: MeasureOptions) -> None:
     if measured.interrupted:
         raise typer.Exit(ExitStatus.INTERRUPTED)
     _write_files(measured, asked)
-    raise typer.Exit(ExitStatus.FAILED if measured.distrust else ExitStatus.PASSED)
+    raise typer.Exit(_status(measured))
+
+
+def _status(measured: "Measured") -> ExitStatus:
+    if measured.distrust:
+        return ExitStatus.FAILED
+    return ExitStatus.NOT_TRUSTWORTHY if measured.disturbances else ExitStatus.PASSED
 
 
 def _measured(request: "MeasureRequest") -> "Measured":

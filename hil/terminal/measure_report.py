@@ -47,6 +47,8 @@ def print_measured(measured: Measured) -> None:
         console.print(Text(late, style="bold yellow"))
     for reason in measured.distrust:
         console.print(Text(f"Not trustworthy: {reason}", style="bold red"))
+    for disturbance in measured.disturbances:
+        console.print(Text(f"Disturbed: {disturbance}", style="bold red"))
 
 
 def _stages(stages: list[Stage]) -> Table:

@@ -1,11 +1,14 @@
 """Options that several commands have, each declared once; what a function takes differs by command."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
+from drivers.errors import BadInput
+
 if TYPE_CHECKING:
+    from hil.configuration.config import Foreign
     from hil.configuration.motor_file import MotorFile
     from virtual_bus.hosting.injection import Faults
 
@@ -76,6 +79,15 @@ DriveBusOption = Annotated[str, bus_option("hub:NAME, socketcan:can0, or INTERFA
 DriveNodeOption = Annotated[int, valued("--node", "N", "The drive's node id.", min=1, max=127)]
 BitrateOption = Annotated[int, bitrate_option("Bit rate of the bus, bit/s.")]
 SeedOption = Annotated[int | None, EVERY_STREAM]
+AllowOption = Annotated[
+    list[str] | None,
+    valued(
+        "--allow",
+        "KIND",
+        "What others may send, as allow of a bench's table guard: nmt, sync, heartbeat, sdo_read, sdo_write, "
+        "sdo_answer, rpdo, tpdo; may be repeated. sdo_read if absent.",
+    ),
+]
 DriveFaultsOption = Annotated[Path | None, faults_option("drive")]
 ControllerOutOption = Annotated[Path | None, controller_out_option("FILE")]
 MotorArgument = Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The motor file.")]
@@ -98,3 +110,14 @@ def fault_plan(path: Path | None) -> "Faults | None":
     from hil.configuration.bench_file import load_faults
 
     return load_faults(path, NamedBy("--faults", "", str(path))) if path else None
+
+
+def allowed(kinds: list[str] | None) -> "tuple[Foreign, ...]":
+    """``--allow``, checked. Raises BadInput."""
+    from hil.configuration.config import Foreign, Guard
+
+    known: dict[str, Foreign] = {kind: kind for kind in get_args(Foreign)}
+    for kind in kinds or ():
+        if kind not in known:
+            raise BadInput("--allow", "", kind, f"one of {', '.join(known)}")
+    return Guard().allow if kinds is None else tuple(known[kind] for kind in kinds)

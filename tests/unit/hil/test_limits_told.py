@@ -165,6 +165,7 @@ def test_the_status_of_an_error_tells_its_kind(status: int) -> None:
         2: VerdictKind.BAD_INPUT,
         3: VerdictKind.PEER_FAULT,
         5: VerdictKind.NOT_RECORDED,
+        6: VerdictKind.CUT_SHORT,
         130: VerdictKind.INTERRUPTED,
     }
     assert outcome_of_status(status) is kinds.get(status, VerdictKind.DEFECT)
