@@ -99,9 +99,9 @@ class ClockQuestion:
         """Every way to place the last suspects on SYNCs, all of them on one line, that is not so much less
         likely than another by how far they lie off it."""
         received_at = last[0].received_at
-        match_ns, spread = self._stamps.unmapped_ns, self._stamps.residuals.spread
-        if spread:
-            match_ns = max(match_ns, min(2 * match_ns + spread, self._half // 2))
+        match_ns, residuals = self._stamps.unmapped_ns, self._stamps.residuals
+        if residuals.variance_ns2(match_ns):
+            match_ns = max(match_ns, min(match_ns + residuals.reach, self._half // 2))
         placements = []
         for mark in self._syncs.marks:
             on_bus_at = mark.on_bus_at

@@ -91,14 +91,17 @@ class DriveStamps:
         return MATCH_NS + self.resolution - STAMP_RESOLUTION + self._echo_error
 
     def fits(self, residual: int) -> bool:
-        """Whether a stamp lies on its SYNC: as near as others do, within a quarter of a period.
-
-        The map may have moved by a part of the spread since they came, so a little further is near too.
-        """
+        """Whether a stamp lies on its SYNC: as near as others do, and not so far that it may be another's."""
         residuals, match_ns = self.residuals, self.match_ns
-        least = match_ns + residuals.spread // 4
+        least = match_ns + residuals.slack
         most = max(match_ns, self._farthest)
         return -min(least + residuals.early, most) <= residual <= min(least + residuals.late, most)
+
+    def lie_early(self, pairs: list[tuple[int, Instant]]) -> bool:
+        """Whether all of these stamps lie before their SYNCs by more than any has: a clock was set back, by
+        less than stamps spread over. Late ones may be late SYNCs too, which their bounds hold."""
+        latest = self.residuals.least - self.residuals.slack - self.match_ns
+        return all(self.clock.place(device_ns) - at < latest for device_ns, at in pairs)
 
     def follow(self, device_ns: int, on_bus_at: Instant, residual: int) -> None:
         """Let map and residuals follow a stamp that lies on its SYNC."""

@@ -26,6 +26,9 @@ from hil.loop.syncs import SyncLog
 EXCLUDING: Final = 24.0
 """A way is out if another is e^24 times likelier: chance alone reaches that once in a million times, and is
 asked with every reading."""
+TOO_SOON: Final = 2
+"""The first reading of a clock that was set forward comes too soon in the right way too: it puts the question
+whether it was, and after that counts."""
 HEEDED_MIN: Final = 8
 """Fewer changes say too little of how much they scatter."""
 DELAYS_MIN: Final = 32
@@ -45,14 +48,21 @@ class Placing:
     """One way to place readings."""
 
     def __init__(self, offset_ns: int, steps: bool) -> None:
-        self.offset_ns = offset_ns
-        """By how much later than they are placed it has their samples: whole periods."""
         self.steps = steps
         """Whether the clock was set, so that delays are what they were."""
+        self.anew(offset_ns)
+
+    def anew(self, offset_ns: int) -> None:
+        """Begin with an offset."""
+        self.offset_ns = offset_ns
+        """By how much later than they are placed it has their samples: whole periods."""
         self.delays = Extremes()
+        self.delays_seen = 0
         self.at: Instant | None = None
         """Its SYNC of the last reading."""
         self.out = False
+        self.too_soon = 0
+        """Readings that would have come sooner than a frame can."""
         self.stamps_squared = self.product = self.syncs_squared = 0.0
         """Sums over changes from reading to reading, less whole periods: of stamps, of both, of SYNCs."""
 
@@ -95,6 +105,9 @@ class PeriodDoubt:
         """Of the SYNCs, in the mean."""
         self._low = self._slack = 0
         """The smallest delay before, and what it may seem to change by."""
+        self.surprised = False
+        """Whether the last reading would have come too soon in one of the ways: it is wrong, or the clock has
+        been set once more."""
         self._heeded = self._changes = 0
         self._device_ns = 0
 
@@ -139,6 +152,7 @@ class PeriodDoubt:
 
     def end(self) -> None:
         """Which way is right is known."""
+        self.surprised = False
         self.ways = []
         self.rows.clear()
         self.revoked.clear()
@@ -152,13 +166,14 @@ class PeriodDoubt:
         """A SYNC has gone out late."""
         self.wants_probe = False
 
-    def heed(self, device_ns: int, at: Instant, received_at: Instant) -> None:
-        """A reading whose stamp lies at ``at`` as it is placed."""
+    def heed(self, device_ns: int, at: Instant, received_at: Instant, moved: bool) -> None:
+        """A reading whose stamp lies at ``at`` as it is placed. ``moved``: the clock may have been set once
+        more since, so that when it came says nothing."""
         near_ns = self._stamps.near_ns
-        known = True
+        known, self.surprised = True, False
         before = [way.at for way in self.ways]
         for way in self.ways:
-            known = self._place(way, at, received_at, near_ns) and known
+            known = self._place(way, at, received_at, near_ns, moved) and known
         passed = round((device_ns - self._device_ns) * (1.0 + self._stamps.clock.rate))
         self._device_ns = device_ns
         self._heeded += 1
@@ -169,21 +184,39 @@ class PeriodDoubt:
         if len(self.ways) > 1:
             self._seek_help()
 
-    def _place(self, way: Placing, at: Instant, received_at: Instant, near_ns: int) -> bool:
+    def _place(self, way: Placing, at: Instant, received_at: Instant, near_ns: int, moved: bool) -> bool:
         """Find the SYNC of a reading by one way; whether there is one."""
         at = Instant(at + way.offset_ns)
         mark = self._syncs.nearest(at)
-        way.out = way.out or received_at - at < self._transit - near_ns
+        if received_at - at < self._transit - near_ns and not moved:
+            self.surprised = True
+            way.too_soon += 1
+            way.out = way.out or way.too_soon >= TOO_SOON
         way.at = None if mark is None else mark.on_bus_at
         if way.at is None or abs(at - way.at) > self._period // 2:
             way.at = None
             return False
-        if self._heeded < DELAYS_MAX:
+        if way.delays_seen < DELAYS_MAX and not moved:
             way.delays.add(received_at - way.at)
-            if way.steps and self._heeded >= DELAYS_MIN:
+            way.delays_seen += 1
+            if way.steps and way.delays_seen >= DELAYS_MIN:
                 slack = self._slack + way.delays.slack() + near_ns
-                way.out = way.out or abs(way.delays.low - self._low) > slack
+                if abs(way.delays.low - self._low) > slack:
+                    self._set_again(way)
         return True
+
+    def _set_again(self, way: Placing) -> None:
+        """The delays of a way in which the clock was set are others than before, by whole periods: it was set
+        once more meanwhile. By less than half a period that explains nothing, and the way is out."""
+        periods = round((way.delays.low - self._low) / self._spacing)
+        offset_ns = round(way.offset_ns + periods * self._spacing)
+        if periods == 0 or any(abs(other.offset_ns - offset_ns) < self._period // 2 for other in self.ways):
+            way.out = True
+        else:
+            way.anew(offset_ns)
+            self._changes = 0
+            for other in self.ways:
+                other.stamps_squared = other.product = other.syncs_squared = 0.0
 
     def _compare(self, stamps_ns: int, before: list[Instant | None], near_ns: int) -> None:
         """Stamps have moved by ``stamps_ns`` since the SYNCs ``before``. What no way explains to within
@@ -204,6 +237,8 @@ class PeriodDoubt:
             way.syncs_squared += syncs * syncs
 
     def _exclude(self) -> None:
+        if len(self.heeded) < HEEDED_MIN:
+            return  # a map that is moved by fewer goes astray
         left = [way for way in self.ways if not way.out]
         if self._changes >= HEEDED_MIN and left:
             unexplained = [way.unexplained for way in left]

@@ -10,6 +10,7 @@ the same from SYNC to SYNC is in none of them: it cannot be told from the offset
     early  <---------------|---------------> late            beyond what map and stamp err by
 """
 
+from collections import deque
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
@@ -22,6 +23,12 @@ OUTLYING: Final = 4
 """Changes beyond so many times the mean one move neither that nor the map by more: a value that is evenly
 spread reaches three times its mean change, so only rare ones are cut."""
 
+FEW: Final = 8
+"""Of values that something new has befallen, so many have been seen."""
+GAPS: Final = 8
+"""Beyond so many mean gaps a residual lies once in 3000 times, as long as they are spread evenly."""
+CLUSTERED: Final = 32
+"""The last so many show whether there are gaps in them."""
 CHANGING: Final = 3.0
 """Values that are spread evenly over a width change by a third of it on the average. Behind a calibration,
 where the map itself errs by more, changes alone show that they scatter."""
@@ -53,6 +60,10 @@ class Extremes:
         """Whether they spread over so much or more."""
         return self.high - self.low >= over
 
+    def distrust(self) -> None:
+        """The next values may be others: the last few alone count."""
+        self._seen = min(self._seen, FEW)
+
     def slack(self) -> int:
         """How far beyond what was seen the next value may well lie.
 
@@ -71,6 +82,10 @@ class Residuals:
         """How far they reach to either side beyond what the map itself errs by."""
         self._extremes = Extremes()
         self._last = 0
+        self.hidden = 0
+        """What a SYNC may be late without the stamp telling, as the stamp waits for a tick of the drive."""
+        self._recent: deque[int] = deque(maxlen=CLUSTERED)
+        self._count = 0
         self._expected = self.change_ns = expected
         """The mean change from one to the next."""
 
@@ -99,7 +114,7 @@ class Residuals:
     @property
     def high(self) -> int:
         """The largest that the next may well be."""
-        return self._extremes.high + self._extremes.slack()
+        return self._extremes.high + self._slack()
 
     @property
     def spread(self) -> int:
@@ -109,12 +124,17 @@ class Residuals:
     @property
     def reach(self) -> int:
         """From the least to the largest that the next may well be, all of it."""
-        return self._extremes.high - self._extremes.low + 2 * self._extremes.slack()
+        return self._extremes.high - self._extremes.low + 2 * self._slack()
 
     @property
     def slack(self) -> int:
         """How far beyond the others the next may well lie."""
-        return self._extremes.slack() if self.early or self.late else 0
+        return self._slack() if self.early or self.late else 0
+
+    def _slack(self) -> int:
+        """Twice what is usual: a bound has to hold from the first row to the last."""
+        extremes = self._extremes
+        return min(extremes.high - extremes.low, GAPS // 4 * extremes.slack())
 
     def learn(self, residuals: Sequence[int], unseen_ns: int) -> None:
         """Take these for all that have been seen; see :meth:`add`."""
@@ -126,14 +146,29 @@ class Residuals:
 
     def add(self, residual: int, unseen_ns: int) -> None:
         """The next one; ``unseen_ns``: what map and stamp err by in any case."""
-        extremes = self._extremes
+        extremes, slack = self._extremes, self._slack() + unseen_ns
+        if residual < extremes.low - slack or residual > extremes.high + slack:
+            extremes.distrust()
         extremes.add(residual)
+        self._recent.append(residual)
+        self._count += 1
+        if self._count % (CLUSTERED // 4) == 0 and self.early + self.late:
+            self._look_for_gap(unseen_ns)
         self.early = max(0, -extremes.low - unseen_ns)
         self.late = max(0, extremes.high - unseen_ns)
         change = float(abs(residual - self._last))
         self._last = residual
         change = min(change, OUTLYING * self.change_ns + unseen_ns)
         self.change_ns = CHANGE_KEPT * self.change_ns + (1.0 - CHANGE_KEPT) * change
+
+    def _look_for_gap(self, unseen_ns: int) -> None:
+        """Residuals of stamps that wait for a tick lie a tick apart, with nothing between. A single late SYNC
+        lies apart, too, by chance."""
+        ordered = sorted(self._recent)
+        for place in range(2, len(ordered) - 1):
+            gap = ordered[place] - ordered[place - 1]
+            if gap > 4 * unseen_ns and 2 * gap > ordered[-1] - ordered[0]:
+                self.hidden = max(self.hidden, gap)
 
     def cut(self, residual: int, unseen_ns: int) -> int:
         """``residual``, no further out than what one of many may well be."""

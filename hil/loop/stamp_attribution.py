@@ -11,8 +11,7 @@ The bench sends no SYNC within half a period of another; so a stamp within a qua
 that one's only. How far stamps lie from their SYNCs is measured (:mod:`hil.loop.residuals`), and with it what
 counts as lying on one, and the bound of each sample. *Lateness* is the stamp's instant minus that of the SYNC
 on the bus, less the smallest one: what the SYNC took behind its echo, or, on a bus without echoes, what it
-waited in front of the bus. A constant delay of the SYNC behind its echo cannot be told from the offset of the
-clock.
+waited in front of the bus. A constant delay of the SYNC behind its echo is not told from the clock's offset.
 
 Where a stamp lies off all SYNCs, or on one that has another stamp, or where the delay leaves what it was by
 more than half a period, the drive's clock may have been set. While that is open, readings are marked
@@ -126,7 +125,7 @@ class StampAttribution:
             return None
         free = fits and known is None
         sampled_at = at - self._residuals.middle if self._echoes_late else mark.on_bus_at
-        if free and self._usual(mark, reading.received_at - sampled_at):
+        if free and not self.doubt.surprised and self._usual(mark, reading.received_at - sampled_at):
             if self._suspects:
                 self._exonerate_free()
                 self._acquit()
@@ -162,7 +161,8 @@ class StampAttribution:
             error_ns = residuals.reach // 2 + match_ns
         elif residuals.early or residuals.late or lateness > match_ns:
             # Late to the drive: the stamp knows better. Nothing but the SYNC itself excludes that it was not.
-            sampled_at, error_ns = Instant(on_bus_at + lateness), lateness + match_ns + residuals.slack
+            sampled_at = Instant(on_bus_at + lateness)
+            error_ns = max(lateness, residuals.hidden) + match_ns + residuals.slack
         self.stamps.follow(device_ns, on_bus_at, residual)
         if mark.sequence == SURPLUS:
             health.unmatched += 1
@@ -189,9 +189,7 @@ class StampAttribution:
         for suspect in self._suspects:
             at = self.clock.place(suspect.device_ns)
             mark = self._syncs.nearest(at)
-            if mark is None or mark.on_bus_at is None:
-                continue
-            if self.stamps.fits(at - mark.on_bus_at):
+            if mark is not None and mark.on_bus_at is not None and self.stamps.fits(at - mark.on_bus_at):
                 placed.append((suspect, mark))
         self._clear(self._exonerate(placed))
 
@@ -264,9 +262,10 @@ class StampAttribution:
             self._case.since = self._case.answered
             if self.spread:
                 self._revoke()
-        latest = reading.received_at - self._transit + self.stamps.near_ns - self.clock.error_ns
+        reach_ns = self.stamps.near_ns - self.clock.error_ns
         if self._echoes_late:  # the map lies in the middle of what it may be off
-            latest = reading.received_at - self._transit + self.stamps.match_ns + self._residuals.high
+            reach_ns = self.stamps.match_ns + self._residuals.high
+        latest = reading.received_at - self._transit + reach_ns
         self._early = self._early or at > latest
         suspects.append(Suspect(device_ns, reading.received_at, second))
         if free is not None:
@@ -336,19 +335,20 @@ class StampAttribution:
             assert mark.on_bus_at is not None
             pairs.append((suspect.device_ns, mark.on_bus_at))
         first_at = pairs[0][1]
-        if line.steps:
+        steps = line.steps or self.stamps.lie_early(pairs)
+        if steps:
             self._tell_step(self.clock.place(pairs[0][0]) - pairs[0][1], len(self._suspects))
             self.stamps.move_to(pairs)
             self.doubt.moved()
         firsts = [(other.marks[0].on_bus_at, other.steps) for other in lines[1:]]
         others = [(at - first_at, steps) for at, steps in firsts if at is not None]
         if others and line.cost >= STEP_COST:
-            self.doubt.put(line.steps, others, self._case.delays, self._case.since)
-        if not line.steps:
+            self.doubt.put(steps, others, self._case.delays, self._case.since)
+        if not steps:
             self._case.delays = Extremes()
         all_proved = self._exonerate(list(zip(last, line.marks, strict=True)))
-        self._clear(all_proved and not (line.steps and self._case.revoked))
-        if line.steps:
+        self._clear(all_proved and not (steps and self._case.revoked))
+        if steps:
             self._close()
         else:
             self._acquit()
@@ -363,7 +363,7 @@ class StampAttribution:
     def _resolve(self, device_ns: int, at: Instant, received_at: Instant) -> bool:
         """What a reading tells of the ways to place it, while there are several; whether the map moves."""
         doubt = self.doubt
-        doubt.heed(device_ns, at, received_at)
+        doubt.heed(device_ns, at, received_at, bool(self._suspects))
         if doubt.open:
             return False
         way = doubt.ways[0]
