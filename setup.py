@@ -53,8 +53,10 @@ GROUPS = {
         *_below(
             "hil/loop", "delay loop order_attribution pace position_path safety samples scenario way_back"
         ),
-        *_below("hil/loop", "drive_stamps followed_command lessons order_evidence period_doubt"),
-        *_below("hil/loop", "readback_tie residuals stamp_attribution syncs"),
+        *_below(
+            "hil/loop", "drive_stamps followed_command lessons order_evidence order_memory order_question"
+        ),
+        *_below("hil/loop", "period_doubt readback_tie residuals stamp_attribution syncs usual_delays"),
         *_below("hil/recording", "ring row_writer"),
         *_below("hil/rows", "records side_rows"),
     ],

@@ -10,26 +10,29 @@ in the SYNCs is in them too. SYNCs at equal distances say nothing.
 
 from typing import Final
 
-from drivers.timebase import NS_PER_US, Instant
+from drivers.timebase import Duration, Instant
 from hil.loop.syncs import SyncLog
+from hil.loop.usual_delays import RESOLUTION_NS
 
-WATCHED: Final = 32
-"""Readings that are weighed: rows wait for no more than twice as many."""
+WATCHED: Final = 64
+"""Readings that are weighed: rows wait for no more."""
 LAGS_MAX: Final = 32
 """Lags that are told apart."""
 EXCLUDING: Final = 12.0
 """A lag is none if another is e^12, 160 000 times, likelier: it is asked hundreds of times in a run."""
 OUTLYING: Final = 6.0
 """Deviations beyond which a reading weighs no more: one alone, e^18 against e^0, decides by a probe."""
-RESOLUTION_NS: Final = 2 * NS_PER_US
-"""Deviation that delays have at least: the stuff bits of one frame or two."""
+OUTLYING_UNTIDY: Final = 4.0
+"""The same where frames are held up now and then: two readings decide, at e^8 each."""
 
 
 class OrderEvidence:
     """Readings of one delay, whole periods aside."""
 
-    def __init__(self, syncs: SyncLog) -> None:
+    def __init__(self, syncs: SyncLog, transit: Duration) -> None:
+        """``transit``: no reading comes sooner after its SYNC."""
         self._syncs = syncs
+        self._soonest = transit - syncs.error_ns
         self._age = 0
         self._numbers: list[int] = []
         """Of each reading, the SYNC that it answers with lag 0."""
@@ -56,13 +59,16 @@ class OrderEvidence:
         return mark.number
 
     def delays(self, lag: int) -> list[int]:
-        """Of the readings with this lag; none if they would answer a SYNC that was never on the bus."""
+        """Of the readings with this lag; none if they would answer a SYNC that was never on the bus, or is
+        yet to come. Below 0: they answer later SYNCs."""
         marks = self._syncs.marks
         first = marks[0].number + lag
+        end = len(marks)
         delays: list[int] = []
         for number, came_at in zip(self._numbers, self._came_at, strict=True):
-            on_bus_at = marks[number - first].on_bus_at if number >= first else None
-            if on_bus_at is None:
+            place = number - first
+            on_bus_at = marks[place].on_bus_at if 0 <= place < end else None
+            if on_bus_at is None or (lag < 0 and came_at - on_bus_at < self._soonest):
                 return []
             delays.append(came_at - on_bus_at)
         return delays
@@ -75,20 +81,21 @@ class OrderEvidence:
         most = max(OUTLYING * off[len(off) // 2], float(RESOLUTION_NS))
         return [delay for delay in delays if abs(delay - middle) <= most]
 
-    def verdict(self, lags: int, deviation_ns: int) -> int | None:
-        """The lag, if the readings leave one of 0, 1, ... ``lags`` - 1; ``deviation_ns``: of delays as they
-        were."""
-        of_lags = [self.delays(lag) for lag in range(min(lags, LAGS_MAX))]
+    def verdict(self, least_lag: int, lags: int, deviation_ns: int, untidy: bool) -> int | None:
+        """The lag, if the readings leave one of ``least_lag``, ... ``lags`` - 1; ``deviation_ns``: of
+        delays as they were; ``untidy``: frames are held up now and then."""
+        of_lags = [self.delays(lag) for lag in range(least_lag, min(lags, LAGS_MAX))]
         squares = [_squares(delays) if delays else -1.0 for delays in of_lags]
         possible = [each for each in squares if each >= 0.0]
         if not possible or len(self) < 2:
             return None
         floor = float(max(deviation_ns, RESOLUTION_NS, self._syncs.error_ns // 3)) ** 2
         variance = max(floor, min(possible) / (len(self) - 1))
-        misfits = [_misfit(delays, variance) if delays else -1.0 for delays in of_lags]
+        outlying = OUTLYING_UNTIDY if untidy else OUTLYING
+        misfits = [_misfit(delays, variance, outlying) if delays else -1.0 for delays in of_lags]
         least = min(each for each in misfits if each >= 0.0)
         left = [lag for lag, each in enumerate(misfits) if 0.0 <= each <= least + EXCLUDING]
-        return left[0] if len(left) == 1 else None
+        return least_lag + left[0] if len(left) == 1 else None
 
 
 def _squares(delays: list[int]) -> float:
@@ -96,8 +103,8 @@ def _squares(delays: list[int]) -> float:
     return sum(float(delay - middle) ** 2 for delay in delays)
 
 
-def _misfit(delays: list[int], variance: float) -> float:
+def _misfit(delays: list[int], variance: float, outlying: float) -> float:
     """The logarithm of how much likelier even delays would be."""
     middle = sorted(delays)[len(delays) // 2]
-    most = OUTLYING**2
+    most = outlying**2
     return sum(min(float(delay - middle) ** 2 / variance, most) for delay in delays) / 2.0

@@ -17,6 +17,7 @@ from typing import Final
 
 from drivers.exchange import Readback
 from drivers.timebase import Duration, Instant
+from drivers.wire.frame_port import EchoBasis
 from hil.loop.samples import Sample
 from hil.loop.syncs import REMEMBERED, SyncLog, SyncMark
 
@@ -27,6 +28,10 @@ DOUBTED_FOR: Final = 1000
 in a thousand frames does it to two neighbours once in a million, and one alone is seen."""
 SILENT_PERIODS: Final = 4
 """A demand waits so long for the next reading: longer than a few losses in a row, shorter than a row does."""
+
+
+STAMPED_EACH: Final = (EchoBasis.BUS, EchoBasis.HARDWARE)
+"""Here what has one stamp is one frame; elsewhere several are stamped when they are fetched together."""
 
 
 class Telling:
@@ -70,6 +75,7 @@ class ReadbackTie:
         self.unordered = 0
         """Demands that came while the order of frames told nothing: no command is told lost by them."""
         self._syncs = syncs
+        self._stamps_tell = syncs.echoes in STAMPED_EACH
         self._period = period
         self._horizon = Duration(horizon * period)
         self._by_count: list[_Placed | None] = [None] * READINGS_REMEMBERED
@@ -125,7 +131,7 @@ class ReadbackTie:
             if count > self.readings:
                 break
             behind = self._placed_at(count)
-            if behind is not None and behind.received_at == first.received_at:
+            if self._stamps_tell and behind is not None and behind.received_at == first.received_at:
                 self.exact += 1
                 self.unordered += self.doubtful
                 tellings.append(Telling(first, behind.since, behind.until, behind.mark))

@@ -59,6 +59,8 @@ class DrawnPlan:
     """The longest that faults may hold a reading."""
     sync_jitter_us: float = 0.0
     """The longest that faults may hold a SYNC behind its echo."""
+    sync_wait_us: float = 0.0
+    """As that, in front of its echo."""
 
     @property
     def heard(self) -> bool:
@@ -363,7 +365,8 @@ def _late_syncs(draw: Draw, plan: DrawnPlan) -> str:
     if plan.sync == "foreign":
         return ""
     keys = {"direction": "host_to_drive", "frames": ["sync"]}
-    return _put(plan, "delay", delay_min_us=0, delay_max_us=draw.choice((30, 100, 300)), **keys)
+    plan.sync_wait_us = draw.choice((30, 100, 300))
+    return _put(plan, "delay", delay_min_us=0, delay_max_us=plan.sync_wait_us, **keys)
 
 
 @_feature(0.25)

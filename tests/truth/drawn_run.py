@@ -21,6 +21,8 @@ from tests.truth.truth import axis_truth
 
 ROOT: Final = Path(__file__).parents[2]
 CYCLES: Final = 1500
+FRAME_US: Final = 135
+"""The longest frame on the wire, which a SYNC may have to wait for."""
 WATERMARK_US: Final = 5.0
 CRASHES: Final = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
 """Errors that are none of the bench's own: a defect, of the bench or of the judge."""
@@ -89,8 +91,10 @@ def _judge(run: TappedRun, config: BenchConfig, verdict: Verdict) -> None:
 def timing_of(plan: DrawnPlan, config: BenchConfig) -> Timing:
     """What the judge has to know of ``plan``."""
     error = _stamp_error(plan.adapter)
-    resolution_us = plan.simulation.get("stamp_resolution_us", 1.0)
-    unseen = (error or 0) + round((plan.sync_jitter_us + resolution_us + TICK_US) * NS_PER_US)
+    unseen_us = plan.sync_jitter_us + plan.simulation.get("stamp_resolution_us", 1.0) + TICK_US
+    if plan.adapter is not None and error is None:  # nothing tells what a SYNC waited in front of the bus
+        unseen_us += plan.adapter.late_us + plan.sync_wait_us + FRAME_US
+    unseen = (error or 0) + round(unseen_us * NS_PER_US)
     loop = config.loop
     return Timing(loop.period, loop.deadline, loop.horizon_periods, plan.heard, error, Duration(unseen))
 

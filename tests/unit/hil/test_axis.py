@@ -6,7 +6,7 @@ from drivers.exchange import DemandChange
 from drivers.timebase import Duration, Instant
 from hil.loop.axis_roles import Controller
 from hil.loop.context import Context, SetPoint, TorqueSetPoint
-from hil.loop.order_attribution import PROBE_AFTER
+from hil.loop.order_question import PROBE_AFTER
 from hil.loop.samples import CommandFate
 from tests.unit.hil.axis_rig import DELAY, HORIZON, TAUGHT, Rig
 from tests.unit.hil.loop_fakes import (

@@ -1,0 +1,68 @@
+"""What placing by order remembers: SYNCs without a reading, and what the last readings said."""
+
+import math
+from typing import Final
+
+from drivers.timebase import Instant
+from hil.loop.syncs import REMEMBERED, SyncLog, SyncMark
+
+COPIES: Final = 8
+"""The last readings, of which another may be a copy."""
+
+
+class Unanswered:
+    """SYNCs that were passed over, as a later one has its reading, and may have theirs yet."""
+
+    def __init__(self, syncs: SyncLog) -> None:
+        self._syncs = syncs
+        self._numbers: list[int] = []
+        """The oldest first."""
+
+    def pass_over(self, answered: int, mark: SyncMark) -> bool:
+        """``mark`` has its reading, and ``answered`` was the last before it; whether one is missing."""
+        marks = self._syncs.marks
+        first = marks[0].number
+        missing = [
+            number
+            for number in range(max(first, answered + 1), mark.number)
+            if marks[number - first].on_bus_at is not None
+        ]
+        self._numbers = [*self._numbers, *missing][-REMEMBERED:]
+        return bool(missing)
+
+    def since(self, number: int) -> int:
+        """How many of them are later than SYNC ``number``."""
+        count = len(self._numbers)
+        while count and self._numbers[-count] <= number:
+            count -= 1
+        return count
+
+    def is_within(self, syncs: int, mark: SyncMark) -> bool:
+        """Whether one of the last ``syncs`` before ``mark`` has no reading."""
+        return bool(self._numbers) and 0 < mark.number - self._numbers[-1] <= syncs
+
+    def take(self, latest: Instant) -> SyncMark | None:
+        """The newest that had ended by ``latest``; it is answered then."""
+        marks = self._syncs.marks
+        first = marks[0].number
+        for number in reversed(self._numbers):
+            mark = marks[number - first] if number >= first else None
+            if mark is not None and mark.on_bus_at is not None and mark.on_bus_at <= latest:
+                self._numbers.remove(number)
+                return mark
+        return None
+
+
+class Copies:
+    """Speeds of the last readings: a frame that comes twice tells one of them again."""
+
+    def __init__(self) -> None:
+        self._speeds = [math.nan] * COPIES
+        self._place = 0
+
+    def holds(self, speed_rad_s: float) -> bool:
+        """Whether one of the last readings told this speed; it is remembered."""
+        held = speed_rad_s in self._speeds
+        self._speeds[self._place] = speed_rad_s
+        self._place = (self._place + 1) % COPIES
+        return held

@@ -1,0 +1,159 @@
+"""Which SYNCs readings answer whose delay may have changed by whole periods, or to another phase.
+
+SYNC ends      1       2       3       4 a probe, late
+readings         |r              |r        |r            2 has none: lost, or all come a period later now
+                                 lag 0     lag 0         the probe is followed at once: it was lost
+"""
+
+from typing import Final
+
+from drivers.timebase import Duration, Instant
+from hil.loop.order_evidence import WATCHED, OrderEvidence
+from hil.loop.syncs import STAMPED_LATE, SyncLog
+from hil.loop.usual_delays import ALIKE_MIN, Resemblance, UsualDelays, lag_to_resemble
+
+EVIDENCE_MIN: Final = 2
+"""Readings that may tell, where the spread of delays is known;"""
+EVIDENCE_UNUSUAL: Final = 6
+"""where it is to be seen in themselves."""
+PROBE_AFTER: Final = 3
+"""Readings that may show by themselves which SYNCs they answer: an uneven host, or a watermark of ten times
+what delays spread over, needs no more."""
+PROBES_MAX: Final = 8
+"""Probes of one question: each tells e^18 where delays are even, e^2 where they spread over half a period."""
+PROBED_FOR: Final = 32
+"""Readings of a question in which probes have gone out: what they leave open, the look of delays decides."""
+
+
+WIDE_PARTS: Final = 8
+"""Where delays spread over such a part of a period a reading may follow a probe by chance; hardly two do."""
+
+
+class OrderQuestion:
+    """What speaks for the lags with which readings may follow their SYNCs."""
+
+    def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, usual: UsualDelays) -> None:
+        """``usual``: the delays of readings whose place is certain."""
+        self.evidence = OrderEvidence(syncs, transit)
+        self.phase_known = True
+        """Whether the delay is known, whole periods aside."""
+        self.odd = 0
+        """Readings since it was put that seem to be held up or copies: each may hide a lost one."""
+        self.asked = 0
+        """Readings since it was put."""
+        self.wants_probe = False
+        """Whether the next SYNC is to go out a quarter of a period late."""
+        self._syncs = syncs
+        self._period = period
+        self._soonest = transit - syncs.error_ns
+        self._usual = usual
+        self._alike = Resemblance()
+        self._probes: list[int] = []
+        """Numbers of those that have gone out for it."""
+        self._followed = 0
+        """So many of them were followed at once, since the last reading that is missing."""
+        self._next_probe = 0
+        """Number of the first SYNC that may be a probe."""
+
+    def put(self) -> None:
+        """It begins."""
+        self.asked = self.odd = self._next_probe = 0
+        self._probes.clear()
+
+    def follow(self, age: int) -> None:
+        """Weigh readings that come ``age`` after a SYNC, from here on."""
+        self.miss()
+        self.evidence.begin(age)
+
+    def miss(self) -> None:
+        """A reading is missing."""
+        self._followed = 0
+        self._alike.begin()
+
+    def stray(self) -> None:
+        """A reading came that is not weighed."""
+        self._alike.stray()
+
+    def take(self, number: int, delay: int) -> None:
+        """A reading came that is weighed, so long after SYNC ``number``."""
+        self.asked += 1
+        if self._usual.holds(delay):
+            self._alike.add(delay)
+            self._followed += number in self._probes
+        else:
+            self._alike.stray()
+
+    def probed(self, number: int, pause: int) -> None:
+        """SYNC ``number`` has gone out late; none of the next ``pause`` is to."""
+        self._probes.append(number)
+        self._next_probe = number + pause
+        self.wants_probe = False
+
+    def rest(self, until: int) -> None:
+        """No SYNC before number ``until`` is to be a probe."""
+        self._next_probe = until
+        self.wants_probe = False
+
+    def is_probing(self, answered: int) -> bool:
+        """Whether the next SYNC behind number ``answered`` is a probe, or is to be one."""
+        return self.wants_probe or (bool(self._probes) and self._probes[-1] > answered)
+
+    def want_probe(self, number: int, *, beyond: bool) -> None:
+        """SYNC ``number`` has its reading; see :meth:`lag`."""
+        ready = len(self.evidence) >= PROBE_AFTER and (beyond or len(self._probes) < PROBES_MAX)
+        self.wants_probe = ready and number >= self._next_probe
+
+    def is_like(self, received_at: Instant, lags: int) -> bool:
+        """Whether a reading has the usual delay from any of the SYNCs that it may answer, periods aside."""
+        nearest = self._syncs.nearest(Instant(received_at - self._usual.middle))
+        if nearest is None:
+            return False
+        marks = self._syncs.marks
+        first = marks[0].number
+        for lag in range(-self.sooner(), lags):
+            place = nearest.number - lag - first
+            on_bus_at = marks[place].on_bus_at if 0 <= place < len(marks) else None
+            if on_bus_at is not None and self._usual.holds(received_at - on_bus_at - lag * self._period):
+                return True
+        return False
+
+    def sooner(self) -> int:
+        """By how many SYNCs a reading may be a later one's: no reading comes sooner than its frame can."""
+        if self._syncs.basis in STAMPED_LATE or not self.phase_known:
+            return 0
+        return max(0, self._usual.high - self._soonest) // self._period
+
+    def lag(self, lags: int, *, beyond: bool, untidy: bool) -> int | None:
+        """With which readings follow their SYNCs, if it can be told: of ``lags``, 0, 1, ..., or below 0.
+
+        ``beyond``: no row waits for the answer. ``untidy``: frames are held up now and then.
+        """
+        evidence, phase = self.evidence, self.phase_known
+        due = self.asked <= PROBE_AFTER or self.asked % (WATCHED // 4 if beyond else 2) == 0
+        if not due or len(evidence) < (EVIDENCE_MIN if phase else EVIDENCE_UNUSUAL):
+            return None
+        lag = evidence.verdict(-self.sooner(), lags, self._usual.spread // 4 if phase else 0, untidy)
+        if lag is not None and self._is_narrow(evidence.usual_delays(lag)):
+            return lag
+        return self._lag_by_looks()
+
+    def _is_narrow(self, weighed: list[int]) -> bool:
+        """Whether delays that were weighed are none that are folded upon themselves by whole periods."""
+        spread = max(weighed) - min(weighed)
+        if self.phase_known:
+            spread = max(spread, self._usual.spread)
+        few = len(weighed) < EVIDENCE_UNUSUAL
+        return self._usual.parts * spread <= self._period // (8 if few else 2)
+
+    def _lag_by_looks(self) -> int | None:
+        """The lag with which delays look as before, where SYNCs do not tell it. A probe that was not followed
+        speaks against it."""
+        usual, period = self._usual, self._period
+        if self._probes and self._followed < (1 if WIDE_PARTS * usual.spread < period else 2):
+            return None
+        least = PROBED_FOR if self._probes else ALIKE_MIN
+        if self.phase_known:
+            shorter = self.odd > 0 and self.sooner() > 0
+            return 0 if not shorter and self._alike.is_shown(usual, period, least) else None
+        delays = self.evidence.usual_delays(0) if self.evidence.delays(0) else []
+        return lag_to_resemble(delays, usual, period, least)

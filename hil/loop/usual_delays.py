@@ -1,0 +1,181 @@
+"""How long readings usually take: where most of the last delays lie, without the few that were held up.
+
+    delays        . ::.::|:.      .               .          the last two are outliers
+    usual         |-------|                                  least ... most, with a margin to either side
+
+A network holds a frame now and then by far more than the others. What is usual must not grow by those: a
+band as wide as the period says nothing of the SYNC that a reading answers.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+from drivers.timebase import NS_PER_US, Duration
+
+KEPT: Final = 64
+"""The last delays: as many as readings wait for an answer."""
+LOOKED_AT_EVERY: Final = 16
+"""Delays from one look at all of them to the next: it costs some 10 us."""
+RARE: Final = 8
+"""One of so many may be an outlier: a network that holds up more of its frames has no usual delay."""
+GAPS: Final = 8
+"""A delay is none of the others beyond so many mean gaps of theirs: e^-8 for delays spread evenly."""
+SLACKS: Final = 4
+"""How many mean gaps beyond the others the next delay may well lie."""
+USUAL_PARTS: Final = 32
+"""A delay within such a part of a period of the others is usual in any case."""
+TAIL_PARTS: Final = 4
+"""By such a part of their spread the next delay may well be off: not all spread evenly."""
+RESOLUTION_NS: Final = 2 * NS_PER_US
+"""Deviation that delays have at least: the stuff bits of one frame or two."""
+ALIKE_MIN: Final = 12
+"""Readings after which delays that look as before are those of before: a probe is out by then."""
+ALIKE_PER_PERIOD: Final = 256
+"""The same of delays that spread over a period, as far as rows wait: so many show their least one to a 64th
+of a period, and one in 32 of the delays to which a network may change looks like the old one."""
+ALIKE_MOST: Final = 56
+"""Most readings that are asked for: rows wait for 64, and some of those may be outliers."""
+
+
+class UsualDelays:
+    """The delays of the last readings whose place is certain."""
+
+    def __init__(self, period: Duration, echo_error: int, echoes_late: bool) -> None:
+        """``echoes_late``: echoes may be stamped any time after the end of their frames."""
+        self.low = self.high = 0
+        """Of those that are no outliers."""
+        self.least = self.most = 0
+        """From when to when a delay is usual."""
+        self.apart = True
+        """Whether a usual delay is one of one SYNC only: they spread over less than a period."""
+        self._period = period
+        self._echo_error = echo_error
+        self.parts = 2 if echoes_late else 1
+        """So many times what they spread over SYNCs and readings may move against each other."""
+        self._kept: list[int] = []
+        self._oldest = 0
+        self._fresh = 0
+
+    @property
+    def spread(self) -> int:
+        return self.high - self.low
+
+    @property
+    def middle(self) -> int:
+        return (self.low + self.high) // 2
+
+    def begin(self, delays: Sequence[int]) -> None:
+        """Forget all; these are usual now."""
+        self._kept = list(delays[-KEPT:])
+        self._oldest = 0
+        self._look()
+
+    def add(self, delay: int) -> None:
+        kept = self._kept
+        if len(kept) < KEPT:
+            kept.append(delay)
+        else:
+            kept[self._oldest] = delay
+            self._oldest = (self._oldest + 1) % KEPT
+        self._fresh += 1
+        if self._fresh >= LOOKED_AT_EVERY or len(kept) < LOOKED_AT_EVERY:
+            self._look()
+        elif not self.low <= delay <= self.high and self.least <= delay <= self.most:
+            self.low, self.high = min(self.low, delay), max(self.high, delay)
+            self._set_limits()
+
+    def holds(self, delay: int) -> bool:
+        """Whether a delay is usual."""
+        return self.least <= delay <= self.most
+
+    def _look(self) -> None:
+        """The narrowest band that holds all but the rare ones, and what joins it without a gap."""
+        self._fresh = 0
+        ordered = sorted(self._kept)
+        count = len(ordered)
+        inside = count - count // RARE
+        first = min(range(count - inside + 1), key=lambda place: ordered[place + inside - 1] - ordered[place])
+        last = first + inside - 1
+        gap = max(GAPS * (ordered[last] - ordered[first]) // inside, self._period // USUAL_PARTS)
+        while first > 0 and ordered[first] - ordered[first - 1] <= gap:
+            first -= 1
+        while last < count - 1 and ordered[last + 1] - ordered[last] <= gap:
+            last += 1
+        self.low, self.high = ordered[first], ordered[last]
+        self._set_limits()
+
+    def _set_limits(self) -> None:
+        spread = self.high - self.low
+        free = self._period - self.parts * spread
+        slack = max(SLACKS * spread // len(self._kept), spread // TAIL_PARTS)
+        margin = max(slack + self._echo_error, self._period // USUAL_PARTS)
+        margin = min(margin, free // 3)
+        self.apart = margin >= 0
+        self.least, self.most = self.low - margin, self.high + margin
+
+
+class Resemblance:
+    """Whether the delays since the last reading that is missing look as those before: the least is the same.
+
+    A network that delays readings by just whole periods more has the same look. None was seen to; the look
+    decides only where SYNCs tell nothing.
+    """
+
+    def __init__(self) -> None:
+        self._low = self._count = self._others = 0
+
+    def begin(self) -> None:
+        """A reading is missing."""
+        self._count = self._others = 0
+
+    def stray(self) -> None:
+        """A delay is not usual. Too many of them, and it begins again: later ones may be."""
+        self._others += 1
+        if RARE * self._others > self._count and self._count + self._others >= KEPT:
+            self.begin()
+
+    def add(self, delay: int) -> None:
+        """A delay is usual."""
+        self._low = delay if self._count == 0 else min(self._low, delay)
+        self._count += 1
+
+    def is_shown(self, usual: UsualDelays, period: Duration, least: int) -> bool:
+        """By so many readings or more, ``least`` of them in any case."""
+        if (
+            self._count < readings_to_resemble(usual.spread, period, least)
+            or RARE * self._others > self._count
+        ):
+            return False
+        return abs(self._low - usual.low) <= tolerance(usual.spread, self._count)
+
+
+def readings_to_resemble(spread: int, period: Duration, least: int) -> int:
+    """How many readings show the least delay of some that spread over so much."""
+    return max(least, min(ALIKE_MOST, ALIKE_PER_PERIOD * spread // period))
+
+
+def tolerance(spread: int, count: int) -> int:
+    """How far the least of ``count`` delays may well lie above the least possible one, ns."""
+    return max(RESOLUTION_NS, SLACKS * spread // count)
+
+
+def lag_to_resemble(delays: Sequence[int], usual: UsualDelays, period: Duration, least: int) -> int | None:
+    """By how many periods ``delays`` are to be longer for the least of them to be the usual least one; None
+    if they do not say, as they are fewer than ``least`` or spread over a period."""
+    if len(delays) < least:
+        return None
+    low, spread = min(delays), max(delays) - min(delays)
+    if spread + period // USUAL_PARTS > period:
+        return None
+    if len(delays) < readings_to_resemble(spread, period, least):
+        return None
+    lag = (usual.low - low + period // 2) // period
+    off = low + lag * period - usual.low
+    return lag if lag >= 0 and abs(off) <= tolerance(spread, len(delays)) else None
+
+
+def middle_of(ages: Sequence[int], period: Duration) -> int:
+    """The middle of some ages, whole periods aside."""
+    half = period // 2
+    off = [(age - ages[0] + half) % period - half for age in ages]
+    return ages[0] + (min(off) + max(off)) // 2
