@@ -43,7 +43,9 @@ class Outcome:
             wrong.append(f"status {verdict.exit_status}: {verdict.reason}")
         if verdict.passed and not verdict.completed:
             wrong.append("passed, and not completed")
-        if self.missed + self.not_sent and not any(why in text for text in events for why in WHYS):
+        # A run that an error ends does not count the cycles for which its host was late.
+        asked = self.not_sent + (self.missed if verdict.completed else 0)
+        if asked and not any(why in text for text in events for why in WHYS):
             wrong.append("cycles without frames, and no event tells why")
 
     def judge_share(self, config: BenchConfig, came: int) -> None:
