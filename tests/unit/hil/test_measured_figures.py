@@ -259,6 +259,7 @@ def test_everything_is_told_as_json() -> None:
         "network": None,
         "timing": {"others": {}},
         "distrust": ["a doubt"],
+        "disturbed": ["another wrote"],
     }
     assert measured(drive()).as_json()["drives"][0]["clock"] is None
 
