@@ -17,6 +17,11 @@ EXAMPLE = ROOT / "examples" / "ling2012.toml"
 JOIN = "from virtual_bus.bus.hub import HubBus; HubBus('isolation').shutdown()"
 
 
+@pytest.fixture(scope="module")
+def forked_children() -> None:
+    """What a process imports is for one that is started to show."""
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """One that holds modules by the names of the standard library's and of ours."""

@@ -14,8 +14,6 @@ from hil import Bench, Run, run
 from tests.scenario.processes import EXAMPLES, hub_name, run_command, simulated_drive
 from tests.warm.start import hil
 
-pytestmark = pytest.mark.usefixtures("forked_children")
-
 LING = EXAMPLES / "ling2012.toml"
 TIMES_S = np.arange(0.0, 0.8, 0.0005)
 

@@ -14,6 +14,7 @@ import typer
 
 from hil.cli import app
 from tests.readme import INDENTED, Block, blocks, make_targets, script, shell_blocks, squeezed
+from tests.warm.start import folder
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = Path(sysconfig.get_path("scripts"))
@@ -51,8 +52,9 @@ hil review "a b"   # not passed, status 1
 
 
 def environment() -> dict[str, str]:
-    """The user's environment with the tools of this venv first."""
-    return {**os.environ, "PATH": f"{SCRIPTS}{os.pathsep}{os.environ['PATH']}", "CI": "true"}
+    """The user's environment with the tools of this venv first, but for ``hil``, which is forked."""
+    places = [str(folder()), str(SCRIPTS), os.environ["PATH"]]
+    return {**os.environ, "PATH": os.pathsep.join(places), "CI": "true"}
 
 
 def name(path: Path) -> str:
@@ -158,8 +160,8 @@ def parse(words: list[str]) -> None:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A copy of the examples, to work in."""
+def examples(tmp_path: Path) -> Path:
+    """A folder with a copy of the examples, to work in."""
     ignored = shutil.ignore_patterns("__pycache__", ".pytest_cache", "runs")
     shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=ignored)
     return tmp_path
@@ -173,12 +175,12 @@ def folder(tmp_path: Path) -> Path:
     ],
     ids=name,
 )
-def test_a_document_is_followed_word_by_word(path: Path, folder: Path) -> None:
+def test_a_document_is_followed_word_by_word(path: Path, examples: Path) -> None:
     parts = blocks(path.read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory(prefix="hub-") as place:  # a socket's path has to be short
         done = subprocess.run(
             ["bash", "-c", script(parts)],
-            cwd=folder,
+            cwd=examples,
             env={**environment(), "XDG_RUNTIME_DIR": place},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

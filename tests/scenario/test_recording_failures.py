@@ -28,6 +28,11 @@ LONG_S = 40
 LING2012 = EXAMPLES / "ling2012.toml"
 
 
+@pytest.fixture(scope="module")
+def forked_children() -> None:
+    """Loggers that are struck are real ones."""
+
+
 def run_on_tiny_disk(size: str, tmp_path: Path, *options: str) -> tuple[int, str, Path]:
     """``hil run`` onto a tmpfs of ``size`` in a mount namespace of its own, for which nobody need be root.
 

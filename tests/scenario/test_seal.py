@@ -31,6 +31,11 @@ READERS: dict[str, Callable[[Path], list[str]]] = {
 
 
 @pytest.fixture(scope="module")
+def forked_children() -> None:
+    """Loggers that are struck are real ones."""
+
+
+@pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sealed")
     (folder / "nothing.toml").write_text("[verdict]\n")

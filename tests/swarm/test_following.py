@@ -29,6 +29,8 @@ from tests.swarm.witness import (
     witnessed,
 )
 
+pytestmark = pytest.mark.usefixtures("forked_children")
+
 LEFT: dict[str, Any] = {"mode_change": [{"at_s": 0.2, "mode": "pv"}]}
 DEAF: dict[str, Any] = {"ignored_commands": [{"at_s": 0.2, "duration_s": 0.1, "holds": "zero"}]}
 SWEEP = Path(__file__).with_name("swarm.toml")

@@ -13,7 +13,7 @@ import sys
 
 LOGGER = ("hil.recording.logger", "hil.recording.recovery")
 """Programs that need Rerun: it starts threads when it is imported, so they have a server of their own."""
-OURS = (*LOGGER, "hil.campaign.worker", "tests.warm.report", "virtual_bus.bus.hub_process")
+OURS = (*LOGGER, "hil.campaign.worker", "hil.cli", "tests.warm.report", "virtual_bus.bus.hub_process")
 """Programs that are forked; any other is executed."""
 FORWARDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2")
 
@@ -26,12 +26,17 @@ def main(real: str) -> None:
     inherited = [each for each in descriptors if _is_inherited(each)]
     signals = [getattr(_signal, each) for each in FORWARDED]
     ignored = [int(each) for each in signals if _signal.getsignal(each) == _signal.SIG_IGN]
-    module = arguments[2] if name != "hil" and arguments[:2] == ["-P", "-m"] else ""
+    if name == "hil":
+        module, words = "hil.cli", arguments
+    elif arguments[:2] == ["-P", "-m"]:
+        module, words = arguments[2], arguments[3:]
+    else:
+        module, words = "", arguments
     server = _socket.socket(_socket.AF_UNIX, _socket.SOCK_STREAM)
     taken = b""
-    if module in OURS or name == "hil":
+    if module in OURS:
         server.connect(f"{place}/{'logger' if module in LOGGER else 'bench'}")
-        what = marshal.dumps((name, arguments, posix.getcwd(), dict(posix.environ), inherited, ignored))
+        what = marshal.dumps((module, words, posix.getcwd(), dict(posix.environ), inherited, ignored))
         rights = b"".join(each.to_bytes(4, sys.byteorder) for each in inherited)
         server.sendmsg([len(what).to_bytes(4, "little")], [(_socket.SOL_SOCKET, _socket.SCM_RIGHTS, rights)])
         server.sendall(what)

@@ -77,8 +77,7 @@ _DESCRIPTORS_MAX: Final = 253
 class Asked(NamedTuple):
     """A program, as its front has it."""
 
-    name: str
-    """``hil``, or :data:`PYTHON` for ``-P -m MODULE``."""
+    module: str
     arguments: list[str]
     folder: bytes | str
     environment: dict[bytes, bytes]
@@ -89,8 +88,8 @@ class Asked(NamedTuple):
     def is_of(self, own: Mapping[bytes, bytes]) -> bool:
         """Whether a process with environment ``own`` has imported what this program would import."""
         different = {key for key, value in {*self.environment.items()} ^ {*own.items()} if value}
-        searched = self.environment.get(b"PYTHONPATH", b"").split(b":")
-        if _REFUSED.intersection(self.arguments) or {*searched} - {b"", _ROOT}:
+        searched = self.environment.get(b"PYTHONPATH", b"")
+        if _REFUSED.intersection(self.arguments) or searched not in (b"", _ROOT):
             return False
         return not different - {key.encode() for key in _FREE}
 
@@ -222,12 +221,11 @@ def run(asked: Asked, place: Path) -> NoReturn:
     sys.argv = [str(place / "hil"), *asked.arguments]
     status: Any = 0
     try:
-        if asked.name == "hil":
-            import_module("hil.cli").main()
+        if asked.module == "hil.cli":
+            import_module(asked.module).main()
         else:
-            module, sys.argv = asked.arguments[2], ["", *asked.arguments[3:]]
-            sys.modules.pop(module, None)  # else runpy would say that it is there already
-            runpy.run_module(module, run_name="__main__", alter_sys=True)
+            sys.modules.pop(asked.module, None)  # else runpy would say that it is there already
+            runpy.run_module(asked.module, run_name="__main__", alter_sys=True)
     except SystemExit as leaving:
         status = leaving.code
     except KeyboardInterrupt:

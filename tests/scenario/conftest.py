@@ -1,0 +1,8 @@
+"""Scenarios start hundreds of loggers, hubs, drives and workers; what these do is not what is tested."""
+
+import pytest
+
+
+@pytest.fixture(scope="module", autouse=True)
+def children(forked_children: None) -> None:
+    """All are forked, but where a module has a ``forked_children`` of its own."""
