@@ -125,7 +125,18 @@ def drive(node: int = 3, stages: Sequence[Stage] = (), **losses: Losses) -> Meas
 
 def measured(*drives: MeasuredDrive) -> Measured:
     return Measured(
-        REQUEST, 500, 4, False, EchoBasis.KERNEL, [], drives, None, {"others": {}}, 1, ("a doubt",)
+        REQUEST,
+        500,
+        4,
+        False,
+        EchoBasis.KERNEL,
+        [],
+        drives,
+        None,
+        {"others": {}},
+        1,
+        ("a doubt",),
+        ("another wrote",),
     )
 
 
