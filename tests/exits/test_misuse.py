@@ -144,3 +144,24 @@ def test_a_summary_that_is_another_one_at_the_end_is_no_proof(tmp_path: Path) ->
     verdict = json.loads(done.stdout)["verdict"]
     assert (done.returncode, verdict["exit_status"], verdict["passed"]) == (5, 5, False), done.stderr
     assert "summary.json cannot be read back" in verdict["reason"]
+
+
+IN_PYTEST = """
+def test_one(servo_bench):
+    servo_bench({bench!r})
+
+
+def test_other():
+    pass
+"""
+
+
+def test_native_code_that_ends_a_worker_of_pytest_fails_its_test(tmp_path: Path) -> None:
+    """Without workers pytest is gone with status 0, and nothing in its process can say so."""
+    bench = with_hooks(changed_bench(tmp_path), "output", "ctypes.CDLL(None)._exit(0)")
+    (tmp_path / "test_user.py").write_text(IN_PYTEST.format(bench=str(bench)), encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "1", "-c", os.devnull, "test_user.py"]
+    done = run_command(command, tmp_path)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "worker 'gw0' crashed while running '::test_one'" in done.stdout
+    assert "1 failed, 1 passed" in done.stdout
