@@ -119,12 +119,12 @@ class OrderAttribution:
         mark = self._syncs.newest_before(Instant(received_at - usual.least))
         delay = 0 if mark is None or mark.on_bus_at is None else received_at - mark.on_bus_at
         copy = self._copies.holds(reading.velocity_rad_s)
-        self._untidy = max(0, self._untidy - 1)
+        self._untidy -= self._untidy > 0
         if not (self._sure and usual.apart):
             mark = self._followed(received_at)
             if mark is None:
                 return self._stray(reading, copy)
-        elif mark is None or not usual.holds(delay):
+        elif mark is None or not usual.least <= delay <= usual.most:
             return self._stray(reading, copy)
         elif mark.number == self._answered + 1 and not (
             self._untidy or self._strays or mark.sequence == SURPLUS
