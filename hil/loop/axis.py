@@ -8,7 +8,7 @@ from typing import Final
 from drivers.errors import LimitExceeded
 from drivers.exchange import DemandChange, Drive, Reading
 from drivers.record import replaced
-from drivers.timebase import NS_PER_US, Duration, Instant, MonotonicClock
+from drivers.timebase import NEVER, NS_PER_US, Duration, Instant, MonotonicClock
 from hil.loop.attribution import HELD_FOR, HELD_MAX
 from hil.loop.axis_roles import Compensator, Controller, LoadMachine
 from hil.loop.clock_map import STAMP_RESOLUTION
@@ -102,6 +102,7 @@ class Axis:
         self._settled: list[Decision] = []
         """Of those whose commands' fates still are."""
         self._load_nm = 0.0
+        self._begun = 0
         self._kept: list[Reading] = []
         """Readings that came and are not taken in yet, in their order."""
 
@@ -176,6 +177,7 @@ class Axis:
 
     def begin(self, tick: Tick) -> None:
         """A SYNC has gone out, or was heard."""
+        self._begun = tick.sequence
         decision = self._asked(tick)
         decision.mark = self.parts.syncs.last_of(tick.sequence)
         self._decisions.append(decision)
@@ -183,24 +185,21 @@ class Axis:
 
     def miss(self, tick: Tick) -> str | None:
         """A planned cycle goes without SYNC; why the run must stop after it, or None."""
+        self._begun = tick.sequence
         self._decisions.append(self._asked(tick))
         self.meter.missed(tick.sequence, tick.due_at)
         self._context.dropouts += 1
         reason = self.parts.guard.miss_cycle()
         return None if reason is None else f"{self.parts.name}: {reason}"
 
-    def collect(self) -> None:
-        """Take in what has arrived, but for readings whose SYNC's echo may be on its way yet."""
-        kept = self._kept
+    def collect(self, before: Instant = NEVER) -> None:
+        """Take in what had arrived ``before``, but for readings whose SYNC's echo may be on its way yet, and
+        for those that may answer a SYNC whose cycle is to begin."""
+        kept, syncs = self._kept, self.parts.syncs
         kept.extend(self._drive.take_readings())
-        while kept and not self.parts.syncs.awaits_echo(kept[0].received_at):
-            self._take(kept.pop(0))
-
-    def collect_before(self, at: Instant) -> None:
-        """Take in what had arrived by ``at``: what came later may answer a SYNC whose cycle is to begin."""
-        kept = self._kept
-        kept.extend(self._drive.take_readings())
-        while kept and kept[0].received_at < at and not self.parts.syncs.awaits_echo(kept[0].received_at):
+        if kept:
+            before = min(before, syncs.end_of_first_after(self._begun))
+        while kept and kept[0].received_at < before and not syncs.awaits_echo(kept[0].received_at):
             self._take(kept.pop(0))
 
     def _collect_demands(self, *, at_end: bool) -> None:

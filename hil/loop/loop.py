@@ -156,7 +156,7 @@ class Loop:
         tick = Tick(self._number, due, woke_at, (due - self._started_at) / NS_PER_S)
         reasons = [axis.miss(tick) for axis in self._axes]
         for axis in self._axes:
-            axis.collect_before(due)
+            axis.collect(due)
             axis.settle(self._number)
         for reason in reasons:
             if reason is not None:

@@ -14,7 +14,7 @@ after both may be that of either: they are then unsure, unless the other echo co
 
 from typing import Final
 
-from drivers.timebase import NS_PER_US, Duration, Instant
+from drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 from drivers.wire.frame_port import UNTOLD, EchoBasis
 from hil.loop.residuals import Extremes
 
@@ -252,6 +252,16 @@ class SyncLog:
     def last_on_bus(self) -> Instant:
         """The end of the last SYNC on the bus."""
         return self._last_on_bus
+
+    def end_of_first_after(self, sequence: int) -> Instant:
+        """When the first SYNC of a cycle after ``sequence`` ended on the bus; NEVER if there is none yet."""
+        at = NEVER
+        for mark in reversed(self.marks):
+            if mark.sequence > sequence and mark.on_bus_at is not None:
+                at = mark.on_bus_at
+            elif mark.sequence != SURPLUS:
+                break
+        return at
 
     def last_of(self, sequence: int) -> SyncMark | None:
         """The last SYNC of a cycle; None if it is not remembered."""

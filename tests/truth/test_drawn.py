@@ -36,6 +36,12 @@ def test_a_clock_that_is_set_again_while_that_is_a_question_leaves_nothing_wrong
     assert verdict.wrong == {}, verdict.examples
 
 
+def test_a_reading_that_comes_before_the_cycle_of_its_sync_begins_is_not_lost() -> None:
+    """Of SYNCs of another that come 560 us apart, while the host waits for the reading of the one before."""
+    verdict = judged(drawn_plan(5018), CYCLES)
+    assert verdict.wrong == {}, verdict.examples
+
+
 def test_the_bound_holds_what_a_stamp_that_waits_for_a_tick_hides() -> None:
     """Nothing is known of the tick before the first stamp lies one further; 116 bounds did not hold."""
     verdict = judged(drawn_plan(142), 400)

@@ -98,7 +98,7 @@ def test_what_came_before_the_run_is_let_go_of_and_counted() -> None:
     rig = Rig(Sending())
     rig.sync(0)
     rig.answer(0)
-    rig.axis.collect_before(rig.at(0))
+    rig.axis.collect(rig.at(0))
     rig.answer(0, DELAY + 1)
     rig.read_back(77, 0, 2)
     rig.drive.changes.append(DemandChange(77, 0, rig.at(0)))
@@ -126,9 +126,9 @@ def test_what_had_come_by_an_instant_is_taken_in_and_the_rest_in_its_order() -> 
     for number in (1, 2, 3):
         rig.begin(number)
         rig.answer(number)
-    rig.axis.collect_before(Instant(rig.at(2) + DELAY))
+    rig.axis.collect(Instant(rig.at(2) + DELAY))
     assert rig.compensator.told == ["sample 1"], "2 came just then"
-    rig.axis.collect_before(Instant(rig.at(2) + DELAY + 1))
+    rig.axis.collect(Instant(rig.at(2) + DELAY + 1))
     assert rig.compensator.told == ["sample 1", "sample 2"]
     rig.begin(4)
     rig.answer(4)
