@@ -143,7 +143,9 @@ class OrderQuestion:
         if self.phase_known:
             spread = max(spread, self._usual.spread)
         few = len(weighed) < EVIDENCE_UNUSUAL
-        return self._usual.parts * spread <= self._period // (8 if few else 2)
+        if not self._probes:  # which are later than echoes are
+            spread *= self._usual.parts
+        return spread <= self._period // (8 if few else 2)
 
     def _lag_by_looks(self) -> int | None:
         """The lag with which delays look as before, where SYNCs do not tell it. A probe that was not followed
