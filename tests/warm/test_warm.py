@@ -18,10 +18,15 @@ LIMIT_S = 60.0
 ROOT = Path(__file__).parents[2]
 
 
+def environment(**more: str) -> dict[str, str]:
+    """In which a started interpreter, too, finds ``tests`` from any folder."""
+    return {**quiet_environment(), "PYTHONPATH": str(ROOT), **more}
+
+
 def report(interpreter: str, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
     """Run tests.warm.report to its end."""
     command = [interpreter, "-P", "-m", "tests.warm.report", *arguments]
-    options = {"env": quiet_environment(), "input": "a line\n", **options}
+    options = {"env": environment(), "input": "a line\n", **options}
     return subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False, **options)
 
 
@@ -42,9 +47,9 @@ def ignore_some() -> None:
 @pytest.mark.parametrize("status", [0, 3, -signal.SIGTERM, -signal.SIGKILL, -signal.SIGABRT])
 def test_a_forked_program_finds_what_a_started_one_finds_and_ends_as_it(status: int, tmp_path: Path) -> None:
     ends = os.pipe()
-    environment = {**quiet_environment(), "COLUMNS": "33", "XDG_RUNTIME_DIR": str(tmp_path)}
+    env = environment(COLUMNS="33", XDG_RUNTIME_DIR=str(tmp_path))
     (started, here, *end), (forked, server, *forked_end) = found(
-        str(status), "\u00e4 b", "", cwd=tmp_path, env=environment, pass_fds=ends, preexec_fn=ignore_some
+        str(status), "\u00e4 b", "", cwd=tmp_path, env=env, pass_fds=ends, preexec_fn=ignore_some
     )
     for each in ends:
         os.close(each)
@@ -61,13 +66,13 @@ def test_a_forked_program_finds_what_a_started_one_finds_and_ends_as_it(status: 
     [{"LC_TIME": "C"}, {"PYTHONPATH": f"{ROOT}:/nowhere"}, {"PYTHONHASHSEED": "1"}, {"SERVOBENCH_PURE": "1"}],
 )
 def test_an_environment_that_imports_may_look_at_gets_a_process_of_its_own(more: dict[str, str]) -> None:
-    assert [parent for _, parent, *_ in found("0", env={**quiet_environment(), **more})] == [os.getpid()] * 2
+    assert [parent for _, parent, *_ in found("0", env=environment(**more))] == [os.getpid()] * 2
 
 
 def waiting() -> subprocess.Popen[str]:
     """A forked program that waits for its input to end."""
     command = [python(), "-P", "-m", "tests.warm.report", "0"]
-    options: dict[str, Any] = {"env": quiet_environment(), "text": True}
+    options: dict[str, Any] = {"env": environment(), "text": True}
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, **options)
 
 
