@@ -95,6 +95,21 @@ class ClockQuestion:
             for number in [number for number in self.stamps if number < oldest]:
                 del self.stamps[number]
 
+    def is_crowded(self, mark: SyncMark, at: Instant) -> bool:
+        """Whether a stamp at ``at`` lies on another SYNC than the nearest, ``mark``, too."""
+        return any(self._stamps.fits(at - other) for other in self._syncs.beside(mark))
+
+    def free_marks(self, latest: Instant) -> list[SyncMark]:
+        """SYNCs of cycles that had ended by ``latest`` and have no stamp."""
+        return [
+            mark
+            for mark in self._syncs.marks
+            if mark.on_bus_at is not None
+            and mark.on_bus_at <= latest
+            and mark.number not in self.stamps
+            and mark.sequence != SURPLUS
+        ]
+
     def lines(self, last: list[Suspect]) -> list[Line]:
         """Every way to place the last suspects on SYNCs, all of them on one line, that is not so much less
         likely than another by how far they lie off it."""

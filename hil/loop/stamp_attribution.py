@@ -8,7 +8,8 @@ whose end on the bus lies there is the one it answers:
     lateness       0          0                     +              d4: the SYNC came late to the drive
 
 The bench sends no SYNC within half a period of another; so a stamp within a quarter of a period of one can be
-that one's only. How far stamps lie from their SYNCs is measured (:mod:`hil.loop.residuals`), and with it what
+that one's only. SYNCs that waited in front of a bus may come closer: a stamp that lies on two of them is
+uncertain. How far stamps lie from their SYNCs is measured (:mod:`hil.loop.residuals`), and with it what
 counts as lying on one, and the bound of each sample. *Lateness* is the stamp's instant minus that of the SYNC
 on the bus, less the smallest one: what the SYNC took behind its echo, or, on a bus without echoes, what it
 waited in front of the bus. A constant delay of the SYNC behind its echo is not told from the clock's offset.
@@ -123,6 +124,9 @@ class StampAttribution:
             self.health.duplicates += 1
             self._case.twice += 1
             return None
+        if fits and self._case.is_crowded(mark, at):
+            self._case.answer(mark, device_ns)
+            return self._uncertain(reading, mark)
         free = fits and known is None
         sampled_at = at - self._residuals.middle if self._echoes_late else mark.on_bus_at
         if free and not self.doubt.surprised and self._usual(mark, reading.received_at - sampled_at):
@@ -161,7 +165,9 @@ class StampAttribution:
             error_ns = residuals.reach // 2 + match_ns
         elif residuals.early or residuals.late or lateness > match_ns:
             # Late to the drive: the stamp knows better. Nothing but the SYNC itself excludes that it was not.
-            sampled_at = Instant(on_bus_at + lateness)
+            # No later than its frame can have begun: what lies beyond is the least of the residuals' error.
+            latest = max(on_bus_at, reading.received_at - self._transit)
+            sampled_at = Instant(min(on_bus_at + lateness, latest))
             error_ns = max(lateness, residuals.hidden) + match_ns + residuals.slack
         self.stamps.follow(device_ns, on_bus_at, residual)
         if mark.sequence == SURPLUS:
@@ -290,21 +296,15 @@ class StampAttribution:
 
     def _guess(self, reading: Reading, free: SyncMark | None) -> Sample | None:
         """A reading's most likely place, marked uncertain."""
-        received_at = reading.received_at
-        latest = Instant(received_at - self._transit)
-        open_marks = [
-            mark
-            for mark in self._syncs.marks
-            if mark.on_bus_at is not None
-            and mark.on_bus_at <= latest
-            and mark.number not in self._case.stamps
-            and mark.sequence != SURPLUS
-        ]
-        if not open_marks:
+        free_marks = self._case.free_marks(Instant(reading.received_at - self._transit))
+        last = free_marks[-1] if free_marks else None
+        return self._uncertain(reading, free if free in free_marks else last)
+
+    def _uncertain(self, reading: Reading, mark: SyncMark | None) -> Sample | None:
+        """It answers the SYNC of ``mark``, or another."""
+        if mark is None or mark.on_bus_at is None or mark.sequence == SURPLUS:
             self.health.unmatched += 1
             return None
-        mark = free if free is not None and free in open_marks else open_marks[-1]
-        assert mark.on_bus_at is not None
         self.health.placed += 1
         return Sample(mark.sequence, reading, mark.on_bus_at, self.doubtful_error_ns, False)
 

@@ -281,6 +281,16 @@ class SyncLog:
             best, least = mark, miss
         return best
 
+    def beside(self, mark: SyncMark) -> list[Instant]:
+        """When the SYNCs before and after ``mark`` ended on the bus, as far as that is known."""
+        ends: list[Instant] = []
+        for other in reversed(self.marks):
+            if other.number in (mark.number - 1, mark.number + 1) and other.on_bus_at is not None:
+                ends.append(other.on_bus_at)
+            if other.number < mark.number:
+                break
+        return ends
+
     def newest_before(self, at: Instant) -> SyncMark | None:
         """The last SYNC that had ended by ``at``."""
         for mark in reversed(self.marks):

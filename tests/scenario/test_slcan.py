@@ -37,7 +37,8 @@ def test_spoilt_lines_cost_frames_and_nothing_else(tmp_path: Path) -> None:
     options = [word for fault in faults for word in ("--fault", fault)]
     with simulated_drive(bus), adapter_process(bus, *options, "--seed", "7") as adapter:
         status, summary, said = run(EXAMPLES / "any_bus.toml", adapter.bus, tmp_path / "run")
-    assert status in (0, 1), said
+    # a line with a digit spoilt can be a frame that nobody sent: 4, disturbed
+    assert status in (0, 1, 4), said
     assert summary["verdict"]["completed"], said
     assert 0 < sum(summary["dropouts"].values()) < 0.3 * summary["cycles"]
     assert "spoilt lines from the adapter" in (tmp_path / "run" / "events.jsonl").read_text()

@@ -183,6 +183,34 @@ def test_no_sync_is_late_by_more_than_a_quarter_of_a_period() -> None:
     assert not sample.certain
 
 
+@pytest.mark.parametrize(("late", "certain"), [(0, True), (150_000, False), (170_000, False)])
+def test_a_stamp_that_lies_on_two_syncs_is_uncertain(late: int, certain: bool) -> None:
+    """SYNCs that waited in front of a bus end closer together than they are late to the drive."""
+    rig = Rig()
+    late_to_the_drive(rig, 200_000)
+    first = FIRST + 2 * WATCHED
+    rig.sync(first)
+    rig.log.heard(first + 1, Instant(first * PERIOD + 140_000))
+    sample = rig.place(first, late)
+    assert sample is not None
+    assert (sample.sequence, sample.certain) == (first, certain)
+    assert (sample.sampled_at_error_ns == REMEMBERED * PERIOD) is not certain
+    assert not rig.stamped.question.open
+
+
+def test_no_reading_is_later_than_its_frame() -> None:
+    """A lateness that the map shows and that cannot have been is the map's error."""
+    rig = Rig()
+    late_to_the_drive(rig, 200_000)
+    number = FIRST + 2 * WATCHED
+    rig.sync(number)
+    sample = rig.place(number, late=180_000, delay=170_000)
+    assert sample is not None
+    assert sample.certain
+    assert sample.sampled_at == number * PERIOD + 170_000 - TRANSIT
+    assert sample.sampled_at_error_ns >= 180_000 - 170_000 + TRANSIT
+
+
 def test_syncs_that_are_always_late_are_not_late_the_clock_is_behind() -> None:
     """The smallest lateness of all is the offset that it lacks, and no reading is in doubt for it."""
     rig = Rig()
