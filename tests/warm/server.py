@@ -53,12 +53,12 @@ ROLES: Final = {
 }
 """What is imported before the first program is forked."""
 THREADS: Final = {
-    "bench": {"python"},
+    "bench": frozenset[str](),
     # of pyarrow's allocator, which sees to forks itself, and of Rerun's connections to viewers, which only
     # a live view has: a run with one is refused
-    "logger": {"python", "jemalloc_bg_thd", "tokio-rt-worker"},
+    "logger": frozenset({"jemalloc_bg_thd", "tokio-rt-worker"}),
 }
-"""Of a process that has imported that."""
+"""Of a process that has imported that, and has its own name besides."""
 _REFUSED: Final = {"--view"}
 """Words of a command whose processes need more than is forked."""
 _FREE: Final = {
@@ -105,12 +105,13 @@ def serve(listener: socket.socket, role: str, ended: int) -> Asked:
     """Fork what is asked for, until ``ended`` can be read: then the process ends. Returns in each fork."""
     own = dict(os.environb)
     threads = {Path(f"/proc/self/task/{task}/comm").read_text().strip() for task in _tasks()}
-    assert threads <= THREADS[role], threads
+    assert threads - {Path("/proc/self/comm").read_text().strip()} <= THREADS[role], threads
     assert role != "bench" or len(_tasks()) == 1
     running: dict[int, Running] = {}
     """By the descriptor that tells its end, and by that of its front."""
     while True:
-        ready, _, _ = select.select([listener.fileno(), ended, *running], [], [])
+        # the listener last: what it accepts may get the number of a descriptor that was closed just before
+        ready, _, _ = select.select([ended, *running, listener.fileno()], [], [])
         if ended in ready:
             _end(running)
         for descriptor in ready:
@@ -170,20 +171,23 @@ def _send(front: socket.socket, data: bytes) -> bool:
     """False: it was killed."""
     try:
         front.sendall(data)
-    except BrokenPipeError:
+    except (BrokenPipeError, ConnectionResetError):
         return False
     return True
 
 
 def _hear(front: socket.socket) -> tuple[Asked | None, list[int]]:
     """What a front asks for, and its descriptors; None: it was killed meanwhile."""
-    head, received, _, _ = socket.recv_fds(front, 4, _DESCRIPTORS_MAX)
+    received: list[int] = []
     what = b""
-    while len(head) == 4 and len(what) < int.from_bytes(head, "little"):
-        if not (more := front.recv(1 << 16)):
-            return None, received
-        what += more
-    return Asked(*marshal.loads(what)) if what else None, received
+    with suppress(ConnectionResetError):
+        head, received, _, _ = socket.recv_fds(front, 4, _DESCRIPTORS_MAX)
+        while len(head) == 4 and len(what) < int.from_bytes(head, "little"):
+            if not (more := front.recv(1 << 16)):
+                return None, received
+            what += more
+        return Asked(*marshal.loads(what)) if what else None, received
+    return None, received
 
 
 def _take_place(asked: Asked, received: Sequence[int]) -> None:
@@ -265,6 +269,8 @@ def main() -> NoReturn:
     _import("bench")
     _link_the_motor()
     role = "bench" if os.fork() else "logger"
+    # a server that ended is refused, not waited for
+    listeners.pop("logger" if role == "bench" else "bench").close()
     if role == "bench":
         os.write(1, b"ready\n")
     else:
