@@ -6,6 +6,7 @@ all. A failure on a machine that kept its time stands; so does what was told wro
 Beside other workers these tests are in the first, which `make test` lets go before the others.
 """
 
+import signal
 import sys
 from collections.abc import Generator, Iterator
 from importlib import import_module
@@ -23,6 +24,13 @@ REAL_TIME = "real time"
 VCAN = Path(__file__).parent / "vcan"
 _witness: Witness | None = None
 """One for each worker, made when it is first needed."""
+
+
+def pytest_configure() -> None:
+    """Tests send signals that nohup, and a shell for what it leaves in the background, have had ignored."""
+    for number, handler in ((signal.SIGHUP, signal.SIG_DFL), (signal.SIGINT, signal.default_int_handler)):
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
