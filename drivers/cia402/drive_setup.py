@@ -235,8 +235,8 @@ def write_limits(objects: RemoteObjects, settings: DriveSettings, scaling: Scali
         raw = round(settings.speed_max_rad_s / RAD_S_PER_RPM)
         notes += write_greatest(objects, Object.MAX_MOTOR_SPEED, "I", raw, "speed limit, rev/min").notes
     if settings.quick_stop_deceleration_rad_s2 is not None:
-        raw = max(1, round(settings.quick_stop_deceleration_rad_s2 / scaling.acceleration_rad_s2))
-        text = "quick stop deceleration"
+        raw = round(settings.quick_stop_deceleration_rad_s2 / scaling.acceleration_rad_s2)
+        raw, text = min(max(1, raw), 0xFFFF_FFFF), "quick stop deceleration"
         notes += write_greatest(objects, Object.QUICK_STOP_DECELERATION, "I", raw, text).notes
     period_us = settings.sync_period_ns // NS_PER_US
     notes += write_optional(objects, Cia301.CYCLE_PERIOD, "I", period_us, "SYNC period, us")

@@ -22,6 +22,8 @@ _STOP_MAX_S: Final = 2.0
 _STOP_S: Final = 0.5
 """From the limit of speed, where the drive's own 6085h is no use: below half of what the rated torque gives
 to a servo motor with ten times its own inertia."""
+_STEEP: Final = 0.9
+"""Of :data:`_STOP_S`, rounded to whole units: a ramp below that is steeper."""
 _SHORTEST_S: Final = 0.005
 """No servo motor stops from its speed in less: the torque decides then, not 6085h."""
 _PROOF_SHARE: Final = 0.1
@@ -61,7 +63,7 @@ class StopSettings(Step):
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
         why = ""
-        quick = _quick_stop_object(session)
+        quick = _quick_ramp(session)
         for index, option in (
             (quick, QuickStopOption.QUICK_STOP_RAMP),
             (None, QuickStopOption.CURRENT_LIMIT),
@@ -88,7 +90,7 @@ class StopSettings(Step):
         )
 
 
-def _quick_stop_object(session: Session) -> Object:
+def _quick_ramp(session: Session) -> Object:
     """The ramp of a quick stop in the mode of the exercises: velocity mode has one of its own."""
     velocity_mode = session.port.mode is Mode.VELOCITY
     return Object.VL_VELOCITY_QUICK_STOP if velocity_mode else Object.QUICK_STOP_DECELERATION
@@ -138,10 +140,8 @@ def _ramp(session: Session, index: Object) -> tuple[float | None, str]:
     fault = f"{name} is {held}" + (f", {speed / (held * unit):.3g} s from the limit" if held else "")
     needed = max(1, math.ceil(speed / _STOP_S / unit))
     if needed > 0xFFFF_FFFF:
-        return (
-            None,
-            f"{fault}, and the unit that it tells, {unit:.3g} rad/s^2, makes {needed} of {_STOP_S:g} s",
-        )
+        makes = f"the unit that it tells, {unit:.3g} rad/s^2, makes {needed} of {_STOP_S:g} s"
+        return None, f"{fault}, and {makes}"
     notes = write_optional(session.objects, index, "I", needed, "deceleration")
     if notes:
         return None, f"{fault}, and {'; '.join(notes)}"
@@ -158,7 +158,7 @@ def _tell(session: Session, outcome: StepOutcome, time_s: float | None, option: 
         return
     raw = session.objects.read_if_there(Object.QUICK_STOP_DECELERATION, 0, "I")
     held = "" if raw is None else f", 6085h = {raw} of {session.acceleration_rad_s2:.4g} rad/s^2"
-    if _quick_stop_object(session) is Object.VL_VELOCITY_QUICK_STOP:
+    if _quick_ramp(session) is Object.VL_VELOCITY_QUICK_STOP:
         held = f", 604Ah makes {session.limits.speed_rad_s / time_s:.4g} rad/s^2"
     least = "; less than any motor takes, so the torque decides" if time_s < _SHORTEST_S else ""
     outcome.say(
@@ -194,36 +194,39 @@ class StopProof(Step):
         return f"turn at {speed:.0f} r/min, command a quick stop, and time it, before anything turns faster"
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
-        for attempt in (1, 2):
-            measured = _stop_slowly(session)
-            at_limit_s = session.limits.speed_rad_s / measured.deceleration_rad_s2
-            computed_s = _computed_s(session, measured.speed_rad_s)
-            borne_s = _lag_s(session) + _SLOWER * (math.inf if computed_s is None else computed_s)
-            computed = "not computed" if computed_s is None else f"{1e3 * computed_s:.0f} ms were computed"
-            outcome.say(
-                f"from {measured.speed_rad_s:.3g} rad/s to rest in {1e3 * measured.time_s:.0f} ms, "
-                f"{computed}; so {at_limit_s:.2f} s from the limit of speed"
+        timed = _timed(session, outcome)
+        if timed.may_be_torque and session.found.quick_stop_option is QuickStopOption.QUICK_STOP_RAMP:
+            gentle = self._try_gentler(session, outcome, timed)
+            timed = gentle if gentle.as_it_should else timed
+        if timed.as_it_should:
+            return
+        if timed.computed_s is not None:
+            if _quick_ramp(session) is Object.VL_VELOCITY_QUICK_STOP:
+                self._set_both(session, outcome)
+            else:
+                self._believe(session, timed, outcome)
+        if not _timed(session, outcome).as_it_should:
+            raise StepFailed(
+                "the drive does not stop as it should",
+                outcome.lines[-1],
+                f"set {_quick_ramp(session):04X}h with the maker's tool; nothing was turned faster than this",
             )
-            outcome.figures = {
-                "speed_rad_s": measured.speed_rad_s,
-                "stop_s": measured.time_s,
-                "computed_s": computed_s,
-                "stop_at_limit_s": at_limit_s,
-            }
-            slower = measured.time_s > borne_s
-            if not slower and at_limit_s <= _STOP_MAX_S + _lag_s(session) * 10:
-                return
-            if attempt == 1 and computed_s is not None:
-                if _quick_stop_object(session) is Object.VL_VELOCITY_QUICK_STOP:
-                    self._set_both(session, outcome)
-                else:
-                    self._believe(session, measured, outcome)
-        ramp = _quick_stop_object(session)
-        raise StepFailed(
-            "the drive does not stop as it should",
-            outcome.lines[-1],
-            f"set {ramp:04X}h with the maker's tool; nothing was turned faster than this",
-        )
+
+    def _try_gentler(self, session: Session, outcome: StepOutcome, steep: "_Timed") -> "_Timed":
+        """A stop by a ramp that every motor follows: if it lasts as computed, the unit is right, and the
+        drive's own ramp is set again."""
+        found, figures, index = session.found, outcome.figures, _quick_ramp(session)
+        before, found.quick_stop_rad_s2 = found.quick_stop_rad_s2, session.limits.speed_rad_s / _STOP_S
+        session.configure()
+        gentle = _timed(session, outcome)
+        if not gentle.as_it_should:
+            return gentle
+        outcome.say(f"{index:04X}h was steeper than torque and controller allow: they decide, not its unit")
+        if steep.at_limit_s <= _STOP_MAX_S and steep.ramp_rad_s2 < math.inf:
+            found.quick_stop_rad_s2 = steep.ramp_rad_s2
+            session.configure()
+            found.quick_stop_rad_s2, outcome.figures = before, figures
+        return gentle
 
     def _set_both(self, session: Session, outcome: StepOutcome) -> None:
         """The drive may stop by 6085h in velocity mode too."""
@@ -231,10 +234,9 @@ class StopProof(Step):
         session.found.quick_stop_rad_s2 = session.limits.speed_rad_s / _STOP_S
         session.configure()
 
-    def _believe(self, session: Session, measured: SlowStop, outcome: StepOutcome) -> None:
+    def _believe(self, session: Session, timed: "_Timed", outcome: StepOutcome) -> None:
         """Take the unit of 6085h from the measured stop, and write what is needed for a quick one."""
-        held = session.objects.read(Object.QUICK_STOP_DECELERATION, 0, "I")
-        unit = measured.deceleration_rad_s2 / max(1, held)
+        unit = session.acceleration_rad_s2 * timed.stop.deceleration_rad_s2 / timed.ramp_rad_s2
         outcome.faults.append(
             f"acceleration unit: one unit of 6085h is {unit:.3g} rad/s^2 by a measured stop, "
             f"{session.acceleration_rad_s2:.3g} as the drive tells"
@@ -242,6 +244,60 @@ class StopProof(Step):
         session.overridden(acceleration_rad_s2=unit)
         session.found.quick_stop_rad_s2 = session.limits.speed_rad_s / _STOP_S
         session.configure()
+
+
+class _Timed(NamedTuple):
+    """A measured stop, held against what was computed."""
+
+    stop: SlowStop
+    computed_s: float | None
+    """None: no ramp makes it, or the drive does not tell."""
+    limit_rad_s: float
+    lag_s: float
+
+    @property
+    def at_limit_s(self) -> float:
+        """How long a stop from the limit of speed lasts by it."""
+        return self.limit_rad_s / self.stop.deceleration_rad_s2
+
+    @property
+    def ramp_rad_s2(self) -> float:
+        """The drive's ramp as computed; infinite where it takes no time, or is not told."""
+        return self.stop.speed_rad_s / self.computed_s if self.computed_s else math.inf
+
+    @property
+    def is_slow(self) -> bool:
+        """It lasted longer than computed."""
+        return self.computed_s is not None and self.stop.time_s > self.lag_s + _SLOWER * self.computed_s
+
+    @property
+    def as_it_should(self) -> bool:
+        """As computed, and soon enough from the limit of speed."""
+        return not self.is_slow and self.at_limit_s <= _STOP_MAX_S + 10.0 * self.lag_s
+
+    @property
+    def may_be_torque(self) -> bool:
+        """It was slow, by a ramp that not every motor follows."""
+        return self.is_slow and self.limit_rad_s / self.ramp_rad_s2 < _STEEP * _STOP_S
+
+
+def _timed(session: Session, outcome: StepOutcome) -> _Timed:
+    """Turn slowly, stop, and say how long it took."""
+    stop = _stop_slowly(session)
+    computed_s = _computed_s(session, stop.speed_rad_s)
+    timed = _Timed(stop, computed_s, session.limits.speed_rad_s, _lag_s(session))
+    computed = "not computed" if computed_s is None else f"{1e3 * computed_s:.0f} ms were computed"
+    outcome.say(
+        f"from {stop.speed_rad_s:.3g} rad/s to rest in {1e3 * stop.time_s:.0f} ms, "
+        f"{computed}; so {timed.at_limit_s:.2f} s from the limit of speed"
+    )
+    outcome.figures = {
+        "speed_rad_s": stop.speed_rad_s,
+        "stop_s": stop.time_s,
+        "computed_s": computed_s,
+        "stop_at_limit_s": timed.at_limit_s,
+    }
+    return timed
 
 
 def _lag_s(session: Session) -> float:
@@ -252,7 +308,7 @@ def _lag_s(session: Session) -> float:
 def _computed_s(session: Session, speed_rad_s: float) -> float | None:
     """None of a stop that no ramp makes, or of a drive that does not tell."""
     quick = session.found.quick_stop_option is QuickStopOption.QUICK_STOP_RAMP
-    if quick and _quick_stop_object(session) is Object.VL_VELOCITY_QUICK_STOP:
+    if quick and _quick_ramp(session) is Object.VL_VELOCITY_QUICK_STOP:
         rate = velocity_mode_ramp(session.objects, Object.VL_VELOCITY_QUICK_STOP)
         return speed_rad_s / rate if rate else None
     index = {

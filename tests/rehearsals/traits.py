@@ -116,6 +116,12 @@ def _ramp_in(mode: Mode, index: int, **options: object) -> Callable[[MadeSheet],
     return change
 
 
+def _coarse_velocity_mode(sheet: MadeSheet) -> None:
+    """A unit of 6042h is 10 r/min: the ramp of 604Ah is ten times as steep."""
+    _modes(Mode.VELOCITY)(sheet)
+    sheet.set(0x604C, 1, default=10)
+
+
 def _encoder_of_2000(sheet: MadeSheet) -> None:
     sheet.drop(0x60A8, 0x60A9, 0x60AA, 0x6092, 0x6096)
     sheet.set(0x608F, 1, default=2000)
@@ -279,6 +285,8 @@ TRAITS: Final[dict[str, Trait]] = {
     "no 6085h": Trait(_lacks(0x6085)),
     "6085h is 0": Trait(lambda sheet: sheet.set(0x6085, default=0, LowLimit=0), "6085h", mendable=True),
     "6085h is tiny": Trait(lambda sheet: sheet.set(0x6085, default=1), "6085h", mendable=True),
+    "6085h is steep": Trait(lambda sheet: sheet.set(0x6085, default=200_000)),
+    "604Ah is steep": Trait(_coarse_velocity_mode, without=_NO_TORQUE),
     "no 6072h, 6073h, 6080h": Trait(_lacks(0x6072, 0x6073, 0x6080)),
     "6083h is 0": Trait(_ramp_in(Mode.PROFILE_VELOCITY, 0x6083, default=0, LowLimit=0), without=_NO_TORQUE),
     "6083h is tiny": Trait(_ramp_in(Mode.PROFILE_VELOCITY, 0x6083, default=1), without=_NO_TORQUE),

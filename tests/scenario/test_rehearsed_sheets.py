@@ -73,6 +73,15 @@ def test_a_ramp_that_is_too_slow_is_set_before_the_first_motion(name: str, tmp_p
     assert (result.reason, result.moved) == ("", True)
 
 
+@pytest.mark.parametrize("names", [("6085h is steep",), ("604Ah is steep",)])
+def test_a_quick_stop_steeper_than_the_motor_is_no_wrong_unit(names: tuple[str, ...], tmp_path: Path) -> None:
+    """A stop by it lasts as long as torque and controller take: its unit shows by a gentler one."""
+    sheet = made_sheet(names, tmp_path)
+    result = rehearsed(sheet, tmp_path, last_step="stop_proof")
+    assert complaints(names, result) == []
+    assert result.moved
+
+
 def test_a_drive_that_cuts_its_speeds_tells_no_inertia(tmp_path: Path) -> None:
     result = rehearsed(made_sheet(["607Fh is 70 r/min"], tmp_path), tmp_path, last_step="mechanics")
     assert result.reason == ""

@@ -100,6 +100,31 @@ def test_a_slower_stop_tells_the_unit_of_6085h_and_is_tried_again(monkeypatch: p
     assert len(outcome.lines) == 2
 
 
+@pytest.mark.parametrize(("gentle_s", "believed"), [(0.05, False), (0.3, True)])
+def test_a_steep_ramp_is_tried_gentler_before_its_unit_is_doubted(
+    monkeypatch: pytest.MonkeyPatch, gentle_s: float, believed: bool
+) -> None:
+    """15 rad/s by 6000 rad/s^2, 2.5 ms, is more than a motor may have; by 314 rad/s^2, 48 ms, it is not."""
+    raw = round(6000.0 / UNIT)
+    session, objects = asked({QUICK: raw})
+    stops = [SlowStop(15.0, 0.06), SlowStop(15.0, gentle_s), *[SlowStop(15.0, 0.05)] * believed]
+    configured: list[float | None] = []
+
+    def configure() -> None:
+        rate = session.found.quick_stop_rad_s2
+        configured.append(rate)
+        objects.held[QUICK] = round((rate or 0.0) / UNIT)
+
+    cast(Any, session).configure = configure
+    outcome, failure = proof(monkeypatch, session, *stops)
+    assert failure is None
+    gentle = SPEED / 0.5
+    assert configured == [gentle, pytest.approx(gentle if believed else raw * UNIT)]
+    assert session.found.quick_stop_rad_s2 == (gentle if believed else None), "its own ramp is set again"
+    unit = f"one unit of 6085h is {15.0 / 0.06 / raw:.3g} rad/s^2"
+    assert [unit in fault for fault in outcome.faults] == [True] * believed
+
+
 def test_a_stop_that_is_slow_twice_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     session, _ = asked({QUICK: round(150.0 / UNIT)})
     outcome, failure = proof(monkeypatch, session, SlowStop(15.0, 0.3), SlowStop(15.0, 0.3))
