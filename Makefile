@@ -114,8 +114,9 @@ format: $(TOOLS)
 	$(BIN)/ruff check --fix .
 
 # A third process on two cores: the tests in real time, which mostly wait, are in the first and go before the others.
+# What is broken everywhere ends early, with its failures shown, not at the limit of each test.
 test: $(TOOLS) compile
-	$(BIN)/pytest --tx popen --tx '2*popen//nice=10' --dist=loadgroup --ignore=tests/vcan --ignore=tests/can --ignore=tests/dask
+	$(BIN)/pytest --maxfail=25 --tx popen --tx '2*popen//nice=10' --dist=loadgroup --ignore=tests/vcan --ignore=tests/can --ignore=tests/dask
 
 ROOM ?= $(error which room? make unit ROOM=drivers, virtual_bus, design or hil)
 
