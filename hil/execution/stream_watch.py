@@ -14,12 +14,13 @@ of the last frames is no news: a bus, an adapter or a gateway may repeat it.
 from collections import deque
 from collections.abc import Callable, Iterator
 from enum import IntEnum
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 from drivers.canopen.owed import Owed
 from drivers.canopen.pdo import PdoMap
 from drivers.cia402.readings import ReadingAssembler
-from drivers.timebase import Duration, Instant
+from drivers.timebase import NEVER, Duration, Instant
 from hil.loop.syncs import REMEMBERED, SyncLog
 
 REGULAR: Final = 64
@@ -116,12 +117,13 @@ class RegularStream:
         if 0 <= moved < self._step and self.regular >= self.least and len(self._extras) < EXTRAS_MAX:
             if not moved and abs(delay - self._usual) < abs(self._frame.delay - self._usual):
                 frame, self._frame = self._frame, frame
+                self._recent.append(data)
             if not frame.repeated:
                 self._extras.append(frame)
             return []
+        self._clear_of_doubt()
         self._recent.append(data)
         self.last, self._frame, self.regular = place, frame, 0
-        self._extras.clear()
         return []
 
     def pass_over(self, places: range, delay: int, frames: list[bytes]) -> None:
@@ -144,12 +146,16 @@ class RegularStream:
 
     def _found(self, data: bytes) -> list[Extra]:
         """The extra frames before a regular one."""
-        extras, before = self._extras, self._frame
-        self._extras = []
+        before = self._frame
         back = data == before.extra.data
         if (self._same and not back) or (before.repeated and not back):
-            return []
-        return [frame.extra for frame in extras]
+            self._clear_of_doubt()
+        return self.end()
+
+    def _clear_of_doubt(self) -> None:
+        """What was in question nobody forged; it may be repeated as any frame may."""
+        self._recent.extend(frame.extra.data for frame in self._extras)
+        self._extras.clear()
 
 
 class TimedStream:
@@ -168,37 +174,46 @@ class SyncedStream:
     """The frames of a synchronous TPDO, held against the SYNCs of its segment."""
 
     def __init__(
-        self, pdo: PdoMap, assembler: ReadingAssembler, syncs: SyncLog, delays: Callable[[], DelaysKnown]
+        self,
+        pdo: PdoMap,
+        assembler: ReadingAssembler,
+        syncs: SyncLog,
+        period: Duration,
+        delays: Callable[[], DelaysKnown],
     ) -> None:
-        """``delays``: of the drive's readings, asked at each look: one that was longer than a period and then
-        is not brings two frames for one SYNC."""
+        """``period``: of the SYNCs. ``delays``: of the drive's readings, asked at each look: one that was
+        longer than a period and then is not brings two frames for one SYNC."""
         self._assembler, self._syncs, self._delays = assembler, syncs, delays
+        self._period = period
+        self._behind: list[tuple[bytes, Instant]] = []
+        """Frames behind the last SYNC of another: the next one shows whether one was lost before them."""
         self._cob_id = pdo.cob_id
         self._each = max(1, pdo.transmission_type)
         self._owed = Owed(REMEMBERED + self._each)
         self._owed.expect(2 * self._each)  # one under way, and the phase of one that comes seldom
         self._stream = RegularStream(self._each)
-        self._counted = self._told = 0
+        self._told = 0
         self._were = DelaysKnown.UNKNOWN
         self._quiet_since = syncs.counted
         assembler.keep_frames(pdo.cob_id)
-        self._seen = syncs.marks[-1].number if syncs.marks else 0
-        self._counted = syncs.counted
+        self._seen = syncs.marks[-1].place if syncs.marks else 0
+        self._counted = syncs.counted + syncs.missing
         if self._each == 1:
             self._stream.trust(self._seen + 1)
 
     def look(self, *, at_end: bool = False) -> tuple[list[Extra], int]:
         """What has come since the last call that no SYNC asked for: frames that are known, and how many more
         there are than SYNCs. To be called before so many SYNCs are forgotten; ``at_end``: no more come."""
-        frames = self._assembler.take_frames(self._cob_id)
+        until = self._known_until(at_end)
+        frames = self._take_frames(until)
         quiet = self._syncs.counted - self._quiet_since >= QUIET_SYNCS and self._were is DelaysKnown.ALL_SHORT
         self._stream.least, self._stream.doubled = REGULAR_IN_TIME if quiet else REGULAR, False
-        extras = [*self._extras(frames), *(self._stream.end() if at_end else ())]
+        extras = [*self._extras(frames, until), *(self._stream.end() if at_end else ())]
         found = extras if self._were else []
         self._were = self._delays()
         if self._stream.doubled and not found:
             self._quiet_since = self._syncs.counted
-        counted = self._syncs.counted
+        counted = self._syncs.counted + self._syncs.missing
         more = len(frames) * self._each - (counted - self._counted)
         self._counted = counted
         self._owed.expect(max(0, -more))
@@ -208,12 +223,27 @@ class SyncedStream:
         self._told += max(0, beyond)
         return found, max(0, beyond)
 
-    def _extras(self, frames: list[tuple[bytes, Instant]]) -> Iterator[Extra]:
+    def _known_until(self, at_end: bool) -> Instant:
+        """Until when all SYNCs are known that a frame may answer."""
+        if not self._syncs.of_another:
+            return NEVER
+        return Instant(self._syncs.last_on_bus + (self._period if at_end else 0))
+
+    def _take_frames(self, until: Instant) -> list[tuple[bytes, Instant]]:
+        """Those to hold against the SYNCs now; later ones wait."""
+        frames = [*self._behind, *self._assembler.take_frames(self._cob_id)]
+        self._behind = [frame for frame in frames if frame[1] >= until][-REMEMBERED:]
+        return [frame for frame in frames if frame[1] < until]
+
+    def _extras(self, frames: list[tuple[bytes, Instant]], until: Instant) -> Iterator[Extra]:
         starts = [
-            (mark.handed_at if mark.on_bus_at is None else mark.on_bus_at, mark.number)
+            (at, mark.place)
             for mark in self._syncs.marks
-            if mark.number >= self._seen
+            if mark.place >= self._seen
+            and (at := mark.handed_at if mark.on_bus_at is None else mark.on_bus_at) < until
         ]
+        if starts and starts[-1][1] - starts[0][1] >= len(starts):
+            starts = [*_with_missing(starts)]
         if self._passes(starts, frames):
             return
         place = 0
@@ -238,3 +268,12 @@ class SyncedStream:
         first, self._seen = self._seen + 1, new[-1][1]
         stream.pass_over(range(first, self._seen + 1), came[-1] - begun[-1], [data for data, _ in frames])
         return True
+
+
+def _with_missing(starts: list[tuple[Instant, int]]) -> Iterator[tuple[Instant, int]]:
+    """``starts``, and between them those of the SYNCs that are missing, at equal distances."""
+    yield starts[0]
+    for (before_at, before), (at, place) in pairwise(starts):
+        for number in range(before + 1, place) if place - before <= REMEMBERED else ():
+            yield Instant(before_at + (at - before_at) * (number - before) // (place - before)), number
+        yield at, place

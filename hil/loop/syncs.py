@@ -49,6 +49,8 @@ class SyncMark:
     def __init__(self, number: int, sequence: int, handed_at: Instant) -> None:
         self.number = number
         """Counted along all SYNCs of the segment, 1, 2, ..., a surplus one included."""
+        self.place = number
+        """The same, with those counted that are missing, see :attr:`SyncLog.missing`."""
         self.sequence = sequence
         """The cycle it belongs to; :data:`SURPLUS` for none."""
         self.handed_at = handed_at
@@ -80,6 +82,11 @@ class SyncLog:
         """Frames that were on the bus before may not have come, echoes among them."""
         self.surplus = 0
         """SYNCs on the bus that belong to no cycle: echoes beyond what was handed over, another master's."""
+        self.missing = 0
+        """SYNCs of another node that did not come in their periods: not sent, or lost on the way to this
+        host. A drive that heard them answers."""
+        self.of_another = False
+        """Whether another node makes the SYNCs."""
         self.crowded = 0
         """SYNCs that ended on the bus less than half a period after the one before."""
         self._latency = latency
@@ -136,16 +143,17 @@ class SyncLog:
                 mark.on_bus_at, mark.late_ns = Instant(mark.handed_at + self._latency), 0
 
     def heard(self, sequence: int, at: Instant) -> SyncMark:
-        """A SYNC that this host did not hand over ended on the bus."""
-        mark = self._remember(sequence, at)
-        mark.on_bus_at = at
-        self._note_spacing(at)
-        return mark
+        """A SYNC that another node makes in each period ended on the bus."""
+        self.of_another = True
+        if self.marks:
+            periods = (at - self._last_on_bus + self._period // 2) // self._period
+            self.missing += max(0, periods - 1)
+        return self._end_of_other(sequence, at)
 
     def stray(self, at: Instant) -> None:
         """A SYNC that nobody here expects ended on the bus."""
         self.surplus += 1
-        self.heard(SURPLUS, at)
+        self._end_of_other(SURPLUS, at)
 
     def came(self, at: Instant, handed_at: Instant = UNTOLD) -> None:
         """The echo of one of our SYNCs; ``handed_at``: of the one that was handed over then."""
@@ -299,9 +307,16 @@ class SyncLog:
                 return mark
         return None
 
+    def _end_of_other(self, sequence: int, at: Instant) -> SyncMark:
+        mark = self._remember(sequence, at)
+        mark.on_bus_at = at
+        self._note_spacing(at)
+        return mark
+
     def _remember(self, sequence: int, at: Instant) -> SyncMark:
         self._counted += 1
         mark = SyncMark(self._counted, sequence, at)
+        mark.place += self.missing
         marks = self.marks
         marks.append(mark)
         if len(marks) > REMEMBERED:

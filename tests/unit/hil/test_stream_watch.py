@@ -1,5 +1,6 @@
 """A stream that is regular: what comes between two of its frames is told, and nothing else is."""
 
+from collections.abc import Collection
 from random import Random
 from typing import Final, cast
 
@@ -21,12 +22,17 @@ FORGED: Final = b"forged"
 class Stream:
     """A drive that answers SYNCs, and a bench that looks every 50."""
 
-    def __init__(self, every: int = 1, delays: DelaysKnown = DelaysKnown.SHORT) -> None:
+    def __init__(
+        self, every: int = 1, delays: DelaysKnown = DelaysKnown.SHORT, unheard: Collection[int] | None = None
+    ) -> None:
+        """``unheard``: SYNCs of another node that this host does not hear; None: the SYNCs are its own."""
         self.delays = delays
+        self.unheard = unheard
         self.frames: list[tuple[Instant, bytes]] = []
         self.syncs = SyncLog(Duration(0), Duration(PERIOD), EchoBasis.NONE)
         pdo = PdoMap(PdoDirection.TRANSMIT, 1, 0x181, (PdoEntry(0x606C, 0, "i"),), every)
-        self.watch = SyncedStream(pdo, cast(ReadingAssembler, self), self.syncs, lambda: self.delays)
+        assembler, period = cast(ReadingAssembler, self), Duration(PERIOD)
+        self.watch = SyncedStream(pdo, assembler, self.syncs, period, lambda: self.delays)
 
     def keep_frames(self, cob_id: int) -> None:
         assert cob_id == 0x181
@@ -41,7 +47,10 @@ class Stream:
         found: list[bytes] = []
         for number in range(1, syncs + 1):
             at = number * PERIOD
-            self.syncs.handed(number, Instant(at))
+            if self.unheard is None:
+                self.syncs.handed(number, Instant(at))
+            elif number not in self.unheard:
+                self.syncs.heard(number, Instant(at))
             for nth, delay in enumerate(arrivals.get(number, [])):
                 data = FORGED if delay < 0 else b"%d %d" % (number, nth)
                 self.frames.append((Instant(at + abs(delay)), data))
@@ -84,6 +93,32 @@ def test_what_was_held_back_is_nobodys() -> None:
             if draw.random() > rate
         }
         assert stream.told(arrivals, 3000, at_end=True) == []
+
+
+@pytest.mark.parametrize("every", [1, 10])
+def test_an_answer_to_a_sync_of_another_that_this_host_did_not_hear_is_nobodys(every: int) -> None:
+    """Wherever it lies: between two looks, before the last SYNC of one, or two in a row."""
+    draw = Random(11)
+    drawn = {number for number in range(70, 3000) if draw.random() < 0.03}
+    unheard = {*drawn, 1000, 1050, 1051, 3000}
+    assert Stream(every, unheard=unheard).told(regular(3000, every), 3000, at_end=True) == []
+    for number in (999, 1002, 1501):
+        arrivals = regular(3000, every)
+        arrivals[number] = [*arrivals.get(number, []), -200_000]
+        few = {each for each in unheard if each % 500 < 2}
+        found = Stream(every, unheard=few).told(arrivals, 3000, at_end=True)
+        assert found == [FORGED], (number, every)
+
+
+def test_a_frame_that_was_in_question_may_be_repeated() -> None:
+    """Frame 500 comes behind the repetition of 499, and is repeated behind the next SYNC."""
+    stream, arrivals = Stream(), regular(1000)
+    arrivals[500] = [DELAY + 100_000]
+    stream.frames += [
+        (Instant(500 * PERIOD + DELAY), b"499 0"),
+        (Instant(501 * PERIOD + DELAY + 200_000), b"500 0"),
+    ]
+    assert stream.told(arrivals, 1000) == []
 
 
 def test_a_delay_that_was_longer_than_a_period_and_then_is_not_is_nobodys() -> None:
