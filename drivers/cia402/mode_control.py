@@ -61,7 +61,7 @@ class ModeControl:
         self._control.clear_bits(MODE_BITS)
         try:
             self.prime(mode)
-            self._control.write_value(Object.MODES_OF_OPERATION, "b", mode)
+            self._write(mode)
         except TransferAborted as error:
             raise ModeRefused(
                 f"{self._control.title} does not take {mode.title} mode", f"{error.summary}; {error.evidence}"
@@ -98,6 +98,14 @@ class ModeControl:
         elif target.index == Object.VL_TARGET_VELOCITY and self._turns():
             raw = self._objects.read_if_there(Object.VL_VELOCITY_ACTUAL_VALUE, 0, "h") or 0
         self._control.write_value(target.index, target.code, raw, target.sub)
+
+    def _write(self, mode: Mode) -> None:
+        """Have 6060h hold ``mode``; a drive of one mode may refuse the write, and holds it all the same."""
+        try:
+            self._control.write_value(Object.MODES_OF_OPERATION, "b", mode)
+        except TransferAborted:
+            if self._objects.read_if_there(Object.MODES_OF_OPERATION, 0, "b") != mode:
+                raise
 
     def _aim(self, mode: Mode) -> None:
         """Let the RPDOs of each cycle carry the set-points of ``mode``, in its units."""

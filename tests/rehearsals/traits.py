@@ -253,6 +253,9 @@ TRAITS: Final[dict[str, Trait]] = {
     "6060h refuses a mode of 6502h": Trait(
         lambda sheet: sheet.set(0x6060, default=8, HighLimit=9), without=_SLOPED
     ),
+    "6060h holds 9 for good": Trait(
+        lambda sheet: sheet.set(0x6060, default=9, AccessType="ro"), without=_NO_TORQUE
+    ),
     "no 6071h": Trait(_lacks(0x6071, 0x60B2), without=_NO_TORQUE),
     "no 6077h": Trait(_lacks(0x6077), without=_NO_CURRENT),
     "no 6078h": Trait(_lacks(0x6078), without=_NO_CURRENT),

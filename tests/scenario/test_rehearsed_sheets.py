@@ -32,6 +32,7 @@ READY = [
     "no 6502h",
     "6502h without torque",
     "6060h refuses a mode of 6502h",
+    "6060h holds 9 for good",
     "no 6071h",
     "mappings fixed for speed",
     "no position unit",

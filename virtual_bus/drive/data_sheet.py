@@ -35,7 +35,8 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     the simulated one in what it can do:
 
     6502h   the simulated drive's modes that the sheet tells, or does not deny; 6060h takes those whose object
-            for a set-point, or for the method of homing, is there, and begins with the first
+            for a set-point, or for the method of homing, is there, and begins with the first, or with the
+            sheet's where it cannot be written
     608Fh   the sheet's, read-only or not; less than four increments a turn are no encoder: they are shown,
             and the position unit stays the simulated encoder's
     ramps   a sheet's 0 in 6083h to 6085h, 6087h and 609Ah is shown; the drive then has the slowest ramp that
@@ -56,6 +57,7 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     for variable, own in zip(ratings, rated, strict=True):
         variable.default = variable.value = own
     _take_modes(dictionary, modes, held_number(vendor, Object.SUPPORTED_DRIVE_MODES))
+    _keep_mode(dictionary, held_number(vendor, Object.MODES_OF_OPERATION))
     file_resolution = [held_number(vendor, Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
     _take_resolution(resolution, counts, file_resolution)
     for ramp in ramps:
@@ -74,8 +76,19 @@ def only_modes(dictionary: ObjectDictionary, bits: int, *further: Variable) -> N
     mode = dictionary.variable(Object.MODES_OF_OPERATION)
     if mode.refusal(mode.default) is not None:
         first = next((each for each in sorted(NEEDED_OBJECTS) if mode.refusal(each) is None), Mode.NONE)
-        for shown in (mode, dictionary.variable(Object.MODES_OF_OPERATION_DISPLAY)):
-            shown.default = shown.value = int(first)
+        _begin_in(dictionary, first)
+
+
+def _keep_mode(dictionary: ObjectDictionary, held: int | None) -> None:
+    mode = dictionary.variable(Object.MODES_OF_OPERATION)
+    if held is not None and not mode.writable and mode.refusal(held) is None:
+        _begin_in(dictionary, held)
+
+
+def _begin_in(dictionary: ObjectDictionary, mode: int) -> None:
+    for index in (Object.MODES_OF_OPERATION, Object.MODES_OF_OPERATION_DISPLAY):
+        variable = dictionary.variable(index)
+        variable.default = variable.value = int(mode)
 
 
 def _take_modes(dictionary: ObjectDictionary, own: Variable, told: int | None) -> None:
