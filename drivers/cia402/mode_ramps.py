@@ -13,12 +13,17 @@ from drivers.cia402.velocity_mode import write_velocity_mode_ramps
 
 _PROFILE: Final = (Object.PROFILE_ACCELERATION, Object.PROFILE_DECELERATION)
 _BOUNDS: Final = (Object.MAX_ACCELERATION, Object.MAX_DECELERATION)
+VL_RAMPS: Final = (Object.VL_VELOCITY_ACCELERATION, Object.VL_VELOCITY_DECELERATION)
+"""Records: speed in sub-index 1, seconds in sub-index 2."""
+SPEEDS: Final = {Mode.PROFILE_POSITION: (Object.PROFILE_VELOCITY, Object.MAX_PROFILE_VELOCITY)}
+"""Bounds of the speed of a move."""
 RAMPS: Final = {
     Mode.PROFILE_POSITION: (*_PROFILE, *_BOUNDS),
     Mode.PROFILE_VELOCITY: (*_PROFILE, *_BOUNDS),
     Mode.CYCLIC_SYNCHRONOUS_VELOCITY: _BOUNDS,
     Mode.CYCLIC_SYNCHRONOUS_POSITION: _BOUNDS,
     Mode.PROFILE_TORQUE: (Object.TORQUE_SLOPE,),
+    Mode.VELOCITY: VL_RAMPS,
 }
 """Other modes obey none of them."""
 _CYCLIC: Final = frozenset({Mode.CYCLIC_SYNCHRONOUS_VELOCITY, Mode.CYCLIC_SYNCHRONOUS_POSITION})

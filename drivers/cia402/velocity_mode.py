@@ -9,6 +9,7 @@ becomes a note.
 
 import math
 
+from drivers.canopen.greatest import write_greatest
 from drivers.canopen.objects import RemoteObjects
 from drivers.cia402.drive_setup import DriveSettings, write_optional
 from drivers.cia402.objects402 import Object
@@ -56,11 +57,13 @@ def _told(objects: RemoteObjects, unit_rad_s: float) -> str:
 
 
 def _write_ramp(objects: RemoteObjects, index: int, units_s: float, text: str) -> list[str]:
+    """As steep as asked for, else as the drive allows: where it takes no such speed it may take less time."""
     seconds = min(max(1, math.ceil(_FINE / units_s)), _SECONDS_MAX)
     speed = min(max(1, round(units_s * seconds)), 0xFFFF_FFFF)
-    return write_optional(objects, index, "I", speed, text, 1) + write_optional(
-        objects, index, "H", seconds, text, 2
-    )
+    granted = write_greatest(objects, index, "I", speed, text, sub=1)
+    if granted.held is not None and granted.held < speed:
+        seconds = max(1, math.floor(granted.held / units_s))
+    return granted.notes + write_optional(objects, index, "H", seconds, text, 2)
 
 
 def velocity_mode_ramp(objects: RemoteObjects, index: int) -> float | None:

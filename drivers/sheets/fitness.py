@@ -14,7 +14,7 @@ from drivers.canopen.objects301 import FIRST_OBJECT, Cia301, is_mapping
 from drivers.canopen.pdo import BITS_MAX, key_of, mapping_text
 from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
 from drivers.cia402.judgement import Judgement, ModeFitness, ToldDrive, judge, offered
-from drivers.cia402.mode_ramps import RAMPS
+from drivers.cia402.mode_ramps import RAMPS, SPEEDS
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, run_words
 from drivers.sheets.capability import capability_of
@@ -220,20 +220,25 @@ def _remarks(dictionary: od.ObjectDictionary, profile: int | None, judgement: Ju
 
 
 def _limited_ramps(dictionary: od.ObjectDictionary, served: Sequence[Mode]) -> list[str]:
-    """Ramps whose greatest value a motor may find too slow, if no mode does without them."""
-    most = {
-        index: entry.max
-        for ramps in map(RAMPS.get, served)
-        for index in ramps or ()
-        if isinstance(entry := dictionary.get(index), od.ODVariable) and entry.max is not None
+    """Ramps and speeds whose greatest value a motor may find too slow, if no mode does without them."""
+    obeyed = {mode: {*RAMPS.get(mode, ()), *SPEEDS.get(mode, ())} for mode in served}
+    limited = {
+        index: most
+        for index in sorted(set().union(*obeyed.values()))
+        if (most := _most(dictionary, index)) is not None and most < _RAMP_BOUNDLESS
     }
-    limited = {index: value for index, value in most.items() if value < _RAMP_BOUNDLESS}
-    if not all(limited.keys() & set(RAMPS.get(mode, ())) for mode in served):
+    if not all(limited.keys() & indices for indices in obeyed.values()):
         return []
     return [
-        f"{index:04X}h takes {value} at most: hil commission refuses a mode that it makes too slow"
-        for index, value in limited.items()
+        f"{index:04X}h takes {most} at most: hil commission refuses a mode that it makes too slow"
+        for index, most in limited.items()
     ]
+
+
+def _most(dictionary: od.ObjectDictionary, index: int) -> int | None:
+    """The greatest value of an object, of a record that of its sub-index 1; None if the sheet tells none."""
+    entry = dictionary.get(index)
+    return getattr(entry if isinstance(entry, od.ODVariable) else (entry or {}).get(1), "max", None)
 
 
 # ---- what contradicts itself, beyond the form: the values stay as they are, and are told ------------------

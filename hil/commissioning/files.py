@@ -34,6 +34,10 @@ _ERROR_SHARE: Final = 0.25
 """Of the reference, rms: what a sign or a unit that is wrong breaks, and a busy machine does not."""
 _REFERENCE_SHARE: Final = 0.4
 """Of the limits of speed and travel: what overshoots stays within them."""
+_UP_S: Final = 0.4
+"""From rest to the speed of the reference."""
+_CORNER_S: Final = 0.2
+"""A path of positions has its speed at once; the drive may take a fifth of the path's second for it."""
 _SETTINGS: Final = (Object.POLARITY,)
 """What a run needs of it beside what it writes itself."""
 
@@ -269,18 +273,20 @@ def _acceleration(session: Session) -> float:
 
 
 def _reference(session: Session, mode: str) -> tuple[list[dict[str, Any]], dict[str, float]]:
-    """To and fro, and the limit of the error."""
-    rpm = float(round(_REFERENCE_SHARE * session.limits.speed_rad_s * RPM_PER_RAD_S))
+    """To and fro, within half of what the drive's own ramps let set-points do, and the limit of the error."""
+    speed = _REFERENCE_SHARE * session.limits.speed_rad_s
+    rate = math.inf if mode == "cst" else 0.5 * _acceleration(session)
     if mode in ("csp", "ip"):
-        way = rounded(min(rpm * RAD_S_PER_RPM, _REFERENCE_SHARE * session.limits.travel_rad))
+        way = rounded(min(speed, _REFERENCE_SHARE * session.limits.travel_rad, rate * _CORNER_S))
         to, fro = (
             {"kind": "ramp", "at_s": at_s, "position_rad": end, "over_s": 1.0}
             for at_s, end in ((0.2, way), (1.5, 0.0))
         )
         return [to, fro], {"position_error_rms_rad_max": rounded(_ERROR_SHARE * way)}
+    rpm = float(max(1, round(min(speed, rate * _UP_S) * RPM_PER_RAD_S)))
     return [
-        {"kind": "ramp", "at_s": 0.2, "speed_rpm": rpm, "over_s": 0.4},
-        {"kind": "ramp", "at_s": 1.5, "speed_rpm": -rpm, "over_s": 0.8},
+        {"kind": "ramp", "at_s": 0.2, "speed_rpm": rpm, "over_s": _UP_S},
+        {"kind": "ramp", "at_s": 1.5, "speed_rpm": -rpm, "over_s": 2.0 * _UP_S},
     ], {"speed_error_rms_rad_s_max": rounded(_ERROR_SHARE * rpm * RAD_S_PER_RPM)}
 
 

@@ -31,6 +31,15 @@ class Stated(NamedTuple):
     """By the drive."""
 
 
+class Ramp(NamedTuple):
+    """A ramp or a speed that a drive keeps to by itself."""
+
+    held: str
+    """``6083h = 10``."""
+    amount: float
+    """rad/s^2; of 6087h N m/s, of a speed rad/s."""
+
+
 @dataclass(slots=True)
 class Findings:
     """What the steps learnt; None: not yet, or not to be had."""
@@ -65,8 +74,8 @@ class Findings:
     """N m per A rms, as the drive's own figures have it."""
     velocity_ratio: SpeedRatio | None = None
     """Velocity over position derivative, both as told."""
-    ramps: dict[Object, int] = field(default_factory=dict)
-    """Raw values of those that the drive obeys in the mode that is set: 6083h, 6087h and so on."""
+    ramps: dict[Object, Ramp] = field(default_factory=dict)
+    """Those that the drive obeys in the mode that is set: 6083h, 6087h and so on."""
     ramp_factor: float = 1.0
     """Above 1: so much more than the drive's own unit makes necessary is asked of its ramps."""
     quick_stop_rad_s2: float | None = None

@@ -12,7 +12,7 @@ MOVE_RUN_UP_S: Final = 0.5
 """From rest to the limit of speed. A drive that is given set-points one after the other speeds up and brakes
 from one to the next, so that its speed swings by this acceleration times the cycles of a hand-shake: at 4 ms
 by 0.4 % of the limit. No exercise asks for more than the limit in 2 s."""
-_CATCH_UP: Final = 1.3
+CATCH_UP: Final = 1.3
 """Of the limit of speed, as the host's own: a drive that has fallen behind its set-point makes it up."""
 
 
@@ -21,7 +21,7 @@ def write_moves(objects: RemoteObjects, limits: MotionLimits, scaling: Scaling) 
     rate = limits.speed_rad_s / MOVE_RUN_UP_S
     notes: list[str] = []
     for index, value, unit, text in (
-        (Object.PROFILE_VELOCITY, _CATCH_UP * limits.speed_rad_s, scaling.velocity_rad_s, "speed"),
+        (Object.PROFILE_VELOCITY, CATCH_UP * limits.speed_rad_s, scaling.velocity_rad_s, "speed"),
         (Object.PROFILE_ACCELERATION, rate, scaling.acceleration_rad_s2, "acceleration"),
         (Object.PROFILE_DECELERATION, rate, scaling.acceleration_rad_s2, "deceleration"),
     ):

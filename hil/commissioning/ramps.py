@@ -1,6 +1,8 @@
-"""The ramps that a drive makes by itself: read, set and read back before it moves by them.
+"""The ramps that a drive makes by itself, and its speed of a move: read, set and read back before it moves.
 
     profile position, profile velocity      6083h and 6084h, cut by 60C5h and 60C6h
+    profile position                        6081h, cut by 607Fh
+    velocity mode                           6048h and 6049h, which its set-up has written
     cyclic velocity and position            60C5h and 60C6h
     profile torque                          6087h
 
@@ -16,11 +18,12 @@ from typing import Final
 
 from drivers.canopen.greatest import write_greatest
 from drivers.canopen.objects import RemoteObjects
-from drivers.cia402.mode_ramps import RAMPS
+from drivers.cia402.mode_ramps import RAMPS, SPEEDS, VL_RAMPS
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
-from hil.commissioning.findings import Findings
-from hil.commissioning.moves import MOVE_RUN_UP_S
+from drivers.cia402.velocity_mode import velocity_mode_ramp
+from hil.commissioning.findings import Findings, Ramp
+from hil.commissioning.moves import CATCH_UP, MOVE_RUN_UP_S
 from hil.commissioning.outcome import StepFailed
 from hil.commissioning.request import MotionLimits
 
@@ -32,6 +35,9 @@ _RUN_UP_MAX_S: Final = 5.0
 _PROOF_SHARE: Final = 0.1
 _STEEPER: Final = 1000.0
 """Where no shaft moves by what was set: units of the acceleration are wrong by as much."""
+_SCALED: Final = frozenset({*RAMPS[Mode.PROFILE_VELOCITY]})
+"""In the drive's unit of acceleration."""
+_SPEEDS: Final = frozenset(SPEEDS[Mode.PROFILE_POSITION])
 _RAW_MAX: Final = 0xFFFF_FFFF
 
 
@@ -51,7 +57,15 @@ def set_ramps(
     found.ramps = {}
     limits = found.limits
     assert limits is not None, "the step 'units' comes first"
-    for index in RAMPS.get(mode, ()):
+    for index in SPEEDS.get(mode, ()):
+        if speed := objects.read_if_there(index):
+            _keep(found, index, speed)
+    for index in VL_RAMPS if mode is Mode.VELOCITY else ():
+        rate = velocity_mode_ramp(objects, index)
+        if rate is not None:
+            speed, seconds = objects.read_if_there(index, 1), objects.read_if_there(index, 2, "H")
+            found.ramps[index] = Ramp(f"{index:04X}h = {speed} in {seconds} s", rate)
+    for index in RAMPS.get(mode, ()) if mode is not Mode.VELOCITY else ():
         held = objects.read_if_there(index)
         if held is None:
             continue
@@ -61,13 +75,13 @@ def set_ramps(
             notes += [f"{index:04X}h was {held}, {granted.held} is set"] if granted.held != held else []
             notes += granted.notes
             held = granted.held or 0
-        found.ramps[index] = held
-    for index in found.ramps:
-        takes_s = _takes_s(found, limits, index)
-        if takes_s > _RUN_UP_MAX_S:
+        _keep(found, index, held)
+    for index, ramp in found.ramps.items():
+        why = _too_slow(limits, index, ramp.amount)
+        if why:
             failure = RampTooSlow(
-                f"a ramp of the drive is too slow for {mode.title}",
-                "; ".join([f"{_told(found, index)}: a slow motion takes {takes_s:.3g} s to begin", *notes]),
+                f"a {'speed' if index in _SPEEDS else 'ramp'} of the drive is too slow for {mode.title}",
+                "; ".join([f"{_told(index, ramp)}: {why}", *notes]),
                 f"set {index:04X}h with the maker's tool",
             )
             found.ramps = {}  # those of another mode may do
@@ -78,7 +92,7 @@ def set_ramps(
 def steepen(found: Findings) -> bool:
     """Have the next :func:`set_ramps` ask for a thousand times more, as the shaft has not moved by what was
     set; False if it did already, or there is nothing to ask for."""
-    if found.ramp_factor > 1.0 or not found.ramps.keys() - {Object.TORQUE_SLOPE}:
+    if found.ramp_factor > 1.0 or not found.ramps.keys() & _SCALED:
         return False
     found.ramp_factor = _STEEPER
     return True
@@ -86,30 +100,32 @@ def steepen(found: Findings) -> bool:
 
 def within_ramps(found: Findings, limits: MotionLimits) -> MotionLimits:
     """``limits``, cut to what the drive's ramps let a set-point do."""
-    acceleration, slew = limits.acceleration_rad_s2, limits.torque_slew_nm_s
-    for index in found.ramps:
+    speed, acceleration, slew = limits.speed_rad_s, limits.acceleration_rad_s2, limits.torque_slew_nm_s
+    for index, ramp in found.ramps.items():
         if index is Object.TORQUE_SLOPE:
-            slew = min(slew, _rate(found, index))
+            slew = min(slew, ramp.amount)
+        elif index in _SPEEDS:
+            speed = min(speed, ramp.amount / CATCH_UP)
         elif found.ramp_factor == 1.0:  # else nobody knows what a unit of it is
-            acceleration = min(acceleration, _rate(found, index))
-    return replace(limits, acceleration_rad_s2=acceleration, torque_slew_nm_s=slew)
+            acceleration = min(acceleration, ramp.amount)
+    return replace(limits, speed_rad_s=speed, acceleration_rad_s2=acceleration, torque_slew_nm_s=slew)
 
 
 def ramps_told(found: Findings) -> str:
     """The ramps in force, in SI units; empty in a mode without."""
-    return ", ".join(_told(found, index) for index in found.ramps)
+    return ", ".join(_told(index, ramp) for index, ramp in found.ramps.items())
 
 
-def _told(found: Findings, index: Object) -> str:
-    unit = "N m/s" if index is Object.TORQUE_SLOPE else "rad/s^2"
-    return f"{index:04X}h = {found.ramps[index]} ({_rate(found, index):.4g} {unit})"
+def _told(index: Object, ramp: Ramp) -> str:
+    unit = "N m/s" if index is Object.TORQUE_SLOPE else "rad/s" if index in _SPEEDS else "rad/s^2"
+    return f"{ramp.held} ({ramp.amount:.4g} {unit})"
 
 
-def _rate(found: Findings, index: Object) -> float:
-    """N m/s or rad/s^2."""
+def _keep(found: Findings, index: Object, held: int) -> None:
     units = found.scaling
-    unit = units.torque_nm if index is Object.TORQUE_SLOPE else units.acceleration_rad_s2
-    return found.ramps[index] * unit
+    unit = units.velocity_rad_s if index in _SPEEDS else units.acceleration_rad_s2
+    unit = units.torque_nm if index is Object.TORQUE_SLOPE else unit
+    found.ramps[index] = Ramp(f"{index:04X}h = {held}", held * unit)
 
 
 def _wanted(found: Findings, limits: MotionLimits, index: Object, mode: Mode) -> int:
@@ -117,12 +133,16 @@ def _wanted(found: Findings, limits: MotionLimits, index: Object, mode: Mode) ->
         return round(1000.0 / _HIDDEN_S)
     steepest = limits.acceleration_rad_s2
     if mode is Mode.PROFILE_POSITION:  # where write_moves has set them
-        steepest = limits.speed_rad_s / MOVE_RUN_UP_S
+        steepest = within_ramps(found, limits).speed_rad_s / MOVE_RUN_UP_S
     raw = found.ramp_factor * steepest / found.scaling.acceleration_rad_s2
     return min(max(1, math.floor(raw)), _RAW_MAX)
 
 
-def _takes_s(found: Findings, limits: MotionLimits, index: Object) -> float:
-    """How long a slow motion takes to begin."""
-    change = limits.torque_nm if index is Object.TORQUE_SLOPE else _PROOF_SHARE * limits.speed_rad_s
-    return change / max(_rate(found, index), 1e-9)
+def _too_slow(limits: MotionLimits, index: Object, amount: float) -> str:
+    """Why no motion comes of it; empty if one does."""
+    slow_rad_s = _PROOF_SHARE * limits.speed_rad_s
+    if index in _SPEEDS:
+        return "" if amount >= CATCH_UP * slow_rad_s else f"a slow motion goes at {slow_rad_s:.3g} rad/s"
+    change = limits.torque_nm if index is Object.TORQUE_SLOPE else slow_rad_s
+    takes_s = change / max(amount, 1e-9)
+    return "" if takes_s <= _RUN_UP_MAX_S else f"a slow motion takes {takes_s:.3g} s to begin"

@@ -122,6 +122,11 @@ def _coarse_velocity_mode(sheet: MadeSheet) -> None:
     sheet.set(0x604C, 1, default=10)
 
 
+def _slow_velocity_mode(sheet: MadeSheet) -> None:
+    _modes(Mode.VELOCITY)(sheet)
+    sheet.set(0x6048, 1, default=1, HighLimit=5)
+
+
 def _encoder_of_2000(sheet: MadeSheet) -> None:
     sheet.drop(0x60A8, 0x60A9, 0x60AA, 0x6092, 0x6096)
     sheet.set(0x608F, 1, default=2000)
@@ -304,6 +309,21 @@ TRAITS: Final[dict[str, Trait]] = {
         "too slow.*6083h = 1 ",
         _NO_TORQUE,
         mendable=True,
+    ),
+    "6081h is 2000 at most": Trait(
+        _ramp_in(Mode.PROFILE_POSITION, 0x6081, default=10, HighLimit=2000),
+        "too slow.*6081h = 2000 ",
+        _NO_TORQUE,
+        mendable=True,
+    ),
+    "6048h is 5 at most": Trait(
+        _slow_velocity_mode,
+        "too slow.*6048h = 5 ",
+        _NO_TORQUE,
+        mendable=True,
+    ),
+    "60C5h is 300 at most": Trait(
+        _ramp_in(Mode.CYCLIC_SYNCHRONOUS_POSITION, 0x60C5, default=1, HighLimit=300), without=_NO_TORQUE
     ),
     "6084h is 0": Trait(_ramp_in(Mode.PROFILE_VELOCITY, 0x6084, default=0, LowLimit=0), without=_NO_TORQUE),
     "607Fh is 70 r/min": Trait(

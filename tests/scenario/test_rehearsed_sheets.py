@@ -22,6 +22,8 @@ REFUSED = [
     "mappings fixed, no values",
     "no 606Ch",
     "6083h is 1 at most",
+    "6081h is 2000 at most",
+    "6048h is 5 at most",
     "no 606Ch+mappings fixed for speed",
     "no 1018h+one TPDO",
 ]
@@ -158,10 +160,10 @@ def test_a_whole_commissioning_by_a_data_sheet(tmp_path: Path) -> None:
     assert json.loads(again.stdout)["digest"] == json.loads(first.stdout)["digest"]
 
 
-@pytest.mark.parametrize("case", ["6502h is 43h, 6060h 7", "60C5h is tiny"])
+@pytest.mark.parametrize("case", ["6502h is 43h, 6060h 7", "60C5h is tiny", "60C5h is 300 at most"])
 def test_a_drive_without_torque_mode_leaves_a_bench_that_runs(case: str, tmp_path: Path) -> None:
     """hil eds gives vl to commission the first and ip to run it, as of an iPOS; the second is run in csv,
-    with a bound of acceleration that a run raises as its commissioning did."""
+    with a bound of acceleration that a run raises as its commissioning did; the third in csp, within its."""
     sheet = made_sheet([case], tmp_path)
     result = rehearsed(sheet, tmp_path)
     assert complaints((case,), result) == []
