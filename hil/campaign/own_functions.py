@@ -9,8 +9,8 @@ from typing import Any, Final, TypeVar
 
 from drivers.errors import BadInput, BenchError
 from hil.campaign.sweep_file import Own
-from hil.control.own_code import FAILURES, OwnCodeFailed, object_of, source_of, told
-from hil.machine.held_process import held_process
+from hil.control.own_code import OwnCodeFailed, object_of, source_of
+from hil.machine.held_process import FAILURES, held_process, told
 
 EXPECTED: Final = "a function, as MODULE:NAME or FILE.py:NAME beside the sweep file"
 T = TypeVar("T")

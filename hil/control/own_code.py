@@ -29,15 +29,20 @@ from hil.control.setup import Setup
 from hil.loop.axis_roles import Compensator, Controller
 from hil.loop.context import CHANNELS_MAX, Context, SetPoint
 from hil.loop.samples import Sample, StateEstimate
-from hil.machine.held_process import LeftProcess, enter_call, held_process, leave_call
+from hil.machine.held_process import (
+    FAILURES,
+    OWN_FILES,
+    enter_call,
+    held_process,
+    in_words,
+    leave_call,
+    told,
+)
 
 OBJECT_PATTERN: Final = r"^([A-Za-z_][\w.]*|.+\.py):[A-Za-z_]\w*$"
 """MODULE:NAME or FILE.py:NAME."""
 DIGEST_BYTES: Final = 16
 """128 bits: of 2^64 files two are alike by chance."""
-FAILURES: Final = (Exception, SystemExit, GeneratorExit, LeftProcess)
-"""What code of one's own may raise where Ctrl-C is still an exception: all but that. SystemExit would end the
-process with a status of its own, 0 among them."""
 _FILES: Final = "controller file "
 """Before the names of modules from files: no import statement finds them."""
 _SIGNAL: Final = signal.SIGRTMIN + 7
@@ -123,6 +128,7 @@ def _module_of(name: str) -> ModuleType:
     if spec is None or spec.loader is None:
         raise ImportError(f"{path} cannot be read as Python")
     module = importlib.util.module_from_spec(spec)
+    OWN_FILES.add(str(path))
     sys.modules[spec.name] = module  # where dataclasses and inspect look for it
     beside = str(path.parent)
     sys.path.insert(0, beside)  # as a program finds what is beside it
@@ -188,6 +194,7 @@ class _Guard:
     def __init__(self, what: str, inner: object, setup: Setup) -> None:
         self._what = f"{setup.axis}: the {what} {type(inner).__name__}"
         self._file = inspect.getsourcefile(type(inner)) or ""
+        OWN_FILES.add(self._file)
         self._inner = inner
         self._patience_s = setup.patience_s
 
@@ -214,7 +221,9 @@ class _Guard:
         """Raises OwnCodeFailed: what ``method`` returned is of no use."""
         code = getattr(type(self._inner), method).__code__
         place = f"{Path(code.co_filename).name}:{code.co_firstlineno} in {method}"
-        raise OwnCodeFailed(f"{self._what} failed: {place} returned {answer!r}, expected {expected}")
+        raise OwnCodeFailed(
+            f"{self._what} failed: {place} returned {in_words(answer, repr)}, expected {expected}"
+        )
 
     def _line_of(self, error: BaseException) -> str:
         """The innermost line of the object's own file, else the innermost of all."""
@@ -230,11 +239,6 @@ def _frames(error: BaseException) -> Iterator[tuple[str, int, str]]:
     for frame, line in traceback.walk_tb(error.__traceback__):
         if frame.f_code.co_filename != __file__:
             yield frame.f_code.co_filename, line, frame.f_code.co_name
-
-
-def told(error: BaseException) -> str:
-    """Its kind and, if it has any, its words."""
-    return f"{type(error).__name__}: {error}".removesuffix(": ")
 
 
 class _GuardedController(Controller):

@@ -14,7 +14,7 @@ from drivers.errors import BenchError, DriveInFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.config import Foreign, LoopConfig
 from hil.loop.loop import LoopOutcome
-from hil.machine.refusals import as_refusal
+from hil.machine.refusals import explained
 from hil.recording.logger_process import RecordingFailed
 from hil.verdict.verdict import DriveEnd, RunOutcome, VerdictKind, outcome_of_status
 from virtual_bus.bus.judge import Direction
@@ -70,7 +70,7 @@ class Conclusion:
         try:
             yield
         except BaseException as error:
-            known = error if isinstance(error, BenchError) else as_refusal(error)
+            known = error if isinstance(error, BenchError) else explained(error)
             if known is not None:
                 self.failed(known)
             with suppress(RecordingFailed):  # what ended the run is to be told

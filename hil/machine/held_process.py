@@ -14,9 +14,17 @@ from typing import Any, Final
 COPY_STATUS: Final = 70
 """Of a copy that would have come back; nobody waits for it but the code that forked it."""
 
+OWN_FILES: Final[set[str]] = set()
+"""Of the code of the user's that was called."""
+
 
 class LeftProcess(BaseException):
     """The user's code would have ended this process. No Exception: code that catches those goes on."""
+
+
+FAILURES: Final = (Exception, SystemExit, GeneratorExit, LeftProcess)
+"""What code of one's own may raise where Ctrl-C is still an exception: all but that. SystemExit would end the
+process with a status of its own, 0 among them."""
 
 
 class _Calls(threading.local):
@@ -53,9 +61,23 @@ def held_process() -> Iterator[None]:
     except (Exception, SystemExit, GeneratorExit, KeyboardInterrupt, LeftProcess):
         raise
     except BaseException as error:
-        raise LeftProcess(f"{type(error).__name__}: {error}".removesuffix(": ")) from error
+        raise LeftProcess(told(error)) from error
     finally:
         leave_call()
+
+
+def in_words(thing: object, how: Callable[[object], str] = str) -> str:
+    """``thing`` of the user's by its own ``__str__``, or by ``how``, which may end in any way."""
+    try:
+        with held_process():
+            return how(thing)
+    except (*FAILURES, KeyboardInterrupt) as error:
+        return f"what cannot be told ({type(error).__name__})"
+
+
+def told(error: BaseException) -> str:
+    """Kind of an error and, if it has any, its words."""
+    return f"{type(error).__name__}: {in_words(error)}".removesuffix(": ")
 
 
 def _refusing(name: str) -> Callable[..., Any]:

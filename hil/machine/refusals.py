@@ -1,10 +1,13 @@
-"""What the machine refuses a process: files, memory, processes. It is no defect of the program."""
+"""What is no defect of the program: the machine refuses a process files, memory or processes, or code of the
+user's raised where nobody had called it."""
 
 import errno
 import traceback
+from pathlib import Path
 from typing import Final
 
 from drivers.errors import BenchError
+from hil.machine.held_process import OWN_FILES, told
 
 _WITH_REMEDY: Final = {
     errno.EMFILE: "raise the limit of ulimit -n",
@@ -23,6 +26,23 @@ class MachineRefused(BenchError):
     exit_status = 6
 
 
+class OwnCodeRaised(BenchError):
+    """A handler of a signal, a trace function or the like of the user's raised in the midst of the bench."""
+
+
+def explained(error: BaseException) -> BenchError | None:
+    """``error`` as the machine's or the user's; None: it is a defect of the program."""
+    return as_refusal(error) or _as_own(error)
+
+
+def _as_own(error: BaseException) -> OwnCodeRaised | None:
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if frame.filename in OWN_FILES:
+            place = f"{Path(frame.filename).name}:{frame.lineno} in {frame.name}"
+            return OwnCodeRaised(f"code of your own raised outside of its calls: {place}: {told(error)}")
+    return None
+
+
 def as_refusal(error: BaseException) -> MachineRefused | None:
     """What ``error``, or what it came of, says of the machine; None: nothing."""
     seen: BaseException | None = error
@@ -38,7 +58,7 @@ def _remedy(error: BaseException) -> str:
         return _WITH_REMEDY[error.errno]
     if isinstance(error, BlockingIOError) and _last_function(error) in _MAKING_PROCESSES:
         return _MORE_PROCESSES
-    if isinstance(error, RuntimeError) and "start new thread" in str(error):
+    if isinstance(error, RuntimeError) and "start new thread" in told(error):
         return _MORE_PROCESSES
     if isinstance(error, MemoryError):
         return _WITH_REMEDY[errno.ENOMEM]

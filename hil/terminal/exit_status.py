@@ -9,7 +9,7 @@ import typer
 from drivers.errors import BenchError
 from drivers.printable import printable
 from hil.machine.parent_process import messages, tell_parent
-from hil.machine.refusals import as_refusal
+from hil.machine.refusals import explained
 from hil.terminal.output import say
 from hil.verdict.verdict import ExitStatus
 
@@ -31,8 +31,8 @@ def reported_errors(conclude: Callable[[int, str], int] = lambda status, _text: 
     except (typer.Exit, typer.Abort, typer.BadParameter):
         raise
     except (Exception, SystemExit, GeneratorExit) as error:  # noqa: BLE001 - top of the process: a defect, or code of the user's that calls sys.exit(), must not leave with the status of a verdict
-        if refusal := as_refusal(error):
-            raise typer.Exit(_told(refusal, conclude)) from None
+        if known := explained(error):
+            raise typer.Exit(_told(known, conclude)) from None
         traceback.print_exc(file=messages())
         text = f"{type(error).__name__}: {error}"
         tell_parent(error=text)

@@ -102,6 +102,9 @@ ENDING: Final = (
     "os.close(1); os.close(2); raise RuntimeError",
     "setattr(sys, 'exit', lambda status=0: None); 1 / 0",
     "raise MemoryError",
+    "raise type('Own', (Exception,), {'__str__': lambda _: sys.exit(0)})",
+    "raise type('Own', (BaseException,), {'__str__': lambda _: 1 / 0})",
+    "alarmed()",
 )
 """After these no run has passed."""
 TAMPERING: Final = (

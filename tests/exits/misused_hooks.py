@@ -44,6 +44,12 @@ def overflow() -> None:
         print("x" * 100_000)
 
 
+def alarmed() -> None:
+    """Have a handler of a signal end the process a millisecond later, wherever it is then."""
+    signal.signal(signal.SIGALRM, lambda _signal, _frame: sys.exit(0))
+    signal.setitimer(signal.ITIMER_REAL, 0.001)
+
+
 class Hooks(Controller):
     """Does ``way``, a Python statement, in the hook ``where`` of its 20th cycle."""
 

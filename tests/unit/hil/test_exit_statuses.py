@@ -19,8 +19,8 @@ STATUSES = {
     ExitStatus.PEER_FAULT: {
         "AnswersTwice", "BusDown", "ClusterLost", "DriveInFault", "EmergencyStopped", "ForeignTraffic",
         "HostStoodStill", "LimitExceeded", "ModeRefused", "NoAnswer", "NotObservable", "OwnCodeFailed",
-        "PeerFault", "PlanImpossible", "PowerLost", "RampTooSlow", "ReadingsLost", "SettingRefused",
-        "StepFailed", "TransferAborted", "UnitNotTold", "WrongSetPoint",
+        "OwnCodeRaised", "PeerFault", "PlanImpossible", "PowerLost", "RampTooSlow", "ReadingsLost",
+        "SettingRefused", "StepFailed", "TransferAborted", "UnitNotTold", "WrongSetPoint",
     },
     ExitStatus.NOT_RECORDED: {"DiskFull", "RecordingFailed"},
     ExitStatus.INCOMPLETE: {"MachineRefused", "NothingCertified", "WorkerDied"},

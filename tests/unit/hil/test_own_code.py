@@ -26,6 +26,12 @@ import math
 from drivers.errors import BusDown
 from hil import Compensator, Controller, StateEstimate, TorqueSetPoint
 
+class Mute(Exception):
+    def __repr__(self):
+        raise SystemExit(0)
+
+    __str__ = __repr__
+
 class Mine(Controller):
     def __init__(self, setup, answer=0.5, channels=("gain",), told=(1,), fails=""):
         self.answer, self.names, self.told, self.fails = answer, channels, told, fails
@@ -50,6 +56,8 @@ class Mine(Controller):
     def may_fail(self, method):
         if self.fails == method:
             raise RuntimeError("no solution")
+        if self.fails == "mute":
+            raise Mute
         if self.fails == "bus":
             raise BusDown("the bus is down")
         while self.fails == "spin":
@@ -113,6 +121,11 @@ def test_what_it_answers_is_handed_on(mine: Path) -> None:
 def test_a_torque_is_a_number(mine: Path, answer: float) -> None:
     with pytest.raises(OwnCodeFailed, match=rf"axis1: the controller Mine .* returned .*{answer}.*a number"):
         controller(mine, answer=answer).output(in_cycle())
+
+
+def test_what_cannot_say_what_it_is_fails_all_the_same(mine: Path) -> None:
+    with pytest.raises(OwnCodeFailed, match=r"Mine failed: .*: Mute: what cannot be told \(SystemExit\)"):
+        controller(mine, fails="mute").output(in_cycle())
 
 
 @pytest.mark.parametrize("answer", [None, 1, "0.5", (0.5,)])
