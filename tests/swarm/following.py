@@ -78,13 +78,14 @@ def no_run_passes_whose_drive_did_not_follow(ran: Ran) -> Iterator[str]:
     for name, drive in zip(ran.config.axes, ran.case.drives, strict=True):
         until = Instant(last - CYCLES_MAX * period)
         told = drive.astray(first, until, OTHER_MODE, TARGET_IGNORED)
-        if any(map(_touches_mode, _plan(ran).get("refused_mapping", ()))):
+        refused = _plan(ran).get("refused_mapping", ())
+        if any(map(_touches_mode, refused)) or not _tells(ran.wire.frames, drive.node_id, _MODE):
             told = _longer(drive.astray(first, until, OTHER_MODE), POLLED_NS)
             synced_ns = ran.config.loop.position_every_cycles * period
             told += _longer(drive.astray(first, until, TARGET_IGNORED), synced_ns)
         unseen_max = _unseen_max(ran, name)
         silent = _longer(drive.astray(first, last, OTHER_TORQUE, FAR_TORQUE), unseen_max)
-        if silent and not _tells_demand(ran.wire.frames, drive.node_id):
+        if silent and not _tells(ran.wire.frames, drive.node_id, _DEMAND):
             silent = _longer(drive.astray(first, last, FAR_TORQUE), unseen_max)
         if told or silent:
             yield f"{name}: {verdict['outcome']}, and it did otherwise at {(told or silent)[:3]}"
@@ -107,14 +108,15 @@ def _unseen_max(ran: Ran, name: str) -> int:
     return 11 * min(timeout_ns, max(heartbeat_ns, dropouts_ns)) // 10 + CYCLES_MAX * period
 
 
-def _tells_demand(frames: list[SeenFrame], node: int) -> bool:
-    """6074h is in one of the drive's TPDOs; else only a torque far from the set-point tells anything."""
+def _tells(frames: list[SeenFrame], node: int, place: int) -> bool:
+    """The object is in one of the drive's TPDOs. Without 6061h its mode is read now and then; without 6074h
+    only a torque far from the set-point tells anything."""
     mappings = SeenMappings()
     for frame in frames:
         way = Direction.HOST_TO_DRIVE if frame.sent else Direction.DRIVE_TO_HOST
         if mappings.teaches(frame.can_id):
             mappings.watch(way, Frame(frame.can_id, frame.data))
-        elif any(each.node == node and each.place == _DEMAND for each in mappings.objects(way, frame.can_id)):
+        elif any(each.node == node and each.place == place for each in mappings.objects(way, frame.can_id)):
             return True
     return False
 

@@ -139,7 +139,7 @@ def test_all_drives_are_stopped_before_the_one_that_fails_is_asked_why(servo_ben
 
 @pytest.mark.parametrize(
     "seed",
-    [8000275, 8000242, 8000055, 34001332, 342712579, 342711492],
+    [8000275, 8000242, 8000055, 34001332, 342712579, 342711492, 341127632],
     ids=[
         "it follows again within the cycle",
         "three do not follow at once",
@@ -147,6 +147,7 @@ def test_all_drives_are_stopped_before_the_one_that_fails_is_asked_why(servo_ben
         "between two SYNCs",
         "polled, and deaf to SDO at the end",
         "while no SYNC of another is heard",
+        "its own mappings, without 6061h",
     ],
 )
 def test_nothing_is_found_any_more(tmp_path: Path, seed: int) -> None:
