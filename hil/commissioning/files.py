@@ -106,13 +106,14 @@ def set_objects(session: Session) -> dict[ObjectKey, bytes]:
     if journal is None:
         return {}
     originals = journal.contents.originals()
-    last = {change.object: change.new for change in journal.contents.changes}
     plan = session.found.plan
     planned = set() if plan is None else {pdo.communication_index for pdo in plan}
     return {
         key: value
-        for key, value in last.items()
-        if value != originals[key] and key.index not in _EXERCISE and pdo_of(key.index) in (None, *planned)
+        for key, value in session.network.taken.get(session.request.node, {}).items()
+        if value != originals.get(key, value)
+        and key.index not in _EXERCISE
+        and pdo_of(key.index) in (None, *planned)
     }
 
 

@@ -3,6 +3,7 @@
 import math
 from typing import Final, NamedTuple
 
+from drivers.canopen.greatest import write_greatest
 from drivers.cia402.drive_setup import write_optional
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, QuickStopOption, State, state_of
@@ -133,8 +134,7 @@ def _ramp(session: Session, index: Object) -> tuple[float | None, str]:
     name = f"{int(index):04X}h"
     held = session.objects.read_if_there(index, 0, "I")
     if held is None:
-        known = index is Object.QUICK_STOP_DECELERATION
-        return None, "" if known else f"{name} is missing"
+        return None, "" if index is Object.QUICK_STOP_DECELERATION else f"{name} is missing"
     if held and speed / (held * unit) <= _STOP_MAX_S:
         return speed / (held * unit), ""
     fault = f"{name} is {held}" + (f", {speed / (held * unit):.3g} s from the limit" if held else "")
@@ -142,12 +142,13 @@ def _ramp(session: Session, index: Object) -> tuple[float | None, str]:
     if needed > 0xFFFF_FFFF:
         makes = f"the unit that it tells, {unit:.3g} rad/s^2, makes {needed} of {_STOP_S:g} s"
         return None, f"{fault}, and {makes}"
-    notes = write_optional(session.objects, index, "I", needed, "deceleration")
-    if notes:
-        return None, f"{fault}, and {'; '.join(notes)}"
+    granted = write_greatest(session.objects, index, "I", needed, "deceleration")
+    rate = (granted.held or 0) * unit
+    if speed > _STOP_MAX_S * rate:
+        return None, f"{fault}, and {'; '.join(granted.notes)}"
     if index is Object.QUICK_STOP_DECELERATION:
-        session.found.quick_stop_rad_s2 = needed * unit
-    return speed / (needed * unit), ""
+        session.found.quick_stop_rad_s2 = rate
+    return speed / rate, ""
 
 
 def _tell(session: Session, outcome: StepOutcome, time_s: float | None, option: QuickStopOption) -> None:
@@ -257,7 +258,6 @@ class _Timed(NamedTuple):
 
     @property
     def at_limit_s(self) -> float:
-        """How long a stop from the limit of speed lasts by it."""
         return self.limit_rad_s / self.stop.deceleration_rad_s2
 
     @property

@@ -224,6 +224,8 @@ class JournaledNetwork(CanopenNetwork):
         super().__init__(link, clock, writes=writes)
         self.journals: dict[int, Journal] = {}
         """By node."""
+        self.taken: dict[int, dict[ObjectKey, bytes]] = {}
+        """By node, what it took last of all that was written to it; a write that it refused is none."""
         self.putting_back = False
         """What is written now is in the journals already."""
 
@@ -242,9 +244,11 @@ class JournaledNetwork(CanopenNetwork):
     def download(self, node_id: int, index: int, sub: int, data: bytes) -> None:
         self._note(node_id, index, sub, data)
         super().download(node_id, index, sub, data)
+        self.taken.setdefault(node_id, {})[ObjectKey(index, sub)] = data
 
     def post_download(self, node_id: int, index: int, sub: int, data: bytes) -> PostedDownload:
         self._note(node_id, index, sub, data)
+        self.taken.setdefault(node_id, {})[ObjectKey(index, sub)] = data
         return super().post_download(node_id, index, sub, data)
 
     def _note(self, node_id: int, index: int, sub: int, data: bytes | None) -> None:

@@ -293,6 +293,7 @@ TRAITS: Final[dict[str, Trait]] = {
     "no 6085h": Trait(_lacks(0x6085)),
     "6085h is 0": Trait(lambda sheet: sheet.set(0x6085, default=0, LowLimit=0), "6085h", mendable=True),
     "6085h is tiny": Trait(lambda sheet: sheet.set(0x6085, default=1), "6085h", mendable=True),
+    "6085h is 1000 at most": Trait(lambda sheet: sheet.set(0x6085, default=1, HighLimit=1000)),
     "6085h is steep": Trait(lambda sheet: sheet.set(0x6085, default=200_000)),
     "604Ah is steep": Trait(_coarse_velocity_mode, without=_NO_TORQUE),
     "no 6072h, 6073h, 6080h": Trait(_lacks(0x6072, 0x6073, 0x6080)),

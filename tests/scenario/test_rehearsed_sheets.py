@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from drivers.cia402.objects402 import Object, Unit, unit_word
 from hil.cli import app
+from hil.configuration.drive_file import load_drive_file
 from tests.motors import LING
 from tests.rehearsals.__main__ import complaints
 from tests.rehearsals.made_sheet import MadeSheet
@@ -74,6 +75,16 @@ def test_a_ramp_that_is_too_slow_is_set_before_the_first_motion(name: str, tmp_p
     result = rehearsed(made_sheet([name], tmp_path), tmp_path, last_step="stop_proof")
     assert complaints((name,), result) == []
     assert (result.reason, result.moved) == ("", True)
+
+
+def test_the_greatest_quick_stop_that_a_drive_takes_is_in_what_it_leaves(tmp_path: Path) -> None:
+    """And neither the value that it refused nor those by which the greatest was found."""
+    result = rehearsed(made_sheet(["6085h is 1000 at most"], tmp_path), tmp_path, last_step="stop_proof")
+    assert complaints(("6085h is 1000 at most",), result) == []
+    [left] = [
+        each for each in load_drive_file(tmp_path / "out" / "drive.toml").object if each.index == 0x6085
+    ]
+    assert left.bytes == "e8030000"
 
 
 @pytest.mark.parametrize("names", [("6085h is steep",), ("604Ah is steep",)])

@@ -225,23 +225,23 @@ class Journal:
 
 
 def test_what_a_drive_was_set_to_is_without_what_served_a_step() -> None:
-    made = session(
-        network=SimpleNamespace(
-            journal=Journal(
-                (0x607E, 0, b"\0", b"\x80"),
-                (0x1017, 0, b"\0\0", b"\x32\0"),
-                (0x1017, 0, b"\x32\0", b"\x64\0"),
-                (0x6085, 0, b"\x01", b"\x02"),
-                (0x6085, 0, b"\x02", b"\x01"),
-                (0x6071, 0, b"\0\0", b"\x05\0"),
-                (0x6098, 0, b"\0", b"\x22"),
-                (0x6099, 1, b"\0", b"\x22"),
-                (0x1400, 1, b"\0", b"\x01"),
-                (0x1600, 1, b"\0", b"\x01"),
-                (0x1401, 1, b"\0", b"\x01"),
-            )
-        )
+    journal = Journal(
+        (0x607E, 0, b"\0", b"\x80"),
+        (0x1017, 0, b"\0\0", b"\x32\0"),
+        (0x1017, 0, b"\x32\0", b"\x64\0"),
+        (0x6085, 0, b"\x01", b"\x02"),
+        (0x6085, 0, b"\x02", b"\x01"),
+        (0x6071, 0, b"\0\0", b"\x05\0"),
+        (0x6098, 0, b"\0", b"\x22"),
+        (0x6099, 1, b"\0", b"\x22"),
+        (0x1400, 1, b"\0", b"\x01"),
+        (0x1600, 1, b"\0", b"\x01"),
+        (0x1401, 1, b"\0", b"\x01"),
+        (0x6072, 0, b"\x01", b"\x09"),
     )
+    taken = {change.object: change.new for change in journal.changes if change.object.index != 0x6072}
+    taken[ObjectKey(0x6072, 0)] = b"\x01"  # 9 was refused
+    made = session(network=SimpleNamespace(journal=journal, taken={5: taken}))
     plan = [SimpleNamespace(communication_index=0x1400)]
     made.found.plan = cast(Any, plan)
     expected = {

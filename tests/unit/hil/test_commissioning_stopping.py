@@ -102,8 +102,8 @@ def test_the_current_limit_stops_where_6085h_will_not() -> None:
     assert session.found.quick_stop_option is QuickStopOption.CURRENT_LIMIT
     assert session.found.quick_stop_rad_s2 is None
     assert outcome.faults == [
-        "stops by its current limit (605Ah = 3): 6085h is 0, and deceleration: 6085h holds 0, "
-        f"{NEEDED} was asked for"
+        "stops by its current limit (605Ah = 3): 6085h is 0, and 6085h:00 holds 0, "
+        f"{NEEDED} was asked for (deceleration): not taken"
     ]
     assert outcome.figures == {"option": 3, "stop_s": None}
     assert outcome.lines == ["605Ah = 3; how long a stop takes the drive does not tell: it is measured"]
@@ -115,8 +115,10 @@ def test_the_slow_down_ramp_is_the_last_way() -> None:
     with pytest.raises(StepFailed) as caught:
         settled(session)
     why = (
-        f"6085h is {slow}, {SPEED / (slow * UNIT):.3g} s from the limit, and deceleration: 6085h holds "
-        f"{slow}, {NEEDED} was asked for" + 2 * "; no 605Ah to choose another stop by"
+        f"6085h is {slow}, {SPEED / (slow * UNIT):.3g} s from the limit, and 6085h:00 holds "
+        f"{slow}, {NEEDED} was asked for (deceleration): not taken"
+        + 2
+        * "; no 605Ah to choose another stop by"
     )
     assert (caught.value.summary, caught.value.evidence, caught.value.remedy) == (
         "the drive cannot be made to stop, and nothing was turned",
