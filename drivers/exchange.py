@@ -205,6 +205,11 @@ class Master:
         """Send a SYNC; when it was handed to the bus, of several to the first."""
         raise NotImplementedError
 
+    def withdraw(self) -> None:
+        """Give up the SYNCs and set-points that still wait for room on the bus, so that none goes out later;
+        whoever is told of unsent frames is told of each."""
+        raise NotImplementedError
+
     def pump(self, until: Instant) -> None:
         """Handle frames until an instant."""
         raise NotImplementedError

@@ -146,6 +146,9 @@ class FramePump(Master):
         if self.on_unheard is not None:
             self.on_unheard(until)
 
+    def withdraw(self) -> None:
+        self._link.withdraw(self.unsent_handlers)
+
     def send_sync(self) -> Instant:
         """Send a SYNC without counter (CiA 301 7.2.5); returns the instant at which the bus was given it."""
         self.sync_count += 1

@@ -1,6 +1,6 @@
 """Frames in and out of a bus, stamped on the bench's clock."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from typing import Final, NoReturn
 
 import can
@@ -141,6 +141,12 @@ class BusLink:
         """Queue a remote frame that asks for ``length`` bytes; as :meth:`send`."""
         return self._hand_over(WireFrame(can_id, b"", False, True, length))
 
+    def withdraw(self, can_ids: Container[int]) -> None:
+        """Give up the PDOs and SYNCs of ``can_ids`` that wait here: they never go out."""
+        if self._waiting is not None:
+            for frame in self._waiting.withdraw(can_ids):
+                self._give_up(frame)
+
     def _hand_over(self, frame: WireFrame) -> Instant:
         frame.handed_at = at = self._now()
         if self._waiting is not None:
@@ -185,12 +191,13 @@ class BusLink:
 
     def _send_waiting(self, until: Instant) -> Instant:
         """Hand over what the bus takes by now; returns when to look again, ``until`` at the latest."""
-        waiting, now = self._waiting, self._now()
+        waiting, now, took = self._waiting, self._now(), False
         while waiting is not None:
             frame = waiting.first()
             if frame is None:
                 self._waiting, self.retry_at = None, NEVER
-                self._tell(f"takes frames again; {waiting.given_up} were given up meanwhile", now)
+                now_so = "takes frames again" if took else "is offered no more frames"
+                self._tell(f"{now_so}; {waiting.given_up} were given up meanwhile", now)
                 break
             if self._is_too_late(frame, now):
                 waiting.drop()
@@ -202,6 +209,7 @@ class BusLink:
                 self.retry_at = Instant(now + RETRY_EVERY)
                 return min(until, self.retry_at)
             waiting.went(now)
+            took = True
         return until
 
     def _tell_troubles(self) -> None:

@@ -8,6 +8,7 @@ last      SDO and LSS requests: in the order of their hand-over
 
 import errno
 from collections import deque
+from collections.abc import Container
 from typing import Final
 
 import can
@@ -78,6 +79,15 @@ class SendQueue:
         """The bus took the first one."""
         self.blocked_since = now
         self._take_first()
+
+    def withdraw(self, can_ids: Container[int]) -> list[WireFrame]:
+        """Give up those of ``can_ids``, NMT and requests aside; which they are."""
+        waiting = self._classes[1]
+        withdrawn = [frame for frame in waiting if frame.can_id in can_ids]
+        for frame in withdrawn:
+            waiting.remove(frame)
+        self.given_up += len(withdrawn)
+        return withdrawn
 
     def drop(self) -> None:
         """The first one is given up."""

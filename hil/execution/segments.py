@@ -60,6 +60,10 @@ class SegmentMasters(Master):
         self.sync_count += 1
         return self.sync_handed_at[0]
 
+    def withdraw(self) -> None:
+        for pump in self._pumps:
+            pump.withdraw()
+
     def pump(self, until: Instant) -> None:
         while self.pump_one(until):
             pass

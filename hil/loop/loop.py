@@ -137,6 +137,7 @@ class Loop:
             ended_at = self._now()
             self._drain(interrupted)
         finally:
+            self._network.withdraw()  # a row is not to tell of a frame that may go out after it
             for axis in self._axes:
                 axis.settle_all(BEYOND_ANY_HORIZON)
         return LoopOutcome(self._number, self._missed, self._started_at, self._due_at, ended_at, interrupted)

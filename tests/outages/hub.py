@@ -36,9 +36,6 @@ from tests.truth.taps import SYNC_ID
 REST_LIMIT_S: Final = 4.0
 """After the bench has ended: a drive whose host is gone stops by itself."""
 SET_POINTS: Final = (Object.TARGET_TORQUE, Object.TARGET_VELOCITY)
-UNCERTAIN_LAST: Final = 1
-"""The last command may wait for room when the run ends, and give way to what stops the drive; one that is on
-its way then is told as not identifiable."""
 
 
 class HubRuns:
@@ -152,7 +149,7 @@ def _wrong_commands(told: Told, frames: FrameTable, plan: PdoPlan) -> Iterator[s
         for data in mine["data"]
     ]
     sent = handed["command_raw"][handed["command_fate"] != NOT_SENT].tolist()
-    if sent[: len(on_bus)] != on_bus[: len(sent)] or len(on_bus) < len(sent) - UNCERTAIN_LAST:
+    if sent[: len(on_bus)] != on_bus[: len(sent)] or len(on_bus) < len(sent):
         yield f"{len(sent)} commands told, {len(on_bus)} on the bus, or other ones"
 
 

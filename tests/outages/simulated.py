@@ -21,8 +21,9 @@ from tests.scenario.processes import EXAMPLES
 from tests.truth.command_judge import judge_commands
 from tests.truth.drawn_run import CRASHES
 from tests.truth.judge import Timing, judge_axis
-from tests.truth.rows import READING_IS_A_SET, told_by
+from tests.truth.rows import NO_INSTANT, READING_IS_A_SET, Told, told_by
 from tests.truth.tapped_run import TappedRun, run_with_taps
+from tests.truth.taps import SYNC_ID
 from tests.truth.truth import AxisTruth, axis_truth
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.outage_bus import Outages as AdapterOutages
@@ -99,11 +100,20 @@ def _hold(ran: TappedRun, config: BenchConfig, outcome: Outcome) -> None:
         }
         wrong += [f"{name}: {kind}: {count}" for kind, count in found.items() if count]
         wrong += [f"  {text}" for text in (*readings.examples, *commands.examples)]
+        wrong += [f"{name}: {text}" for text in _wrong_syncs(ran, told)]
         if told.size:
             missing += told.size - _came(truth, told, timing)
             if verdict.completed and (left := _left_enabled(ran, node, told)):
                 wrong.append(f"{name}: completed, and the drive was {left}")
     outcome.judge_share(config, rows.size - missing)
+
+
+def _wrong_syncs(ran: TappedRun, told: Told) -> Iterator[str]:
+    """What the rows tell of SYNCs, and was not so on the bus."""
+    handed = told["sync_handed_at"][told["sync_handed_at"] != NO_INSTANT]
+    ends = [at for at, frame in ran.log.on_bus if frame.can_id == SYNC_ID]
+    if handed.size and (on_bus := sum(at > handed[0] for at in ends)) != handed.size:
+        yield f"{handed.size} SYNCs told, {on_bus} on the bus"
 
 
 def _came(truth: AxisTruth, told: Any, timing: Timing) -> int:

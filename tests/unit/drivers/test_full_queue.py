@@ -149,6 +149,31 @@ def test_what_may_wait_no_longer_is_given_up_and_the_rest_goes_out(made: tuple[N
     assert unsent == [SYNC]
 
 
+def test_what_is_withdrawn_is_told_and_goes_out_no_more(made: tuple[NarrowPort, BusLink]) -> None:
+    """As the SYNC and the set-point of a run that ends, ahead of what stops the drive."""
+    port, link = made
+    unsent: list[int] = []
+    link.on_unsent = lambda can_id, _at: unsent.append(can_id)
+    told: list[str] = []
+    link.on_trouble = lambda text, _at: told.append(text)
+    port.cut = True
+    for _ in range(port.places):
+        link.send(SDO, b"")
+    for can_id in (SYNC, RPDO):
+        link.send(can_id, b"")
+    link.withdraw({SYNC, RPDO})
+    link.recv(Instant(NS_PER_MS))
+    assert told[1] == "narrow is offered no more frames; 2 were given up meanwhile", "it takes none yet"
+    for can_id in (0x000, 0x701, SDO):
+        link.send(can_id, b"")
+    link.withdraw({SYNC, RPDO})
+    port.cut = False
+    link.recv(Instant(20 * NS_PER_MS))
+    assert [frame.can_id for _, frame in port.wire] == [*[SDO] * port.places, 0x000, 0x701, SDO]
+    assert unsent == [SYNC, RPDO]
+    assert told[-1] == "narrow takes frames again; 0 were given up meanwhile"
+
+
 @pytest.mark.parametrize("code", [errno.ENOBUFS, errno.ENETDOWN])
 def test_a_bus_that_takes_nothing_for_a_second_is_down(code: int) -> None:
     bus = NarrowBus(1)

@@ -135,6 +135,9 @@ class FakeBus(Master):
         if self.on_sync_echo is not None:
             self.on_sync_echo(at, UNTOLD)
 
+    def withdraw(self) -> None:
+        """There is room always."""
+
     def rest(self, until: Instant) -> None:
         self.pump(until)
         if self.oversleep is not None:
