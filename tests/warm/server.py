@@ -63,10 +63,10 @@ _REFUSED: Final = {"--view"}
 """Words of a command whose processes need more than is forked."""
 _FREE: Final = {
     "CI", "COLUMNS", "LINES", "OLDPWD", "OPENBLAS_NUM_THREADS", "PATH", "PWD", "PYTEST_CURRENT_TEST",
-    "PYTHONPATH", "SHLVL", "TMPDIR", "XDG_RUNTIME_DIR", "_",
+    "PYTHONPATH", "SHLVL", "TMPDIR", "XDG_RUNTIME_DIR", "_", "_RJEM_MALLOC_CONF",
 }  # fmt: skip
-"""Variables that are looked at when they are needed, or set by every program of ours; any other may decide
-what an import does."""
+"""Variables that are looked at when they are needed, or set by every program of ours, or by an import of
+python-can in a test's process; any other may decide what an import does."""
 _ROOT: Final = os.fsencode(Path(__file__).parents[2])
 _HIGH: Final = 512
 """Above the descriptors of any program, while these are put into their places."""

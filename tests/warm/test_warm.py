@@ -47,7 +47,7 @@ def ignore_some() -> None:
 @pytest.mark.parametrize("status", [0, 3, -signal.SIGTERM, -signal.SIGKILL, -signal.SIGABRT])
 def test_a_forked_program_finds_what_a_started_one_finds_and_ends_as_it(status: int, tmp_path: Path) -> None:
     ends = os.pipe()
-    env = environment(COLUMNS="33", XDG_RUNTIME_DIR=str(tmp_path))
+    env = environment(COLUMNS="33", XDG_RUNTIME_DIR=str(tmp_path), _RJEM_MALLOC_CONF="dirty_decay_ms:1")
     (started, here, *end), (forked, server, *forked_end) = found(
         str(status), "\u00e4 b", "", cwd=tmp_path, env=env, pass_fds=ends, preexec_fn=ignore_some
     )
