@@ -154,6 +154,7 @@ def _watch(child: int, relay: Relay, watched: set[int]) -> Ended:
             # the leader of a session hears alone that its terminal is gone
             if seen.si_code != _FROM_KERNEL or seen.si_signo == signal.SIGHUP:
                 os.kill(child, seen.si_signo)
+            os.kill(child, signal.SIGCONT)  # a process that is stopped heeds no signal
             continue
         gone, status = os.waitpid(child, os.WNOHANG)
         if gone:

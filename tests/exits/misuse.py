@@ -105,6 +105,7 @@ ENDING: Final = (
     "raise type('Own', (Exception,), {'__str__': lambda _: sys.exit(0)})",
     "raise type('Own', (BaseException,), {'__str__': lambda _: 1 / 0})",
     "alarmed()",
+    "stopped()",
 )
 """After these no run has passed."""
 TAMPERING: Final = (

@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from hil import Context, Controller, SetPoint, Setup, TorqueSetPoint
 
@@ -48,6 +49,17 @@ def alarmed() -> None:
     """Have a handler of a signal end the process a millisecond later, wherever it is then."""
     signal.signal(signal.SIGALRM, lambda _signal, _frame: sys.exit(0))
     signal.setitimer(signal.ITIMER_REAL, 0.001)
+
+
+def stopped() -> None:
+    """Stop the process, and have the command's parent asked to end once it is."""
+    process, parent = os.getpid(), os.getppid()
+    if not os.fork():
+        while Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "T":
+            pass
+        os.kill(parent, signal.SIGTERM)
+        os._exit(0)
+    os.kill(process, signal.SIGSTOP)
 
 
 class Hooks(Controller):
