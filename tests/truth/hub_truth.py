@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.pdo import EVERY_SYNC, PdoPlan
+from drivers.canopen.pdo import EVERY_SYNC, PdoMap, PdoPlan
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from tests.truth.hub_listener import FrameTable
 from tests.truth.rows import MISSED, NO_INSTANT, READING_IS_A_SET, Told
-from tests.truth.taps import SYNC_ID, Field, Heard, PdoLayout
+from tests.truth.taps import SYNC_ID, Field, Heard, PdoLayout, fields_of
 from tests.truth.truth import SPEED, AxisTruth, CommandTruth, Reading, SyncTruth
 from virtual_bus.frame import Frame
 
@@ -51,13 +51,14 @@ def layout_of(plan: PdoPlan) -> PdoLayout:
     """Where the objects lie that a drive sends under ``plan``."""
     sent: dict[int, Field] = {}
     for pdo in plan.tpdos:
-        first_bit = 0
-        for entry in pdo.entries:
-            sent.setdefault(entry.index, Field(pdo.cob_id, first_bit // 8, entry.bits // 8))
-            first_bit += entry.bits
+        sent = {**_fields(pdo), **sent}
     each = tuple(sorted(pdo.cob_id for pdo in plan.tpdos if pdo.transmission_type == EVERY_SYNC))
     command = plan.rpdos[0]
-    return PdoLayout(each, sent, command.cob_id, command.synchronous)
+    return PdoLayout(each, sent, command.cob_id, command.synchronous, _fields(command)[0x6040])
+
+
+def _fields(pdo: PdoMap) -> dict[int, Field]:
+    return fields_of(pdo.cob_id, [(entry.index, entry.bits) for entry in pdo.entries])
 
 
 def hub_truth(

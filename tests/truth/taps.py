@@ -9,7 +9,7 @@ traced back to its SYNC by identity. Only damaged data would break the chain, an
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -75,6 +75,12 @@ class PdoLayout:
     command_id: int
     command_is_synchronous: bool
     """RPDO1 acts at the next SYNC; else on arrival."""
+    controlword: Field
+    """In RPDO1."""
+
+    def is_set_point(self, frame: Frame) -> bool:
+        """Whether it has the drive follow (CiA 402-2, operation enabled): not what stops it."""
+        return frame.can_id == self.command_id and self.controlword.of(frame, signed=False) & 0x0F == 0x0F
 
 
 def pdo_layout(dictionary: ObjectDictionary) -> PdoLayout:
@@ -87,18 +93,32 @@ def pdo_layout(dictionary: ObjectDictionary) -> PdoLayout:
             continue
         if dictionary.variable(0x1800 + number, 2).read() == 1:
             each_sync.append(cob_id & _COB_ID)
-        first_bit = 0
-        for place in range(int(dictionary.variable(0x1A00 + number, 0).read())):
-            word = int(dictionary.variable(0x1A00 + number, place + 1).read())
-            bits = word & 0xFF
-            sent.setdefault(word >> 16, Field(cob_id & _COB_ID, first_bit // 8, bits // 8))
-            first_bit += bits
+        sent = {**_fields(dictionary, 0x1A00 + number, cob_id & _COB_ID), **sent}
+    command_id = int(dictionary.variable(0x1400, 1).read()) & _COB_ID
     return PdoLayout(
         tuple(each_sync),
         sent,
-        int(dictionary.variable(0x1400, 1).read()) & _COB_ID,
+        command_id,
         int(dictionary.variable(0x1400, 2).read()) <= 240,
+        _fields(dictionary, 0x1600, command_id)[0x6040],
     )
+
+
+def _fields(dictionary: ObjectDictionary, mapping: int, can_id: int) -> dict[int, Field]:
+    """Index of an object -> its place in the PDO of object ``mapping``."""
+    count = int(dictionary.variable(mapping, 0).read())
+    words = [int(dictionary.variable(mapping, place + 1).read()) for place in range(count)]
+    return fields_of(can_id, [(word >> 16, word & 0xFF) for word in words])
+
+
+def fields_of(can_id: int, mapped: Iterable[tuple[int, int]]) -> dict[int, Field]:
+    """Index of an object -> its place in a PDO of objects and their bits, in this order."""
+    fields: dict[int, Field] = {}
+    first_bit = 0
+    for index, bits in mapped:
+        fields.setdefault(index, Field(can_id, first_bit // 8, bits // 8))
+        first_bit += bits
+    return fields
 
 
 @dataclass(slots=True)

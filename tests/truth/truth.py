@@ -173,7 +173,7 @@ def _command_truths(log: TapLog, node_id: int, on_bus: dict[int, Instant]) -> di
     return {
         at: CommandTruth(at, on_bus.get(id(frame)), acts.get(id(frame)))
         for at, frame in log.handed
-        if frame.can_id == drive.layout.command_id
+        if drive.layout.is_set_point(frame)
     }
 
 
