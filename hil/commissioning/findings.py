@@ -31,7 +31,7 @@ class Stated(NamedTuple):
     """By the drive."""
 
 
-class Ramp(NamedTuple):
+class DriveRamp(NamedTuple):
     """A ramp or a speed that a drive keeps to by itself."""
 
     held: str
@@ -74,7 +74,7 @@ class Findings:
     """N m per A rms, as the drive's own figures have it."""
     velocity_ratio: SpeedRatio | None = None
     """Velocity over position derivative, both as told."""
-    ramps: dict[Object, Ramp] = field(default_factory=dict)
+    ramps: dict[Object, DriveRamp] = field(default_factory=dict)
     """Those that the drive obeys in the mode that is set: 6083h, 6087h and so on."""
     ramp_factor: float = 1.0
     """Above 1: so much more than the drive's own unit makes necessary is asked of its ramps."""

@@ -22,7 +22,7 @@ from drivers.cia402.mode_ramps import RAMPS, SPEEDS, VL_RAMPS
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
 from drivers.cia402.velocity_mode import velocity_mode_ramp
-from hil.commissioning.findings import Findings, Ramp
+from hil.commissioning.findings import DriveRamp, Findings
 from hil.commissioning.moves import CATCH_UP, MOVE_RUN_UP_S
 from hil.commissioning.outcome import StepFailed
 from hil.commissioning.request import MotionLimits
@@ -64,7 +64,7 @@ def set_ramps(
         rate = velocity_mode_ramp(objects, index)
         if rate is not None:
             speed, seconds = objects.read_if_there(index, 1), objects.read_if_there(index, 2, "H")
-            found.ramps[index] = Ramp(f"{index:04X}h = {speed} in {seconds} s", rate)
+            found.ramps[index] = DriveRamp(f"{index:04X}h = {speed} in {seconds} s", rate)
     for index in RAMPS.get(mode, ()) if mode is not Mode.VELOCITY else ():
         held = objects.read_if_there(index)
         if held is None:
@@ -116,7 +116,7 @@ def ramps_told(found: Findings) -> str:
     return ", ".join(_told(index, ramp) for index, ramp in found.ramps.items())
 
 
-def _told(index: Object, ramp: Ramp) -> str:
+def _told(index: Object, ramp: DriveRamp) -> str:
     unit = "N m/s" if index is Object.TORQUE_SLOPE else "rad/s" if index in _SPEEDS else "rad/s^2"
     return f"{ramp.held} ({ramp.amount:.4g} {unit})"
 
@@ -125,7 +125,7 @@ def _keep(found: Findings, index: Object, held: int) -> None:
     units = found.scaling
     unit = units.velocity_rad_s if index in _SPEEDS else units.acceleration_rad_s2
     unit = units.torque_nm if index is Object.TORQUE_SLOPE else unit
-    found.ramps[index] = Ramp(f"{index:04X}h = {held}", held * unit)
+    found.ramps[index] = DriveRamp(f"{index:04X}h = {held}", held * unit)
 
 
 def _wanted(found: Findings, limits: MotionLimits, index: Object, mode: Mode) -> int:
