@@ -101,7 +101,7 @@ class RegularStream:
 
     def take(self, place: int, delay: int, data: bytes, at: Instant) -> list[Extra]:
         """A frame has come, ``delay`` after what it answers; which before it were extra ones."""
-        frame = _Frame(Extra(at, data), delay, not self._repeats and data in self._recent)
+        frame = _Frame(Extra(at, data), delay, not self._repeats and self._is_known(data))
         last = self.last
         moved = self._step if last is None else place - last
         if abs(moved - self._step) <= self._tolerance:
@@ -135,14 +135,20 @@ class RegularStream:
         self._frame = _Frame(Extra(Instant(0), frames[-1]), delay, False)
 
     def end(self) -> list[Extra]:
-        """No regular frame comes any more: what came since the last one nobody asked for."""
-        extras, self._extras = self._extras, []
-        return [frame.extra for frame in extras]
+        """No regular frame comes any more: what came since the last one nobody asked for, unless that one was
+        a repetition, in a stream that has had some before."""
+        if self._frame.repeated and self.repetitions > len(self._extras):
+            self._clear_of_doubt()
+        return self._take_extras()
 
     @property
     def calm(self) -> bool:
         """Nothing extra is in question."""
         return not self._extras
+
+    def _is_known(self, data: bytes) -> bool:
+        """Whether one of the last frames had it, be it in question or not."""
+        return data in self._recent or any(data == frame.extra.data for frame in self._extras)
 
     def _found(self, data: bytes) -> list[Extra]:
         """The extra frames before a regular one."""
@@ -150,7 +156,11 @@ class RegularStream:
         back = data == before.extra.data
         if (self._same and not back) or (before.repeated and not back):
             self._clear_of_doubt()
-        return self.end()
+        return self._take_extras()
+
+    def _take_extras(self) -> list[Extra]:
+        extras, self._extras = self._extras, []
+        return [frame.extra for frame in extras]
 
     def _clear_of_doubt(self) -> None:
         """What was in question nobody forged; it may be repeated as any frame may."""

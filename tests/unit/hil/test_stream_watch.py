@@ -121,6 +121,28 @@ def test_a_frame_that_was_in_question_may_be_repeated() -> None:
     assert stream.told(arrivals, 1000) == []
 
 
+@pytest.mark.parametrize("delays", [DelaysKnown.SHORT, DelaysKnown.ALL_SHORT])
+def test_repetitions_that_cross_syncs_are_nobodys(delays: DelaysKnown) -> None:
+    """One before the answer to the next SYNC, which then is in question and repeated itself; 60 drawn."""
+    for seed in range(60):
+        draw, stream = Random(seed), Stream(delays=delays)
+        syncs, rate = draw.randrange(400, 1000), draw.choice((0.02, 0.15, 0.5))
+        later = draw.choice((376_000, 900_000, 2_500_000))
+        arrivals = {number: [DELAY + draw.randrange(690_000)] for number in range(1, syncs + 1)}
+        for number, (delay,) in arrivals.items():
+            if draw.random() < rate:
+                at = number * PERIOD + delay + later
+                stream.frames.append((Instant(at), b"%d 0" % number))
+        assert stream.told(arrivals, syncs, at_end=True) == [], seed
+
+
+def test_a_frame_behind_the_last_of_a_drive_that_says_the_same_each_time_is_told() -> None:
+    stream = Stream()
+    stream.frames = [(Instant(number * PERIOD + DELAY), b"at rest") for number in range(1, 501)]
+    stream.frames.append((Instant(500 * PERIOD + DELAY + 200_000), FORGED))
+    assert stream.told({}, 500, at_end=True) == [FORGED]
+
+
 def test_a_delay_that_was_longer_than_a_period_and_then_is_not_is_nobodys() -> None:
     arrivals = {number: [DELAY + (number < 1010) * PERIOD] for number in range(1, 2001)}
     assert Stream(delays=DelaysKnown.UNKNOWN).told(arrivals, 2000) == []
