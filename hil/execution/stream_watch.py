@@ -37,6 +37,9 @@ TOLERANCE: Final = 40
 """A frame by timer is in time within this part of its period: what a busy bus holds it up."""
 RECENT: Final = 32
 """Frames of which another one may be a repetition."""
+REPEATS: Final = 2
+"""So many repetitions make a network that repeats frames. A single one may be the answer that says the same
+again, beside a stranger's frame."""
 EXTRAS_MAX: Final = 16
 """More between two regular frames are a flood, which is counted against the SYNCs."""
 
@@ -85,7 +88,8 @@ class RegularStream:
         """How many came in order."""
         self.least = least
         self.repetitions = 0
-        """Frames too many that may be repetitions of one before."""
+        """Frames too many that may be repetitions of one before; in a network that repeats frames, all that
+        equal one of the last."""
         self.doubled = False
         """Since this was last set back there was more than one frame where one was due."""
         self._step, self._tolerance = step, tolerance
@@ -104,17 +108,21 @@ class RegularStream:
         frame = _Frame(Extra(at, data), delay, not self._repeats and self._is_known(data))
         last = self.last
         moved = self._step if last is None else place - last
+        extra = 0 <= moved < self._step
+        repetition = frame.repeated and self.repeating
         if abs(moved - self._step) <= self._tolerance:
             self._recent.append(data)
             found = self._found(data) if self._extras else []
             self.last, self._frame = place, frame
-            self.regular += 1
+            self.regular = 0 if repetition else self.regular + 1
+            self.repetitions += repetition
             self._usual += (delay - self._usual) / 8.0
             return found
-        if 0 <= moved < self._step:
+        if extra:
             self.doubled = True
-            self.repetitions += frame.repeated or self._frame.repeated
-        if 0 <= moved < self._step and self.regular >= self.least and len(self._extras) < EXTRAS_MAX:
+            repetition = frame.repeated or (self._frame.repeated and not self.repeating)
+        self.repetitions += repetition
+        if extra and self.regular >= self.least and len(self._extras) < EXTRAS_MAX:
             if not moved and abs(delay - self._usual) < abs(self._frame.delay - self._usual):
                 frame, self._frame = self._frame, frame
                 self._recent.append(data)
@@ -135,11 +143,15 @@ class RegularStream:
         self._frame = _Frame(Extra(Instant(0), frames[-1]), delay, False)
 
     def end(self) -> list[Extra]:
-        """No regular frame comes any more: what came since the last one nobody asked for, unless that one was
-        a repetition, in a stream that has had some before."""
-        if self._frame.repeated and self.repetitions > len(self._extras):
+        """No regular frame comes any more: what came since the last one nobody asked for."""
+        if self._frame.repeated and self.repeating:
             self._clear_of_doubt()
         return self._take_extras()
+
+    @property
+    def repeating(self) -> bool:
+        """Whether the network repeats frames: then one that equals one of the last proves no answer."""
+        return self.repetitions >= REPEATS
 
     @property
     def calm(self) -> bool:
@@ -154,8 +166,10 @@ class RegularStream:
         """The extra frames before a regular one."""
         before = self._frame
         back = data == before.extra.data
-        if (self._same and not back) or (before.repeated and not back):
+        if (self._same and not back) or (before.repeated and (self.repeating or not back)):
             self._clear_of_doubt()
+        if before.repeated:
+            self.repetitions -= len(self._extras)
         return self._take_extras()
 
     def _take_extras(self) -> list[Extra]:
@@ -267,7 +281,7 @@ class SyncedStream:
     def _passes(self, starts: list[tuple[Instant, int]], frames: list[tuple[bytes, Instant]]) -> bool:
         """Whether each SYNC since the last look has its one frame: so it is nearly always."""
         stream, new = self._stream, starts[1:]
-        if not frames or self._each > 1 or len(new) != len(frames) or not stream.calm:
+        if not frames or self._each > 1 or len(new) != len(frames) or not stream.calm or stream.repeating:
             return False
         if starts[0][1] != self._seen or stream.last != self._seen:
             return False
