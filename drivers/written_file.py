@@ -19,6 +19,8 @@ from typing import Final
 from drivers.errors import BadInput, BenchError
 
 _DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+_NOT_THE_PLACE: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
+"""The machine refuses these of any file."""
 _OPENED_BY_OTHERS: Final = ("/dev/", "/proc/")
 """A name there leads to what somebody holds open, say the shell: another file of its name is no use."""
 _number = itertools.count()
@@ -36,6 +38,8 @@ def writing(option: str, path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if error.errno in _NOT_THE_PLACE:
+            raise
         reason = error.strerror or str(error)
         if error.errno in _DISK_ERRORS:
             raise DiskFull(f"{option}: {path}: {reason}") from None

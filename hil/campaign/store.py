@@ -68,17 +68,18 @@ class RunStore:
         self.close()
 
     def append(self, rows: Sequence[Row]) -> None:
-        """Store the next runs. Error: OSError."""
+        """Store the next runs. Raises BadInput or DiskFull for a folder that does not take them."""
         numbers = [row["run"] for row in rows]
         if numbers != list(range(self.count, self.count + len(rows))):
             raise ValueError(f"runs {numbers[:3]}..., expected those from {self.count} on")
         if not rows:
             return
-        if self._plan.files.fresh():  # before the rows that rest on them
-            _write_plan(self._seal, self._plan)
         sink = pa.BufferOutputStream()
         pq.write_table(pa.Table.from_pylist(list(rows), schema=self.schema), sink, compression="zstd")
-        self._seal.put(f"{RUNS_FOLDER}/{_PART.format(self.count)}", sink.getvalue().to_pybytes())
+        with writing("--out", self.folder):
+            if self._plan.files.fresh():  # before the rows that rest on them
+                _write_plan(self._seal, self._plan)
+            self._seal.put(f"{RUNS_FOLDER}/{_PART.format(self.count)}", sink.getvalue().to_pybytes())
         self.count += len(rows)
 
     def table(self) -> pa.Table:
@@ -150,6 +151,7 @@ def open_campaign(folder: Path, plan: CampaignPlan, resume: bool) -> RunStore:
 
     Raises BadInput: there is another campaign in it, or the same one and it is not to be resumed; one of its
     files, or the program, is not as it was; somebody writes to it; or the guide of its draws is no figure.
+    Raises BadInput or DiskFull for a folder that cannot be written.
     """
     adaptive = plan.sweep.adaptive
     if adaptive is not None and adaptive.guide not in FIGURES:
@@ -157,12 +159,12 @@ def open_campaign(folder: Path, plan: CampaignPlan, resume: bool) -> RunStore:
     with writing("--out", folder):
         folder.mkdir(parents=True, exist_ok=True)
         lock = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        _lock(folder, lock)
-        return RunStore(folder, plan, lock, _begin(folder, plan, resume))
-    except BaseException:
-        os.close(lock)
-        raise
+        try:
+            _lock(folder, lock)
+            return RunStore(folder, plan, lock, _begin(folder, plan, resume))
+        except BaseException:
+            os.close(lock)
+            raise
 
 
 def _lock(folder: Path, lock: int) -> None:
