@@ -10,7 +10,7 @@ from typing import Any, Final, TypeVar
 from drivers.errors import BadInput, BenchError
 from hil.campaign.sweep_file import Own
 from hil.control.own_code import OwnCodeFailed, object_of, source_of
-from hil.machine.held_process import FAILURES, held_process, told
+from hil.machine.held_process import FAILURES, OWN_FILES, held_process, told
 
 EXPECTED: Final = "a function, as MODULE:NAME or FILE.py:NAME beside the sweep file"
 T = TypeVar("T")
@@ -54,10 +54,10 @@ class OwnFunctions:
         try:
             with held_process():
                 return call(function)
-        except BenchError:
-            raise
         except FAILURES as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
+            if isinstance(error, BenchError) and last.filename not in OWN_FILES:
+                raise  # of its run
             where = f"{Path(last.filename).name}:{last.lineno} in {last.name}"
             raise OwnCodeFailed(f"{name}, seed {seed}: {where}: {told(error)}") from error
 

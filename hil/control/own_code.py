@@ -205,8 +205,8 @@ class _Guard:
         try:
             _WATCHDOG.begin(self._patience_s)
             yield
-        except BenchError:
-            raise
+        except OwnCodeFailed:
+            raise  # of its observer
         except _TookTooLong as error:
             raise OwnCodeFailed(
                 f"{self._what} did not come back within {self._patience_s:g} s: {self._line_of(error)}"

@@ -136,7 +136,8 @@ def tell_parent(**what: Any) -> None:
     """Let the parent know, if there is one.
 
     ``bus``, ``bitrate`` and ``nodes``: that this command moves. ``recording`` and ``logger``: its folder, and
-    the process that records. ``concluded``: what a run came to: ``status``, ``digest``, ``recording``.
+    the process that records. ``concluded``: what the command came to: ``status``, and of a run ``digest`` and
+    ``recording``.
     ``error``: what ends it early. ``advice``: what mends an early end.
     """
     if _parent is not None:

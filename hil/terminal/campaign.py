@@ -9,6 +9,7 @@ from typer.core import TyperGroup
 
 from hil.machine.parent_process import messages, results, tell_parent
 from hil.terminal.commands import add_commands
+from hil.terminal.exit_status import end_with
 from hil.terminal.options import JsonOption, flag, valued
 from hil.terminal.output import columns, echo, say, say_written
 from hil.verdict.verdict import ExitStatus
@@ -89,8 +90,7 @@ def run(
     _print(done, as_json)
     if against is not None:
         done.hold_certificate()
-    if done.found:
-        raise typer.Exit(ExitStatus.FAILED)
+    end_with(ExitStatus.FAILED if done.found else ExitStatus.PASSED)
 
 
 def report(folder: DirArgument, as_json: JsonOption = False) -> None:
@@ -112,6 +112,7 @@ def report(folder: DirArgument, as_json: JsonOption = False) -> None:
     _print(done, as_json)
     say_written(place)
     say_written(folder / CAMPAIGN_PAGE)
+    end_with(ExitStatus.PASSED)
 
 
 def replay(
@@ -137,7 +138,7 @@ def replay(
         for text in done.findings or ():
             echo(f"found: {text}")
         say_written(Path(summary.recording))
-    raise typer.Exit(summary.verdict.exit_status)
+    end_with(summary.verdict.exit_status)
 
 
 add_commands(campaign, run, report, replay)

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from hil.machine.parent_process import tell_parent
+from hil.terminal.exit_status import end_with
 from hil.terminal.options import (
     AllowOption,
     BitrateOption,
@@ -120,7 +121,7 @@ def commission(asked: CommissionOptions) -> None:
         plate_given=asked.motor is not None,
     )
     put(figures, asked.as_json, lambda _figures: None)
-    raise typer.Exit(result)
+    end_with(result)
 
 
 def restore(

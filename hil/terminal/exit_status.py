@@ -3,6 +3,7 @@
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import NoReturn
 
 import typer
 
@@ -28,11 +29,12 @@ def reported_errors(conclude: Callable[[int, str], int] = lambda status, _text: 
         say("interrupted")
         tell_parent(error="interrupted")
         raise typer.Exit(conclude(ExitStatus.INTERRUPTED, "interrupted")) from None
-    except (typer.Exit, typer.Abort, typer.BadParameter):
-        raise
-    except (Exception, SystemExit, GeneratorExit) as error:  # noqa: BLE001 - top of the process: a defect, or code of the user's that calls sys.exit(), must not leave with the status of a verdict
+    except (Exception, SystemExit, GeneratorExit) as error:
+        # a defect, or code of the user's that calls sys.exit(): neither leaves with the status of a verdict
         if known := explained(error):
             raise typer.Exit(_told(known, conclude)) from None
+        if isinstance(error, typer.Exit | typer.Abort | typer.BadParameter):
+            raise
         traceback.print_exc(file=messages())
         text = f"{type(error).__name__}: {error}"
         tell_parent(error=text)
@@ -43,6 +45,13 @@ def _told(error: BenchError, conclude: Callable[[int, str], int]) -> int:
     say(error_text(error))
     tell_parent(error=str(error))
     return conclude(error.exit_status, str(error))
+
+
+def end_with(status: int) -> NoReturn:
+    """Leave with ``status``: the command has come to its end. Its parent is told, and believes no 0 without:
+    code of the user's may have put something in the place of ``sys.exit``, or raised what ends a command."""
+    tell_parent(concluded={"status": status})
+    raise typer.Exit(status)
 
 
 def error_text(error: BenchError) -> str:

@@ -8,6 +8,7 @@ import typer
 
 from drivers.errors import BadInput
 from hil.machine.parent_process import messages, tell_parent
+from hil.terminal.exit_status import end_with
 from hil.terminal.options import (
     EVERY_STREAM,
     AllowOption,
@@ -105,9 +106,9 @@ def measure(asked: MeasureOptions) -> None:
     measured = _measured(request)
     put(measured.as_json(), asked.as_json, lambda _figures: print_measured(measured))
     if measured.interrupted:
-        raise typer.Exit(ExitStatus.INTERRUPTED)
+        end_with(ExitStatus.INTERRUPTED)
     _write_files(measured, asked)
-    raise typer.Exit(_status(measured))
+    end_with(_status(measured))
 
 
 def _status(measured: "Measured") -> ExitStatus:

@@ -26,7 +26,6 @@ class RunObject:
     def concluded(self, summary: Summary) -> None:
         """The run has ended, and this came of it."""
         self._summary = summary
-        self._tell(summary)
 
     def failed(self, status: int, text: str) -> int:
         """The command leaves with an error: print what came of the run, if there was one.
@@ -43,12 +42,9 @@ class RunObject:
         return summary.verdict.exit_status
 
     def print(self, summary: Summary) -> None:
-        """Print it, if it was asked for."""
-        self._tell(summary)
+        """Print it, if it was asked for: this is what came of the command."""
         if self._as_json:
             typer.echo(json.dumps(summary.as_json(), allow_nan=False), file=results())
-
-    def _tell(self, summary: Summary) -> None:
         status, digest = summary.verdict.exit_status, summary.digest
         tell_parent(concluded={"status": status, "digest": digest, "recording": summary.recording})
 

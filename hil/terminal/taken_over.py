@@ -12,7 +12,7 @@ from hil.machine.refusals import MachineRefused
 from hil.machine.stopping import STOP_SIGNALS
 from hil.rows.run_files import SUMMARY_FILE
 from hil.verdict.summary import Summary, summary_without_run
-from hil.verdict.verdict import ExitStatus, Finding, VerdictKind
+from hil.verdict.verdict import ExitStatus, Finding, VerdictKind, outcome_of_status
 
 Say = Callable[[str], None]
 """Takes a line for stderr."""
@@ -45,17 +45,21 @@ class Ended(NamedTuple):
 
 def concluded(known: Known, result: Mapping[str, Any], arguments: Sequence[str], say: Say) -> tuple[int, str]:
     """Exit status and text for stdout of a command that told its ``result``. A run has passed if its summary,
-    read back, says so."""
-    status, text = result["status"], result["results"]
-    if status != ExitStatus.PASSED or arguments[0] != "run":
-        if not text and status and "--json" in arguments:
-            return status, _error_object(known.get("error", "see stderr"), status)
-        return status, text
-    doubt = _doubt(told := known.get("concluded"))
+    read back, says so; others end with 0 if they said so themselves, at their end."""
+    told, text = known.get("concluded"), result["results"]
+    # code of the user's may have put something in the place of sys.exit
+    status = result["status"] if told is None else told["status"]
+    if told is None and status == ExitStatus.PASSED:
+        status, text, early = ExitStatus.INCOMPLETE, "", f"hil {arguments[0]} did not come to its end"
+        say(f"hil: error: {early}")
+        known = {**known, "error": early}
+    if told is None or status != ExitStatus.PASSED:
+        if text or "--json" not in arguments:
+            return status, text
+        return status, _failed_object(known.get("error", "see stderr"), status, arguments)
+    doubt = _doubt(told) if arguments[0] == "run" else ""
     if not doubt:
         return status, text
-    if told is not None and told["status"]:
-        return told["status"], text  # code of the user's has put something in the place of sys.exit
     say(f"hil: error: {doubt}")
     if "--json" in arguments:
         from hil.verdict.plain_values import from_plain
@@ -64,11 +68,9 @@ def concluded(known: Known, result: Mapping[str, Any], arguments: Sequence[str],
     return ExitStatus.NOT_RECORDED, text
 
 
-def _doubt(told: Mapping[str, Any] | None) -> str:
-    """Why a run that leaves with 0 has not passed; empty: it has. Its process has looked at the seal
+def _doubt(told: Mapping[str, Any]) -> str:
+    """Why a run that says it has passed has not; empty: it has. Its process has looked at the seal
     (:func:`hil.terminal.run_object.read_back`), here it is the summary alone: nothing heavy is imported."""
-    if told is None or told["status"] != ExitStatus.PASSED:
-        return "no summary says that the run passed"
     if not told["recording"]:
         return ""  # its figures and their digest never left its process
     path = Path(told["recording"]) / SUMMARY_FILE
@@ -100,16 +102,14 @@ def lost(known: Known, ended: Ended, arguments: Sequence[str], say: Say) -> tupl
     status = summary.verdict.exit_status
     if "--json" not in arguments:
         return status, ""
-    return status, _object(summary) if arguments[0] == "run" else _error_object(text, status)
+    return status, _object(summary) if arguments[0] == "run" else _failed_object(text, status, arguments)
 
 
 def not_begun(refusal: MachineRefused, arguments: Sequence[str]) -> tuple[int, str]:
     """Exit status and text for stdout of a command for which the machine gives no process."""
-    summary = summary_without_run(VerdictKind.CUT_SHORT, str(refusal))
     if "--json" not in arguments:
         return refusal.exit_status, ""
-    own = arguments[0] == "run"
-    return refusal.exit_status, _object(summary) if own else _error_object(str(refusal), refusal.exit_status)
+    return refusal.exit_status, _failed_object(str(refusal), refusal.exit_status, arguments)
 
 
 def _stop_drives(known: Known, say: Say) -> Iterator[Finding]:
@@ -167,6 +167,8 @@ def _object(summary: Summary) -> str:
     return json.dumps(summary.as_json(), allow_nan=False) + "\n"
 
 
-def _error_object(text: str, status: int) -> str:
-    """Of a command whose object has no verdict."""
+def _failed_object(text: str, status: int, arguments: Sequence[str]) -> str:
+    """Of a command that has no results: a run has its verdict, others say what it was."""
+    if arguments[0] == "run":
+        return _object(summary_without_run(outcome_of_status(status), text))
     return json.dumps({"error": text, "exit_status": status}) + "\n"

@@ -10,7 +10,10 @@ from hil.campaign.sweep_file import Own
 from hil.control.own_code import OwnCodeFailed
 
 CODE = """
-from drivers.errors import BusDown
+from drivers.errors import BenchError
+
+class Mine(BenchError):
+    exit_status = 0
 
 TABLE = {"drive": {"axis1": {"node": 3}}}
 
@@ -24,8 +27,11 @@ def check(seed, run):
 def fails(seed, *run):
     return 1 // (seed - seed)
 
-def bus_fails(seed, *run):
-    raise BusDown("the bus is down")
+def own_error(seed, *run):
+    raise Mine("none of the bench's")
+
+def runs(seed, run):
+    run()
 
 def no_list(seed, run):
     return None
@@ -79,11 +85,19 @@ def test_a_failure_names_the_function_the_seed_and_the_line(sweep: Path) -> None
 
 
 def test_what_the_bench_raises_passes(sweep: Path) -> None:
-    own = OwnFunctions(Own(check="own.py:bus_fails", changes="own.py:bus_fails"), sweep)
+    def run() -> None:
+        raise BusDown("the bus is down")
+
     with pytest.raises(BusDown, match="the bus is down"):
-        own.findings(4, lambda: None)
-    with pytest.raises(BusDown, match="the bus is down"):
-        own.changes(4)
+        OwnFunctions(Own(check="own.py:runs"), sweep).findings(4, run)
+
+
+def test_an_error_of_the_bench_s_kind_that_the_function_raises_is_its_own(sweep: Path) -> None:
+    own = OwnFunctions(Own(check="own.py:own_error", changes="own.py:own_error"), sweep)
+    for call in (lambda: own.changes(4), lambda: own.findings(4, lambda: None)):
+        with pytest.raises(OwnCodeFailed, match="in own_error: Mine: none of the bench's") as caught:
+            call()
+        assert caught.value.exit_status == 3
 
 
 def test_a_check_that_returns_no_list_has_failed(sweep: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput, BusDown
+from drivers.errors import BadInput
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.configuration.motor_file import LING2012
@@ -23,7 +23,7 @@ SETUP = Setup("axis1", Duration(NS_PER_MS), LING2012.parameters, 5.0, 250.0, 60.
 COMMAND = Command(1, 0.0, Instant(0), Instant(0))
 CODE = """
 import math
-from drivers.errors import BusDown
+from drivers.errors import BenchError
 from hil import Compensator, Controller, StateEstimate, TorqueSetPoint
 
 class Mute(Exception):
@@ -59,7 +59,7 @@ class Mine(Controller):
         if self.fails == "mute":
             raise Mute
         if self.fails == "bus":
-            raise BusDown("the bus is down")
+            raise BenchError("the bus is down")
         while self.fails == "spin":
             pass
 
@@ -182,7 +182,7 @@ def test_an_error_in_any_call_is_named_with_its_line(mine: Path, method: str) ->
         OwnCodeFailed, match=rf"failed: mine\.py:{line} in may_fail: RuntimeError: no solution$"
     ):
         CALLS[method](make(mine, fails=method))
-    with pytest.raises(BusDown):
+    with pytest.raises(OwnCodeFailed, match=r"may_fail: BenchError: the bus is down$"):
         CALLS[method](make(mine, fails="bus"))
 
 

@@ -1,0 +1,75 @@
+"""A campaign leaves with 0 only behind its last run, whatever its check puts in the way of an exit status."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hil.configuration.toml_text import toml_text
+from tests.scenario.processes import run_command
+from tests.unit.hil.recorded_runs import BENCH
+from virtual_bus.child_python import python_command
+
+CODE = """
+import signal
+import sys
+import typer
+
+
+def later(_signal, _frame):
+    raise typer.Exit(0)
+
+
+def exits_later(seed, run):
+    run()
+    signal.signal(signal.SIGALRM, later)
+    signal.setitimer(signal.ITIMER_REAL, 0.001)
+    return ["found"]
+
+
+def takes_sys_exit(seed, run):
+    run()
+    sys.exit = lambda status=0: None
+    return ["found"]
+"""
+
+
+def sweep(folder: Path, **own: str) -> Path:
+    (folder / "own.py").write_text(CODE)
+    change = {"bench.duration_s": 0.1, "reference.axis1.0.at_s": 0.0, "load": {}, "faults": {}}
+    (path := folder / "sweep.toml").write_text(
+        toml_text(
+            {
+                "campaign": {"name": "exits", "bench": str(BENCH), "seeds": 2, "failures_recorded": 0},
+                "change": change,
+                "own": own,
+            }
+        )
+    )
+    return path
+
+
+def ended(folder: Path, *before: str, **own: str) -> tuple[int, dict[str, object], str]:
+    command = python_command("hil.cli", "campaign", str(sweep(folder, **own)), "--out", str(folder / "out"))
+    done = run_command([*before, *command, "--workers", "1", "--json"])
+    return done.returncode, json.loads(done.stdout), done.stderr
+
+
+@pytest.mark.parametrize(("check", "status"), [("exits_later", 3), ("takes_sys_exit", 1)])
+def test_no_check_makes_a_campaign_leave_with_0(tmp_path: Path, check: str, status: int) -> None:
+    """The one raised typer.Exit(0) into the second run, the other made sys.exit() return: 0 both times."""
+    returned, told, said = ended(tmp_path, check=f"own.py:{check}")
+    assert returned == status, said
+    if status == 1:
+        assert told["runs"] == 2
+    else:
+        assert str(told["error"]).startswith("code of your own raised outside of its calls: own.py:")
+        assert told["exit_status"] == status
+
+
+def test_a_campaign_for_which_there_is_no_room_says_so(tmp_path: Path) -> None:
+    """By a limit on files, as by a full disk."""
+    status, told, said = ended(tmp_path, "bash", "-c", 'ulimit -f 1; exec "$@"', "bash")
+    assert status == told["exit_status"] == 5, said
+    assert told["error"] == f"--out: {tmp_path / 'out'}: File too large"
+    assert "Traceback" not in said
