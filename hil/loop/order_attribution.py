@@ -140,6 +140,7 @@ class OrderAttribution:
             self._pass_over(mark, received_at)
         elif self._held is not None:
             self.question.amend(self._held[0], True, self._held[1])
+            self.question.withdraw(mark.sequence)
             self.question.cleared = self._sure
         self._answered = mark.number
         if self._sure:
@@ -349,8 +350,9 @@ class OrderAttribution:
         return not self._open.is_within(OPEN_FOR, mark) and self._mark(mark.number - 1).on_bus_at is not None
 
     def _hold(self, reading: Reading, mark: SyncMark) -> Sample | None:
-        """It was held up, and may have been so for longer if the next one does not come."""
+        """It was held up. If the next one does not come, it may be one before, or that of ``mark``."""
         own = self._mark(mark.number - 1)
+        self._doubt(mark)
         assert own.on_bus_at is not None
         self._answered = own.number
         self._held = own.sequence, self._error_of(reading.received_at - own.on_bus_at)
