@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from serial.tools import list_ports
 
-from drivers.wire.adapters import SOCKETCAN, socketcan_links
+from drivers.wire.adapters import SOCKETCAN, BusSpec, socketcan_links
 
 COMMAND = ("ip", "-json", "-details", "link", "show")
 _TIMEOUT_S = 5.0
@@ -140,6 +140,12 @@ def link_advice(link: CanLink, bitrate_bit_s: int | None = None) -> list[str]:
             f"{100 * most:g} %: {again} bitrate {rate} sample-point {SAMPLE_POINT}"
         )
     return found
+
+
+def advice_on(spec: BusSpec, bitrate_bit_s: int | None = None) -> list[str]:
+    """:func:`link_advice` on the interface of ``spec``; nothing of a bus that is none of the kernel's."""
+    links = can_links() if spec.interface == SOCKETCAN else []
+    return [text for link in links if link.spec == str(spec) for text in link_advice(link, bitrate_bit_s)]
 
 
 def _ask_ip() -> str:

@@ -40,6 +40,8 @@ _PROTOCOL: Final = {
     0x40: "active error announcement",
     0x80: "while transmitting",
 }
+_ERROR_PASSIVE: Final = 0x30
+_CHECK: Final = "check the cable, its terminations, the bit rates, and that another node is on"
 _CRC_SEQUENCE: Final = 0x08
 _COUNTERS: Final = 0x200
 
@@ -74,3 +76,13 @@ def controller_state_text(classes: int, data: bytes) -> str:
     if classes & _NO_ACKNOWLEDGEMENT:
         return "sends what nobody acknowledges: no other node is on, or at another bit rate"
     return ""
+
+
+def controller_cure(classes: int, data: bytes, name: str) -> str:
+    """What mends the state that :func:`controller_state_text` tells of the interface ``name``; empty if it is
+    a sound one."""
+    if classes & _BUS_OFF:
+        restart = f"ip link set {name} type can restart, where restart-ms does not do it"
+        return f"{_CHECK}, then {restart}"
+    faulty = classes & _CONTROLLER_CLASS and data[1] & _ERROR_PASSIVE
+    return _CHECK if faulty or classes & _NO_ACKNOWLEDGEMENT else ""

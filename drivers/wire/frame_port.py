@@ -100,6 +100,8 @@ class FramePort:
         late."""
         self.troubles: list[Trouble] = []
         """What befell the adapter and was not told yet."""
+        self.cure = ""
+        """What mends the state that the adapter is in, as far as it is known; empty while it is sound."""
 
     def receive(self, until: Instant) -> WireFrame | None:
         """The next frame; None once ``until`` has come and none is waiting."""

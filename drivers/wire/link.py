@@ -78,6 +78,11 @@ class BusLink:
         return self._port.echoes
 
     @property
+    def cure(self) -> str:
+        """What mends the state that the adapter is in, as far as it is known; empty while it is sound."""
+        return self._port.cure
+
+    @property
     def needs_watching(self) -> bool:
         """Whether somebody has to receive while time passes, or frames are stamped or sent late."""
         return self._port.needs_watching or self._waiting is not None
@@ -226,7 +231,9 @@ class BusLink:
 
     def _fail(self, action: str, error: Exception) -> NoReturn:
         raise BusDown(
-            f"cannot {action} {self.name}", str(error), "check that the interface is up and the cable is in"
+            f"cannot {action} {self.name}",
+            str(error),
+            self.cure or "check that the interface is up and the cable is in",
         ) from error
 
 

@@ -11,7 +11,7 @@ import can
 from can.interfaces.socketcan import SocketcanBus
 
 from drivers.timebase import NS_PER_S, Clock, Instant, MonotonicClock, wall_between
-from drivers.wire.error_frames import controller_state_text
+from drivers.wire.error_frames import controller_cure, controller_state_text
 from drivers.wire.frame_port import EchoBasis, FramePort, Trouble, WireFrame
 from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG, STANDARD_ID_MAX
 from drivers.wire.socketcan_stamps import (
@@ -35,11 +35,11 @@ _SO_RCVBUFFORCE = 33
 _FIRST_COMPARISONS = 8
 """Of the clocks, before the first frame: one alone is off by half of what the processor did in between, seen
 as 105 us on a busy machine; every frame adds one more."""
+_UNPLUGGED = (errno.ENXIO, errno.ENODEV)
 _WHY = {
     errno.ENOBUFS: "the transmit queue of the interface is full",
     errno.ENETDOWN: "the interface is down",
-    errno.ENXIO: "the adapter was unplugged",
-    errno.ENODEV: "the adapter was unplugged",
+    **dict.fromkeys(_UNPLUGGED, "the adapter was unplugged"),
 }
 """What the kernel's errors mean here."""
 _MSG_CONFIRM = 0x800
@@ -53,8 +53,9 @@ class SocketcanPort(FramePort):
     Hardware stamps were never seen here but in tests that make them up.
     """
 
-    def __init__(self, opened: socket.socket, clock: Clock, receive_own: bool) -> None:
+    def __init__(self, opened: socket.socket, clock: Clock, receive_own: bool, channel: str) -> None:
         super().__init__()
+        self._channel = channel
         if receive_own:
             self.echoes = EchoBasis.KERNEL
         self.lost_frames = 0
@@ -118,12 +119,15 @@ class SocketcanPort(FramePort):
         self._note_down(False)
 
     def _refusal(self, action: str, error: OSError) -> can.CanOperationError:
+        if error.errno in _UNPLUGGED:
+            self.cure = "plug it in again; hil scan tells the name that it has then"
         why = _WHY.get(error.errno or 0, error.strerror)
         return can.CanOperationError(f"cannot {action}: {why}", error.errno)
 
     def _note_down(self, down: bool) -> None:
         if down != self._down:
             self._down = down
+            self.cure = f"ip link set {self._channel} up" if down else ""
             if down:
                 self._tell("is down: nothing is sent or heard")
             else:
@@ -133,6 +137,7 @@ class SocketcanPort(FramePort):
         text = controller_state_text(classes, data)
         if text and text != self._controller:
             self._controller = text
+            self.cure = controller_cure(classes, data, self._channel)
             self._tell(text)
 
     def _tell(self, text: str, unheard: bool = False) -> None:
@@ -182,7 +187,7 @@ class StampedSocketcanBus(SocketcanBus):
         self._enlarge_buffer()
         with suppress(OSError):  # a kernel without them: the software stamps stay
             self.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPING, HARDWARE_STAMPS)
-        self.frame_port = SocketcanPort(self.socket, MonotonicClock(), receive_own_messages)
+        self.frame_port = SocketcanPort(self.socket, MonotonicClock(), receive_own_messages, channel)
 
     def _enlarge_buffer(self) -> None:
         """Beyond net.core.rmem_max where the process may, up to it where not; losses are counted."""

@@ -211,7 +211,7 @@ class _Run:
         try:
             self._run()
         except BenchError as error:
-            self._tell_end(error)
+            self._tell_end(self.world.explained(error))
             raise
         finally:
             self._release()

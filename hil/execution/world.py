@@ -8,10 +8,10 @@ import can
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.write_list import WriteList
-from drivers.errors import BadInput
+from drivers.errors import BadInput, BenchError, BusDown, NoAnswer, PeerFault
 from drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
-from drivers.wire.adapters import SOCKETCAN, BusSpec, open_bus, shared_bus
-from drivers.wire.attached import can_links, link_advice
+from drivers.wire.adapters import BusSpec, open_bus, shared_bus
+from drivers.wire.attached import advice_on
 from drivers.wire.link import BusLink, StampSource, Tap
 from hil.configuration.background import BackgroundTables
 from hil.configuration.config import BenchConfig, BusSegment
@@ -67,8 +67,20 @@ class World:
         event; at once what of its settings does not fit."""
         for note in self.notes:
             tell(self.clock.now(), "WARN", note)
-        for link in (self.link, *[segment.link for segment in self.further]):
+        for link in self._links():
             link.on_trouble = lambda text, at: tell(at, "WARN", text)
+
+    def explained(self, error: BenchError) -> BenchError:
+        """``error``; that of a bus or a drive tells also what mends the adapter: its state now, and, where
+        nothing is heard, settings that do not fit."""
+        if isinstance(error, PeerFault):
+            settings = self.notes if isinstance(error, BusDown | NoAnswer) else ()
+            cures = [error.remedy, *settings, *(link.cure for link in self._links())]
+            error.remedy = "; ".join(dict.fromkeys(filter(None, cures)))
+        return error
+
+    def _links(self) -> list[BusLink]:
+        return [self.link, *[segment.link for segment in self.further]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,14 +322,8 @@ def _real_world(plan: WorldPlan) -> World:
         lambda: link.error_frames,
         lambda _tap: None,
         trouble=getattr(opened.bus, "trouble", str),
-        notes=_setting_notes(plan),
+        notes=tuple(advice_on(plan.spec, plan.bitrate_bit_s)),
     )
-
-
-def _setting_notes(plan: WorldPlan) -> tuple[str, ...]:
-    links = can_links() if plan.spec.interface == SOCKETCAN else []
-    mine = [link for link in links if link.spec == str(plan.spec)]
-    return tuple(note for link in mine for note in link_advice(link, plan.bitrate_bit_s))
 
 
 def _through_outages(

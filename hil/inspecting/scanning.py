@@ -13,7 +13,7 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.errors import MISSING, BadInput, BusDown, NoAnswer, PeerFault
 from drivers.timebase import Duration, MonotonicClock
 from drivers.wire.adapters import HUB, SOCKETCAN, BusSpec, OpenBus, open_bus
-from drivers.wire.attached import CanLink, SerialPort, can_links, serial_adapters
+from drivers.wire.attached import CanLink, SerialPort, advice_on, can_links, serial_adapters
 from drivers.wire.bitrate import can_listen_only, detect_bitrate, open_listening
 from drivers.wire.link import BusLink, StampSource
 from virtual_bus.bus.hub import HubBus
@@ -127,6 +127,7 @@ def scan_bus(plan: ScanPlan, say: Callable[[str], None]) -> BusReport:
         report.nodes = scan.found()
         if scan.traffic.running:
             report.notes.append("a network is running: SYNC or process data are on the bus")
+        report.notes += advice_on(plan.spec)
         if link.error_frames:
             report.notes.append(f"{link.error_frames} error frames")
     finally:

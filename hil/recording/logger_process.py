@@ -26,8 +26,9 @@ CONFIRM: Final = "confirm"
 STORED: Final = "stored"
 FAILED: Final = "failed "
 
-_ANSWER_MAX_S: Final = 30.0
-"""The logger imports Rerun and opens its files: a second, or ten of them on a crowded machine."""
+_ANSWER_MAX_S: Final = 120.0
+"""The logger imports Rerun and opens its files: a second, ten of them on a crowded machine, a minute on one
+that is emulated."""
 _FINISH_MAX_S: Final = 120.0
 """The files of a long run are packed and synced to a slow disk; who takes longer is stuck."""
 _REAP_MAX_S: Final = 5.0

@@ -193,7 +193,10 @@ def test_another_failure_ends_at_once(made: tuple[NarrowPort, BusLink]) -> None:
     port.cut, port.code = True, errno.ENXIO
     for _ in range(port.places):
         link.send(SYNC, b"")
-    with pytest.raises(BusDown, match="full"):
+    with pytest.raises(BusDown, match=r"full.*; check that the interface is up"):
+        link.send(SYNC, b"")
+    port.cure = "plug it in"
+    with pytest.raises(BusDown, match=r"full.*; plug it in"):
         link.send(SYNC, b"")
 
 

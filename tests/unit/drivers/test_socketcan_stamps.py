@@ -232,7 +232,7 @@ def fake() -> Iterator[Socket]:
 
 
 def test_own_frames_are_told_by_the_confirmation_and_not_by_the_route(fake: Socket) -> None:
-    port = SocketcanPort(fake, MonotonicClock(), receive_own=True)
+    port = SocketcanPort(fake, MonotonicClock(), receive_own=True, channel="can0")
     msg_confirm, msg_dontroute = 0x800, 0x4
     for flags in (msg_confirm | msg_dontroute, msg_dontroute):
         fake.bring(0x181, b"\x01", [], flags)
@@ -244,7 +244,7 @@ def test_own_frames_are_told_by_the_confirmation_and_not_by_the_route(fake: Sock
 
 
 def test_hardware_stamps_are_taken_where_they_come_and_kernel_stamps_where_not(fake: Socket) -> None:
-    port = SocketcanPort(fake, MonotonicClock(), receive_own=True)
+    port = SocketcanPort(fake, MonotonicClock(), receive_own=True, channel="can0")
     before, wall, _ = wall_between()
     sent_at = before - 10 * NS_PER_MS
     for number, late_us in enumerate((80, 20, 50)):
@@ -276,7 +276,7 @@ def test_the_first_frame_does_not_hang_on_one_comparison_that_was_interrupted(
         return Instant(before), EPOCH + wall_read_at, Instant(after)
 
     monkeypatch.setattr("drivers.wire.socketcan.wall_between", interrupted_once)
-    port = SocketcanPort(fake, MonotonicClock(), receive_own=False)
+    port = SocketcanPort(fake, MonotonicClock(), receive_own=False, channel="can0")
     at = NS_PER_S + NS_PER_MS
     fake.bring(0x181, b"", [software(EPOCH + at)])
     port.receive(Instant(0))
@@ -284,7 +284,7 @@ def test_the_first_frame_does_not_hang_on_one_comparison_that_was_interrupted(
 
 
 def test_error_frames_and_losses_are_handed_on(fake: Socket) -> None:
-    port = SocketcanPort(fake, MonotonicClock(), receive_own=False)
+    port = SocketcanPort(fake, MonotonicClock(), receive_own=False, channel="can0")
     fake.bring(ERROR_FLAG | 0x40, bytes(8), [overflow(3)])
     assert port.receive(Instant(0)) == WireFrame(ERROR_FLAG | 0x40, bytes(8))
     assert port.lost_frames == 3

@@ -87,7 +87,7 @@ def hardware(ns: int) -> tuple[int, int, bytes]:
 
 
 def test_an_interface_that_goes_down_and_comes_up_is_no_end(kernel: Socket) -> None:
-    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True)
+    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True, channel="can0")
     kernel.bring_error(errno.ENETDOWN)
     assert port.receive(Instant(0)) is None
     kernel.refuses = errno.ENETDOWN
@@ -95,24 +95,27 @@ def test_an_interface_that_goes_down_and_comes_up_is_no_end(kernel: Socket) -> N
         with pytest.raises(can.CanOperationError, match="the interface is down") as refused:
             port.transmit(WireFrame(0x80))
         assert refused.value.error_code == errno.ENETDOWN
+    assert port.cure == "ip link set can0 up"
     kernel.refuses = 0
     port.transmit(WireFrame(0x80))
+    assert port.cure == ""
     assert told(port) == ["is down: nothing is sent or heard", "is up again"]
 
 
 @pytest.mark.parametrize("number", [errno.ENXIO, errno.ENODEV])
 def test_an_adapter_that_was_unplugged_is_an_end_and_is_called_so(kernel: Socket, number: int) -> None:
-    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True)
+    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True, channel="can0")
     kernel.bring_error(number)
     with pytest.raises(can.CanOperationError, match="cannot receive: the adapter was unplugged"):
         port.receive(Instant(0))
     kernel.refuses = number
     with pytest.raises(can.CanOperationError, match="cannot transmit: the adapter was unplugged"):
         port.transmit(WireFrame(0x80))
+    assert "hil scan tells the name" in port.cure
 
 
 def test_a_full_queue_has_its_own_code(kernel: Socket) -> None:
-    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True)
+    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True, channel="can0")
     kernel.refuses = errno.ENOBUFS
     with pytest.raises(can.CanOperationError, match="transmit queue of the interface is full") as refused:
         port.transmit(WireFrame(0x80))
@@ -121,7 +124,7 @@ def test_a_full_queue_has_its_own_code(kernel: Socket) -> None:
 
 
 def test_frames_that_the_kernel_dropped_are_told_each_time(kernel: Socket) -> None:
-    port = SocketcanPort(kernel, MonotonicClock(), receive_own=False)
+    port = SocketcanPort(kernel, MonotonicClock(), receive_own=False, channel="can0")
     for lost in (0, 3, 3, 10):
         kernel.bring(0x181, b"\1", [(socket.SOL_SOCKET, SO_RXQ_OVFL, pack("=I", lost))])
         port.receive(Instant(0))
@@ -131,14 +134,19 @@ def test_frames_that_the_kernel_dropped_are_told_each_time(kernel: Socket) -> No
 
 def test_a_controller_tells_its_state_once_however_many_errors_there_are(kernel: Socket) -> None:
     """Warning, passive, bus-off and restart, as linux/can/error.h has them; bus errors between them."""
-    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True)
+    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True, channel="can0")
     states = ((0x004, 0x08), (0x004, 0x20), (0x040, 0), (0x100, 0), (0x004, 0x40))
+    cures = []
     for classes, detail in states:
         for _ in range(20):
             kernel.bring(ERROR_FLAG | classes, bytes((0, detail, 0, 0, 0, 0, 0, 0)))
             kernel.bring(ERROR_FLAG | 0x088, bytes(8))
             frames = [port.receive(Instant(0)) for _ in range(2)]
             assert all(frame is not None and frame.can_id >= ERROR_FLAG for frame in frames)
+        cures.append(port.cure)
+    check = "check the cable, its terminations, the bit rates, and that another node is on"
+    restart = "ip link set can0 type can restart, where restart-ms does not do it"
+    assert cures == ["", check, f"{check}, then {restart}", "", ""]
     assert [" ".join(text.split()[:7]) for text in told(port)] == [
         "tells of its controller: transmit warning",
         "tells of its controller: transmit error passive",
@@ -171,7 +179,7 @@ def test_times_of_32_and_64_bits_and_of_both_generations_are_read(
 
 @pytest.mark.parametrize("off_s", [-6, 6])
 def test_stamps_that_are_seconds_off_are_told_and_not_used(kernel: Socket, off_s: int) -> None:
-    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True)
+    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True, channel="can0")
     for own in (False, True) * 3:
         _, wall, after = wall_between()
         kernel.bring(0x181, b"\1", [software(wall + off_s * NS_PER_S * own)], OWN * own)
@@ -182,7 +190,7 @@ def test_stamps_that_are_seconds_off_are_told_and_not_used(kernel: Socket, off_s
 
 def test_an_adapter_whose_own_stamps_jump_is_not_believed_any_more(kernel: Socket) -> None:
     """Echoes 6 s beside what others sent."""
-    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True)
+    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True, channel="can0")
     for number in range(12):
         own = bool(number % 2)
         _, wall, after = wall_between()

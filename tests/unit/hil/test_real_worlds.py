@@ -10,7 +10,7 @@ import can
 import pytest
 
 from drivers.canopen.write_list import NOTHING
-from drivers.errors import BadInput
+from drivers.errors import BadInput, BusDown, LimitExceeded, NoAnswer
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock, wall_clock_offset
 from drivers.wire.adapters import parse_bus_spec
 from drivers.wire.link import BusLink
@@ -136,6 +136,26 @@ def test_segments_bear_their_names_and_rates() -> None:
             assert link.fetch(Instant(began + NS_PER_MS))
             arrivals.append(link.last_at - began)
         assert arrivals[1] >= 4 * arrivals[0] > 0
+
+
+def test_an_error_says_what_mends_the_adapter_and_of_silence_which_setting_may_be_its_cause() -> None:
+    setting, cure = "can0 only listens: ip link set can0 down", "ip link set can0 up"
+    with open_world(SIMULATED, []) as made:
+        world = replace(made, notes=(setting,))
+        vars(world.link.bus)["frame_port"].cure = cure
+        said = [
+            str(world.explained(error))
+            for error in (
+                NoAnswer("node 1 is silent", "", "look at it"),
+                LimitExceeded("too fast"),
+                BusDown("cannot send", "", cure),
+            )
+        ]
+    assert said == [
+        f"node 1 is silent; look at it; {setting}; {cure}",
+        f"too fast; {cure}",
+        f"cannot send; {cure}; {setting}",
+    ]
 
 
 def test_a_master_of_a_bus_with_drives_is_not_on_the_simulated_one() -> None:
