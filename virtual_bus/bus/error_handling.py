@@ -75,7 +75,7 @@ class ErrorHandling(Handling):
         """``port`` has just left the wire: a frame of its own under way breaks off."""
         if self._under_way and self._trial is not None and self._trial.error is None:
             bit = (self._timeline.now - self._start_at) * self._segment.bitrate_bit_s // NS_PER_S
-            if port is self._sender:
+            if port is self._sender and bit < self._trial.frame_bits:
                 self._settle(self._conditions._replace(cut_at=bit))
             elif port._rank in self._trial.accepted and bit < self._trial.frame_bits - 9:
                 self._settle(self._conditions)
@@ -176,8 +176,9 @@ class ErrorHandling(Handling):
         segment._free_at = free_at = Instant(wire_free_at + segment._intermission)
         segment._load.add(free_at - self._start_at, free_at)
         if trial.completed:
-            sender._queue.pop(0)
             segment.frames += 1
+        if trial.completed and sender._queue:  # else it went off in this instant
+            sender._queue.pop(0)
         states = self._count(sender, trial)
         if sender.controller.state is ErrorState.PASSIVE:
             sender.controller.suspended_until = Instant(free_at + self._bits(SUSPEND_BITS))

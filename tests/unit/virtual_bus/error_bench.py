@@ -60,6 +60,10 @@ class Bench:
         port = self.nodes[node].port
         self.timeline.post(Instant(when_us * 1_000), lambda _now: port.send(frame))
 
+    def go_off_at(self, when_ns: int, node: int) -> None:
+        port = self.nodes[node].port
+        self.timeline.post(Instant(when_ns), lambda _now: port.go_bus_off())
+
     def run(self, until_us: int = 100_000) -> None:
         self.timeline.run_until(Instant(until_us * 1_000))
 

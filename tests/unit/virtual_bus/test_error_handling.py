@@ -6,6 +6,7 @@ import can
 import pytest
 
 from drivers.timebase import Instant
+from tests.unit.virtual_bus.can_reference import wire_bits
 from tests.unit.virtual_bus.error_bench import (
     BIT_NS,
     DELIMITER,
@@ -200,6 +201,23 @@ def test_a_sender_that_is_unplugged_breaks_off_and_repeats_when_it_is_back(cut_u
     sender.port.plug()
     bench.run(2_000)
     assert [at for at, _ in other.got] == sender.sent == [1_000_000 + (11 + length(FRAME)) * BIT_NS]
+
+
+def test_a_controller_that_is_driven_off_in_any_bit_of_its_frame_forgets_what_it_had_to_send() -> None:
+    """In the last instant the frame is over, and has been sent. Receivers take it as soon as it has no more
+    dominant bits than their own acknowledgement."""
+    recessive_from = wire_bits(FRAME)[:-9].rindex("0") + 1
+    for cut in range(length(FRAME) + 1):
+        bench = Bench(2)
+        sender, other = bench.nodes
+        bench.go_off_at(cut * BIT_NS, 0)
+        sender.port.send(FRAME)
+        sender.port.send(Frame(0x281))
+        bench.run(1_000)
+        is_over = cut == length(FRAME)
+        assert (len(sender.sent), bench.segment.frames, sender.port.pending) == (is_over, is_over, 0), cut
+        assert len(other.got) == (cut >= recessive_from), cut
+        assert len(bench.errors) == (0 < cut < length(FRAME)), cut
 
 
 def test_an_unplugged_node_misses_what_is_sent_and_keeps_what_it_has_to_say() -> None:
