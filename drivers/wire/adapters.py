@@ -186,9 +186,13 @@ def socketcan_links(root: Path = _NETWORK_LINKS) -> list[Adapter]:
     return links
 
 
+VIRTUAL = "vcan"
+"""How names of virtual interfaces begin, by custom."""
+
+
 def link_up_command(channel: str, bitrate_bit_s: int = 1_000_000) -> str:
     """The command that brings a SocketCAN interface up."""
-    if channel.startswith("vcan"):
+    if channel.startswith(VIRTUAL):
         return f"ip link add dev {channel} type vcan; ip link set {channel} up"
     return f"ip link set {channel} up type can bitrate {bitrate_bit_s}"
 
@@ -246,6 +250,9 @@ def _remedy(spec: BusSpec, bitrate_bit_s: int, error: Exception) -> str:
     if spec.interface == SOCKETCAN:
         if getattr(error, "errno", None) == errno.EAFNOSUPPORT:
             return "this kernel has no SocketCAN: use hub:NAME"
+        others = [link.spec for link in socketcan_links(_NETWORK_LINKS)]
+        if getattr(error, "errno", None) == errno.ENODEV and others and not spec.channel.startswith(VIRTUAL):
+            return f"plug it in; there is {', '.join(others)} (hil scan)"
         return link_up_command(spec.channel, bitrate_bit_s)
     if spec.interface in SERIAL_INTERFACES:
         return "check the port's name, and that you may open it (group dialout)"

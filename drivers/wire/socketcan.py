@@ -66,6 +66,8 @@ class SocketcanPort(FramePort):
         self._adapter = AdapterClock()
         self._down = False
         """Whether the interface was down when it was last looked at."""
+        self._down_since = Instant(0)
+        """When that was first seen, if so."""
         self._controller = ""
         """What the last error frame told of its state."""
         self._far_off = 0
@@ -91,9 +93,10 @@ class SocketcanPort(FramePort):
                 if error.errno != errno.ENETDOWN:
                     raise self._refusal("receive", error) from error
                 self._note_down(True)
-        self._note_down(False)
         self.came_own = bool(flags & _MSG_CONFIRM)
         self.came_at = self._stamp(ancillary)
+        if self._down and self.came_at > self._down_since:  # others had waited in the buffer
+            self._note_down(False)
         word, length, data = _FRAME.unpack(frame)
         remote, extended = bool(word & REMOTE_FLAG), bool(word & EXTENDED_FLAG)
         if word & ERROR_FLAG:
@@ -126,7 +129,7 @@ class SocketcanPort(FramePort):
 
     def _note_down(self, down: bool) -> None:
         if down != self._down:
-            self._down = down
+            self._down, self._down_since = down, self._now()
             self.cure = f"ip link set {self._channel} up" if down else ""
             if down:
                 self._tell("is down: nothing is sent or heard")

@@ -1,5 +1,6 @@
 """Bus specifications and the errors of opening a bus."""
 
+import errno
 from contextlib import suppress
 from pathlib import Path
 
@@ -114,6 +115,21 @@ def test_an_interface_that_is_down_names_the_command(tmp_path: Path, monkeypatch
 def test_a_missing_socketcan_interface_names_a_way_on() -> None:
     with pytest.raises(BusDown, match=r"cannot open socketcan:vcan77.*(hub:NAME|ip link add dev vcan77)"):
         open_bus(parse_bus_spec("socketcan:vcan77"), 1_000_000)
+
+
+def test_an_adapter_that_is_back_under_another_name_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(**_options: object) -> None:
+        raise OSError(errno.ENODEV, "No such device")
+
+    link(tmp_path, "can1", "280", "0x40081")
+    monkeypatch.setattr(adapters, "_NETWORK_LINKS", tmp_path)
+    monkeypatch.setattr(adapters, "StampedSocketcanBus", refuse)
+    with pytest.raises(BusDown, match=r"No such device; plug it in; there is socketcan:can1 \(hil scan\)"):
+        open_bus(parse_bus_spec("socketcan:can0"), 1_000_000)
+    with pytest.raises(BusDown, match="ip link add dev vcan0"):
+        open_bus(parse_bus_spec("socketcan:vcan0"), 1_000_000)
 
 
 def test_a_driver_that_is_not_installed_is_one_error(monkeypatch: pytest.MonkeyPatch) -> None:

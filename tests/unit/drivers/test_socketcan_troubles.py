@@ -102,6 +102,19 @@ def test_an_interface_that_goes_down_and_comes_up_is_no_end(kernel: Socket) -> N
     assert told(port) == ["is down: nothing is sent or heard", "is up again"]
 
 
+def test_what_waited_in_the_buffer_of_an_interface_that_is_down_does_not_make_it_up(kernel: Socket) -> None:
+    port = SocketcanPort(kernel, MonotonicClock(), receive_own=True, channel="can0")
+    _, before, _ = wall_between()
+    kernel.bring_error(errno.ENETDOWN)
+    kernel.bring(0x181, b"\1", [software(before)])
+    assert port.receive(Instant(0)) is not None
+    assert told(port) == ["is down: nothing is sent or heard"]
+    _, after, _ = wall_between()
+    kernel.bring(0x181, b"\2", [software(after)])
+    assert port.receive(Instant(0)) is not None
+    assert told(port)[1:] == ["is up again"]
+
+
 @pytest.mark.parametrize("number", [errno.ENXIO, errno.ENODEV])
 def test_an_adapter_that_was_unplugged_is_an_end_and_is_called_so(kernel: Socket, number: int) -> None:
     port = SocketcanPort(kernel, MonotonicClock(), receive_own=True, channel="can0")
