@@ -230,17 +230,16 @@ def _store(session: Session, left: DriveLeft) -> None:
     network.pump(network.deadline_after(Duration(50 * NS_PER_MS)))
 
 
-def run_restore(bus: str, node: int, journal: Path, bitrate_bit_s: int) -> dict[str, Any]:
-    """``hil restore``: what came of it.
+def run_restore(journal: Path, bus: str | None) -> dict[str, Any]:
+    """``hil restore``: what came of it. ``bus``: None: that of the journal.
 
-    Raises BadInput for a journal of another drive or node, NoAnswer or BusDown if it cannot be reached.
+    Raises PeerFault if the node is another drive now, NoAnswer or BusDown if it cannot be reached.
     """
     contents = read_journal(journal)
-    if contents.head.node != node:
-        raise BadInput("--node", "", node, f"{contents.head.node}, whose journal {journal} is")
-    with stop_signals(), drive_network(bus, bitrate_bit_s, RESTORE) as network:
-        await_answer(network, node, _ANSWER_LIMIT)
-        check_mark(RemoteObjects(network, node), contents.head.mark)
+    head = contents.head
+    with stop_signals(), drive_network(bus or head.bus, head.bitrate_bit_s, RESTORE) as network:
+        await_answer(network, head.node, _ANSWER_LIMIT)
+        check_mark(RemoteObjects(network, head.node), head.mark)
         result = restore(network, contents, say)
     text = [f"{result.objects} objects, {result.written} had to be written"]
     if result.complete:

@@ -20,6 +20,7 @@ from hil.configuration.config import Foreign, Guard
 from hil.configuration.config_files import Section, load_file
 from hil.configuration.motor_file import LING2012, MotorFile
 from hil.configuration.quantities import Current, Inductance, Inertia, Resistance, Speed, Torque, Voltage
+from hil.restoring.journal import restore_command
 
 
 class PlateMotor(Section):
@@ -239,7 +240,7 @@ class CommissionRequest:
     @property
     def restore_command(self) -> str:
         """What puts everything back that the journal tells of."""
-        return f"hil restore --bus {self.bus} --node {self.node} {self.journal}"
+        return restore_command(self.journal)
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,7 +121,7 @@ class IdentityCheck(Step):
                     )
                 outcome.say(f"revision {of_drive:08X}h, the data sheet is for {of_sheet:08X}h")
         if not session.request.dry_run:
-            head = head_of(session.objects, session.request.bus, identity)
+            head = head_of(session.objects, session.request.bus, session.request.bitrate_bit_s, identity)
             session.network.begin_journal(Journal(session.request.journal, head))
 
 

@@ -32,7 +32,7 @@ from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive, clocks_
 from hil.measuring.loss_model import Outcomes, losses_of
 from hil.measuring.probe import TimedDemandChange, acting
 from hil.measuring.subject import MeasureRequest, Subject, affordable, timing_of
-from hil.restoring.journal import Journal, JournaledNetwork
+from hil.restoring.journal import Journal, JournaledNetwork, restore_command
 from hil.restoring.restore import head_of, restore
 from hil.rows.records import Rows
 from hil.write_lists import MEASURE
@@ -136,7 +136,7 @@ class Measurement:
             subject.identity = str(identity)
             subject.find_stamp(self._network)
             node = subject.drive.node_id
-            head = head_of(subject.drive.objects, request.bus, identity)
+            head = head_of(subject.drive.objects, request.bus, request.bitrate_bit_s, identity)
             self._network.begin_journal(Journal(self._folder / f"node{node}.jsonl", head))
         self._progress("configuring", 0.0)
         for subject in self._subjects:
@@ -207,8 +207,7 @@ class Measurement:
             if result is not None and result.complete:
                 journal.note_restored()
             else:
-                command = f"hil restore --bus {self._request.bus} --node {node} {journal.path}"
-                failures += [*(result.failures if result else []), command]
+                failures += [*(result.failures if result else []), restore_command(journal.path)]
             network.watch(node, Duration(0))
             journal.close()
         network.fall_silent()

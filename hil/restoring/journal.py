@@ -4,14 +4,15 @@ One JSON object a line. The first tells whose drive it is; then, before each wri
 that it held and those that it gets; a last one tells that all was put back. Each line is on the disk (fsync)
 before the write goes out, so whatever kills the program in between, no change is without its old value.
 
-    {"journal": 1, "bus": "hub:bench", "node": 1, "vendor": ..., "product": ..., "nmt": 127, "errors": 0}
+    {"journal": 1, "bus": "hub:bench", "bitrate_bit_s": 1000000, "node": 1, "vendor": ..., "nmt": 127, ...}
     {"object": "6072:00", "old": "b80b", "new": "f401"}
     {"restored": 1}
 """
 
 import json
+import shlex
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -78,6 +79,8 @@ class JournalHead:
     """NMT state in which the drive was found; None if it told none."""
     errors: int | None = None
     """Entries of its error history 1003h; None if it has none such."""
+    bitrate_bit_s: int = 1_000_000
+    """Of the bus; journals of earlier versions do not have it."""
 
 
 @dataclass(slots=True)
@@ -115,6 +118,7 @@ class Journal:
             {
                 "journal": VERSION,
                 "bus": head.bus,
+                "bitrate_bit_s": head.bitrate_bit_s,
                 "node": head.node,
                 **mark,
                 "nmt": head.nmt,
@@ -140,6 +144,11 @@ class Journal:
 
     def _write(self, record: Mapping[str, Any]) -> None:
         write_synced(self._file, json.dumps(record).encode() + b"\n")
+
+
+def restore_command(journal: Path) -> str:
+    """What puts back all that a journal tells of."""
+    return f"hil restore {shlex.quote(str(journal))}"
 
 
 def append_restored(path: Path) -> None:
@@ -181,7 +190,8 @@ def _head(path: Path, record: dict[str, Any]) -> JournalHead:
         raise BadInput(str(path), "journal", record["journal"], f"version {VERSION}")
     try:
         mark = DriveMark(int(record["vendor"]), int(record["product"]), int(record["serial"]))
-        return JournalHead(str(record["bus"]), int(record["node"]), mark, record["nmt"], record.get("errors"))
+        head = JournalHead(str(record["bus"]), int(record["node"]), mark, record["nmt"], record.get("errors"))
+        return replace(head, bitrate_bit_s=int(record.get("bitrate_bit_s", head.bitrate_bit_s)))
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(str(path), "line 1", record, "the head of a journal", str(error)) from None
 
@@ -204,13 +214,12 @@ def _refuse_open_journal(path: Path) -> None:
         return
     contents = read_journal(path)
     if contents.changes and not contents.restored:
-        head = contents.head
         raise BadInput(
             "--out",
             "",
             str(path.parent),
             "a folder without a journal that waits to be put back",
-            f"hil restore --bus {head.bus} --node {head.node} {path}",
+            restore_command(path),
         )
 
 

@@ -102,11 +102,11 @@ def _restore(network: CanopenNetwork, contents: JournalContents, tell: Callable[
     return result
 
 
-def head_of(objects: RemoteObjects, bus: str, identity: Identity) -> JournalHead:
+def head_of(objects: RemoteObjects, bus: str, bitrate_bit_s: int, identity: Identity) -> JournalHead:
     """How a drive is found, for the head of its journal; waits for its heartbeat, if it sends one."""
     mark = DriveMark(identity.vendor, identity.product, identity.serial)
     errors = objects.read_if_there(Cia301.ERROR_HISTORY, 0, "B")
-    return JournalHead(bus, objects.node_id, mark, _nmt_heard(objects), errors)
+    return JournalHead(bus, objects.node_id, mark, _nmt_heard(objects), errors, bitrate_bit_s)
 
 
 def _nmt_heard(objects: RemoteObjects) -> int | None:

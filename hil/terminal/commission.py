@@ -109,8 +109,7 @@ def commission(asked: CommissionOptions) -> None:
     from hil.commissioning.commission import run_command
 
     if not asked.dry_run:
-        journal = f"{asked.out}/journal.jsonl --bus {asked.bus} --node {asked.node}"
-        advice = f"hil restore {journal} puts back what was changed in the drive"
+        advice = f"{request.restore_command} puts back what was changed in the drive"
         tell_parent(bus=asked.bus, bitrate=asked.bitrate, nodes=[asked.node], advice=advice)
 
     result, figures = run_command(
@@ -128,15 +127,13 @@ def restore(
     journal: Annotated[
         Path, typer.Argument(metavar="JOURNAL", help="journal.jsonl of a commissioning, or a measurement's.")
     ],
-    bus: DriveBusOption,
-    node: DriveNodeOption,
-    bitrate: BitrateOption = 1_000_000,
+    bus: Annotated[str | None, bus_option("The bus, if it has another name than in the journal.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Put back every object that a commissioning or a measurement changed, after a crash or a lost bus."""
     from hil.commissioning.commission import run_restore
 
-    outcome: dict[str, Any] = run_restore(bus, node, journal, bitrate)
+    outcome: dict[str, Any] = run_restore(journal, bus)
     put(outcome, as_json, lambda _figures: say("\n".join(outcome["text"])))
     raise typer.Exit(ExitStatus.PASSED if outcome["complete"] else ExitStatus.FAILED)
 

@@ -29,7 +29,7 @@ FILES: Final[dict[str, list[tuple[str, ...]]]] = {
     "store.json": [("simulate", "--bus", NOWHERE, "--node", "1", "--store", "{}")],
     "current.toml": [("simulate", "--bus", NOWHERE, "--node", "1", "--current-control", "{}")],
     "plate.toml": [("commission", "--bus", NOWHERE, "--node", "1", "--out", "{out}", "--motor", "{}")],
-    "journal.jsonl": [("restore", "--bus", NOWHERE, "--node", "1", "{}")],
+    "journal.jsonl": [("restore", "--bus", NOWHERE, "{}")],
     "sound.eds": [("eds", "{}", "--json"), ("eds", "{}", "--plan")],
     "configured.dcf": [("eds", "{}")],
 }

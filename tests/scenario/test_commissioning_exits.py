@@ -137,8 +137,8 @@ def start(bus: str, out: Path, stdin: int = subprocess.DEVNULL) -> subprocess.Po
     return in_background(command(bus, out), stdin, subprocess.DEVNULL)
 
 
-def restore(bus: str, out: Path) -> subprocess.CompletedProcess[str]:
-    return run_command([*hil(), "restore", "--bus", bus, "--node", "1", str(out / "journal.jsonl")])
+def restore(out: Path) -> subprocess.CompletedProcess[str]:
+    return run_command([*hil(), "restore", str(out / "journal.jsonl")])
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -196,15 +196,10 @@ def test_a_host_that_is_gone_is_put_back_by_its_journal(tmp_path: Path, number: 
         process.kill()
         process.communicate(timeout=20)
         assert watching.memory() != before
-        done = restore(bus, tmp_path)
+        done = restore(tmp_path)
         assert done.returncode == 0, done.stderr
         assert "byte for byte" in done.stderr
         assert watching.memory() == before
-        refused = run_command(
-            [*hil(), "restore", "--bus", bus, "--node", "2", str(tmp_path / "journal.jsonl")]
-        )
-        assert refused.returncode == 2
-        assert "--node" in refused.stderr
 
 
 def test_a_command_that_is_gone_has_its_drive_stopped_by_its_parent(tmp_path: Path) -> None:
@@ -218,9 +213,9 @@ def test_a_command_that_is_gone_has_its_drive_stopped_by_its_parent(tmp_path: Pa
         assert process.returncode == 6, said
         assert "hil: error: the process of hil commission was ended by SIGKILL" in said
         assert "hil: node 1: at rest and" in said
-        assert f"hil restore {tmp_path}/journal.jsonl --bus {bus} --node 1" in said
+        assert f"hil restore {tmp_path}/journal.jsonl puts back" in said
         watching.time_to_rest(watching.now(), 0.1, asking=True)
-        assert restore(bus, tmp_path).returncode == 0
+        assert restore(tmp_path).returncode == 0
         assert watching.memory() == before
 
 
@@ -236,7 +231,7 @@ def test_a_journal_that_waits_forbids_another_commissioning_over_it(tmp_path: Pa
         again = run_command(command(bus, tmp_path))
         assert again.returncode == 2, again.stderr
         assert "hil restore" in again.stderr
-        assert restore(bus, tmp_path).returncode == 0
+        assert restore(tmp_path).returncode == 0
 
 
 def test_a_lost_bus_ends_it_and_names_what_puts_things_back(tmp_path: Path) -> None:
@@ -249,6 +244,6 @@ def test_a_lost_bus_ends_it_and_names_what_puts_things_back(tmp_path: Path) -> N
         _, said = process.communicate(timeout=30)
         assert process.returncode == 3, said
         assert "Traceback" not in said
-        assert f"hil restore --bus {bus} --node 1 {tmp_path / 'journal.jsonl'}" in said
+        assert f"hil restore {tmp_path / 'journal.jsonl'}" in said
         assert "may hold other values than before" in (tmp_path / REPORT_FILE).read_text()
         assert drive.wait(timeout=20) == 3

@@ -63,7 +63,7 @@ def test_a_fault_plan_ends_with_bad_input(tmp_path: Path, name: str) -> None:
         ("design", "current", "{}"),
         ("design", "current", str(EXAMPLES / "motors" / "azaiz2007.toml"), "--weights", "{}"),
         ("analyse", "speed", "{}", "--gain", "0,-0.02", "--delay-ms", "64"),
-        ("restore", "--bus", "hub:x", "--node", "1", "{}"),
+        ("restore", "{}"),
         ("commission", "--bus", "hub:x", "--node", "1", "--out", "/nowhere", "--motor", "{}"),
     ],
     ids=lambda command: " ".join(part for part in command if "/" not in part),

@@ -80,14 +80,13 @@ def test_the_options_of_a_commissioning_are_its_request(handed: Handed, tmp_path
 
 
 def test_what_was_changed_is_put_back_by_its_journal(handed: Handed) -> None:
-    asked = ("restore", "journal.jsonl", "--bus", "hub:x", "--node", "4")
-    told = hil(*asked)
+    told = hil("restore", "journal.jsonl")
     assert (told.exit_code, told.stdout, told.stderr) == (0, "", "one\ntwo\n")
     handed.outcome["complete"] = False
-    told = hil(*asked, "--bitrate", "125000", "--json")
+    told = hil("restore", "journal.jsonl", "--bus", "hub:x", "--json")
     assert (told.exit_code, json.loads(told.stdout), told.stderr) == (1, handed.outcome, "")
     journal = Path("journal.jsonl")
-    assert handed.asked == [("hub:x", 4, journal, 1_000_000), ("hub:x", 4, journal, 125_000)]
+    assert handed.asked == [(journal, None), (journal, "hub:x")]
 
 
 def test_an_unknown_drive_is_simulated_as_it_is_asked_for(handed: Handed) -> None:

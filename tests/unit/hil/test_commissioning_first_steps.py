@@ -102,10 +102,14 @@ class Introduced:
         self.journals: list[Journal] = []
         head = JournalHead("hub:x", 5, DriveMark(0x1A, 0x2B, 4), None, None)
         monkeypatch.setattr(
-            module, "head_of", lambda _objects, bus, identity: self._head(bus, identity, head)
+            module,
+            "head_of",
+            lambda _objects, bus, bitrate, identity: self._head(bus, bitrate, identity, head),
         )
         self.path = folder / "journal.jsonl"
-        request = SimpleNamespace(eds=None, dry_run=False, bus="hub:x", journal=self.path)
+        request = SimpleNamespace(
+            eds=None, dry_run=False, bus="hub:x", bitrate_bit_s=500_000, journal=self.path
+        )
         self.session = session_of(Shaft(TRUTH), request=request, dictionary=dictionary)
         mine: Any = self.session
         mine.drive = SimpleNamespace(connect=lambda deadline: self._connected(deadline))
@@ -121,8 +125,8 @@ class Introduced:
         assert deadline == 5.0
         return DRIVE
 
-    def _head(self, bus: str, identity: Identity, head: JournalHead) -> JournalHead:
-        assert (bus, identity) == ("hub:x", DRIVE)
+    def _head(self, bus: str, bitrate_bit_s: int, identity: Identity, head: JournalHead) -> JournalHead:
+        assert (bus, bitrate_bit_s, identity) == ("hub:x", 500_000, DRIVE)
         return head
 
     def run(self) -> StepOutcome:

@@ -94,7 +94,7 @@ def test_a_journal_that_waits_is_not_written_over(tmp_path: Path) -> None:
     path = tmp_path / "j.jsonl"
     written(path, [ObjectWrite(LIMIT, b"\x01", b"\x02")]).close()
     before = path.read_bytes()
-    with pytest.raises(BadInput, match=r"hil restore --bus hub:bench --node 7"):
+    with pytest.raises(BadInput, match=rf"hil restore {path}"):
         Journal(path, HEAD)
     assert path.read_bytes() == before
     append_restored(path)

@@ -94,7 +94,7 @@ def test_each_step_has_its_part_in_markdown(tmp_path: Path) -> None:
 
 REST = {"enabled": True, "at_rest": True, "disabled": True}
 AT_REST = "The drive is at rest and disabled."
-UNDO = "hil restore --bus hub:x --node 5 {}/journal.jsonl"
+UNDO = "hil restore {}/journal.jsonl"
 
 
 @pytest.mark.parametrize(
@@ -212,7 +212,7 @@ def test_what_was_written_is_told_in_the_order_of_the_objects(tmp_path: Path) ->
     limit, heartbeat = ObjectKey(0x6072, 0), ObjectKey(0x1017, 0)
     findings = Findings(settings={limit: b"\1\2", heartbeat: b"\x64\0"}, originals={limit: b"\xe8\3"})
     _, page = written(tmp_path, findings=findings)
-    undo = f"hil restore --bus hub:x --node 5 {tmp_path / 'journal.jsonl'}"
+    undo = f"hil restore {tmp_path / 'journal.jsonl'}"
     assert page[page.index("<h2>Written") :] == (
         "<h2>Written to the drive</h2><table><tr><th>object</th><th>before, hex</th><th>set, hex</th></tr>"
         f"<tr><td>{heartbeat}</td><td></td><td>6400</td></tr>"

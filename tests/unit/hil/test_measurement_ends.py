@@ -138,7 +138,7 @@ def test_what_could_not_be_put_back_is_told_with_the_command_that_does(ends: End
         1: PeerFault("no answer"),
         2: SimpleNamespace(complete=False, failures=["6040h is another", "6060h too"]),
     }
-    commands = {node: f"hil restore --bus hub:x --node {node} {ends.journals[node].path}" for node in (1, 2)}
+    commands = {node: f"hil restore {ends.journals[node].path}" for node in (1, 2)}
     failures = ends.measurement._leave()
     assert failures == ["no answer", commands[1], "6040h is another", "6060h too", commands[2]]
     assert ends.said == failures

@@ -269,8 +269,8 @@ def test_a_drive_s_head_waits_for_its_heartbeat(
 ) -> None:
     node = Node(objects)
     node.state = state
-    head = head_of(RemoteObjects(network(node), NODE), "hub:x", IDENTITY)
-    assert head == JournalHead("hub:x", NODE, MARK, nmt, errors)
+    head = head_of(RemoteObjects(network(node), NODE), "hub:x", 500_000, IDENTITY)
+    assert head == JournalHead("hub:x", NODE, MARK, nmt, errors, 500_000)
     assert node.now == took_ms * NS_PER_MS
 
 
@@ -292,7 +292,7 @@ def test_an_answer_is_not_awaited_beyond_its_limit() -> None:
 
 # ---- journals -----------------------------------------------------------------------------------------
 
-HEAD: Final = JournalHead("hub:x", NODE, MARK, 127, 0)
+HEAD: Final = JournalHead("hub:x", NODE, MARK, 127, 0, 250_000)
 GOOD: Final = (
     '{"journal": 1, "bus": "hub:x", "node": 7, "vendor": 1, "product": 2, "serial": 3, "nmt": 127}\n'
 )
@@ -302,8 +302,8 @@ def test_a_head_says_whose_journal_it_is(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "deep" / "er" / "j.jsonl", HEAD)
     journal.close()
     assert (tmp_path / "deep" / "er" / "j.jsonl").read_text() == (
-        '{"journal": 1, "bus": "hub:x", "node": 7, "vendor": 1, "product": 2, "serial": 3, '
-        '"nmt": 127, "errors": 0}\n'
+        '{"journal": 1, "bus": "hub:x", "bitrate_bit_s": 250000, "node": 7, "vendor": 1, "product": 2, '
+        '"serial": 3, "nmt": 127, "errors": 0}\n'
     )
     assert read_journal(journal.path) == JournalContents(HEAD)
 
@@ -342,6 +342,6 @@ def test_a_journal_that_waits_names_the_command_that_ends_the_waiting(tmp_path: 
     error = caught.value
     assert (error.source, error.value) == ("--out", str(tmp_path))
     assert error.expected == "a folder without a journal that waits to be put back"
-    assert error.remedy == f"hil restore --bus hub:x --node 7 {path}"
+    assert error.remedy == f"hil restore {path}"
     path.write_text(GOOD)
     Journal(path, HEAD).close()
