@@ -233,8 +233,9 @@ class SyncedStream:
         quiet = self._syncs.counted - self._quiet_since >= QUIET_SYNCS and self._were is DelaysKnown.ALL_SHORT
         self._stream.least, self._stream.doubled = REGULAR_IN_TIME if quiet else REGULAR, False
         extras = [*self._extras(frames, until), *(self._stream.end() if at_end else ())]
-        found = extras if self._were else []
-        self._were = self._delays()
+        were, self._were = self._were, self._delays()
+        settled = were and (self._were or not at_end)  # at the end nothing more answers an open question
+        found = extras if settled else []
         if self._stream.doubled and not found:
             self._quiet_since = self._syncs.counted
         counted = self._syncs.counted + self._syncs.missing

@@ -152,6 +152,15 @@ def test_a_delay_that_was_longer_than_a_period_and_then_is_not_is_nobodys() -> N
     assert Stream(delays=DelaysKnown.UNKNOWN).told(arrivals, 2000) == []
 
 
+def test_at_the_end_nothing_is_told_while_it_is_in_question_how_long_readings_take() -> None:
+    """The last three come behind the last SYNC, as the delay has been three periods longer than was known."""
+    stream = Stream()
+    arrivals = {number: [DELAY + (number > 64) * 3 * PERIOD] for number in range(1, 501)}
+    assert stream.told(arrivals, 500) == []
+    stream.delays = DelaysKnown.UNKNOWN
+    assert stream.look(1 << 60, at_end=True) == []
+
+
 def test_nobody_need_look_before_more_syncs_have_come_than_are_remembered() -> None:
     """As while drives are stopped, with SYNCs that somebody else makes."""
     stream = Stream()
