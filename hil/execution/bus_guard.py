@@ -46,6 +46,7 @@ _SDO_WRITES: Final = (1, 6)
 """Client command specifiers of initiate download, also of blocks, CiA 301 7.2.4.3.3 and 7.2.4.3.9."""
 _SDO_READS: Final = (2, 3, 5)
 """The same of uploads, their segments and blocks, CiA 301 7.2.4.3.5, 7.2.4.3.6 and 7.2.4.3.12."""
+_SDO_SEGMENT, _SDO_ABORT = 3, 4
 _NMT_BYTES: Final = 2
 _MESSAGE_BYTES: Final = 8
 """Of every SDO request, CiA 301 7.2.4.3."""
@@ -310,13 +311,16 @@ class BusGuard:
 
     def _request_watcher(self, node_id: int) -> Handler:
         where = f"node {node_id} ({SDO_REQUEST + node_id:03X}h)"
+        last = b""  # the object of the read before: to break it off is a part of it
 
         def watch(data: bytes, at: Instant) -> None:
+            nonlocal last
             command = data[0] >> 5 if len(data) == _MESSAGE_BYTES else -1
             index = int.from_bytes(data[1:3], "little")
             kind: Foreign = "sdo_write"
             what = f"SDO request to {where} that the bench did not send"
-            if command in _SDO_READS:
+            if command in _SDO_READS or (command == _SDO_ABORT and data[1:4] == last):
+                last = last if command == _SDO_SEGMENT else data[1:4]
                 kind, what = "sdo_read", f"SDO read from {where} that the bench did not send"
             elif command in _SDO_WRITES and index == Cia301.CONSUMER_HEARTBEAT_TIME:
                 what = f"1016h of node {node_id} changed by another: it may watch the bench no more"
