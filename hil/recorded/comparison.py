@@ -22,6 +22,7 @@ from hil.configuration.config_files import Section, load_file
 from hil.recorded.recorded_run import RecordedRun, RunSignals
 from hil.reviewing.largest import Largest, largest
 from hil.rows.records import DIGESTED, FATE_SAMPLE, NAMES, ROW_DTYPE, Rows
+from hil.rows.seal import doubt
 
 _SIGNALS: Final = ("velocity_rad_s", "torque_nm", "command_torque_nm", "reference_rad_s", "load_torque_nm")
 _COMPARED: Final = [
@@ -258,6 +259,7 @@ def comparison_json(compared: Sequence[Against]) -> dict[str, Any]:
         "runs": [
             {
                 "run": str(each.run.folder),
+                "seal": each.run.seal,
                 "figures": each.figures,
                 "cycles_of_both": each.cycles_of_both,
                 "differences": {
@@ -277,7 +279,7 @@ def comparison_json(compared: Sequence[Against]) -> dict[str, Any]:
 
 def comparison_lines(compared: Sequence[Against]) -> list[str]:
     """Figures side by side, then each run beside the first."""
-    lines = [f"{number}  {each.run.title()}" for number, each in enumerate(compared)]
+    lines = [f"{number}  {each.run.title()}{doubt(each.run.seal)}" for number, each in enumerate(compared)]
     lines += ["", f"{'':28}" + "".join(f"{number:>12}" for number in range(len(compared)))]
     for name in compared[0].figures:
         values = [each.figures[name] for each in compared]

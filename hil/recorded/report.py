@@ -86,6 +86,7 @@ def _figures(judged: Judged) -> Iterator[tuple[str, str]]:
 def _origin(judged: Judged) -> Iterator[tuple[str, str]]:
     metadata = judged.run.metadata
     yield "folder", str(judged.run.folder)
+    yield "seal", judged.run.seal
     yield "judged by", judged.against
     for key in ("bench", "bus", "seed", "time", "servobench", "commit"):
         yield key, metadata.get(key, "-") or "-"

@@ -27,7 +27,7 @@ from hil.reviewing.export_format import ExportFormat
 from hil.rows.records import NOTHING, Column
 from hil.rows.records_file import column_of, damage_told, is_whole, refuse_later_format
 from hil.rows.run_files import RECORDS_FILE
-from hil.rows.seal import check_seal
+from hil.rows.seal import NOT_CHECKED, check_seal
 
 CHUNK_ROWS: Final = 1 << 17
 """Rows that are held at once: some 40 MB with all columns, and enough for a row group of Parquet."""
@@ -52,8 +52,7 @@ class RecordedRows:
             raise BadInput(
                 str(self.path), "", "no end of the file", "the recording of a run that has ended", remedy
             )
-        if not unsealed:
-            check_seal(folder)
+        self.seal = NOT_CHECKED if unsealed else check_seal(folder)
         with damage_told(self.path):
             self.schema = self._open(None).schema
             told = self.schema.metadata or {}
@@ -92,6 +91,7 @@ class Exported(NamedTuple):
     rows: int
     columns: int
     bytes: int
+    seal: str
 
 
 def export_run(
@@ -110,7 +110,7 @@ def export_run(
         size = part.stat().st_size
     with damage_told(rows.path):
         count = sum(chunk.num_rows for chunk in rows.chunks([_AXIS]))
-    return Exported(str(path), count, len(rows.columns), size)
+    return Exported(str(path), count, len(rows.columns), size, rows.seal)
 
 
 # ---- CSV and Parquet ----------------------------------------------------------------------------------

@@ -55,6 +55,11 @@ _LINE: Final = re.compile(r'(\{.*), "chain": "([0-9a-f]{32})"\}\n')
 _SHOWN: Final = "--unsealed shows what can be read of it"
 
 
+def doubt(seal: str) -> str:
+    """What is put behind a line that rests on a recording; empty if that is sealed."""
+    return "" if seal == SEALED else f"; {seal}"
+
+
 class Piece(NamedTuple):
     """Of a file."""
 
@@ -89,15 +94,35 @@ def digest_of(file: BinaryIO, begin: int, end: int) -> str:
 def read_seal(folder: Path, remedy: str = _SHOWN) -> Iterator[tuple[Piece | str, str]]:
     """Its pieces, :data:`ENDED` and :data:`RECOVERED`, each with its chain.
 
-    Raises BadInput for a line outside the chain, with ``remedy``.
+    Raises BadInput for a line outside the chain, or of no known form, with ``remedy``.
     """
     path, chain = folder / SEAL_FILE, FIRST_CHAIN
     for number, line in enumerate(read_lines(path, "seal"), 1):
         match = _LINE.fullmatch(line)
         if match is None or _chained(match[1], chain) != match[2]:
             raise BadInput(str(path), f"line {number}", line[:60], "a line of the chain", remedy)
-        chain, plain = match[2], json.loads(match[1] + "}")
-        yield (Piece(**{"rows": None, **plain}) if "file" in plain else next(iter(plain))), chain
+        chain, meaning = match[2], _meaning(match[1] + "}")
+        if not meaning:
+            raise BadInput(str(path), f"line {number}", line[:60], "a piece of a file, or an end", remedy)
+        yield meaning, chain
+
+
+def _meaning(text: str) -> Piece | str:
+    """Of a line without its chain; empty: none, the chain alone says nothing of who made it."""
+    try:
+        plain = json.loads(text)
+    except (ValueError, RecursionError):
+        return ""
+    match plain:
+        case {"file": str(file), "begin": int(begin), "end": int(end), "digest": str(digest), **more}:
+            rows = more.pop("rows", None)
+            beside = not file.startswith("/") and ".." not in file.split("/")
+            if more or not beside or not 0 <= begin <= end or not isinstance(rows, int | None):
+                return ""
+            return Piece(file, begin, end, rows, digest)
+        case {"ended": True} | {"recovered": True} if len(plain) == 1:
+            return str(next(iter(plain)))
+    return ""
 
 
 def seal_of(folder: Path, *, unsealed: bool) -> str:

@@ -23,6 +23,8 @@ def export(
     disk is full.
     """
     from hil.reviewing.export import export_run
+    from hil.rows.seal import doubt
 
     done = export_run(run, to, out, unsealed=unsealed)
-    put(done._asdict(), as_json, lambda figures: typer.echo(f"{figures['file']}: {figures['rows']} rows"))
+    text = f"{done.file}: {done.rows} rows{doubt(done.seal)}"
+    put(done._asdict(), as_json, lambda _figures: typer.echo(text))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from drivers.errors import BadInput
+from hil.terminal.output import say
 
 if TYPE_CHECKING:
     from hil.configuration.config import Foreign
@@ -16,6 +17,12 @@ if TYPE_CHECKING:
 def flag(name: str, text: str) -> Any:
     """A wish that takes no value; its help shows none."""
     return typer.Option(name, metavar="", help=text)
+
+
+def _note_unsealed(asked: bool) -> bool:
+    if asked:
+        say("hil: note: unsealed: no file of it was held against its seal")
+    return asked
 
 
 def valued(
@@ -72,7 +79,13 @@ def json_option(text: str) -> Any:
 JsonOption = Annotated[bool, json_option("Print one JSON object on stdout, all else on stderr.")]
 JsonLinesOption = Annotated[bool, json_option("Print one JSON object a line on stdout, all else on stderr.")]
 UnsealedOption = Annotated[
-    bool, flag("--unsealed", "Show what can be read of files that are not as their seal has them.")
+    bool,
+    typer.Option(
+        "--unsealed",
+        metavar="",
+        callback=_note_unsealed,
+        help="Show what can be read of files that are not as their seal has them.",
+    ),
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")]
 DriveBusOption = Annotated[str, bus_option("hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")]

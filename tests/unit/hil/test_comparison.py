@@ -302,7 +302,9 @@ def three() -> list[Against]:
 
 def test_a_comparison_is_told_in_lines() -> None:
     lines = comparison_lines(three())
-    assert lines[:5] == ["0  ling2012 (one)", "1  ling2012 (two)", "2  ling2012 (three)", "", lines[4]]
+    unsealed = "; unsealed: asked for by --unsealed"
+    titles = [f"{n}  ling2012 ({name}){unsealed}" for n, name in enumerate(("one", "two", "three"))]
+    assert lines[:5] == [*titles, "", lines[4]]
     assert lines[4] == " " * 28 + "           0           1           2"
     assert [line[:28].strip() for line in lines[5:18]] == list(three()[0].figures)
     assert lines[12] == "dropouts_percent" + " " * 12 + "           0           0           0"
@@ -352,6 +354,7 @@ def test_a_comparison_is_plain_values() -> None:
     first, second, third = told["runs"]
     assert first == {
         "run": "one",
+        "seal": "unsealed: asked for by --unsealed",
         "figures": compared[0].figures,
         "cycles_of_both": 0,
         "differences": {},
