@@ -81,11 +81,15 @@ class DriveStamps:
             self.clock.start_anew(pairs, residuals.variance_ns2(self.unmapped_ns))
 
     def _coarsen(self, step: int) -> None:
-        """Stamps advance by ``step`` at a time; one of a maker is known to be of that resolution at least."""
+        """Stamps advance by ``step`` at a time; one of a maker is known to be of that resolution at least.
+
+        The map took each for exact so far, and its steps for the rate of the clock: it is learned anew.
+        """
         if step > self.resolution:
             self.resolution = Duration(step)
             self.clock.set_resolution(self.resolution)
             self.unmapped_ns = self._unmapped()
+            self.clock.start_anew(list(self._learned), self._echo_variance_ns2)
 
     def _unmapped(self) -> int:
         return MATCH_NS + self.resolution - STAMP_RESOLUTION + self._echo_error
