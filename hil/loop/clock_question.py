@@ -95,9 +95,10 @@ class ClockQuestion:
             for number in [number for number in self.stamps if number < oldest]:
                 del self.stamps[number]
 
-    def is_crowded(self, mark: SyncMark, at: Instant) -> bool:
-        """Whether a stamp at ``at`` lies on another SYNC than the nearest, ``mark``, too."""
-        return any(self._stamps.fits(at - other) for other in self._syncs.beside(mark))
+    def rivals(self, mark: SyncMark, at: Instant) -> list[SyncMark]:
+        """The SYNCs beside the nearest, ``mark``, on which a stamp at ``at`` lies too."""
+        beside = self._syncs.beside(mark)
+        return [other for other in beside if other.on_bus_at and self._stamps.fits(at - other.on_bus_at)]
 
     def free_marks(self, latest: Instant) -> list[SyncMark]:
         """SYNCs of cycles that had ended by ``latest`` and have no stamp."""

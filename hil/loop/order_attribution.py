@@ -223,7 +223,7 @@ class OrderAttribution:
             self._in_question.odd += self._untidy > 0 and any(behind for _, _, behind in self._unsure)
             for sequence, error_ns, behind in self._unsure:
                 if not (behind and self._untidy):
-                    self.question.amend(sequence, True, error_ns)
+                    self.question.amend(sequence, self._usual.tell(certain=True), error_ns)
             self.question.cleared = self._in_question.odd == 0
         if self._beyond:
             self._tell("it is known again which SYNCs its readings answer")
@@ -254,8 +254,8 @@ class OrderAttribution:
             health.error_ns_max = max(health.error_ns_max, error_ns)
             if delay < self._transit - self._echo_error:
                 health.below_transit += 1
-        else:
-            error_ns = self._echo_error + reading.received_at - self._oldest_at()
+        if not self._usual.tell(certain=certain):
+            error_ns, certain = self._echo_error + reading.received_at - self._syncs.oldest_at, False
         return Sample(mark.sequence, reading, on_bus_at, error_ns, certain)
 
     def _error_of(self, delay: int) -> int:
@@ -266,11 +266,6 @@ class OrderAttribution:
         if self._echoes_late:  # and by how much is in no single delay, as readings are stamped late too
             return self._echo_error + max(off, delays.high - delays.low) + slack
         return self._echo_error + min(off + slack, max(off, delay - self._transit))
-
-    def _oldest_at(self) -> Instant:
-        """No SYNC that is remembered ended before."""
-        first = self._syncs.marks[0]
-        return first.handed_at if first.on_bus_at is None else first.on_bus_at
 
     # ---- frames that are held up, or come twice -----------------------------------------------------------
 
@@ -283,7 +278,8 @@ class OrderAttribution:
             self._note_untidy(copy)
             return self._guess(reading, self._open.take(latest))
         age = reading.received_at - mark.on_bus_at
-        next_one, alone = mark.number == self._answered + 1, self._is_only_one(mark, copy)
+        next_one = mark.number == self._answered + 1
+        alone = held is None and self._is_only_one(mark, copy)
         if next_one or not copy:
             self._strays.append(age)
             self._strays_known = self._strays_known + 1 if alone else 0
@@ -375,10 +371,13 @@ class OrderAttribution:
 
     def _take_open(self, latest: Instant, copy: bool) -> SyncMark | None:
         """The SYNC without a reading that one too many may answer. If it is the only one since a place was
-        certain, no reading is missing, and no delay has grown."""
+        certain, no reading is missing, and no delay has grown. Which one is whose is not told by that where
+        one that is held up may well look usual."""
         mark, question = self._open.take(latest), self._in_question
         tells_nothing = self._sure or copy or not question.phase_known or question.sooner() > 0
         if mark is not None and not tells_nothing and self._open.since(self._known) == 0:
+            if not self._usual.narrow:
+                self._unsure.clear()
             self._settle(0)
         return mark
 

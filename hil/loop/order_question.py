@@ -133,9 +133,16 @@ class OrderQuestion:
         if not due or len(evidence) < (EVIDENCE_MIN if phase else EVIDENCE_UNUSUAL):
             return None
         lag = evidence.verdict(-self.sooner(), lags, self._usual.spread // 4 if phase else 0, untidy)
-        if lag is not None and self._is_narrow(evidence.usual_delays(lag)):
-            return lag
-        return self._lag_by_looks()
+        if lag is None or not self._is_narrow(evidence.usual_delays(lag)):
+            return self._lag_by_looks()
+        if lag and phase and self._is_usual(evidence.delays(0), 1 if untidy else 0):
+            return self._lag_by_looks() if self._alike.is_as_wide(self._usual) else None
+        return lag
+
+    def _is_usual(self, weighed: list[int], others: int) -> bool:
+        """Whether all delays but so many ``others`` are as they were. Nothing excludes then that none
+        changed: what holds up SYNCs may hold up readings behind them too, and another lag be more even."""
+        return bool(weighed) and sum(not self._usual.holds(delay) for delay in weighed) <= others
 
     def _is_narrow(self, weighed: list[int]) -> bool:
         """Whether delays that were weighed are none that are folded upon themselves by whole periods."""

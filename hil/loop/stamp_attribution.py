@@ -124,7 +124,11 @@ class StampAttribution:
             self.health.duplicates += 1
             self._case.twice += 1
             return None
-        if fits and self._case.is_crowded(mark, at):
+        rivals = self._case.rivals(mark, at) if fits else []
+        if rivals:
+            for rival in rivals:
+                if rival.number not in self._case.stamps:
+                    self.question.amend(rival.sequence, False, self.doubtful_error_ns)
             self._case.answer(mark, device_ns)
             return self._uncertain(reading, mark)
         free = fits and known is None
@@ -252,12 +256,7 @@ class StampAttribution:
         self.question.since = None
 
     def _suspect(
-        self,
-        reading: Reading,
-        device_ns: int,
-        free: SyncMark | None,
-        at: Instant,
-        second: bool,
+        self, reading: Reading, device_ns: int, free: SyncMark | None, at: Instant, second: bool
     ) -> Sample | None:
         """A reading that puts the question, or came while it is open; ``free``: the SYNC it lies on."""
         suspects = self._suspects

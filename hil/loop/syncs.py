@@ -257,6 +257,12 @@ class SyncLog:
         return self._heard_ns - before_ns >= cycles * self._period
 
     @property
+    def oldest_at(self) -> Instant:
+        """No SYNC that is remembered ended before."""
+        first = self.marks[0]
+        return first.handed_at if first.on_bus_at is None else first.on_bus_at
+
+    @property
     def last_on_bus(self) -> Instant:
         """The end of the last SYNC on the bus."""
         return self._last_on_bus
@@ -289,15 +295,15 @@ class SyncLog:
             best, least = mark, miss
         return best
 
-    def beside(self, mark: SyncMark) -> list[Instant]:
-        """When the SYNCs before and after ``mark`` ended on the bus, as far as that is known."""
-        ends: list[Instant] = []
+    def beside(self, mark: SyncMark) -> list[SyncMark]:
+        """The SYNCs before and after ``mark``, as far as it is known when they were on the bus."""
+        beside: list[SyncMark] = []
         for other in reversed(self.marks):
             if other.number in (mark.number - 1, mark.number + 1) and other.on_bus_at is not None:
-                ends.append(other.on_bus_at)
+                beside.append(other)
             if other.number < mark.number:
                 break
-        return ends
+        return beside
 
     def newest_before(self, at: Instant) -> SyncMark | None:
         """The last SYNC that had ended by ``at``."""

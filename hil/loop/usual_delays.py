@@ -55,10 +55,23 @@ class UsualDelays:
         self._kept: list[int] = []
         self._oldest = 0
         self._fresh = 0
+        self._unsure = 0.0
+        """Share of the last readings whose place was not certain."""
 
     @property
     def spread(self) -> int:
         return self.high - self.low
+
+    @property
+    def narrow(self) -> bool:
+        """Whether one of another delay hardly looks usual: they spread over half a period at the most."""
+        return 2 * self.parts * self.spread <= self._period
+
+    def tell(self, *, certain: bool) -> bool:
+        """Whether the place of a reading, ``certain`` by what is usual, may be told so: not where most of the
+        last ones were in doubt, and one that is held up may well look usual."""
+        self._unsure += (1.0 - certain - self._unsure) / KEPT
+        return certain and (self.narrow or 2.0 * self._unsure < 1.0)
 
     @property
     def middle(self) -> int:
@@ -67,7 +80,7 @@ class UsualDelays:
     def begin(self, delays: Sequence[int]) -> None:
         """Forget all; these are usual now."""
         self._kept = list(delays[-KEPT:])
-        self._oldest = 0
+        self._oldest, self._unsure = 0, 0.0
         self._look()
 
     def add(self, delay: int) -> None:
@@ -122,7 +135,7 @@ class Resemblance:
     """
 
     def __init__(self) -> None:
-        self._low = self._count = self._others = 0
+        self._low = self._high = self._count = self._others = 0
 
     def begin(self) -> None:
         """A reading is missing."""
@@ -137,7 +150,13 @@ class Resemblance:
     def add(self, delay: int) -> None:
         """A delay is usual."""
         self._low = delay if self._count == 0 else min(self._low, delay)
+        self._high = delay if self._count == 0 else max(self._high, delay)
         self._count += 1
+
+    def is_as_wide(self, usual: UsualDelays) -> bool:
+        """Whether the largest is the same too. For that delays which grew by whole periods would have to have
+        become more even as well, by just what is uneven in the SYNCs."""
+        return self._count > 0 and abs(self._high - usual.high) <= tolerance(usual.spread, self._count)
 
     def is_shown(self, usual: UsualDelays, period: Duration, least: int) -> bool:
         """By so many readings or more, ``least`` of them in any case."""

@@ -56,6 +56,22 @@ def test_stamps_that_show_their_steps_teach_the_clock_anew() -> None:
     assert verdict.readings.uncertain <= 4
 
 
+def test_delays_as_they_were_are_not_excluded_by_more_even_ones() -> None:
+    """Traffic holds up SYNCs of another and readings behind them: a period later these came more evenly,
+    and 39 rows of 1500 were taken for those of the SYNC before."""
+    verdict = judged(drawn_plan(153), 400)
+    assert verdict.wrong == {}, verdict.examples
+    assert verdict.readings.uncertain < verdict.readings.rows
+
+
+@pytest.mark.parametrize(("seed", "cycles"), [(9024, 60), (9147, 850)])
+def test_a_second_reading_that_is_held_up_confirms_nothing(seed: int, cycles: int) -> None:
+    """It was taken for proof that none was lost, though delays spread over most of a period, and for that of
+    the only SYNC that had none, though the one before was held up itself."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert verdict.readings.wrong == 0, verdict.examples
+
+
 def test_a_feature_that_is_left_out_changes_no_other() -> None:
     for seed in range(30):
         plan = drawn_plan(seed)
