@@ -11,6 +11,7 @@ traced back to its SYNC by identity. Only damaged data would break the chain, an
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from drivers.canopen.nmt_states import NmtState
@@ -243,13 +244,15 @@ class DriveTap:
         return answers
 
     def _note_late_sync(self, now: Instant, answers: Sequence[Frame]) -> None:
-        """The drive acts on a SYNC only now, if what it sends comes with SYNCs."""
+        """The drive acts on SYNCs only now, if what it sends comes with SYNCs: on two that came close by in
+        one instant, with one frame of each TPDO for either."""
         if self._drive.state is not NmtState.OPERATIONAL:
             self._held.clear()
             return
         layout = self._log.layout or pdo_layout(self._drive.dictionary)
-        if any(frame.can_id in layout.each_sync for frame in answers):
-            self._note_sync(self._held.popleft(), now, answers)
+        first = [place for place, frame in enumerate(answers) if frame.can_id == layout.each_sync[0]]
+        for begin, end in pairwise([*first, len(answers)]):
+            self._note_sync(self._held.popleft(), now, answers[begin:end])
 
     @property
     def wake_at(self) -> Instant | None:

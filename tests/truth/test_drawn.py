@@ -72,6 +72,12 @@ def test_a_second_reading_that_is_held_up_confirms_nothing(seed: int, cycles: in
     assert verdict.readings.wrong == 0, verdict.examples
 
 
+def test_two_syncs_that_come_close_together_are_neither_lost_nor_taken_for_one_another() -> None:
+    """51 us apart, so that a drive acts on both in one instant, and a stamp lies on both."""
+    verdict = judged(drawn_plan(9128, without=["late stamps"]), 800)
+    assert verdict.wrong == {}, verdict.examples
+
+
 def test_a_feature_that_is_left_out_changes_no_other() -> None:
     for seed in range(30):
         plan = drawn_plan(seed)
