@@ -112,11 +112,11 @@ class ServoDrive(Drive):
         or TransferAborted for what the bench cannot do without, DriveInFault if the drive is not to be had.
         """
         network = self.network
-        if self.identity is not None:
-            stamp = self.identity.stamp.if_there(self.objects.read_if_there)
-            settings = replace(settings, stamp=stamp)
         watched = self.error_control.begin(settings.watch_times, unwatched=settings.unwatched)
         self.modes.require(settings.mode)  # before anything is asked for that only this mode needs
+        if self.identity is not None:  # its next heartbeat is awaited below: these reads take no time
+            stamp, read = self.identity.stamp, self.objects.read_if_there
+            settings = replace(settings, stamp=stamp.if_there(read).as_it_counts(read))
         self._change_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL, settings)
         scaling = read_scaling(self.objects, settings.scale)
         notes = [*watched, *scaling.notes, *write_reactions(self.objects, settings.quick_stop_option)]

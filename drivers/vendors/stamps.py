@@ -1,4 +1,4 @@
-"""How a maker's drives stamp their samples: which object, what it counts, and when it is latched.
+"""How a drive stamps its samples: which object, what it counts, and when it is latched.
 
     [stamp]
     source = "..."                      where all of it stands
@@ -15,7 +15,7 @@ The object is an UNSIGNED32. What no source tells is left out and is as CiA 301 
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from drivers.errors import BadInput
@@ -27,6 +27,8 @@ _KEYS: Final = {
 }  # fmt: skip
 BIT_TIME: Final = "bit time"
 LATCHED: Final = ("sampling", "arrival")
+READS: Final = 4
+"""Of a counter, one after the other: no SYNCs twice as far apart as two reads fall between all of them."""
 BITS: Final = range(16, 33)
 _INDEXES: Final = range(0x1000, 0x10000)
 _SUBS: Final = range(256)
@@ -60,6 +62,23 @@ class StampProfile:
         """This one, or CiA 301's if ``read`` finds no such object: not every drive of a make has it."""
         there = self.index == STANDARD_STAMP.index or read(self.index, self.sub) is not None
         return self if there else STANDARD_STAMP
+
+    def as_it_counts(self, read: Callable[[int, int], int | None]) -> "StampProfile":
+        """This one, latched at the arrival of the SYNC if it stands still from one ``read`` to the next.
+
+        Steps as long as a read look like that as well. Another's SYNCs that come faster than reads hide it.
+        """
+        if not self.of_events:
+            return self
+        last = read(*self.key)
+        for _ in range(READS - 1):
+            if last is None:
+                break
+            count = read(*self.key)
+            if count == last:
+                return replace(self, latched="arrival")
+            last = count
+        return self
 
     def resolution_at(self, bitrate_bit_s: int) -> Duration:
         """By how much it advances at a time, on a bus of that bit rate."""

@@ -133,6 +133,7 @@ def axis(
         horizon=config.loop.horizon_periods,
         tell=tell,
         stamp_resolution=config.drive[name].stamp_resolution or drive.assembler.stamp.resolution_at(bitrate),
+        stamped_at_arrival=not drive.assembler.stamp.of_events,
         acts_at_syncs=timing.actuation is Actuation.ON_SYNC,
         acts_later=Duration(later),
     )

@@ -40,15 +40,20 @@ class Health:
         """SYNCs with two different stamps, in readings that were placed for certain."""
         self.error_ns_max = 0
         """Largest error bound of a reading placed for certain."""
+        self.stamp_error_ns_max = 0
+        """Largest error of a stamp that placed one."""
 
-    def judge(self, delay: int, transit: Duration, error_ns: int) -> None:
-        """Count what cannot be, of a reading placed for certain whose frame takes ``transit`` or more."""
+    def judge(self, delay: int, transit: Duration, error_ns: int, unstamped_ns: int) -> None:
+        """Count what cannot be, of a reading placed for certain whose frame takes ``transit`` or more.
+        ``unstamped_ns``: how much later than its stamp it may have been sampled."""
         if delay < transit - error_ns:
             self.below_transit += 1
             if delay < 0:
                 self.before_sync += 1
-        if error_ns > self.error_ns_max:
-            self.error_ns_max = error_ns
+        if error_ns > self.stamp_error_ns_max:
+            self.stamp_error_ns_max = error_ns
+        if error_ns + unstamped_ns > self.error_ns_max:
+            self.error_ns_max = error_ns + unstamped_ns
 
 
 class Question:

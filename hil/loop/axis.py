@@ -60,6 +60,8 @@ class AxisParts:
     """Takes what is to be said of the drive's clock."""
     stamp_resolution: Duration = STAMP_RESOLUTION
     """By how much the drive's stamp advances at a time."""
+    stamped_at_arrival: bool = False
+    """It is latched when a SYNC comes, before the drive samples."""
     acts_at_syncs: bool = False
     """The drive takes a command at the first SYNC after it came."""
     acts_later: Duration = Duration(0)  # noqa: RUF009 - an int
@@ -96,7 +98,6 @@ class Axis:
         self.uncertain = 0
         """Rows marked uncertain."""
         self.lessons = Lessons(syncs)
-        """Of the calibration."""
         self._decisions: list[Decision] = []
         """Of the cycles whose readings' fates are open, the oldest first."""
         self._settled: list[Decision] = []
@@ -109,9 +110,9 @@ class Axis:
     def _attribute(self) -> None:
         """Nothing is known yet of the drive's clock and delays."""
         parts, period, tell = self.parts, self._period, self.parts.tell
-        self.by_stamp = StampAttribution(parts.syncs, period, parts.transit, tell, parts.stamp_resolution)
+        stamps = parts.stamp_resolution, parts.stamped_at_arrival
+        self.by_stamp = StampAttribution(parts.syncs, period, parts.transit, tell, *stamps)
         self.by_order = OrderAttribution(parts.syncs, period, parts.transit, tell)
-        """For readings without a stamp."""
 
     @property
     def wants_probe(self) -> bool:

@@ -67,8 +67,9 @@ class ClockQuestion:
         stamps: DriveStamps,
         period: Duration,
         transit: Duration,
+        at_arrival: bool,
     ) -> None:
-        """``transit``: shortest time of a reading's frame."""
+        """``transit``: shortest time of a reading's frame. ``at_arrival``: see :meth:`unstamped_ns`."""
         self.stamps: dict[int, int] = {}
         """Of each SYNC answered, by its number: the stamp."""
         self.delays = Extremes()
@@ -85,6 +86,14 @@ class ClockQuestion:
         self._stamps = stamps
         self._transit = transit
         self._half = period // 2
+        self._at_arrival = at_arrival
+
+    def unstamped_ns(self, delay: int) -> int:
+        """How much later than its stamp a reading of ``delay`` may have been sampled: 0 unless the stamp is
+        latched when the SYNC comes. What the drive took from there is in no stamp, but in the delay."""
+        if not self._at_arrival:
+            return 0
+        return self.delays.late(delay, self._transit)
 
     def answer(self, mark: SyncMark, device_ns: int) -> None:
         """``mark`` has its reading."""

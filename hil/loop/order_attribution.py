@@ -12,11 +12,6 @@ from hil.loop.samples import Sample
 from hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 from hil.loop.usual_delays import UsualDelays, middle_of
 
-SLACKS: Final = 2
-"""Nothing else bounds a sample without a stamp: the smallest delay is not eight mean gaps above the least
-possible one in one window of three thousand."""
-HIDDEN_PARTS: Final = 16
-"""Three idle bits behind a SYNC hide how late it was to the drive: less than a part of 48 bits or more."""
 ASK_AGAIN_AFTER: Final = 100
 """SYNCs from a question that had no answer until it is put again."""
 COPIES_MAX: Final = 2
@@ -261,11 +256,10 @@ class OrderAttribution:
     def _error_of(self, delay: int) -> int:
         """How far the sample of a reading may lie from its SYNC."""
         delays = self._delays
-        off = max(0, delay - delays.low)
-        slack = SLACKS * delays.slack() + self._transit // HIDDEN_PARTS
         if self._echoes_late:  # and by how much is in no single delay, as readings are stamped late too
-            return self._echo_error + max(off, delays.high - delays.low) + slack
-        return self._echo_error + min(off + slack, max(off, delay - self._transit))
+            off = max(delay, delays.high) - delays.low
+            return self._echo_error + off + delays.unseen(self._transit)
+        return self._echo_error + delays.late(delay, self._transit)
 
     # ---- frames that are held up, or come twice -----------------------------------------------------------
 

@@ -36,6 +36,13 @@ RARELY_LATE: Final = 8.0
 """Deviation of values of which one in sixty reaches so many times further than the others."""
 
 
+SLACKS: Final = 2
+"""Where delays alone bound a sample: the smallest is not eight mean gaps above the least possible one in one
+window of three thousand."""
+HIDDEN_PARTS: Final = 16
+"""Three idle bits behind a SYNC hide how late it was to the drive: less than a part of 48 bits or more."""
+
+
 class Extremes:
     """Smallest and largest of the last values."""
 
@@ -71,6 +78,16 @@ class Extremes:
         the average, and hardly ever four times that. At the end of a half only that half counts.
         """
         return 4 * (self.high - self.low) // max(self._seen, 1)
+
+    def unseen(self, transit: int) -> int:
+        """How far below the smallest of these delays, of frames that take ``transit``, others may lie."""
+        return SLACKS * self.slack() + transit // HIDDEN_PARTS
+
+    def late(self, delay: int, transit: int) -> int:
+        """How much of ``delay`` may have passed before the drive sampled, if its frame takes ``transit`` or
+        more."""
+        off = max(0, delay - self.low)
+        return min(off + self.unseen(transit), max(off, delay - transit))
 
 
 class Residuals:

@@ -56,9 +56,10 @@ class StampAttribution:
         transit: Duration,
         tell: Tell,
         resolution: Duration = STAMP_RESOLUTION,
+        at_arrival: bool = False,
     ) -> None:
         """``transit``: the shortest time that a reading's frame takes on the wire. ``tell``: takes events.
-        ``resolution``: of a stamp."""
+        ``resolution``: of a stamp. ``at_arrival``: it is latched when the SYNC comes, not at the sampling."""
         self.health = Health()
         self.question = Question()
         self._echoes_late = syncs.basis in STAMPED_LATE
@@ -71,7 +72,7 @@ class StampAttribution:
         self._transit = transit
         self._tell = tell
         self._residuals = self.stamps.residuals
-        self._case = ClockQuestion(syncs, self.stamps, period, transit)
+        self._case = ClockQuestion(syncs, self.stamps, period, transit, at_arrival)
         self.doubt = PeriodDoubt(syncs, self.stamps, period, transit, tell)
         self._suspects: list[Suspect] = []
         self._early = False
@@ -178,13 +179,15 @@ class StampAttribution:
             health.unmatched += 1
             return None
         health.placed += 1
-        self._case.delays.add(reading.received_at - sampled_at)
+        delay = reading.received_at - sampled_at
+        self._case.delays.add(delay)
         self._recent.append(mark)
+        unstamped_ns = self._case.unstamped_ns(delay)
         if self.doubt.open:
-            self.doubt.rows.append((mark.sequence, error_ns))
+            self.doubt.rows.append((mark.sequence, error_ns + unstamped_ns))
             return Sample(mark.sequence, reading, sampled_at, self.doubtful_error_ns, False)
-        health.judge(reading.received_at - sampled_at, self._transit, error_ns)
-        return Sample(mark.sequence, reading, sampled_at, error_ns, True)
+        health.judge(delay, self._transit, error_ns, unstamped_ns)
+        return Sample(mark.sequence, reading, sampled_at, error_ns + unstamped_ns, True)
 
     @property
     def map_error_ns(self) -> int:
@@ -212,10 +215,12 @@ class StampAttribution:
         """Suspects that had been placed where they are known to be now, and none beside them there, are
         certain after all; whether all are."""
         guesses = [suspect.guess for suspect in self._suspects]
-        error_ns = 2 * self.stamps.match_ns + self._residuals.spread
+        stamped_ns = 2 * self.stamps.match_ns + self._residuals.spread
         proved = 0
         for suspect, mark in placed:
             if suspect.guess == mark.sequence and guesses.count(suspect.guess) == 1:
+                assert mark.on_bus_at is not None
+                error_ns = stamped_ns + self._case.unstamped_ns(suspect.received_at - mark.on_bus_at)
                 self._case.answer(mark, suspect.device_ns)
                 if self.doubt.open:
                     self.doubt.rows.append((suspect.guess, error_ns))

@@ -216,6 +216,8 @@ class Subject:
         if drive.identity is not None:
             self._profile = drive.identity.stamp.if_there(drive.objects.read_if_there)
         self.stamp = find_stamp(network, drive.node_id, self._profile.key, self._request.seed)
+        if self.stamp is not None and self.stamp.at_sync is not False:
+            self._profile = replace(self._profile, latched="arrival")
 
     def _stamp_resolution(self) -> Duration:
         """As it was found; a whole period, so that it is not used, if the counter is none of the kind."""
@@ -273,6 +275,7 @@ class Subject:
             syncs=syncs,
             transit=shortest_transit(drive.reading_bytes, request.bitrate_bit_s),
             stamp_resolution=self._stamp_resolution(),
+            stamped_at_arrival=not self._profile.of_events,
             deadline=Duration(HORIZON * period),
             horizon=HORIZON,
             tell=tell,

@@ -10,6 +10,8 @@ from drivers.canopen.data_types import DataType
 from hil.configuration.config import BenchConfig
 from hil.execution.bench import run_bench
 from tests.rehearsals.made_sheet import MadeSheet
+from tests.truth.drawn import drawn_plan
+from tests.truth.drawn_run import judged as judged_drawn
 from tests.truth.judge import Judgement, Timing, judge_axis
 from tests.truth.plans import Plan
 from tests.truth.rows import READING_IS_A_SET, told_by
@@ -145,6 +147,23 @@ def test_a_makers_stamp_is_mapped_and_used(tmp_path: Path, index: int) -> None:
     assert (timing["by_order"], timing["uncertain"]) == (0, 0), "losses leave nothing open"
     assert timing["placed"] > 300
     assert timing["clock"]["drift_ppm"] == pytest.approx(120, abs=10)
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.name)
+@pytest.mark.parametrize("jitter_us", [12.0, 150.0])
+def test_a_stamp_latched_before_the_sampling_bounds_it_by_the_delay(plan: Plan, jitter_us: float) -> None:
+    """Nobody tells the bench that the stamp is that of the SYNC: it stands still while none comes."""
+    result = judged(plan, stamp_latched="arrival", sync_jitter_us=jitter_us)
+    assert (result.wrong, result.bound_broken, result.uncertain) == (0, 0, 0)
+
+
+def test_a_change_is_not_told_with_the_stamp_of_the_last_sync() -> None:
+    """A stamp of the SYNC's arrival, taken for the instant of a change, has commands act before they came."""
+    verdict = judged_drawn(
+        drawn_plan(14, only=["readback by event", "sync foreign", "late stamps", "adapter"])
+    )
+    assert (verdict.commands.outside, verdict.commands.wrong) == (0, 0)
+    assert verdict.commands.told_acting > 0
 
 
 def test_a_stamp_that_stands_still_is_no_worse_than_none() -> None:

@@ -38,7 +38,7 @@ class Case:
         stamps = DriveStamps(PERIOD, 0, STAMP_RESOLUTION)
         self.clock = stamps.clock
         self.clock.observe(0, Instant(0), 0.0)
-        self.case = ClockQuestion(self.log, stamps, PERIOD, TRANSIT)
+        self.case = ClockQuestion(self.log, stamps, PERIOD, TRANSIT, False)
         self.case.delays.add(DELAY)
 
     @staticmethod

@@ -8,11 +8,11 @@ from hil.loop.attribution import HELD_MAX
 from hil.loop.order_attribution import (
     ASK_AGAIN_AFTER,
     HELD_UP,
-    HIDDEN_PARTS,
     STRAYS_MAX,
     OrderAttribution,
 )
 from hil.loop.order_question import PROBE_AFTER
+from hil.loop.residuals import HIDDEN_PARTS
 from hil.loop.samples import Sample
 from hil.loop.syncs import SURPLUS, SyncLog
 from hil.loop.usual_delays import ALIKE_MIN, RESOLUTION_NS

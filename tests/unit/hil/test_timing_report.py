@@ -15,7 +15,7 @@ PERIOD: Final = Duration(1_000_001)
 
 
 def health(**counts: int) -> Any:
-    names = ("placed", "duplicates", "unmatched", "error_ns_max", "steps")
+    names = ("placed", "duplicates", "unmatched", "error_ns_max", "stamp_error_ns_max", "steps")
     return SimpleNamespace(
         **dict.fromkeys((*names, "below_transit", "before_sync", "two_stamps"), 0) | counts
     )
@@ -79,6 +79,6 @@ def test_what_cannot_be_is_a_doubt(counts: dict[str, int], doubt: str | None) ->
 
 def test_a_stamp_that_does_not_say_which_cycle_it_was_is_a_doubt_and_order_says_it() -> None:
     doubt = "axis1: a sampling instant is known to 500 us only, more than half a period"
-    assert distrust([axis(health(error_ns_max=500_000))], PERIOD) == ()
-    assert distrust([axis(health(error_ns_max=500_001))], PERIOD) == (doubt,)
-    assert distrust([axis(None, health(error_ns_max=900_000))], PERIOD) == ()
+    assert distrust([axis(health(stamp_error_ns_max=500_000))], PERIOD) == ()
+    assert distrust([axis(health(stamp_error_ns_max=500_001))], PERIOD) == (doubt,)
+    assert distrust([axis(None, health(stamp_error_ns_max=900_000))], PERIOD) == ()
