@@ -21,6 +21,8 @@ PIPE_BYTES: Final = 1 << 20
 of 1 kB in each cycle of 1 ms, while the parent does not get its turn."""
 _PR_SET_PDEATHSIG: Final = 1
 """<linux/prctl.h>"""
+_write: Final = os.write
+"""As it is before code of the user's may put another in its place."""
 
 
 class Pipes(NamedTuple):
@@ -67,7 +69,7 @@ class StreamEnd(io.RawIOBase):
         size = len(left)
         try:
             while left:
-                left = left[os.write(self._descriptor, left) :]
+                left = left[_write(self._descriptor, left) :]
         except OSError as error:  # nothing is owed to a reader who does not read
             self.trouble = self.trouble or error
         return size
@@ -101,7 +103,7 @@ class ParentProcess:
         line = memoryview(json.dumps(what).encode() + b"\n")
         try:
             while line:
-                line = line[os.write(self._told, line) :]
+                line = line[_write(self._told, line) :]
         except OSError:
             """The user's code has closed it, which the parent takes for the end of this process."""
 

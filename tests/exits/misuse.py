@@ -113,6 +113,7 @@ TAMPERING: Final = (
     "__import__('builtins').__dict__.pop('len')",
     "__import__('json').dumps = None",
     "os.write = os.read",
+    "os.write = lambda *_: 0",
     "os.getpid = lambda: 1",
 )
 """Of the interpreter itself: where the run survives it may pass, and a defect is a fair word for the rest."""
