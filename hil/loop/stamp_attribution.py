@@ -125,8 +125,7 @@ class StampAttribution:
             self.health.duplicates += 1
             self._case.twice += 1
             return None
-        rivals = self._case.rivals(mark, at) if fits else []
-        if rivals:
+        if rivals := self._case.rivals(mark, at) if fits else []:
             for rival in rivals:
                 if rival.number not in self._case.stamps:
                     self.question.amend(rival.sequence, False, self.doubtful_error_ns)
@@ -212,8 +211,7 @@ class StampAttribution:
         self.question.cleared = all_proved and not self.doubt.open
 
     def _exonerate(self, placed: list[tuple[Suspect, SyncMark]]) -> bool:
-        """Suspects that had been placed where they are known to be now, and none beside them there, are
-        certain after all; whether all are."""
+        """Suspects that lie where they were placed, alone there, are certain after all; whether all do."""
         guesses = [suspect.guess for suspect in self._suspects]
         stamped_ns = 2 * self.stamps.match_ns + self._residuals.spread
         proved = 0
@@ -255,8 +253,7 @@ class StampAttribution:
         """The question is answered."""
         self._suspects.clear()
         self._case.revoked.clear()
-        self._early = False
-        self._slowest = 0
+        self._early, self._slowest = False, 0
         self.question.open = self.doubt.open
         self.question.since = None
 
@@ -319,10 +316,9 @@ class StampAttribution:
         if count < agreeing or (count - agreeing) % (AGREEING // 2):
             return
         last = self._suspects[-agreeing:]
-        lines = sorted(self._case.lines(last), key=lambda line: (line.cost, line.steps, line.delay_change))
-        lines = [line for line in lines if line.cost <= STEP_COST + LOSS_COST_MAX]
+        lines = [line for line in self._case.lines(last) if line.cost <= STEP_COST + LOSS_COST_MAX]
         if lines:
-            self._take(lines, last)
+            self._take(sorted(lines, key=lambda line: (line.cost, line.steps, line.delay_change)), last)
         elif count > SUSPECTS_MAX:
             self._acquit()
 
