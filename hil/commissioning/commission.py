@@ -237,6 +237,8 @@ def run_restore(journal: Path, bus: str | None) -> dict[str, Any]:
     """
     contents = read_journal(journal)
     head = contents.head
+    if bus is None:
+        parse_bus_spec(head.bus, str(journal), "bus")
     with stop_signals(), drive_network(bus or head.bus, head.bitrate_bit_s, RESTORE) as network:
         await_answer(network, head.node, _ANSWER_LIMIT)
         check_mark(RemoteObjects(network, head.node), head.mark)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from drivers.bounded_file import NamedBy, parse_json, read_lines
+from drivers.canopen.bus_scan import NODES
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.objects301 import Cia301
 from drivers.canopen.sdo import PostedDownload, object_name
@@ -28,6 +29,7 @@ from drivers.wire.link import BusLink
 from hil.machine.on_disk import sync_folder, write_synced
 from hil.write_lists import RESTORE
 
+_BIT_RATES: Final = range(10_000, 1 << 32)
 VERSION = 1
 """Of its lines; another one is refused."""
 COMMANDS: Final = frozenset({Object.CONTROLWORD, Cia301.STORE_PARAMETERS, Cia301.RESTORE_DEFAULTS})
@@ -191,9 +193,13 @@ def _head(path: Path, record: dict[str, Any]) -> JournalHead:
     try:
         mark = DriveMark(int(record["vendor"]), int(record["product"]), int(record["serial"]))
         head = JournalHead(str(record["bus"]), int(record["node"]), mark, record["nmt"], record.get("errors"))
-        return replace(head, bitrate_bit_s=int(record.get("bitrate_bit_s", head.bitrate_bit_s)))
+        head = replace(head, bitrate_bit_s=int(record.get("bitrate_bit_s", head.bitrate_bit_s)))
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(str(path), "line 1", record, "the head of a journal", str(error)) from None
+    for key, value, bounds in (("node", head.node, NODES), ("bitrate_bit_s", head.bitrate_bit_s, _BIT_RATES)):
+        if value not in bounds:
+            raise BadInput(str(path), key, value, f"{bounds[0]} to {bounds[-1]}")
+    return head
 
 
 def _change(path: Path, number: int, record: dict[str, Any]) -> ObjectWrite:

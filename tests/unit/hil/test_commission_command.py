@@ -322,6 +322,13 @@ def test_what_is_still_different_is_told_and_the_journal_waits(
     assert not read_journal(restored.journal).restored
 
 
+def test_a_bus_that_no_journal_has_is_refused_with_the_journal_s_name(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal.jsonl", JournalHead("hubb:x", 7, MARK, None, None))
+    journal.close()
+    with pytest.raises(BadInput, match=rf"{journal.path}: bus: found 'hubb:x'.*did you mean 'hub'"):
+        run_restore(journal.path, None)
+
+
 @pytest.mark.parametrize("other", [(0x1B, 0x2B, 3), (0x1A, 0x2C, 3), (0x1A, 0x2B, 4)])
 def test_another_drive_than_that_of_the_journal_is_refused(
     monkeypatch: pytest.MonkeyPatch, other: tuple[int, int, int]

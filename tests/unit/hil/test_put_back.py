@@ -312,6 +312,8 @@ def test_a_head_says_whose_journal_it_is(tmp_path: Path) -> None:
     ("text", "key", "value", "expected"),
     [
         ('{"journal": 2}\n', "journal", 2, "version 1"),
+        (GOOD.replace('"node": 7', '"node": 128'), "node", 128, "1 to 127"),
+        (GOOD.replace('"node"', '"bitrate_bit_s": -5, "node"'), "bitrate_bit_s", -5, "10000 to 4294967295"),
         ('{"object": "6072:00"}\n', "line 1", {"object": "6072:00"}, "the head of a journal"),
         (GOOD + "[]\n", "line 2", "[]\n", "a line of a journal"),
         (GOOD + '{"old": ""}\n', "line 2", {"old": ""}, "object, old and new"),
