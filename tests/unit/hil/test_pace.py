@@ -141,13 +141,13 @@ def test_another_period_is_refused_with_both(beyond: float) -> None:
     period = round(PERIOD * (1.0 + beyond * PERIOD_ERROR_MAX))
     expected = rf"SYNC comes every {period / 1000:.1f} us, and loop\.period_us is 1000"
     with pytest.raises(PeerFault, match=expected):
-        Rig(steady(100, period)).run(10)
+        Rig(steady(150, period)).run(10)
 
 
 def test_twice_the_period_and_two_producers_are_refused() -> None:
     with pytest.raises(PeerFault, match=r"every 2000\.0 us"):
-        Rig(steady(100, 2 * PERIOD)).run(10)
-    both = sorted(at + shift for at in steady(100) for shift in (0, 400_000))
+        Rig(steady(150, 2 * PERIOD)).run(10)
+    both = sorted(at + shift for at in steady(150) for shift in (0, 400_000))
     with pytest.raises(PeerFault, match="only one node may produce SYNC"):
         Rig(both).run(10)
 
