@@ -141,6 +141,7 @@ SECONDS ?= 300
 
 truth: $(TOOLS) compile
 	@$(BIN)/python -m tests.benchmarks.bench_truth --seconds $(SECONDS)
+	@$(BIN)/python -m tests.benchmarks.bench_truth_hub --commands nowhere --jitter-us 0 --jitter-us 400 --cycles 5000
 	@$(BIN)/python -m tests.truth --seconds $(SECONDS)
 
 swarm: $(TOOLS) compile

@@ -2,10 +2,13 @@
 
 Half an hour: ``python -m tests.benchmarks.bench_truth_hub --axes 1 --commands nowhere --cycles 1800000``.
 At a further client's SYNCs: ``--jitter-us 0``, as on time as a process can be, or later by up to so much.
+Ends with status 1 if something certain is wrong.
 """
 
 import argparse
+import sys
 import tempfile
+from itertools import product
 from pathlib import Path
 
 from tests.truth.hub_run import HubOutcome, run_beside_a_listener
@@ -31,28 +34,37 @@ def main() -> None:
     )
     parser.add_argument("--stalls", type=int, metavar="SEED", help="let the processes stand still at times")
     parser.add_argument("--longest-ms", type=float, default=15.0, help="for how long at most")
-    parser.add_argument("--jitter-us", type=int, help="at another node's SYNCs, so late at most")
+    parser.add_argument(
+        "--jitter-us", type=int, action="append", help="at another node's SYNCs, so late at most"
+    )
     options = parser.parse_args()
     stalls = None if options.stalls is None else Stalls(options.stalls, longest_ms=options.longest_ms)
-    for axes in options.axes or (1, 3):
-        for side in options.commands or SIDES:
-            at_host = COMMANDS_LATE if side == "host" else ""
-            at_drive = COMMANDS_LATE if side == "drive" else ""
-            plan = Plan(
-                f"{axes} axes, commands lost and late: {side}",
-                at_host,
-                axes=axes,
-                period_us=PERIODS_US[axes],
-                commands=options.jitter_us is None,
-                sync="own" if options.jitter_us is None else "foreign",
-                producer_period_us=PERIODS_US[axes],
-                producer_jitter_us=options.jitter_us or 0,
-            )
-            with tempfile.TemporaryDirectory() as scratch:
-                with watching() as holdings:
-                    found = run_beside_a_listener(plan, options.cycles, Path(scratch), at_drive, stalls)
-                _print(plan, found)
-                _print_holdings(holdings)
+    wrong = False
+    for axes, side, jitter_us in product(
+        options.axes or (1, 3), options.commands or SIDES, options.jitter_us or (None,)
+    ):
+        at_host = COMMANDS_LATE if side == "host" else ""
+        at_drive = COMMANDS_LATE if side == "drive" else ""
+        at_syncs = "" if jitter_us is None else f", at another's SYNCs, 0 to {jitter_us} us late"
+        plan = Plan(
+            f"{axes} axes, commands lost and late: {side}{at_syncs}",
+            at_host,
+            axes=axes,
+            period_us=PERIODS_US[axes],
+            commands=jitter_us is None,
+            sync="own" if jitter_us is None else "foreign",
+            producer_period_us=PERIODS_US[axes],
+            producer_jitter_us=jitter_us or 0,
+        )
+        with tempfile.TemporaryDirectory() as scratch:
+            with watching() as holdings:
+                found = run_beside_a_listener(plan, options.cycles, Path(scratch), at_drive, stalls)
+            _print(plan, found)
+            _print_holdings(holdings)
+        readings = found.readings
+        wrong |= bool(readings.wrong or readings.bound_broken or readings.unaccounted or found.commands.wrong)
+        wrong |= bool(readings.false_losses and not at_host and not at_drive)
+    sys.exit(wrong)
 
 
 def _print(plan: Plan, found: HubOutcome) -> None:
@@ -73,7 +85,10 @@ def _print(plan: Plan, found: HubOutcome) -> None:
     print(f"{plan.name}: {readings.rows} rows, hil run ended with {found.status}: {fates}")
     if found.status:
         print(f"  {found.said.strip().splitlines()[-1]}")
-    print(f"  misjudged {readings.wrong} ({kinds}); uncertain {readings.uncertain}")
+    print(
+        f"  misjudged {readings.wrong} ({kinds}); uncertain {readings.uncertain};"
+        f" readings told lost that came {readings.false_losses}"
+    )
     for example in readings.examples:
         print(f"    {example}")
     print(

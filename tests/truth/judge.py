@@ -27,6 +27,7 @@ VELOCITY_UNIT_RAD_S: Final = 2.0 * np.pi / 60.0 * 1e-3
 """606Ch of the simulated drive counts 0.001 r/min."""
 EXAMPLES_MAX: Final = 10
 _STAMPS: Final = 1 << 32
+_FALSE_LOSS: Final = "lost, and came"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +63,8 @@ class Judgement:
     """Of them, how many cycles after a step, or after the begin, the last one came."""
     uncertain_wrong: int = 0
     """Of them, those that would have been misjudged."""
+    false_losses: int = 0
+    """Rows, certain or not, that tell a reading lost which came in time."""
     unaccounted: int = 0
     """Planned cycles without a row, and SYNCs handed over that no row knows."""
     echo_wrong: int = 0
@@ -83,6 +86,7 @@ class Judgement:
             "uncertain",
             "uncertain_far",
             "uncertain_wrong",
+            "false_losses",
             "unaccounted",
             "echo_wrong",
             "bound_broken",
@@ -131,6 +135,7 @@ class _Judge:
             fate = int(row["fate"])
             result.fates[fate] += 1
             wrong = self._wrong(row, fate)
+            result.false_losses += wrong == _FALSE_LOSS
             if not row["certain"]:
                 self._count_uncertain(int(row["sequence"]), fate, bool(wrong))
                 continue
@@ -205,7 +210,7 @@ class _Judge:
             return ""
         horizon = due + (self._timing.horizon - 1) * self._timing.period
         end = self._last_due + self._timing.deadline
-        return "" if sync.reading.received_at > min(horizon, end) else "lost, and came"
+        return "" if sync.reading.received_at > min(horizon, end) else _FALSE_LOSS
 
     def _wrongly_used(self, row: Any, place: int) -> str:
         sync = self._truth.syncs[place]

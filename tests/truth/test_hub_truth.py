@@ -10,16 +10,18 @@ from drivers.cia402.pdo_plans import PlanWish
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from tests.stillness import Untrue
 from tests.truth.hub_listener import FRAME_DTYPE, FrameTable
-from tests.truth.hub_run import run_beside_a_listener
+from tests.truth.hub_run import HubOutcome, run_beside_a_listener
 from tests.truth.hub_truth import OutOfOrder, Spacings, hub_truth, sync_spacings
 from tests.truth.plans import Plan
-from tests.truth.rows import LOST, TOLD_DTYPE, Told
+from tests.truth.rows import LOST, TOLD_DTYPE, USED, Told
 from tests.truth.stalls import Stalls
 
 CYCLES = 2_000
 UNCERTAIN_MAX, UNCERTAIN_STALLED_MAX = 0.05, 0.15
 """A run that is in doubt everywhere would tell nothing wrong, and nothing at all. Where processes are made to
 stand still, what stood still together is in doubt: some 4 % of the rows, and more beside other work."""
+USED_LEAST = 0.5
+"""On two cores that others use too hosts and producers are late; a machine of its own misses hardly any."""
 PERIOD = Duration(NS_PER_MS)
 PLAN = mode_plan(1, PlanWish())
 NO_COMMANDS: FrameTable = np.empty(0, FRAME_DTYPE)
@@ -36,6 +38,30 @@ def test_what_a_run_on_a_hub_tells_is_what_happened(axes: int, stalls: Stalls | 
     plan = Plan("hub", axes=axes, period_us=period_us, commands=stalls is not None)
     found = run_beside_a_listener(plan, CYCLES, tmp_path, stalls=stalls)
 
+    assert_it_happened(found, axes)
+    assert found.readings.uncertain <= (UNCERTAIN_STALLED_MAX if stalls else UNCERTAIN_MAX) * axes * CYCLES
+    assert found.spacings.handed == 0
+
+
+@pytest.mark.xdist_group("real time")
+@pytest.mark.parametrize("jitter_us", [0, 400], ids=["as a kernel's", "foreign"])
+@pytest.mark.parametrize("axes", [1, 3])
+def test_what_a_run_at_the_syncs_of_a_further_client_tells_is_what_happened(
+    axes: int, jitter_us: int, tmp_path: Path
+) -> None:
+    """At equal distances, but for how late the machine wakes their producer, as a kernel's timer makes them;
+    and with jitter. No frame is lost on a hub, so no reading is, of no axis."""
+    plan = Plan("hub", axes=axes, sync="foreign", producer_jitter_us=jitter_us)
+    found = run_beside_a_listener(plan, CYCLES, tmp_path)
+
+    assert_it_happened(found, axes)
+    assert found.readings.false_losses == 0
+    assert found.readings.uncertain <= UNCERTAIN_MAX * axes * CYCLES
+    assert found.readings.fates[USED] >= USED_LEAST * axes * CYCLES
+
+
+def assert_it_happened(found: HubOutcome, axes: int) -> None:
+    """Nothing certain is wrong, of a run of ``CYCLES``, and nothing is without its row."""
     readings, spacings = found.readings, found.spacings
     if readings.wrong or readings.echo_wrong or readings.bound_broken or found.negative_delays:
         raise Untrue(f"{readings.misjudged}, echoes {readings.echo_wrong}: {readings.examples}")
@@ -45,8 +71,7 @@ def test_what_a_run_on_a_hub_tells_is_what_happened(axes: int, stalls: Stalls | 
         raise Untrue("by its stamps a SYNC was on the bus before it was handed over")
     assert found.status in (0, 6), found.said  # 6: cycles were missed, and no limit says how many may
     assert readings.rows == axes * CYCLES
-    assert readings.uncertain <= (UNCERTAIN_STALLED_MAX if stalls else UNCERTAIN_MAX) * readings.rows
-    assert (readings.unaccounted, spacings.handed) == (0, 0)
+    assert readings.unaccounted == 0
 
 
 def frames(*syncs_us: int) -> FrameTable:
