@@ -105,9 +105,22 @@ class ClockQuestion:
                 del self.stamps[number]
 
     def rivals(self, mark: SyncMark, at: Instant) -> list[SyncMark]:
-        """The SYNCs beside the nearest, ``mark``, on which a stamp at ``at`` lies too."""
-        beside = self._syncs.beside(mark)
-        return [other for other in beside if other.on_bus_at and self._stamps.fits(at - other.on_bus_at)]
+        """The SYNCs beside the nearest, ``mark``, whose reading a stamp at ``at`` may be of too: it lies on
+        them, or a drive that latches at arrival had not answered them when ``mark`` came."""
+        rivals: list[SyncMark] = []
+        for other in self._syncs.beside(mark):
+            on_bus_at = other.on_bus_at
+            if on_bus_at is not None and (self._stamps.fits(at - on_bus_at) or self._is_late(other, mark)):
+                rivals.append(other)
+        return rivals
+
+    def _is_late(self, before: SyncMark, mark: SyncMark) -> bool:
+        """Whether ``before`` has no reading when that of ``mark`` comes, within half a period behind it."""
+        if before.number > mark.number or before.number in self.stamps:
+            return False
+        assert before.on_bus_at is not None
+        assert mark.on_bus_at is not None
+        return mark.on_bus_at - before.on_bus_at < self._half
 
     def free_marks(self, latest: Instant) -> list[SyncMark]:
         """SYNCs of cycles that had ended by ``latest`` and have no stamp."""

@@ -72,9 +72,16 @@ def test_a_second_reading_that_is_held_up_confirms_nothing(seed: int, cycles: in
     assert verdict.readings.wrong == 0, verdict.examples
 
 
-def test_two_syncs_that_come_close_together_are_neither_lost_nor_taken_for_one_another() -> None:
-    """51 us apart, so that a drive acts on both in one instant, and a stamp lies on both."""
-    verdict = judged(drawn_plan(9128, without=["late stamps"]), 800)
+@pytest.mark.parametrize(
+    ("without", "cycles"),
+    [(["late stamps"], 800), ([], 90)],
+    ids=["a stamp lies on both", "the first is answered with the stamp of the second"],
+)
+def test_two_syncs_that_come_close_together_are_neither_lost_nor_taken_for_one_another(
+    without: list[str], cycles: int
+) -> None:
+    """51 us apart, so that a drive acts on both in one instant; 300 us, and it latches when they arrive."""
+    verdict = judged(drawn_plan(9128, without), cycles)
     assert verdict.wrong == {}, verdict.examples
 
 
