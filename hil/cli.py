@@ -195,6 +195,7 @@ def run(asked: RunOptions) -> None:
             )
         finally:
             progress.clear()
+        tell_parent(nodes=[])  # they were let go
         summary = read_back(summary)
         run_object.print(summary)
         if not asked.as_json:

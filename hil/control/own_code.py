@@ -38,6 +38,7 @@ from hil.machine.held_process import (
     leave_call,
     told,
 )
+from hil.machine.replaced import remember_modules
 
 OBJECT_PATTERN: Final = r"^([A-Za-z_][\w.]*|.+\.py):[A-Za-z_]\w*$"
 """MODULE:NAME or FILE.py:NAME."""
@@ -103,6 +104,7 @@ def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Set
 
 def object_of(name: str) -> Any:
     """What ``name`` says, as :data:`OBJECT_PATTERN` has it; runs its module. Raises whatever that raises."""
+    remember_modules()
     with held_process():
         return getattr(_module_of(name), name.rpartition(":")[2])
 

@@ -6,6 +6,7 @@ command the same drives. Native code is left to the parent process (:mod:`hil.te
 """
 
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,9 @@ COPY_STATUS: Final = 70
 
 OWN_FILES: Final[set[str]] = set()
 """Of the code of the user's that was called."""
+
+
+_DEPTH: Final = sys.getrecursionlimit()
 
 
 class LeftProcess(BaseException):
@@ -45,8 +49,10 @@ def enter_call() -> None:
 
 
 def leave_call() -> None:
-    """It has come back; in a copy of the process it does not."""
+    """It has come back; in a copy of the process it does not. The stack may be as deep as before."""
     _CALLS.depth -= 1
+    if sys.getrecursionlimit() < _DEPTH:
+        sys.setrecursionlimit(_DEPTH)
     if os.getpid() != _CALLS.process:
         os._exit(COPY_STATUS)
 

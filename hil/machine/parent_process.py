@@ -140,10 +140,16 @@ def tell_parent(**what: Any) -> None:
     ``bus``, ``bitrate`` and ``nodes``: that this command moves. ``recording`` and ``logger``: its folder, and
     the process that records. ``concluded``: what the command came to: ``status``, and of a run ``digest`` and
     ``recording``.
-    ``error``: what ends it early. ``advice``: what mends an early end.
+    ``error``: what ends it early. ``advice``: what mends an early end. ``released``: False if what ended it
+    may have kept it from bringing its drives to rest.
     """
     if _parent is not None:
         _parent.tell(**what)
+
+
+def has_parent() -> bool:
+    """Whether this process, or the one that it was forked from, is that of a command."""
+    return _parent is not None
 
 
 def results() -> TextIO:

@@ -1,5 +1,5 @@
-"""What is no defect of the program: the machine refuses a process files, memory or processes, or code of the
-user's raised where nobody had called it."""
+"""What is no defect of the program: the machine refuses a process files, memory or processes, code of the
+user's raised where nobody had called it, or it has replaced what the program is made of."""
 
 import errno
 import traceback
@@ -8,6 +8,7 @@ from typing import Final
 
 from drivers.errors import BenchError
 from hil.machine.held_process import OWN_FILES, told
+from hil.machine.replaced import replaced
 
 _WITH_REMEDY: Final = {
     errno.EMFILE: "raise the limit of ulimit -n",
@@ -27,15 +28,25 @@ class MachineRefused(BenchError):
 
 
 class OwnCodeRaised(BenchError):
-    """A handler of a signal, a trace function or the like of the user's raised in the midst of the bench."""
+    """A handler of a signal, a trace function or the like of the user's raised in the midst of the bench, or
+    what it put in the place of another function made the bench fail."""
 
 
 def explained(error: BaseException) -> BenchError | None:
     """``error`` as the machine's or the user's; None: it is a defect of the program."""
-    return as_refusal(error) or _as_own(error)
+    return as_refusal(error) or raised_by_own_code(error) or _as_replaced(error)
 
 
-def _as_own(error: BaseException) -> OwnCodeRaised | None:
+def _as_replaced(error: BaseException) -> OwnCodeRaised | None:
+    if not (names := replaced()):
+        return None
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{Path(last.filename).name}:{last.lineno} in {last.name}"
+    return OwnCodeRaised(f"code of your own has replaced {names}; then {place} failed: {told(error)}")
+
+
+def raised_by_own_code(error: BaseException) -> OwnCodeRaised | None:
+    """``error`` as one that a line of the user's raised; None: it did not."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         if frame.filename in OWN_FILES:
             place = f"{Path(frame.filename).name}:{frame.lineno} in {frame.name}"

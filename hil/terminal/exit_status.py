@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
-import typer
+from typer import Abort, BadParameter, Exit  # by name: code of the user's may replace what typer has
 
 from drivers.errors import BenchError
 from drivers.printable import printable
 from hil.machine.parent_process import messages, tell_parent
-from hil.machine.refusals import explained
+from hil.machine.refusals import explained, raised_by_own_code
 from hil.terminal.output import say
 from hil.verdict.verdict import ExitStatus
 
@@ -24,21 +24,22 @@ def reported_errors(conclude: Callable[[int, str], int] = lambda status, _text: 
     try:
         yield
     except BenchError as error:
-        raise typer.Exit(_told(error, conclude)) from None
+        raise Exit(_told(error, conclude)) from None
     except KeyboardInterrupt:
         say("interrupted")
         tell_parent(error="interrupted")
-        raise typer.Exit(conclude(ExitStatus.INTERRUPTED, "interrupted")) from None
+        raise Exit(conclude(ExitStatus.INTERRUPTED, "interrupted")) from None
     except (Exception, SystemExit, GeneratorExit) as error:
         # a defect, or code of the user's that calls sys.exit(): neither leaves with the status of a verdict
-        if known := explained(error):
-            raise typer.Exit(_told(known, conclude)) from None
-        if isinstance(error, typer.Exit | typer.Abort | typer.BadParameter):
+        if isinstance(error, Exit | Abort | BadParameter) and not raised_by_own_code(error):
             raise
+        tell_parent(released=False)
+        if known := explained(error):
+            raise Exit(_told(known, conclude)) from None
         traceback.print_exc(file=messages())
         text = f"{type(error).__name__}: {error}"
         tell_parent(error=text)
-        raise typer.Exit(conclude(ExitStatus.DEFECT, text)) from None
+        raise Exit(conclude(ExitStatus.DEFECT, text)) from None
 
 
 def _told(error: BenchError, conclude: Callable[[int, str], int]) -> int:
@@ -51,7 +52,7 @@ def end_with(status: int) -> NoReturn:
     """Leave with ``status``: the command has come to its end. Its parent is told, and believes no 0 without:
     code of the user's may have put something in the place of ``sys.exit``, or raised what ends a command."""
     tell_parent(concluded={"status": status})
-    raise typer.Exit(status)
+    raise Exit(status)
 
 
 def error_text(error: BenchError) -> str:

@@ -22,6 +22,8 @@ class RunObject:
     def __init__(self, as_json: bool) -> None:
         self._as_json = as_json
         self._summary: Summary | None = None
+        self._printed: int | None = None
+        """The status that it said."""
 
     def concluded(self, summary: Summary) -> None:
         """The run has ended, and this came of it."""
@@ -30,8 +32,10 @@ class RunObject:
     def failed(self, status: int, text: str) -> int:
         """The command leaves with an error: print what came of the run, if there was one.
 
-        The status to leave with: that of the gravest that was found.
+        The status to leave with: that of the gravest that was found; an object that is printed stands.
         """
+        if self._as_json and self._printed is not None:
+            return self._printed
         outcome = outcome_of_status(status)
         summary = self._summary
         if summary is None:
@@ -45,7 +49,8 @@ class RunObject:
         """Print it, if it was asked for: this is what came of the command."""
         if self._as_json:
             typer.echo(json.dumps(summary.as_json(), allow_nan=False), file=results())
-        status, digest = summary.verdict.exit_status, summary.digest
+        self._printed = status = summary.verdict.exit_status
+        digest = summary.digest
         tell_parent(concluded={"status": status, "digest": digest, "recording": summary.recording})
 
 

@@ -44,8 +44,19 @@ class Ended(NamedTuple):
 
 
 def concluded(known: Known, result: Mapping[str, Any], arguments: Sequence[str], say: Say) -> tuple[int, str]:
-    """Exit status and text for stdout of a command that told its ``result``. A run has passed if its summary,
-    read back, says so; others end with 0 if they said so themselves, at their end."""
+    """Exit status and text for stdout of a command that told its ``result``; where its drives may not be at
+    rest, they are stopped."""
+    status, text = _believed(known, result, arguments, say)
+    for finding in () if known.get("released", True) else _stop_drives(known, say):
+        say(f"hil: error: {finding.text}")
+        if status != ExitStatus.DEFECT:
+            status, text = ExitStatus.PEER_FAULT, _also(text, finding, arguments)
+    return status, text
+
+
+def _believed(known: Known, result: Mapping[str, Any], arguments: Sequence[str], say: Say) -> tuple[int, str]:
+    """A run has passed if its summary, read back, says so; others end with 0 if they said so themselves, at
+    their end."""
     told, text = known.get("concluded"), result["results"]
     # code of the user's may have put something in the place of sys.exit
     status = result["status"] if told is None else told["status"]
@@ -61,11 +72,18 @@ def concluded(known: Known, result: Mapping[str, Any], arguments: Sequence[str],
     if not doubt:
         return status, text
     say(f"hil: error: {doubt}")
-    if "--json" in arguments:
-        from hil.verdict.plain_values import from_plain
+    return ExitStatus.NOT_RECORDED, _also(text, Finding(VerdictKind.NOT_RECORDED, doubt), arguments)
 
-        text = _object(from_plain(Summary, json.loads(text)).also(Finding(VerdictKind.NOT_RECORDED, doubt)))
-    return ExitStatus.NOT_RECORDED, text
+
+def _also(text: str, finding: Finding, arguments: Sequence[str]) -> str:
+    """``text`` for stdout with something that was found after it was told."""
+    if "--json" not in arguments:
+        return text
+    if arguments[0] != "run":
+        return _failed_object(finding.text, finding.outcome.exit_status, arguments)
+    from hil.verdict.plain_values import from_plain
+
+    return _object(from_plain(Summary, json.loads(text)).also(finding))
 
 
 def _doubt(told: Mapping[str, Any]) -> str:
@@ -114,7 +132,7 @@ def not_begun(refusal: MachineRefused, arguments: Sequence[str]) -> tuple[int, s
 
 def _stop_drives(known: Known, say: Say) -> Iterator[Finding]:
     """As ``hil stop`` does; what is not at rest afterwards."""
-    if "bus" not in known:
+    if not known.get("nodes"):
         return
     from drivers.errors import BenchError
     from drivers.wire.adapters import parse_bus_spec

@@ -109,14 +109,33 @@ ENDING: Final = (
 )
 """After these no run has passed."""
 TAMPERING: Final = (
+    "sys.setrecursionlimit(40)",
     "sys.setrecursionlimit(70)",
+    "sys.modules.clear()",
+    "sys.modules.pop('json')",
+    "sys.path.clear()",
+    "sys.setprofile(lambda *_: 1 / 0)",
+    "traced()",
+    "put('builtins:open')",
+    "put('builtins:__import__')",
+    "put('json:dumps')",
+    "put('json:loads', lambda *_, **__: {})",
+    "put('math:isfinite')",
+    "put('numpy:zeros')",
+    "put('os:fsync', lambda _: 1 / 0)",
+    "put('os:getpid', lambda: 1)",
+    "put('os:write', os.read)",
+    "put('os:write', lambda *_: 0)",
+    "put('signal:signal')",
+    "put('struct:Struct')",
+    "put('time:monotonic_ns')",
+    "put('time:sleep')",
+    "put('typer:Exit')",
+    "put('typer:echo')",
     "__import__('builtins').__dict__.pop('len')",
-    "__import__('json').dumps = None",
-    "os.write = os.read",
-    "os.write = lambda *_: 0",
-    "os.getpid = lambda: 1",
+    "__import__('builtins').__dict__.clear()",
 )
-"""Of the interpreter itself: where the run survives it may pass, and a defect is a fair word for the rest."""
+"""Of the interpreter itself: where the run survives it may pass, else it is the user's code that failed."""
 STREAMS: Final = ("file", "file", "file", "file", "closed", "/dev/full", "dead pipe")
 """What stdout and stderr lead to, each by itself."""
 
@@ -224,7 +243,7 @@ def findings(case: Case, ended: Ended) -> Iterator[str]:
     """What is not as it has to be."""
     if ended.status not in set(ExitStatus):
         yield f"status {ended.status}"
-    if ended.status == ExitStatus.DEFECT and case.way not in TAMPERING:
+    if ended.status == ExitStatus.DEFECT:
         yield "a defect of the program"
     spoilt = case.way in ENDING or ended.cycles < CYCLES
     if ended.status == ExitStatus.PASSED and spoilt:

@@ -65,6 +65,21 @@ def test_a_command_that_is_gone_has_its_drive_stopped_and_its_recording_finished
     assert told["digest"] == summary_of(tmp_path / "run")["digest"]
 
 
+@pytest.mark.xdist_group("real time")
+def test_a_function_replaced_by_the_user_s_code_is_named_and_the_drive_is_stopped(tmp_path: Path) -> None:
+    """Nothing in the process can be relied upon then, the release of its drives neither."""
+    bus = hub_name("replaced")
+    bench = with_hooks(changed_bench(tmp_path), "output", "put('math:isfinite')")
+    with simulated_drive(bus), observer(bus) as watching:
+        process = start_run(bench, bus, tmp_path / "run")
+        out, said = process.communicate(timeout=60)
+        assert watching.time_to_rest(watching.now(), 1.0) >= 0
+    assert process.returncode == 3, said
+    assert "hil: error: code of your own has replaced math.isfinite; then own_code.py:" in said
+    assert "hil: node 1: at rest" in said
+    assert json.loads(out)["verdict"] == summary_of(tmp_path / "run")["verdict"]
+
+
 def test_a_terminal_that_is_stopped_holds_no_run_up(tmp_path: Path) -> None:
     """Ctrl-S, from its start until all is recorded; a controller that says more than the terminal takes."""
     keyboard, terminal = os.openpty()

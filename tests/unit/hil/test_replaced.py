@@ -1,0 +1,52 @@
+"""What code of the user's put in the place of another function can be named."""
+
+import colorsys
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from hil.machine.held_process import held_process
+from hil.machine.replaced import Modules, replaced
+
+
+@pytest.fixture(autouse=True)
+def spared() -> Iterator[None]:
+    """Take back what the tests replace: in a module that nothing of the bench has, and a hook."""
+    held, hook = dict(vars(colorsys)), sys.excepthook
+    yield
+    vars(colorsys).update(held)
+    sys.modules["colorsys"], sys.excepthook = colorsys, hook
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("colorsys.rgb_to_yiq = None", "colorsys.rgb_to_yiq"),
+        ("colorsys.rgb_to_yiq = colorsys.yiq_to_rgb", "colorsys.rgb_to_yiq"),
+        ("del colorsys.rgb_to_yiq", "colorsys.rgb_to_yiq"),
+        ("del sys.modules['colorsys']", "sys.modules['colorsys']"),
+        ("colorsys.more = print", ""),
+        ("colorsys.ONE_THIRD = 0.3", ""),
+        ("sys.excepthook = print", ""),
+        (
+            "colorsys.rgb_to_yiq = colorsys.yiq_to_rgb = colorsys.rgb_to_hls = colorsys.hls_to_rgb = None",
+            "colorsys.hls_to_rgb, colorsys.rgb_to_hls, colorsys.rgb_to_yiq and 1 more",
+        ),
+    ],
+)
+def test_functions_and_modules_are_named_and_nothing_else(line: str, named: str) -> None:
+    modules = Modules()
+    modules.remember()
+    assert modules.replaced() == ""
+    exec(line)
+    modules.remember()
+    assert modules.replaced() == named
+    assert replaced() == "", "of a process that is no command's"
+
+
+def test_a_stack_that_is_made_shallow_is_as_deep_as_before() -> None:
+    depth = sys.getrecursionlimit()
+    with held_process():
+        sys.setrecursionlimit(depth - 1)
+    assert sys.getrecursionlimit() == depth
