@@ -33,6 +33,7 @@ from hil.execution.drives import (
 from hil.execution.network_guard import Certificates
 from hil.execution.recorded_bench import keep_files, recording_plan
 from hil.execution.segments import check_sync_source, listen_for_syncs, masters, record_frames, sync_producer
+from hil.execution.standstill import Standstill
 from hil.execution.timing_report import distrust, timing_report
 from hil.execution.world import World, WorldPlan, check_time, open_world
 from hil.load.load_machines import LoadMachines
@@ -162,6 +163,7 @@ class _Run:
     def __post_init__(self) -> None:
         config, world, recorder = self.config, self.world, self.recorder
         goes_on = config.recording.on_failure == "continue"
+        self._standstill = Standstill(world, config.loop.period, self._say)
         self._watch = RecordingWatch(recorder, goes_on, self.progress, self._say)
         self._network = CanopenNetwork(world.link, world.clock, config.host.node, writes=RUN)
         self._networks, self._master = masters(self._network, world)
@@ -211,7 +213,7 @@ class _Run:
         try:
             self._run()
         except BenchError as error:
-            self._tell_end(self.world.explained(error))
+            self._tell_end(self.world.explained(error, self._standstill.cure()))
             raise
         finally:
             self._release()
@@ -264,21 +266,18 @@ class _Run:
         self.stop.check()
         self._load.begin_with_next_sync()
         self._enter("running")
-        wall = MonotonicClock()
-        began = wall.now()
-        period_s = timing.period / NS_PER_S
+        began = MonotonicClock().now()
         ended = loop.run(
             duration_s(self.config.bench.duration_s),
             self.stop,
             self._start,
-            lambda done: self._note_progress(done * period_s),
+            lambda done: self._note_progress(done * timing.period / NS_PER_S),
         )
-        self._note_ended(ended, Duration(wall.now() - began))
+        self._note_ended(ended, Duration(MonotonicClock().now() - began))
         if not ended.interrupted:
             self.conclusion.look_at(self._drives)
 
     def _prepare(self, timing: LoopTiming) -> None:
-        host = self.config.host
         for note in (*self.certificates.notes, *self.certificates.doubts(), *odd_values(self.config)):
             self._say(note, "WARN")
         for axis, code in self.code.items():
@@ -286,7 +285,7 @@ class _Run:
                 self._say(f"{axis}: {key} {kept.name}, BLAKE2b {kept.digest}")
         self._enter("connecting")
         for drive in self._drives:
-            identity = connect(drive, host.connect_timeout_s, self.stop)
+            identity = connect(drive, self.config.host.connect_timeout_s, self.stop)
             self._say(f"{drive.name}: node {drive.node_id} is {identity}")
             self.recorder.identity(self.world.clock.now(), drive.name, str(identity))
             if (sheet := self.sheets.get(drive.name)) is not None:
@@ -305,6 +304,7 @@ class _Run:
 
     def _note_progress(self, time_s: float) -> None:
         self._watch.attend(time_s)
+        self._standstill.attend()
         self.world.faults.finish()
 
     def _start(self, at: Instant) -> None:

@@ -70,12 +70,12 @@ class World:
         for link in self._links():
             link.on_trouble = lambda text, at: tell(at, "WARN", text)
 
-    def explained(self, error: BenchError) -> BenchError:
-        """``error``; that of a bus or a drive tells also what mends the adapter: its state now, and, where
-        nothing is heard, settings that do not fit."""
+    def explained(self, error: BenchError, cure: str = "") -> BenchError:
+        """``error``; that of a bus or a drive tells also ``cure``, and what mends the adapter: its state now,
+        and, where nothing is heard, settings that do not fit."""
         if isinstance(error, PeerFault):
             settings = self.notes if isinstance(error, BusDown | NoAnswer) else ()
-            cures = [error.remedy, *settings, *(link.cure for link in self._links())]
+            cures = [error.remedy, cure, *settings, *(link.cure for link in self._links())]
             error.remedy = "; ".join(dict.fromkeys(filter(None, cures)))
         return error
 

@@ -125,6 +125,11 @@ def loop_of(command: int) -> int:
     return children[0]
 
 
+def family_of(command: int) -> list[int]:
+    """The processes of a command: itself, its loop, and its logger."""
+    return [command, *(each for child in _children(command) for each in family_of(child))]
+
+
 def logger_of(command: int) -> int:
     """The process that records a run; ``command``: it, or its loop."""
     for child in _children(command):
