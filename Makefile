@@ -31,6 +31,8 @@
 #                    its command in every way, for at most SECONDS each, then have every command write to streams
 #                    that are gone, full or closed
 #   make bench       print the benchmarks' figures
+#   make instructions  count with valgrind the instructions of a cycle, by owner, and tell the rise against those kept;
+#                    status 1 above 3 % (KEEP=1: keep them)
 #   make compile     compile what has changed of the hot modules; test and bench do it by themselves
 #   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command leaves them unused)
 #   make wheel       sdist and wheel for this Python, compiled, into dist/
@@ -52,7 +54,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit edits test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench docs lock clean
+.PHONY: help setup compile pure wheel demo check format test unit edits test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench instructions docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -193,6 +195,9 @@ bench: $(TOOLS) compile $(PEERS)/.installed
 	@for name in $(notdir $(basename $(wildcard tests/benchmarks/bench_*.py))); do \
 	  echo; echo "python -m tests.benchmarks.$$name"; \
 	  SERVOBENCH_PEERS=$(PEERS)/bin/python $(BIN)/python -m tests.benchmarks.$$name || exit; done
+
+instructions: $(TOOLS) compile
+	@$(BIN)/python -m tests.benchmarks.instructions $(if $(KEEP),--keep)
 
 docs: $(TOOLS)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet && echo "written build/site"
