@@ -165,7 +165,7 @@ class ReadbackTie:
     def _place(self, slot: list[Readback], behind: _Placed | None, tellings: list[Telling]) -> None:
         """The demands that came behind one reading and before the next."""
         if behind is not None and not self.doubtful:
-            places = self._places(slot, behind.mark.number, self._placed_at(slot[0].readings + 1))
+            places = self._places(slot, behind, self._placed_at(slot[0].readings + 1))
             if places is not None:
                 for readback, (first, last) in zip(slot, places, strict=True):
                     tellings.append(self._telling(readback, first, last))
@@ -181,15 +181,14 @@ class ReadbackTie:
             tellings.append(Telling(readback, since, until, None))
 
     def _places(
-        self, slot: list[Readback], number: int, after: _Placed | None
+        self, slot: list[Readback], before: _Placed, after: _Placed | None
     ) -> list[tuple[int, int]] | None:
         """First and last SYNC that each may be of, by number; None if they cannot be in order.
 
-        ``number``: of the SYNC of the reading before them; ``after``: the next reading.
+        ``before``: the reading that they came behind; ``after``: the next one, of whose SYNC a demand may be
+        that came more than half a period behind ``before``, where demands come behind their readings too.
         """
-        limit = None
-        if after is not None:
-            limit = after.mark.number - 1 if self._behind else after.mark.number
+        number = before.mark.number
         first = number
         if self._last and self._spacing:
             # One that is missing may have been overtaken by its reading alone.
@@ -197,16 +196,19 @@ class ReadbackTie:
         places = []
         for left, readback in enumerate(reversed(slot)):
             last = self._newest_before(readback)
-            if limit is not None:
+            if after is not None:
+                soon = readback.received_at - before.received_at <= self._period // 2
+                limit = after.mark.number - 1 if self._behind and soon else after.mark.number
                 last = min(last, limit - left)
             places.append(last)
         found: list[tuple[int, int]] = []
+        step = 1 if first == number else 0  # one that was overtaken may be any of them
         for last in reversed(places):
             first = self._on_bus_from(first, last)
             if last < first or last < number:
                 return None
             found.append((first, last))
-            first += 1
+            first += step
         if found[0] == (number, number):
             self._behind = True
         return found
