@@ -8,7 +8,8 @@
 
     wrong      certain rows that do not tell what happened
     broken     certain rows whose interval does not hold the instant of sampling
-    unsure     rows that are marked uncertain
+    unsure     rows that are marked uncertain, by what befell them (tests/truth/doubts.py)
+    open       rows that nobody could decide from when SYNCs and readings came (tests/truth/oracle.py)
     commands   told lost and acted, or told acting and were lost; outside: acted outside of the interval told
 
 Ends with status 1 if something certain is wrong.
@@ -21,6 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from drivers.timebase import NS_PER_S, MonotonicClock
+from tests.truth.doubts import CAUSES
 from tests.truth.drawn import FEATURES, DrawnPlan, drawn_plan, shrunk
 from tests.truth.drawn_run import CYCLES, Verdict, judged
 
@@ -91,6 +93,7 @@ def _print_one(verdict: Verdict) -> None:
     )
     for kind, count in verdict.wrong.items():
         print(f"  {count:6} {kind}")
+    _print_doubts([verdict])
     for example in verdict.examples[:EXAMPLES]:
         print(f"  {example}")
 
@@ -155,6 +158,22 @@ def _print_totals(verdicts: Sequence[Verdict]) -> None:
         share = f"{100 * unsure / total:.2f} %" if total else "no row"
         seeds = ", ".join(f"{verdict.plan.seed} ({100 * _unsure_share(verdict):.0f} %)" for verdict in worst)
         print(f"unsure, {name}: {share} of {total} rows of {len(those)} plans; most: {seeds}")
+    _print_doubts(verdicts)
+
+
+def _print_doubts(verdicts: Sequence[Verdict]) -> None:
+    """Rows in doubt by cause, and how many of them nobody could decide."""
+    for name, those in _classes(verdicts):
+        causes: Counter[tuple[str, bool]] = sum((verdict.doubts for verdict in those), Counter())
+        if not causes or name.startswith("these"):
+            continue
+        rows = sum(verdict.readings.rows for verdict in those)
+        undecidable = sum(verdict.undecidable for verdict in those)
+        known = "" if those[0].plan.has_stamps else f", {100 * undecidable / rows:.2f} % are open"
+        print(f"\nunsure, {name}: {causes.total()} of {rows} rows{known}")
+        for cause in CAUSES:
+            if count := causes[cause, False] + causes[cause, True]:
+                print(f"  {cause:34} {count:7} {100 * count / rows:6.2f} %, open {causes[cause, True]:7}")
 
 
 def _unsure_share(verdict: Verdict) -> float:

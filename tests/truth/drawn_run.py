@@ -1,5 +1,6 @@
 """Runs a drawn plan with the taps in it and holds all that it tells against the truth, strictly."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,8 +13,10 @@ from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
 from tests.truth.adapter import STAMP_TICK_NS, Adapter
 from tests.truth.command_judge import CommandJudgement, judge_commands
+from tests.truth.doubts import doubts
 from tests.truth.drawn import TICK_US, DrawnPlan
 from tests.truth.judge import Judgement, Timing, judge_axis
+from tests.truth.oracle import undecidable
 from tests.truth.rows import READING_IS_A_SET, told_by
 from tests.truth.tapped_run import Surroundings, TappedRun, run_with_taps
 from tests.truth.taps import SYNC_ID
@@ -35,6 +38,10 @@ class Verdict:
     plan: DrawnPlan
     readings: Judgement = field(default_factory=Judgement)
     commands: CommandJudgement = field(default_factory=CommandJudgement)
+    doubts: Counter[tuple[str, bool]] = field(default_factory=Counter)
+    """Rows in doubt by cause, and whether nobody could decide them, as far as the oracle tells."""
+    undecidable: int = 0
+    """Rows of drives without stamps that nobody could decide, in doubt or not."""
     ended_by: str = ""
     """The error that ended the run before its time, or that kept it from beginning."""
 
@@ -86,6 +93,9 @@ def _judge(run: TappedRun, config: BenchConfig, verdict: Verdict) -> None:
         told = told_by(run.rows, axis, timing.period)
         verdict.readings.add(judge_axis(told, truth, timing))
         verdict.commands.add(judge_commands(told, truth, Duration(0), timing.stamp_error))
+        open_to_all = set[int]() if plan.has_stamps else undecidable(truth, timing.period)
+        verdict.undecidable += len(open_to_all.intersection(told["sync_handed_at"].tolist()))
+        verdict.doubts += doubts(told, truth, timing, open_to_all)
 
 
 def timing_of(plan: DrawnPlan, config: BenchConfig) -> Timing:
