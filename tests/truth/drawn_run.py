@@ -11,7 +11,7 @@ from drivers.timebase import NS_PER_US, Duration
 from drivers.wire.frame_port import EchoBasis
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
-from tests.truth.adapter import STAMP_TICK_NS, Adapter
+from tests.truth.adapter import STAMP_TICK_NS
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.doubts import doubts
 from tests.truth.drawn import TICK_US, DrawnPlan
@@ -100,7 +100,7 @@ def _judge(run: TappedRun, config: BenchConfig, verdict: Verdict) -> None:
 
 def timing_of(plan: DrawnPlan, config: BenchConfig) -> Timing:
     """What the judge has to know of ``plan``."""
-    error = _stamp_error(plan.adapter)
+    error = _stamp_error(plan)
     unseen_us = plan.sync_jitter_us + plan.simulation.get("stamp_resolution_us", 1.0) + TICK_US
     if plan.adapter is not None and error is None:  # nothing tells what a SYNC waited in front of the bus
         unseen_us += plan.adapter.late_us + plan.sync_wait_us + FRAME_US
@@ -109,13 +109,18 @@ def timing_of(plan: DrawnPlan, config: BenchConfig) -> Timing:
     return Timing(loop.period, loop.deadline, loop.horizon_periods, plan.heard, error, Duration(unseen))
 
 
-def _stamp_error(adapter: Adapter | None) -> Duration | None:
+def _stamp_error(plan: DrawnPlan) -> Duration | None:
+    """A host that stands still fetches later, and where that is what stamps a frame its stamp is as late."""
+    adapter = plan.adapter
     if adapter is None:
         return Duration(0)
     if adapter.basis is EchoBasis.NONE:
         return None
-    hardware = adapter.basis is EchoBasis.HARDWARE
-    return Duration(STAMP_TICK_NS if hardware else round(adapter.late_us * NS_PER_US))
+    if adapter.basis is EchoBasis.HARDWARE:
+        return Duration(STAMP_TICK_NS)
+    stalls = plan.faults.get("host_stall", ()) if adapter.basis is EchoBasis.RECEIPT else ()
+    late_us = adapter.late_us + sum(stall["late_max_us"] for stall in stalls)
+    return Duration(round(late_us * NS_PER_US))
 
 
 def bench_config(plan: DrawnPlan, cycles: int) -> BenchConfig:
