@@ -23,6 +23,9 @@ UNTIDY_FOR: Final = 1000
 """Readings for which frames are expected to come twice or be held up once more."""
 OPEN_FOR: Final = 10
 """SYNCs after which one that was passed over will have no reading any more: networks hold frames for less."""
+FIRST: Final = 32
+"""Readings of a run until they say how far delays spread: a calibration's are of a shaft at rest and a bus
+without commands, with as many stuff bits each."""
 HELD_UP: Final = 4
 """SYNCs after which a frame that was held up comes at the latest, and may be taken for that of another."""
 
@@ -209,9 +212,7 @@ class OrderAttribution:
         if lag or not self._in_question.phase_known:
             delays = self._in_question.evidence.usual_delays(lag)
             self._usual.begin(delays)
-            self._delays = Extremes()
-            for delay in delays:
-                self._delays.add(delay)
+            self._delays.begin(delays)
             self._untidy = 0  # what seemed to be held up was of the new delay
             self._tell(f"its readings come {self._delays.low / NS_PER_US:.0f} us after their SYNC now")
         elif not self._beyond:
@@ -259,6 +260,9 @@ class OrderAttribution:
         if self._echoes_late:  # and by how much is in no single delay, as readings are stamped late too
             off = max(delay, delays.high) - delays.low
             return self._echo_error + off + delays.unseen(self._transit)
+        if self.health.placed <= FIRST:
+            late = min(delay - self._transit, self._period // 4)
+            return self._echo_error + max(delay - delays.low, late)
         return self._echo_error + delays.late(delay, self._transit)
 
     # ---- frames that are held up, or come twice -----------------------------------------------------------

@@ -63,6 +63,14 @@ class Extremes:
         if self._count == WATCHED // 2:
             self.low, self.high, self._count = self._low, self._high, 0
 
+    def begin(self, values: Sequence[int]) -> None:
+        """Values are others from these on, and spread over no less than before."""
+        spread = self.high - self.low
+        self._count = self._seen = 0
+        for value in values:
+            self.add(value)
+        self.high = self._high = max(self.high, self.low + spread)
+
     def spreads(self, over: int) -> bool:
         """Whether they spread over so much or more."""
         return self.high - self.low >= over

@@ -82,12 +82,14 @@ def placed(sample: Sample | None) -> tuple[int, bool] | None:
 
 def test_a_reading_answers_the_sync_that_ended_as_long_before_as_is_usual() -> None:
     rig = Rig()
-    samples = [rig.answered(number) for number in (2, 3)]
-    assert [placed(sample) for sample in samples] == [(2, True), (3, True)]
-    assert samples[0] is not None
-    assert (samples[0].sampled_at, samples[0].sampled_at_error_ns) == (2 * PERIOD, ERROR)
+    samples = [rig.answered(number) for number in range(2, 40)]
+    assert [placed(sample) for sample in samples] == [(number, True) for number in range(2, 40)]
+    bounds = [(each.sampled_at, each.sampled_at_error_ns) for each in samples if each is not None]
+    assert bounds[0] == (2 * PERIOD, ECHO + DELAY - TRANSIT)  # a calibration says little of a run
+    assert bounds[-1] == (39 * PERIOD, ERROR)
     health = rig.order.health
-    assert (health.placed, health.unmatched, health.below_transit, health.error_ns_max) == (2, 0, 0, ERROR)
+    assert (health.placed, health.unmatched, health.below_transit) == (38, 0, 0)
+    assert health.error_ns_max == ECHO + DELAY - TRANSIT
     assert (rig.told, rig.order.wants_probe, rig.order.question.open) == ([], False, False)
 
 
