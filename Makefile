@@ -1,7 +1,7 @@
 # The commands of servobench. Each sets up what it needs first: a virtual environment from the
 # lock files (every archive checked by its hash), made anew only when a lock file changes.
 #
-#   make demo        run the example bench on the simulated drive; compiles nothing
+#   make demo        run the example bench on the simulated drive; builds the core first, some seconds
 #   make check       format, lint, types, import rules
 #   make test        the tests that need no SocketCAN
 #   make unit        the unit tests of one room, ROOM=drivers, virtual_bus, design or hil
@@ -33,6 +33,8 @@
 #   make bench       print the benchmarks' figures
 #   make instructions  count with valgrind the instructions of a cycle, by owner, and tell the rise against those kept;
 #                    status 1 above 3 % (KEEP=1: keep them)
+#   make core        build the native core; every target that runs something does it by itself
+#   make core-debug  build it with sanitizers: LD_PRELOAD=$(gcc -print-file-name=libasan.so) with what runs it
 #   make compile     compile what has changed of the hot modules; test and bench do it by themselves
 #   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command leaves them unused)
 #   make wheel       sdist and wheel for this Python, compiled, into dist/
@@ -54,7 +56,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit edits test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench instructions docs lock clean
+.PHONY: help setup core core-debug compile pure wheel demo check format test unit edits test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench instructions docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -71,8 +73,13 @@ $(BIN)/python:
 	@echo "Setting up $(VENV): once, a minute or two"
 	@$(PYTHON) -m venv $(VENV)
 
+CORE := virtual_bus/core/native.abi3.so
+
+# A machine without a C compiler gets one as a package, for the build only.
 $(RUNTIME): requirements.lock pyproject.toml | $(BIN)/python
 	@$(BIN)/pip install --quiet --require-hashes -r requirements.lock
+	@$(BIN)/python virtual_bus/core/build.py compiler || \
+	  $(BIN)/pip install --quiet --require-hashes -r requirements-compiler.lock
 	@$(BIN)/pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
@@ -80,8 +87,16 @@ $(TOOLS): requirements-dev.lock $(RUNTIME)
 	@$(BIN)/pip install --quiet --require-hashes -r requirements-dev.lock
 	@touch $@
 
+core: $(CORE)
+
+$(CORE): $(wildcard virtual_bus/core/*.[ch]) virtual_bus/core/build.py | $(RUNTIME)
+	@$(BIN)/python virtual_bus/core/build.py
+
+core-debug: $(RUNTIME)
+	@$(BIN)/python virtual_bus/core/build.py debug
+
 # Whether a build is needed is decided by the digests of the sources, not by the ages of files.
-compile: $(RUNTIME)
+compile: $(RUNTIME) $(CORE)
 ifndef SERVOBENCH_PURE
 	@mkdir -p build
 	@$(BIN)/python setup.py --quiet build_ext --inplace 2>build/compile.log || { \
@@ -92,7 +107,7 @@ pure: $(RUNTIME)
 	@$(BIN)/python setup.py remove
 
 # The backends of pyproject.toml are in the lock: what is built is built with the versions of this environment.
-wheel: $(TOOLS)
+wheel: $(TOOLS) $(CORE)
 	@rm -rf dist && mkdir -p build dist
 	@$(BIN)/python -c 'import setuptools.build_meta as backend; backend.build_sdist("dist")' >build/wheel.log 2>&1 \
 	  && rm -rf build/wheel && SERVOBENCH_COMPILE=$(if $(SERVOBENCH_PURE),,1) $(BIN)/pip wheel --quiet --no-deps \
@@ -101,7 +116,7 @@ wheel: $(TOOLS)
 	  cp build/wheel/*.whl dist; echo "auditwheel gives it no manylinux tag; see build/wheel.log" >&2; }
 	@ls -sh dist
 
-demo: $(RUNTIME)
+demo: $(RUNTIME) $(CORE)
 	@$(BIN)/hil run examples/ling2012.toml
 	@test -e drivers/compiled.json || echo "Interpreted; make compile (some minutes, once) makes it several times faster."
 
@@ -122,7 +137,7 @@ test: $(TOOLS) compile
 
 ROOM ?= $(error which room? make unit ROOM=drivers, virtual_bus, design or hil)
 
-unit: $(TOOLS)
+unit: $(TOOLS) $(CORE)
 	@$(BIN)/pytest --quiet --numprocesses=2 --dist=loadgroup -m "not long" tests/unit/$(ROOM)
 
 EDITS ?= 1000
@@ -211,6 +226,7 @@ lock: $(TOOLS)
 	$(BIN)/python -c '$(BACKEND)' | $(COMPILE) -o requirements.lock pyproject.toml -
 	$(COMPILE) --group dev -c requirements.lock -o requirements-dev.lock
 	$(COMPILE) --group bench -o requirements-bench.lock
+	$(COMPILE) --group compiler -o requirements-compiler.lock
 
 clean:
 	find design drivers hil virtual_bus -name '*.so' -delete

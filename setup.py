@@ -1,8 +1,9 @@
-"""Compiles the hot modules with mypyc, in groups: in place (``make compile``), or into a wheel.
+"""Builds the native core, and compiles the hot modules with mypyc, in groups: in place, or into a wheel.
 
-Everything else about the package stands in pyproject.toml. What is not compiled runs interpreted, with the
-same results. A wheel is compiled where a C compiler is there; ``SERVOBENCH_COMPILE=1`` makes the lack of one
-an error, ``SERVOBENCH_PURE=1`` leaves the wheel uncompiled.
+Everything else about the package stands in pyproject.toml. The core is always built: by the machine's C
+compiler, or by one that comes as a package. What mypyc has not compiled runs interpreted, with the same
+results. A wheel is compiled where a C compiler is there; ``SERVOBENCH_COMPILE=1`` makes the lack of one an
+error, ``SERVOBENCH_PURE=1`` leaves the wheel uncompiled.
 """
 
 import json
@@ -16,7 +17,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from setuptools import Extension, setup
+from setuptools import Distribution, Extension, setup
 from setuptools.command.build_ext import build_ext
 from setuptools.command.build_py import build_py
 from setuptools.errors import BaseError, CCompilerError
@@ -25,6 +26,10 @@ ROOT = Path(__file__).resolve().parent
 sys.path.insert(0, str(ROOT))  # pip imports this file from elsewhere
 
 from drivers.compiled import MANIFEST, PURE, ROOMS, SUFFIX, digest_of, look  # noqa: E402
+
+CORE = ROOT / "virtual_bus" / "core"
+sys.path.insert(0, str(CORE))  # its package looks for a core that is built
+import build as core  # noqa: E402
 
 REQUIRED = bool(os.environ.get("SERVOBENCH_COMPILE"))
 MYPY = ["--cache-dir=/dev/null", "--follow-imports=silent"]
@@ -105,7 +110,7 @@ def remove_compiled(keep: Iterable[str] = ()) -> None:
     kept = frozenset(keep)
     for room in ROOMS:
         for path in (ROOT / room).rglob("*.so"):
-            if path.relative_to(ROOT).as_posix() not in kept:
+            if path.parent != CORE and path.relative_to(ROOT).as_posix() not in kept:
                 path.unlink()
 
 
@@ -216,6 +221,13 @@ class WithExamples(build_py):
         )
 
 
+class WithCore(Distribution):
+    """What is packed is for one machine and, where mypyc compiled nothing, for every Python from 3.11 on."""
+
+    def has_ext_modules(self) -> bool:
+        return True
+
+
 class NoteLack(WithExamples):
     """A wheel that is not compiled tells why."""
 
@@ -248,7 +260,8 @@ def build_wheel() -> None:
         sys.exit(f"SERVOBENCH_COMPILE is set, but {lack}")
     print(f"Not compiled: {lack}", file=sys.stderr)
     NoteLack.lack = lack
-    setup(cmdclass={"build_py": NoteLack})
+    every = {"bdist_wheel": {"py_limited_api": "cp311"}}
+    setup(cmdclass={"build_py": NoteLack}, distclass=WithCore, options=every)
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -259,7 +272,13 @@ def main(arguments: Sequence[str]) -> None:
     elif "build_ext" in arguments:
         compile_in_place()
     elif "bdist_wheel" in arguments:
+        core.build()
         build_wheel()
+    elif "editable_wheel" in arguments:
+        core.build()
+        setup()
+    elif "egg_info" in arguments:  # as a frontend asks for what a build requires
+        setup(setup_requires=core.required())
     else:
         setup()
 

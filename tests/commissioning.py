@@ -26,7 +26,6 @@ from tests.sdo_writes import SdoWrites
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.drive.data_sheet import only_modes
 from virtual_bus.drive.lacks import take_away
-from virtual_bus.drive.motor_kernel import S_TORQUE_MEASURED
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.drive.unknown_drive import Truth, unknown_drive
@@ -112,7 +111,7 @@ class Spy:
         """Advance the inner loops, note the torque, and wake the drive if it is its time."""
         if self.watching:
             self._servo.drive.advance(now)
-            self.torques.append((self._firmware.tick_at, float(self._firmware.state[S_TORQUE_MEASURED])))
+            self.torques.append((self._firmware.tick_at, self._firmware.inner.torque_measured_nm))
             due = self._servo.wake_at
             if due is None or due > now:
                 return ()

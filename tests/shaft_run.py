@@ -17,7 +17,6 @@ from hil.execution.world import World, WorldPlan
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
-from virtual_bus.drive.motor_kernel import D_LOAD, S_SPEED
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.timeline import Timeline
 
@@ -82,11 +81,11 @@ def _watch(timeline: Timeline, servo: SimulatedServo, seen: list[tuple[Instant, 
     def look(now: Instant) -> None:
         if servo.drive.firmware.ticks:
             servo.drive.advance(now)
-        seen.append((now, float(servo.drive.firmware.state[S_SPEED])))
+        seen.append((now, servo.drive.firmware.inner.speed_rad_s))
         timeline.post(Instant(now + step), look)
 
     timeline.post(Instant(step + 1), look)
 
 
 def _load(servo: SimulatedServo, load_nm: float) -> None:
-    servo.drive.firmware.demand[D_LOAD] += load_nm
+    servo.drive.firmware.inner.load_nm += load_nm

@@ -26,7 +26,7 @@ OPTION = "--load"
 
 def load_table(signal: Signal) -> LoadTable:
     """What a simulated shaft bears of it."""
-    return LoadTable.of(signal.times_s, signal.levels)
+    return LoadTable(signal.times_s, signal.levels)
 
 
 def load_tables(asked: Sequence[str], nodes: Sequence[int]) -> dict[int, LoadTable]:

@@ -17,6 +17,7 @@ from rich.text import Text
 from serial.tools import list_ports
 
 from drivers import compiled
+from drivers.errors import BadInput
 from drivers.wire.adapters import link_up_command, socketcan_links
 from drivers.wire.attached import can_links, link_advice
 
@@ -324,6 +325,15 @@ def compiled_modules(_machine: Machine) -> Look:
     return Look(f"{held_back or 'all interpreted, '}{build.why}", compiled.remedy())
 
 
+def native_core(_machine: Machine) -> Look:
+    """Whether the core is built from the sources beside it."""
+    try:
+        import virtual_bus.core  # noqa: F401
+    except BadInput as lack:
+        return Look(f"{lack.value}", str(lack.expected))
+    return Look("built from these sources")
+
+
 CHECKS: Final[tuple[tuple[str, str, Callable[[Machine], Look]], ...]] = (
     ("SocketCAN", "--bus socketcan:...", socketcan),
     ("vcan driver", "--bus socketcan:vcan0", vcan_module),
@@ -342,6 +352,7 @@ CHECKS: Final[tuple[tuple[str, str, Callable[[Machine], Look]], ...]] = (
     ("display", "hil run --view", display),
     ("Vulkan driver", "pictures of a recording without a screen", headless_vulkan),
     ("disk space", "recordings in the present folder", disk_space),
+    ("native core", "everything simulated, and each bus", native_core),
     (
         "compiled modules",
         "pace: interpreted, everything works several times slower",

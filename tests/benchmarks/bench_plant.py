@@ -19,8 +19,6 @@ import numpy as np
 from design.motor import PmsmParameters
 from hil.configuration.motor_file import load_motor
 from tests.plant import Plant
-from virtual_bus.drive import motor_kernel as kernel
-from virtual_bus.drive.motor_kernel import FloatArray, compiled
 
 ROOT = Path(__file__).parents[2]
 PEERS = Path(os.environ.get("SERVOBENCH_PEERS", ROOT / ".venv-bench" / "bin" / "python"))
@@ -47,7 +45,6 @@ def main() -> None:
 
 def by_call(motor: PmsmParameters, *, stator_fixed: bool) -> dict[str, Any]:
     """A call from Python for each step, as the peers are used."""
-    Plant(motor).advance(0.0, 0.0)  # compiles
     plant = Plant(motor)
 
     def steps(count: int) -> None:
@@ -57,20 +54,12 @@ def by_call(motor: PmsmParameters, *, stator_fixed: bool) -> dict[str, Any]:
     return result(steps, lambda: plant.speed_rad_s, "stator" if stator_fixed else "rotor")
 
 
-@compiled
-def advance_by(state: FloatArray, p: FloatArray, voltage: float, count: int) -> None:
-    """``count`` periods, called as the firmware calls the plant."""
-    for _ in range(count):
-        kernel.advance_plant(state, p, 0.0, voltage, 1.0, 1.0, 0.0, 0.0)
-
-
 def in_one_call(motor: PmsmParameters) -> dict[str, Any]:
-    """Many steps in a call: what a step costs the simulated drive, whose firmware is compiled with it."""
+    """Many steps in a call: what a step costs the simulated drive, whose firmware is in the core too."""
     plant = Plant(motor)
-    advance_by(plant._state, plant._p, 0.0, 0)
 
     def steps(count: int) -> None:
-        advance_by(plant._state, plant._p, VOLTAGE_V, count)
+        plant.advance(0.0, VOLTAGE_V, periods=count)
 
     return result(steps, lambda: plant.speed_rad_s, "stator")
 

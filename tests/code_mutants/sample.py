@@ -1,9 +1,8 @@
 """A seeded sample of mutants over the lines of the product, and which tests are to judge each.
 
-First those unit test files of its room that call the function that it is in; in a module that numba
-compiles, whose calls nobody sees, those that import it. Then, of what these let pass, the other rooms' unit
-tests that call it, and all other tests that reach its file by imports. Of both, what takes too long is not
-waited for: the shares killed are lower bounds.
+First those unit test files of its room that call the function that it is in. Then, of what these let pass,
+the other rooms' unit tests that call it, and all other tests that reach its file by imports. Of both, what
+takes too long is not waited for: the shares killed are lower bounds.
 """
 
 import hashlib
@@ -123,8 +122,7 @@ def callers(mutant: Mutant, calls: Calls) -> list[str]:
     """The unit test files that call the mutant's function; those that call least come first, as they are
     about it."""
     file = mutant.place.file
-    line = 0 if file in _unseen() else mutant.function_line
-    found = [test for test, called in calls.items() if line in called.lines.get(file, ())]
+    found = [test for test, called in calls.items() if mutant.function_line in called.lines.get(file, ())]
     return sorted(found, key=lambda test: calls[test].count)
 
 
@@ -180,14 +178,3 @@ def killer(shop: Workshop, mutant: Mutant, tests: list[str], seconds: float) -> 
         if status not in (0, "timeout") and shop.run(["-x", test], 2.0 * FILE_TIMEOUT_S, pure=pure) == 0:
             return test
     return ""
-
-
-@cache
-def _unseen() -> set[str]:
-    """Modules whose functions numba compiles."""
-    paths = (path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
-    return {
-        path.relative_to(ROOT).as_posix()
-        for path in paths
-        if "\nfrom design.kept_code import kept\n" in path.read_text(encoding="utf-8")
-    }

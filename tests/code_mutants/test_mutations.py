@@ -145,14 +145,6 @@ def test_a_mutant_is_judged_by_who_calls_it_and_first_by_the_test_that_is_about_
     assert callers(mutant, calls) == ["about f", "wide"]
 
 
-def test_what_numba_compiles_is_judged_by_who_imports_it() -> None:
-    file = "virtual_bus/drive/motor_kernel.py"
-    mutant = mutants_of(file, (ROOT / file).read_text(encoding="utf-8"))[-1]
-    assert mutant.function_line > 0
-    calls = {"imports": Called(1.0, {file: [0]}), "does not": Called(1.0, {})}
-    assert callers(mutant, calls) == ["imports"]
-
-
 def test_all_other_tests_that_reach_a_mutant_judge_it_the_nearest_first() -> None:
     file = "hil/campaign/figures.py"
     (mutant, *_) = mutants_of(file, (ROOT / file).read_text(encoding="utf-8"))

@@ -1,6 +1,6 @@
 """The compiled plant and firmware against scipy's solve_ivp and a second implementation in complex numbers.
 
-The reference shares nothing with the kernel: it integrates the stator-frame voltage with the rotor's
+The reference shares nothing with the core: it integrates the stator-frame voltage with the rotor's
 angle as a state, at tolerances far below the 0.1 % that is asked; the bounds asserted are what is reached.
 """
 
@@ -18,7 +18,6 @@ from design.motor import PmsmParameters
 from drivers.timebase import Instant
 from tests.motors import AZAIZ, LING
 from tests.plant import Plant
-from virtual_bus.drive import motor_kernel as kernel
 from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 
 PERIOD_S = 1.0 / 16_000
@@ -209,21 +208,14 @@ def test_current_and_speed_steps_of_the_closed_drive(motor: PmsmParameters) -> N
     parameters = FirmwareParameters(inner_rate_hz=16_000, brake_torque_nm=0.0)
     firmware = Firmware(motor, parameters)
     firmware.control(InnerControl.TORQUE)
-    firmware.demand[kernel.D_LOAD] = 0.1
+    firmware.inner.load_nm = 0.1
     found = []
     for tick, torque in enumerate(torques, start=1):
         firmware.demand_torque(torque)
         assert firmware.advance_to(Instant(tick * 62_500))
-        state = firmware.state
-        angle = state[kernel.S_TURNS] * math.tau + state[kernel.S_ANGLE]
-        found.append(
-            [
-                float(state[kernel.S_CURRENT_D]),
-                float(state[kernel.S_CURRENT_Q]),
-                float(state[kernel.S_SPEED]),
-                float(angle),
-            ]
-        )
+        inner = firmware.inner
+        angle = inner.turns * math.tau + inner.angle_rad
+        found.append([inner.current_d_a, inner.current_q_a, inner.speed_rad_s, angle])
     expected = reference_drive(motor, parameters, torques, 0.1)
     peak = np.max(np.abs(np.asarray(expected)), axis=0)
     peak[0] = peak[1]  # i_d is held near zero: measured against the current's magnitude

@@ -19,7 +19,6 @@ from hil.configuration.toml_text import toml_text
 from hil.execution.world import WorldPlan
 from tests.rehearsals.made_sheet import MadeSheet
 from tests.rehearsals.traits import TRAITS
-from virtual_bus.drive.motor_kernel import S_COUNT, S_SPEED_MEASURED
 from virtual_bus.drive.servo import SimulatedServo
 
 FAULTS_FILE = "faults.toml"
@@ -132,7 +131,7 @@ def rehearsed(
         servo, plate = rehearsed_drive(*given)
         change(servo)
         made.append(servo)
-        began.append(float(servo.drive.firmware.state[S_COUNT]))
+        began.append(servo.drive.firmware.inner.count)
         return servo, plate
 
     names = [step.name for step in all_steps()]
@@ -165,15 +164,15 @@ def rehearsed(
     else:
         figures = json.loads(done.stdout)
     steps = figures["steps"]
-    state = servo.drive.firmware.state
+    inner = servo.drive.firmware.inner
     return Rehearsal(
         exit_code=done.exit_code,
         reason=figures["error"] or "",
         ended_in=(steps[-1]["name"] if steps else "putting back") if figures["error"] else "",
         not_done={step["name"]: step["reason"] for step in steps if step["verdict"] != "done"},
         faults=[fault for step in steps for fault in step["faults"]],
-        moved=abs(float(state[S_COUNT]) - began[0]) > MOVED_COUNTS,
-        stands=abs(float(state[S_SPEED_MEASURED])) < AT_REST_RAD_S,
+        moved=abs(inner.count - began[0]) > MOVED_COUNTS,
+        stands=abs(inner.speed_measured_rad_s) < AT_REST_RAD_S,
         enabled=servo.drive.power.state is State.OPERATION_ENABLED,
         restored=figures["restored"] is not False,
         mode=next((step["figures"].get("mode", "") for step in steps if step["name"] == "setup"), "").replace(

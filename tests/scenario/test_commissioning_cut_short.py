@@ -39,7 +39,6 @@ from hil.restoring.journal import DriveMark, append_restored, read_journal
 from hil.restoring.restore import restore
 from hil.write_lists import RIG
 from tests.commissioning import WrappedStep
-from virtual_bus.drive.motor_kernel import S_SPEED_MEASURED
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.unknown_drive import unknown_drive
 
@@ -199,7 +198,7 @@ class Rig:
     def stands_disabled(self) -> bool:
         """By the simulated drive itself."""
         drive = self.servo.drive
-        turning = abs(float(drive.firmware.state[S_SPEED_MEASURED])) > 0.1
+        turning = abs(drive.firmware.inner.speed_measured_rad_s) > 0.1
         return drive.power.state is State.SWITCH_ON_DISABLED and not turning
 
     def restore(self) -> None:

@@ -35,7 +35,6 @@ from tests.motors import LING
 from tests.scenario.processes import hub_name, in_background, loop_of
 from tests.scenario.test_commissioning_exits import TIMEOUT_MS, command, witness
 from virtual_bus.drive.lacks import take_away
-from virtual_bus.drive.motor_kernel import S_SPEED
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.drive.unknown_drive import unknown_drive
@@ -92,7 +91,7 @@ class Standstill:
 
     def _speed(self) -> float:
         self._servo.drive.advance(self._world.clock.now())
-        return abs(float(self._servo.drive.firmware.state[S_SPEED]))
+        return abs(self._servo.drive.firmware.inner.speed_rad_s)
 
 
 class Halting(WrappedStep):

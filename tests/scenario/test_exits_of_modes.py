@@ -22,7 +22,6 @@ from hil.machine.stopping import StopRequest
 from tests.exits.written_witness import SYNC_ID
 from tests.scenario.processes import EXAMPLES
 from tests.swarm.witness import DriveWitness, witnessed
-from virtual_bus.drive.motor_kernel import S_SPEED
 from virtual_bus.frame import Frame
 
 TURNING_RAD_S: Final = 30.0
@@ -107,7 +106,7 @@ class ShaftWitness(DriveWitness):
 
     @property
     def shaft_rad_s(self) -> float:
-        return abs(float(self._drive.drive.firmware.state[S_SPEED]))
+        return abs(self._drive.drive.firmware.inner.speed_rad_s)
 
     def _seen(self, frames: Any, now: Instant) -> Any:
         if self._drive.drive.power.state is State.OPERATION_ENABLED:

@@ -267,7 +267,6 @@ def main() -> NoReturn:
         listener.bind(str(place / role))
         listener.listen(64)
     _import("bench")
-    _link_the_motor()
     role = "bench" if os.fork() else "logger"
     # a server that ended is refused, not waited for
     listeners.pop("logger" if role == "bench" else "bench").close()
@@ -284,16 +283,6 @@ def _import(role: str) -> None:
         import_module(module)
     gc.collect()
     gc.freeze()
-
-
-def _link_the_motor() -> None:
-    """Load its compiled code, as its first call does."""
-    import numpy as np
-
-    from virtual_bus.drive import motor_kernel as kernel
-
-    state, parameters = np.zeros(kernel.STATE_SIZE), np.ones(kernel.PARAMETERS_SIZE)
-    kernel.advance_drive(state, parameters, np.zeros(kernel.DEMAND_SIZE), np.zeros(0), 0, 1)
 
 
 if __name__ == "__main__":

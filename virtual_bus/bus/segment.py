@@ -13,10 +13,11 @@ not depend on the order of events within an instant.
 """
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.bus.bit_length import LONGEST_FRAME_BITS, arbitration_key, bits_duration, wire_bits
+from virtual_bus.bus.bit_length import LONGEST_FRAME_BITS, arbitration_key, bits_duration
 from virtual_bus.bus.disturbance import Disturb, OnError
 from virtual_bus.bus.error_handling import ErrorHandling
 from virtual_bus.bus.port import BusMedium, Listener, OnFrame, Port
+from virtual_bus.core.native import wire_bits
 from virtual_bus.event_heap import Action
 from virtual_bus.timeline import Timeline
 

@@ -2,35 +2,16 @@
 are seldom asked for, which are computed when they are.
 """
 
-from collections.abc import Callable
-from typing import Final, cast
+from typing import Final
 
 from drivers.cia402.profile import Status
 from virtual_bus.drive.axis import SimulatedAxis
-from virtual_bus.drive.firmware import Firmware
-from virtual_bus.drive.motor_kernel import (
-    CONTROL_SPEED,
-    D_LOAD,
-    S_CONTROL,
-    S_COUNT,
-    S_D_MEASURED,
-    S_LIMITED,
-    S_NEXT_D,
-    S_NEXT_Q,
-    S_Q_MEASURED,
-    S_SPEED_DEMAND,
-    S_SPEED_MEASURED,
-    S_TORQUE_DEMAND,
-    S_TORQUE_MEASURED,
-)
+from virtual_bus.drive.firmware import Firmware, InnerControl
 from virtual_bus.drive.servo_objects import ServoObjects
 from virtual_bus.drive.user_units import UserUnits, wrapped
 
 INTERNAL_LIMIT_ACTIVE: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
-_COUNT: Final = int(S_COUNT)
-_SPEED: Final = int(S_SPEED_MEASURED)
-_TORQUE: Final = int(S_TORQUE_MEASURED)
-_LIMITED: Final = int(S_LIMITED)
+_SPEED: Final = int(InnerControl.SPEED.value)
 _INT32_MAX: Final = 2147483647.0
 _round: Final = round
 """As constants of this module: found without a look-up where it is compiled."""
@@ -40,8 +21,7 @@ class ActualValues:
     """Where the firmware's state becomes what the TPDOs carry."""
 
     def __init__(self, firmware: Firmware, objects: ServoObjects, units: UserUnits) -> None:
-        # gives plain floats, which an array does not; numpy's stubs call every buffer one of integers
-        self._state = cast("memoryview[float]", firmware.state.data)
+        self._inner = firmware.inner
         self._units = units
         self._objects = objects
         self._torque_unit_nm = objects.torque_unit_nm
@@ -65,16 +45,16 @@ class ActualValues:
 
     def refresh(self, status: int) -> None:
         """``status``: the statusword but for what the inner loops add."""
-        state = self._state
+        inner = self._inner
         if self._plain:
-            count = int(state[_COUNT]) - self._origin
+            count = int(inner.count) - self._origin
             self._position.value = (count + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
         else:
-            self._position.value = self._units.position_of(state[_COUNT])
-        speed = state[_SPEED] * self._velocity_per_rad_s
+            self._position.value = self._units.position_of(inner.count)
+        speed = inner.speed_measured_rad_s * self._velocity_per_rad_s
         self._velocity.value = _round(speed) if -_INT32_MAX < speed < _INT32_MAX else clipped(speed, 32)
-        self._torque.value = _int16(state[_TORQUE] / self._torque_unit_nm)
-        if state[_LIMITED] != 0.0:
+        self._torque.value = _int16(inner.torque_measured_nm / self._torque_unit_nm)
+        if inner.limited != 0.0:
             status |= INTERNAL_LIMIT_ACTIVE
         self._statusword.value = status
 
@@ -92,38 +72,32 @@ def provide_slow_values(axis: SimulatedAxis) -> None:
     """Demand values, current, following error and load, as of the last inner tick, but for the torque demand:
     that is what is in force now."""
     objects, motion, units, firmware = axis.objects, axis.motion, axis.units, axis.firmware
-    state, demand = cast("memoryview[float]", firmware.state.data), firmware.demand
-    objects.position_internal.provider = lambda: wrapped(int(state[S_COUNT] - units.origin))
+    inner = firmware.inner
+    objects.position_internal.provider = lambda: wrapped(int(inner.count - units.origin))
     objects.torque_demand.provider = lambda: clipped(firmware.torque_demand_nm / axis.torque_unit_nm, 16)
-    objects.current.provider = lambda: clipped(state[S_Q_MEASURED] / objects.current_unit_a, 16)
-    for variable, place in ((objects.current_d, S_D_MEASURED), (objects.current_q, S_Q_MEASURED)):
-        variable.provider = _part(state, place, objects.current_unit_a)
-    for variable, place in ((objects.voltage_d, S_NEXT_D), (objects.voltage_q, S_NEXT_Q)):
-        variable.provider = _part(state, place, objects.voltage_unit_v)
+    objects.current.provider = lambda: clipped(inner.current_q_measured_a / objects.current_unit_a, 16)
+    objects.current_d.provider = lambda: clipped(inner.current_d_measured_a / objects.current_unit_a, 16)
+    objects.current_q.provider = lambda: clipped(inner.current_q_measured_a / objects.current_unit_a, 16)
+    objects.voltage_d.provider = lambda: clipped(inner.next_voltage_d_v / objects.voltage_unit_v, 16)
+    objects.voltage_q.provider = lambda: clipped(inner.next_voltage_q_v / objects.voltage_unit_v, 16)
     objects.current_q_demand.provider = lambda: clipped(
-        state[S_TORQUE_DEMAND] / firmware.motor.torque_constant_nm_a / objects.current_unit_a, 16
+        inner.torque_demand_nm / firmware.motor.torque_constant_nm_a / objects.current_unit_a, 16
     )
-    objects.load_torque.provider = objects.load_actual.provider = lambda: round(
-        float(demand[D_LOAD]) / LOAD_NM
-    )
+    objects.load_torque.provider = objects.load_actual.provider = lambda: round(inner.load_nm / LOAD_NM)
     motion.position_demand.provider = lambda: units.position_of(
-        state[S_COUNT] if axis.demand is None else axis.demand
+        inner.count if axis.demand is None else axis.demand
     )
     motion.position_demand_internal.provider = lambda: wrapped(
-        round((state[S_COUNT] if axis.demand is None else axis.demand) - units.origin)
+        round((inner.count if axis.demand is None else axis.demand) - units.origin)
     )
     motion.velocity_demand.provider = lambda: clipped(
-        state[S_SPEED_DEMAND] * units.velocity_per_rad_s if state[S_CONTROL] == CONTROL_SPEED else 0.0, 32
+        inner.speed_demand_rad_s * units.velocity_per_rad_s if inner.control == _SPEED else 0.0, 32
     )
     motion.vl_demand.provider = lambda: clipped(
-        state[S_SPEED_DEMAND] / axis.rad_s_per_vl if state[S_CONTROL] == CONTROL_SPEED else 0.0, 16
+        inner.speed_demand_rad_s / axis.rad_s_per_vl if inner.control == _SPEED else 0.0, 16
     )
-    motion.vl_velocity.provider = lambda: clipped(state[S_SPEED_MEASURED] / axis.rad_s_per_vl, 16)
+    motion.vl_velocity.provider = lambda: clipped(inner.speed_measured_rad_s / axis.rad_s_per_vl, 16)
     motion.following_error.provider = lambda: clipped(axis.following_error, 32)
-
-
-def _part(state: "memoryview[float]", place: int, unit: float) -> Callable[[], int]:
-    return lambda: clipped(state[place] / unit, 16)
 
 
 def clipped(value: float, bits: int) -> int:

@@ -9,7 +9,7 @@ speed, a speed or a torque; the inner loops go there until the next period:
 
 import math
 from collections.abc import Callable
-from typing import Final, cast
+from typing import Final
 
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import HaltOption
@@ -24,16 +24,6 @@ from virtual_bus.drive.motion_objects import (
     MotionObjects,
     VelocityRamp,
 )
-from virtual_bus.drive.motor_kernel import (
-    CONTROL_SPEED,
-    D_SPEED_MAX,
-    S_CONTROL,
-    S_COUNT,
-    S_SPEED_DEMAND,
-    S_SPEED_MEASURED,
-    S_TORQUE_DEMAND,
-    S_TORQUE_MEASURED,
-)
 from virtual_bus.drive.servo_objects import ServoObjects
 from virtual_bus.drive.trajectory import MoveLimits
 from virtual_bus.drive.user_units import UserUnits
@@ -41,6 +31,7 @@ from virtual_bus.drive.user_units import UserUnits
 POSITION_BANDWIDTH: Final = 0.25
 """Gain of the position loop, 1/s, beside the bandwidth w of the speed loop, rad/s. With it both poles of
 s^2 + w s + w^2 / 4, the position loop around a speed loop of first order, lie at w / 2: no overshoot."""
+_FOLLOWS_SPEED: Final = int(InnerControl.SPEED.value)
 REST_S: Final = 0.005
 """The shaft has come to rest when it has rested for that long at the end of a ramp. After a ramp that the
 torque limit cuts it swings through rest, slow for up to 3.5 ms until it is fast again (measured)."""
@@ -101,7 +92,7 @@ class SimulatedAxis:
         """60B2h is added to what the speed loop asks for: in CSP and CSV."""
         self.demand: float | None = None
         """Position asked of the position loop, encoder counts; None where there is none."""
-        self._state = cast("memoryview[float]", firmware.state.data)
+        self._inner = firmware.inner
         self._fail_following = fail_following
         self._following = WindowTimer()
         self._counts_per_rad = firmware.counts_per_rad
@@ -112,7 +103,7 @@ class SimulatedAxis:
     @property
     def count(self) -> float:
         """Encoder count."""
-        return self._state[S_COUNT]
+        return self._inner.count
 
     @property
     def counts_per_s(self) -> float:
@@ -121,22 +112,21 @@ class SimulatedAxis:
 
     @property
     def speed_rad_s(self) -> float:
-        state = self._state
-        following = state[S_CONTROL] == CONTROL_SPEED
-        return state[S_SPEED_DEMAND] if following else state[S_SPEED_MEASURED]
+        inner = self._inner
+        return inner.speed_demand_rad_s if inner.control == _FOLLOWS_SPEED else inner.speed_measured_rad_s
 
     @property
     def velocity(self) -> float:
         """606Ch, before it is rounded."""
-        return self._state[S_SPEED_MEASURED] * self.units.velocity_per_rad_s
+        return self._inner.speed_measured_rad_s * self.units.velocity_per_rad_s
 
     @property
     def torque_demand_nm(self) -> float:
-        return self._state[S_TORQUE_DEMAND]
+        return self._inner.torque_demand_nm
 
     @property
     def torque_nm(self) -> float:
-        return self._state[S_TORQUE_MEASURED]
+        return self._inner.torque_measured_nm
 
     # ---- what it is asked -----------------------------------------------------------------------------
 
@@ -151,7 +141,7 @@ class SimulatedAxis:
     def follow(self, count: float, counts_per_s: float) -> None:
         """Be at ``count`` now, and at ``counts_per_s`` when the period ends."""
         self.demand = count
-        error_rad = (count - self._state[S_COUNT]) / self._counts_per_rad
+        error_rad = (count - self._inner.count) / self._counts_per_rad
         speed = self.cut_speed(counts_per_s / self._counts_per_rad + self._gain * error_rad)
         holds = counts_per_s == 0.0 and abs(error_rad) < _HOLDS_RAD
         self._run(speed, self.guarded and self._bars(0.0 if holds else speed, free=False))
@@ -216,7 +206,7 @@ class SimulatedAxis:
         ends = self._range()
         if ends is None:
             return False
-        speed = self._state[S_SPEED_MEASURED]
+        speed = self._inner.speed_measured_rad_s
         braking = speed * abs(speed) / (2.0 * self.quick_stop_rad_s2) * self._counts_per_rad
         place = self.units.length_of(self.count + braking - self.units.origin)
         upwards = (way > 0.0) == (self.units.counts_per_position > 0.0)
@@ -234,7 +224,7 @@ class SimulatedAxis:
 
     def cut_speed(self, speed_rad_s: float) -> float:
         """A speed inside 6080h."""
-        most = float(self.firmware.demand[D_SPEED_MAX])
+        most = self._inner.speed_max_rad_s
         cut = min(max(speed_rad_s, -most), most)
         self.limited = self.limited or cut != speed_rad_s
         return cut

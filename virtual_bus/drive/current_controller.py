@@ -1,49 +1,41 @@
-"""A current controller in state space, put into the arrays of the compiled kernel."""
+"""A current controller in state space, given to the inner loops of the core."""
+
+from typing import Final
 
 import numpy as np
 import scipy  # loads scipy.linalg when it is used first
+from numpy.typing import NDArray
 
 from design.statespace import StateSpace
-from virtual_bus.drive import motor_kernel as kernel
-from virtual_bus.drive.motor_kernel import FloatArray
+from virtual_bus.core.native import InnerLoops
 
-_NONE = -1.0
-"""In the place of an order: this axis keeps its PI."""
+CONTROLLER_ORDER_MAX: Final = 8
+"""Of core/inner_loops.h."""
 
 
 def check_controller(controller: StateSpace | None, inner_rate_hz: int) -> None:
-    """Error: ValueError for a controller that the kernel cannot run at ``inner_rate_hz``."""
+    """Error: ValueError for a controller that the inner loops cannot run at ``inner_rate_hz``."""
     if controller is None:
         return
-    if controller.D.shape != (1, 1) or controller.order > kernel.CONTROLLER_ORDER_MAX:
+    if controller.D.shape != (1, 1) or controller.order > CONTROLLER_ORDER_MAX:
         raise ValueError(
             f"a current controller with {controller.order} states and gains {controller.D.shape}: one input, "
-            f"one output and at most {kernel.CONTROLLER_ORDER_MAX} states expected"
+            f"one output and at most {CONTROLLER_ORDER_MAX} states expected"
         )
     if controller.period_s is None or abs(controller.period_s * inner_rate_hz - 1.0) > 1e-9:
         raise ValueError(f"a current controller sampled at the inner rate, {inner_rate_hz} Hz, is expected")
 
 
-def fill_controllers(p: FloatArray, d_axis: StateSpace | None, q_axis: StateSpace | None) -> None:
-    """Write both axes' controllers into ``p``, (PARAMETERS_SIZE,); None keeps the PI."""
-    p[kernel.P_CONTROLLERS] = float(d_axis is not None or q_axis is not None)
-    for at, controller in ((kernel.P_CONTROLLER_D, d_axis), (kernel.P_CONTROLLER_Q, q_axis)):
-        p[at] = _NONE
+def fill_controllers(inner: InnerLoops, d_axis: StateSpace | None, q_axis: StateSpace | None) -> None:
+    """Give ``inner`` both axes' controllers; None keeps the PI."""
+    for axis, controller in enumerate((d_axis, q_axis)):
         if controller is not None:
-            _fill(p, at, controller)
+            parts = (controller.D, controller.A, controller.B, controller.C, take_back_gain(controller))
+            values = np.concatenate([np.ravel(part) for part in parts])
+            inner.set_controller(axis, controller.order, values.tobytes())
 
 
-def _fill(p: FloatArray, at: int, controller: StateSpace) -> None:
-    n, most = controller.order, kernel.CONTROLLER_ORDER_MAX
-    p[at], p[at + 1] = n, controller.D[0, 0]
-    places = p[at + 2 : at + kernel.CONTROLLER_SIZE].reshape(most + 3, most)
-    places[:n, :n] = controller.A
-    places[most, :n] = controller.B[:, 0]
-    places[most + 1, :n] = controller.C[0]
-    places[most + 2, :n] = take_back_gain(controller)[:, 0]
-
-
-def take_back_gain(controller: StateSpace) -> FloatArray:
+def take_back_gain(controller: StateSpace) -> NDArray[np.float64]:
     """L (n, 1): x = A x + B e + L (v_out - v) keeps the state where its output is what really goes out.
 
     L is the observer gain of (A, C) that balances what the error drives, B B', against D^2: without a limit

@@ -37,7 +37,6 @@ from virtual_bus.drive.firmware import Firmware, InnerControl
 from virtual_bus.drive.lacks import take_away
 from virtual_bus.drive.machine import SimulatedMachine
 from virtual_bus.drive.motion_objects import MotionObjects
-from virtual_bus.drive.motor_kernel import S_COUNT
 from virtual_bus.drive.operation_mode import OperationMode
 from virtual_bus.drive.operation_modes import MODES
 from virtual_bus.drive.power_state import MotorAction, PowerStateMachine
@@ -141,7 +140,7 @@ class ServoApplication(Application):
     def advance(self, now: Instant) -> None:
         if self._task is not None and self._run_mode(now):
             return
-        if not self.firmware.advance_to(now):
+        if not self.firmware.inner.advance_to(now):
             due = self.wake_at
             if due is not None and due <= now:
                 self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
@@ -158,16 +157,16 @@ class ServoApplication(Application):
 
     def _run_mode(self, now: Instant) -> bool:
         """Motion period by motion period, as long as the mode is followed; whether it is so at ``now``."""
-        firmware, axis = self.firmware, self.axis
-        ticks = firmware.ticks
-        while (task := self._task) is not None and firmware.advance_to_motion_tick(now):
+        inner, axis = self.firmware.inner, self.axis
+        ticks = inner.ticks
+        while (task := self._task) is not None and inner.advance_to_motion_tick(now):
             axis.limited = False
             task.run()
             self._show_mode()
         if self._task is None:
             return False
         self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
-        if firmware.ticks != ticks:
+        if inner.ticks != ticks:
             self._refresh()
         return True
 
@@ -278,7 +277,7 @@ class ServoApplication(Application):
         self._take_limits()
 
     def _encoder_count(self) -> float:
-        return float(self.firmware.state[S_COUNT])
+        return self.firmware.inner.count
 
     def _take_guards(self) -> None:
         """A mode that acts on its set-points alone runs by periods while the axis has an end."""

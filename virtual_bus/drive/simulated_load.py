@@ -1,17 +1,12 @@
 """The load machine on a simulated drive's shaft, as 2100h commands it."""
 
-from typing import Final
-
 from drivers.timebase import NS_PER_US, Instant
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.drive.actual_values import LOAD_NM
 from virtual_bus.drive.firmware import Firmware
 from virtual_bus.drive.load_object import LoadCourse
 from virtual_bus.drive.load_table import LoadTable
-from virtual_bus.drive.motor_kernel import D_LOAD
 from virtual_bus.drive.servo_objects import ServoObjects
-
-_LOAD: Final = int(D_LOAD)
 
 
 class SimulatedLoad:
@@ -37,7 +32,7 @@ class SimulatedLoad:
             self._firmware.bear(self._over_time, self._course == LoadCourse.HELD, begins)
 
     def _on_torque(self, raw: int) -> None:
-        self._firmware.demand[_LOAD] = raw * LOAD_NM
+        self._firmware.inner.load_nm = raw * LOAD_NM
 
     def _check_course(self, course: int) -> AbortCode | None:
         return AbortCode.NO_DATA if course != LoadCourse.OFF and self._over_time is None else None

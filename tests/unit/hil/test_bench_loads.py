@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from struct import pack
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -143,7 +144,7 @@ def test_loads_are_asked_for_by_node(tmp_path: Path) -> None:
     path = signal_file(tmp_path).path
     tables = load_tables([f"3={path}", f"12={path}"], [3, 12])
     assert list(tables) == [3, 12]
-    assert tables[3].torques_nm.tolist() == [0.1, 0.5]
+    assert tables[3].torques_nm == pack("=2d", 0.1, 0.5)
     assert load_tables([], [3]) == {}
 
 

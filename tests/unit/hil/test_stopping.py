@@ -18,7 +18,6 @@ from hil.inspecting.stopping import NodeStopped, stop_drives
 from hil.write_lists import STOP
 from tests.motors import LING
 from tests.scenario.foreign_node import put_on_the_bus
-from virtual_bus.drive.motor_kernel import S_SPEED
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Frame
@@ -73,7 +72,7 @@ class Shafts:
     def speed(self, place: int = 0) -> float:
         servo = self.servos[place]
         servo.drive.advance(self.world.clock.now())
-        return abs(float(servo.drive.firmware.state[S_SPEED]))
+        return abs(servo.drive.firmware.inner.speed_rad_s)
 
     def stop(self, *nodes: int) -> list[NodeStopped]:
         return stop_drives(CanopenNetwork(self.world.link, self.world.clock, 126, writes=STOP), nodes)

@@ -10,7 +10,6 @@ from design.hinf.bilinear import tustin
 from design.papers.azaiz2007 import MOTOR, paper_design
 from design.statespace import StateSpace, connect, series
 from drivers.timebase import Instant
-from virtual_bus.drive import motor_kernel as kernel
 from virtual_bus.drive.current_controller import take_back_gain
 from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 
@@ -29,7 +28,7 @@ def _currents(parameters: FirmwareParameters, torque_nm: float, ticks: int) -> n
     seen = []
     for tick in range(1, ticks + 1):
         firmware.advance_to(Instant(-(-tick * 1_000_000_000 // RATE_HZ)))
-        seen.append(float(firmware.state[kernel.S_CURRENT_Q]))
+        seen.append(float(firmware.inner.current_q_a))
     return np.array(seen)
 
 
@@ -62,10 +61,10 @@ def test_the_voltage_limit_winds_nothing_up() -> None:
     firmware.control(InnerControl.TORQUE)
     firmware.demand_torque(14.0)
     firmware.advance_to(Instant(300_000_000))
-    assert firmware.state[kernel.S_CURRENT_Q] == pytest.approx(weak.voltage_max_v / 0.6, rel=0.02)
+    assert firmware.inner.current_q_a == pytest.approx(weak.voltage_max_v / 0.6, rel=0.02)
     firmware.demand_torque(0.72)
     firmware.advance_to(Instant(340_000_000))
-    assert firmware.state[kernel.S_CURRENT_Q] == pytest.approx(1.0, abs=0.1)
+    assert firmware.inner.current_q_a == pytest.approx(1.0, abs=0.1)
 
 
 def test_the_take_back_gain_leaves_stable_states() -> None:

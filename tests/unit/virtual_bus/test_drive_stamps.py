@@ -12,7 +12,6 @@ from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ServoBench
 from virtual_bus.bus.port import Listener
 from virtual_bus.bus.segment import CanSegment
-from virtual_bus.drive.motor_kernel import S_COUNT
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Frame
@@ -135,13 +134,13 @@ def test_a_task_with_jitter_samples_the_shaft_when_it_acts() -> None:
     for _ in range(20):
         bench.wait_ms(2)
         assert bench.sync() == []
-        count = int(bench.servo.drive.firmware.state[S_COUNT])
+        count = int(bench.servo.drive.firmware.inner.count)
         due = bench.servo.wake_at
         assert due is not None
         bench.now = due
         (position,) = [frame for frame in bench.servo.wake(due) if frame.can_id == 0x281]
         (told,) = struct.unpack_from("<i", position.data)
-        assert told == int(bench.servo.drive.firmware.state[S_COUNT])
+        assert told == int(bench.servo.drive.firmware.inner.count)
         moved.append(told - count)
     assert max(moved) > 100, "counts while the task slept"
 

@@ -11,7 +11,6 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, State, Status, state_of
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from tests.unit.virtual_bus.motion_bench import ENABLED, MotionBench
-from virtual_bus.drive.motor_kernel import S_TORQUE_DEMAND
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Frame
 
@@ -84,7 +83,7 @@ def test_in_front_of_the_speed_limit_the_demand_is_what_the_last_tick_made() -> 
     for _ in range(20):
         bench.wait_ms(3)
         demand = bench.read(Object.TORQUE_DEMAND, "h")
-        made = bench.servo.drive.firmware.state[S_TORQUE_DEMAND] / bench.servo.drive.objects.torque_unit_nm
+        made = bench.servo.drive.firmware.inner.torque_demand_nm / bench.servo.drive.objects.torque_unit_nm
         assert demand == round(made)
     assert bench.statusword & Status.INTERNAL_LIMIT_ACTIVE
     assert demand < 300, "friction alone is left"

@@ -174,8 +174,8 @@ def test_the_brake_holds_the_shaft_of_a_simulated_drive_like_friction() -> None:
     firmware = servo.drive.firmware
     inertia = LING2012.parameters.inertia_kg_m2
     # the drive's own holding brake is out of it: torque control at zero torque
-    firmware._p[20 + 1] = 0.0
-    firmware.state[2] = 100.0
+    firmware.inner.brake_nm = 0.0
+    firmware.inner.speed_rad_s = 100.0
     shaft.brake(0.5, timeline.now)
     began, speed = timeline.now, shaft.speed_rad_s(timeline.now)
     timeline.run_until(Instant(began + 50 * NS_PER_MS))

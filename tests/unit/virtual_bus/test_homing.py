@@ -23,7 +23,6 @@ from tests.unit.virtual_bus.motion_bench import (
 )
 from virtual_bus.drive.homing_methods import HOMING_METHODS
 from virtual_bus.drive.machine import MACHINE
-from virtual_bus.drive.motor_kernel import S_COUNT
 
 START = 0x10
 MODE_BITS = REACHED | BIT_12 | BIT_13
@@ -106,7 +105,7 @@ def home(bench: MotionBench, limit_ms: int = 4000) -> int:
 
 def zero_count(bench: MotionBench) -> int:
     """The encoder count of position 0."""
-    return int(bench.servo.drive.firmware.state[S_COUNT]) - bench.read(0x6064, "i")
+    return int(bench.servo.drive.firmware.inner.count) - bench.read(0x6064, "i")
 
 
 @pytest.mark.parametrize("start", [-1.2, 0.05, 1.1])
@@ -132,7 +131,7 @@ def test_a_start_on_the_limit_switch_leaves_it(method: int, start: float) -> Non
 @pytest.mark.parametrize(("method", "side"), [(33, TO_THE_LEFT), (34, TO_THE_RIGHT)])
 def test_the_next_index_pulse(method: int, side: int) -> None:
     bench = bench_at(0.05, method)
-    before = bench.servo.drive.firmware.state[S_COUNT]
+    before = bench.servo.drive.firmware.inner.count
     passed = home(bench)
     assert zero_count(bench) == pulse_beside(before, side)
     way = abs(pulse_beside(before, side) - before) / COUNTS
@@ -161,7 +160,7 @@ def test_a_home_offset_counts_in_user_units_and_with_their_sign() -> None:
     bench.enable()
     home(bench)
     assert bench.read(0x6064, "i") == pytest.approx(-900, abs=1)
-    before = bench.servo.drive.firmware.state[S_COUNT]
+    before = bench.servo.drive.firmware.inner.count
     bench.control(ENABLED)
     bench.set(Object.MODES_OF_OPERATION, "b", Mode.PROFILE_POSITION)
     bench.wait_ms(20)
@@ -169,7 +168,7 @@ def test_a_home_offset_counts_in_user_units_and_with_their_sign() -> None:
     bench.control(ENABLED | START)
     bench.wait_ms(5)
     bench.until_reached()
-    gone = bench.servo.drive.firmware.state[S_COUNT] - before
+    gone = bench.servo.drive.firmware.inner.count - before
     assert gone / COUNTS == pytest.approx(0.5, abs=0.003), "minus 180 degrees are half a turn forwards"
 
 
@@ -282,7 +281,7 @@ def test_a_switch_held_by_hand_is_taken_where_it_was_noticed() -> None:
     bench.wait_ms(100)
     assert bench.turns_s == pytest.approx(SLOW, rel=0.1), "off the switch again"
     bench.set(MACHINE, "I", 0, INPUTS_HELD)
-    released = bench.servo.drive.firmware.state[S_COUNT]
+    released = bench.servo.drive.firmware.inner.count
     bench.wait_until(lambda: bench.statusword & MODE_BITS == DONE, 100)
     assert 0 <= zero_count(bench) - released <= COUNTS * SLOW * 1.1e-3, "within a motion period"
 

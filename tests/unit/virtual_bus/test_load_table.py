@@ -4,9 +4,13 @@ import random
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from virtual_bus.drive.load_table import LoadTable, fill_loads
-from virtual_bus.drive.motor_kernel import FloatArray
+from drivers.timebase import NS_PER_S
+from virtual_bus.core.native import InnerLoops
+from virtual_bus.drive.load_table import LoadTable
+
+FloatArray = NDArray[np.float64]
 
 
 def looked_up(times: FloatArray, torques: FloatArray, held: bool, at_s: FloatArray) -> FloatArray:
@@ -18,16 +22,20 @@ def looked_up(times: FloatArray, torques: FloatArray, held: bool, at_s: FloatArr
     return np.where(at_s >= 0.0, torque, 0.0)
 
 
-def filled(
-    table: LoadTable, held: bool, at_s: float, period_s: float, count: int, place: int = 0
-) -> tuple[FloatArray, int]:
+def borne(table: LoadTable, held: bool, at_s: float, rate_hz: int, count: int) -> FloatArray:
+    """The load of each of ``count`` ticks of a motor that is none, the middle of the first at ``at_s``."""
+    inner = InnerLoops()
+    inner.rate_hz = rate_hz
+    inner.bear(table.times_s, table.torques_nm, held, 0.5 / rate_hz - at_s)
     loads = np.full(count, np.nan)
-    reached = fill_loads(loads, table.times_s, table.torques_nm, held, at_s, period_s, count, place)
-    return loads, reached
+    for tick in range(count):
+        inner.advance_to(-(-(tick + 1) * NS_PER_S // rate_hz))
+        loads[tick] = inner.load_nm
+    return loads
 
 
 def table_of(times: FloatArray, torques: FloatArray) -> LoadTable:
-    return LoadTable.of(times.astype("<f8").tobytes(), torques.astype("<f8").tobytes())
+    return LoadTable(times.astype("<f8").tobytes(), torques.astype("<f8").tobytes())
 
 
 @pytest.mark.parametrize("held", [True, False])
@@ -38,25 +46,21 @@ def test_any_table_at_any_pace(points: int, held: bool) -> None:
         times = np.cumsum(rng.exponential(0.01, points)) + rng.uniform(-0.05, 0.05)
         torques = rng.normal(0.0, 3.0, points)
         table = table_of(times, torques)
-        period_s = rng.choice([1e-5, 1e-3, 0.03])
-        at_s, place = rng.uniform(-0.2, 0.1), 0
-        for count in rng.integers(1, 60, 8):
-            instants = at_s + period_s * np.arange(count)
-            loads, place = filled(table, held, at_s, period_s, count, place)
-            assert loads == pytest.approx(looked_up(times, torques, held, instants), rel=1e-9, abs=1e-9)
-            assert place == max(0, int(np.searchsorted(times, instants[-1], side="right")) - 1)
-            at_s = instants[-1] + period_s
+        rate_hz, at_s = int(rng.choice([100_000, 1000, 33])), rng.uniform(-0.2, 0.1)
+        instants = at_s + np.arange(600) / rate_hz
+        loads = borne(table, held, at_s, rate_hz, len(instants))
+        assert loads == pytest.approx(looked_up(times, torques, held, instants), rel=1e-9, abs=1e-9)
 
 
 def test_a_point_holds_from_its_very_instant() -> None:
     table = table_of(np.array([0.0, 1.0, 2.0]), np.array([1.0, 2.0, 4.0]))
-    assert filled(table, True, 0.0, 0.5, 6)[0].tolist() == [1.0, 1.0, 2.0, 2.0, 4.0, 4.0]
-    assert filled(table, False, 0.0, 0.5, 6)[0].tolist() == [1.0, 1.5, 2.0, 3.0, 4.0, 4.0]
+    assert borne(table, True, 0.0, 2, 6).tolist() == [1.0, 1.0, 2.0, 2.0, 4.0, 4.0]
+    assert borne(table, False, 0.0, 2, 6).tolist() == [1.0, 1.5, 2.0, 3.0, 4.0, 4.0]
 
 
 def test_before_zero_there_is_no_load_whatever_the_table_says() -> None:
     table = table_of(np.array([-1.0, 1.0]), np.array([5.0, 7.0]))
-    assert filled(table, False, -0.5, 0.25, 4)[0].tolist() == [0.0, 0.0, 6.0, 6.25]
+    assert borne(table, False, -0.5, 4, 4).tolist() == [0.0, 0.0, 6.0, 6.25]
 
 
 def test_the_number_tells_tables_apart_and_not_their_order_of_reading() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.motors import AZAIZ, LING
 from tests.plant import Plant
-from virtual_bus.drive.motor_kernel import sine_cosine
+from virtual_bus.core.native import sine_cosine
 
 PERIOD_S = 1.0 / 16_000
 STICKY = replace(LING, coulomb_friction_nm=0.2, flux_linkage_wb=1e-9)

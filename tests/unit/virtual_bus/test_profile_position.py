@@ -228,13 +228,13 @@ def test_a_position_beyond_the_turn_of_the_integer_is_reached_through_the_wrap()
 
 
 def test_the_motion_does_not_depend_on_how_often_the_drive_is_asked() -> None:
-    def run(pieces: int) -> list[float]:
+    def run(pieces: int) -> bytes:
         bench = bench_with_profile()
         bench.target(2.0)
         for _ in range(300 * pieces):
             bench.wait_ms(1 / pieces)
             bench.sync()
-        return [float(value) for value in bench.servo.drive.firmware.state]
+        return bench.servo.drive.firmware.inner.state()
 
     assert run(1) == run(4)
 

@@ -24,7 +24,6 @@ from drivers.timebase import Instant
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, SYNC, ServoBench
 from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.drive import motor_kernel as kernel
 from virtual_bus.drive.load_object import LOAD_MACHINE
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
@@ -72,7 +71,7 @@ def test_a_sync_brings_both_pdos_with_the_sampled_values() -> None:
     assert status == bench.statusword
     assert velocity * 1e-3 * RAD_S_PER_RPM == pytest.approx(bench.speed_rad_s, rel=0.03)
     assert torque == pytest.approx(800, abs=2)
-    turned = firmware.state[kernel.S_TURNS] + firmware.state[kernel.S_ANGLE] / math.tau
+    turned = firmware.inner.turns + firmware.inner.angle_rad / math.tau
     assert position == math.floor(turned * 65_536)
 
 
@@ -346,8 +345,8 @@ def test_the_load_machine_slows_the_shaft() -> None:
 
 def test_position_wraps_as_integer32() -> None:
     bench = ServoBench(NO_BRAKE)
-    bench.servo.drive.firmware.state[kernel.S_TURNS] = 32_767.0
-    bench.servo.drive.firmware.state[kernel.S_COUNT] = 32_767.0 * 65_536
+    bench.servo.drive.firmware.inner.turns = 32_767.0
+    bench.servo.drive.firmware.inner.count = 32_767.0 * 65_536
     bench.turn(milliseconds=200)
     assert bench.read(Object.POSITION_ACTUAL_VALUE, "i") < -2_000_000_000
 
@@ -365,13 +364,13 @@ def test_two_runs_are_bit_for_bit_the_same() -> None:
 
 
 def test_values_do_not_depend_on_how_often_the_drive_was_asked() -> None:
-    def run(pieces: int) -> list[float]:
+    def run(pieces: int) -> bytes:
         bench = ServoBench()
         bench.turn(milliseconds=0)
         for _ in range(20 * pieces):
             bench.wait_ms(1 / pieces)
             bench.receive(SYNC)
-        return [float(value) for value in bench.servo.drive.firmware.state]
+        return bench.servo.drive.firmware.inner.state()
 
     assert run(1) == run(4)
 

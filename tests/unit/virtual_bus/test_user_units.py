@@ -13,7 +13,6 @@ from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import ENABLED, MotionBench
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary
 from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.drive.motor_kernel import S_COUNT
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.drive.user_units import UserUnits, wrapped
 
@@ -23,7 +22,7 @@ REVOLUTION_PER_SECOND = unit_word(0, Unit.REVOLUTION, Unit.SECOND)
 
 def shaft_turns(bench: MotionBench) -> float:
     """Of the encoder itself."""
-    return float(bench.servo.drive.firmware.state[S_COUNT]) / COUNTS
+    return bench.servo.drive.firmware.inner.count / COUNTS
 
 
 def off_bench(mode: Mode = Mode.PROFILE_POSITION) -> MotionBench:

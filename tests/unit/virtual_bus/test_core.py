@@ -1,0 +1,123 @@
+"""The native core: the same bits from every compiler, and never a core of other sources."""
+
+import os
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+CORE = ROOT / "virtual_bus" / "core"
+PROGRAM = """
+import os, sys
+from dataclasses import replace
+from importlib.machinery import ExtensionFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+name = "virtual_bus.core.native"
+import virtual_bus.core
+spec = spec_from_loader(name, ExtensionFileLoader(name, os.environ["CORE"]))
+sys.modules[name] = module_from_spec(spec)
+from drivers.timebase import Instant
+from tests.motors import AZAIZ
+from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
+
+firmware = Firmware(replace(AZAIZ, coulomb_friction_nm=0.1), FirmwareParameters())
+now = 0
+for step in range(30):
+    firmware.control(InnerControl.TORQUE)
+    firmware.demand_torque((-1.0) ** step * 9.0)
+    firmware.inner.load_nm = 0.3 * (step % 3)
+    if step % 7 == 6:
+        firmware.ramp_to_speed(0.0, 4000.0)
+    if step % 11 == 10:
+        firmware.control(InnerControl.OFF)
+    now += 4_000_000
+    firmware.advance_to(Instant(now))
+    print(firmware.inner.state().hex())
+"""
+COMPILERS = {name: [path] for name in ("gcc", "clang") if (path := shutil.which(name))}
+if find_spec("ziglang"):
+    COMPILERS["zig"] = [sys.executable, "-m", "ziglang", "cc"]
+
+
+def built(library: Path, compiler: list[str], *flags: str) -> Path:
+    """The core by that compiler, as build.py makes it, with flags added."""
+    program = (
+        "import build, sys; from pathlib import Path; build.build(Path(sys.argv[1]), tuple(sys.argv[2:]))"
+    )
+    environment = {**os.environ, "CC": " ".join(compiler), "PYTHONPATH": str(CORE)}
+    subprocess.run([sys.executable, "-c", program, library, *flags], env=environment, check=True, timeout=100)
+    return library
+
+
+def states(core: Path) -> list[str]:
+    """The drive's state after each of some steps, as hex, computed by that core in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        env={**os.environ, "CORE": str(core)},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=100,
+    )
+    return done.stdout.split()
+
+
+@pytest.mark.long
+def test_the_same_bits_from_every_compiler_at_every_optimisation(tmp_path: Path) -> None:
+    """No fused product, no reordered sum, no library function: so the bits are the same on any machine."""
+    used = states(CORE / "native.abi3.so")
+    assert len(set(used)) == len(used) == 30
+    for name, compiler in COMPILERS.items():
+        for level in ("-O0", "-O3"):
+            core = built(tmp_path / f"{name}{level}.so", compiler, level)
+            assert states(core) == used, f"{name} {level}"
+
+
+def said(folder: Path, *command: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *command],
+        cwd=folder,
+        env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=100,
+    )
+    return done.stdout.strip() + done.stderr.strip().rpartition("\n")[2]
+
+
+def test_a_core_that_is_not_of_its_sources_is_refused(tmp_path: Path) -> None:
+    """As after an update of a checkout: no old core runs in silence."""
+    if not COMPILERS:
+        pytest.skip("no C compiler")
+    room = tmp_path / "virtual_bus"
+    shutil.copytree(CORE, room / "core", ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    shutil.copy(ROOT / "virtual_bus" / "__init__.py", room)
+    (tmp_path / "drivers").symlink_to(ROOT / "drivers")
+    asks = ("-c", "from virtual_bus.core.native import wire_bits; print(wire_bits(0x601 << 4 | 2, b'ab'))")
+    assert "make core" in said(tmp_path, *asks)
+    assert said(tmp_path, "virtual_bus/core/build.py") == ""
+    first = said(tmp_path, *asks)
+    assert first.isdigit()
+    with (room / "core" / "motor.c").open("a") as source:
+        source.write("/* edited */\n")
+    assert "'built from other sources', expected a fresh one: make core" in said(tmp_path, *asks)
+    assert said(tmp_path, "virtual_bus/core/build.py") == ""
+    assert said(tmp_path, *asks) == first
+
+
+def test_sources_that_do_not_compile_leave_the_core_as_it_was(tmp_path: Path) -> None:
+    if not COMPILERS:
+        pytest.skip("no C compiler")
+    shutil.copytree(CORE, tmp_path / "core", ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    library = tmp_path / "core" / "native.abi3.so"
+    library.write_bytes(b"before")
+    (tmp_path / "core" / "motor.c").write_text("no C")
+    assert "does not compile" in said(tmp_path, "core/build.py")
+    assert library.read_bytes() == b"before"
+    assert sorted(tmp_path.glob("core/*.part")) == []

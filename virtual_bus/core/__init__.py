@@ -1,0 +1,9 @@
+"""The native core: what of the simulated world is computed in C (decision 0026).
+
+There is one implementation. Where the core is not built, or was built from other sources than those beside
+it, importing this package raises BadInput, which says what to do.
+"""
+
+from virtual_bus.core.build import check_built
+
+check_built()

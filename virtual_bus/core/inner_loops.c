@@ -1,0 +1,280 @@
+/* The firmware at one tick of the inner grid, and the grid in time.
+
+   Tick k is at k / rate_hz after power-on. At a tick the firmware samples the currents and the encoder and
+   computes the next voltage, which the inverter applies from the next tick on. */
+#include "inner_loops.h"
+
+#include <math.h>
+
+#include "rotation.h"
+
+static const int64_t NS_PER_S = 1000000000;
+
+/* One inner period of the motor under the inverter's present output.
+
+   Inverter off: the diodes drive the current down against the DC link, far faster than R or the back-EMF
+   would, so both are left out; back-EMF above the DC link would rectify and is not modelled. */
+static void drive_motor(InnerLoops *self, double load_nm)
+{
+    const MotorParameters *p = &self->motor;
+    const Output *out = &self->state.now;
+    MotorState *shaft = &self->shaft;
+    if (out->on != 0.0) {
+        SineCosine turn = sine_cosine(out->angle_rad - p->pole_pairs * shaft->angle_rad);
+        Voltage voltage = {
+            .d = turn.cosine * out->voltage_d_v - turn.sine * out->voltage_q_v,
+            .q = turn.sine * out->voltage_d_v + turn.cosine * out->voltage_q_v,
+            .live = 1.0,
+            .turning = 1.0,
+        };
+        advance_motor(shaft, p, voltage, load_nm, 0.0);
+        return;
+    }
+    double i_d = shaft->current_d_a, i_q = shaft->current_q_a;
+    double magnitude = sqrt(i_d * i_d + i_q * i_q);
+    double fall = p->voltage_max_v * p->period_s / most(p->inductance_d_h, p->inductance_q_h);
+    double keep = magnitude > fall ? 1.0 - fall / magnitude : 0.0;
+    shaft->current_d_a = keep * i_d;
+    shaft->current_q_a = keep * i_q;
+    advance_motor(shaft, p, (Voltage){0}, load_nm, self->state.braked * self->loop.brake_nm);
+}
+
+/* What the firmware sees at the start of a period: encoder count, filtered speed, dq currents in the frame of
+   the encoder's angle, torque. Returns that electrical angle, rad. */
+static double sample(InnerLoops *self)
+{
+    const LoopParameters *p = &self->loop;
+    const MotorState *shaft = &self->shaft;
+    LoopState *state = &self->state;
+    double within_turn = floor(shaft->angle_rad * p->counts_per_rad);
+    double count = shaft->turns * p->counts + within_turn;
+    if (p->encoder_held) {
+        count = state->count;
+        within_turn = count - p->counts * floor(count / p->counts);
+    }
+    double raw_speed = (count - state->count) * p->rad_per_count * self->motor.rate_hz;
+    state->count = count;
+    state->speed_measured_rad_s += p->speed_filter * (raw_speed - state->speed_measured_rad_s);
+    double angle = (within_turn + 0.5) * p->rad_per_count * self->motor.pole_pairs;
+    SineCosine turn = sine_cosine(self->motor.pole_pairs * shaft->angle_rad - angle);
+    state->current_d_measured_a = turn.cosine * shaft->current_d_a - turn.sine * shaft->current_q_a;
+    state->current_q_measured_a = turn.sine * shaft->current_d_a + turn.cosine * shaft->current_q_a;
+    state->torque_measured_nm =
+        motor_torque(&self->motor, state->current_d_measured_a, state->current_q_measured_a);
+    return angle;
+}
+
+/* Torque demand of the speed loop: ramped reference with inertia feed-forward, PI without wind-up. */
+static double speed_loop(InnerLoops *self, double limit_nm)
+{
+    const LoopParameters *p = &self->loop;
+    const Demand *demand = &self->demand;
+    LoopState *state = &self->state;
+    double step = demand->acceleration_rad_s2 * self->motor.period_s;
+    double wanted = demand->speed_rad_s - state->speed_demand_rad_s;
+    double change = within(wanted, -step, step);
+    state->speed_demand_rad_s += change;
+    double error = state->speed_demand_rad_s - state->speed_measured_rad_s;
+    double proportional = p->speed_gain * error + self->motor.inertia_kg_m2 * change * self->motor.rate_hz;
+    double torque = proportional + state->speed_integral_nm + demand->torque_feed_nm;
+    double limited = within(torque, -limit_nm, limit_nm);
+    if (torque != limited)
+        state->limited = 1.0;
+    else
+        state->speed_integral_nm += p->speed_integral_gain * self->motor.period_s * error;
+    bool at_rest = fabs(state->speed_measured_rad_s) < p->rest_speed_rad_s && state->speed_demand_rad_s == 0.0;
+    state->rest_ticks = at_rest ? state->rest_ticks + 1.0 : 0.0;
+    return limited;
+}
+
+/* The torque to be made, N m, inside every limit; for a torque set-point the state stays as it is.
+
+   The speed limit is a proportional controller on the distance to it, so it bounds the torque towards the
+   limit and lets every torque away from it pass. */
+static double torque_demand(InnerLoops *self)
+{
+    const Demand *demand = &self->demand;
+    LoopState *state = &self->state;
+    double limit = least(demand->torque_max_nm, self->motor.torque_constant_nm_a * demand->current_max_a);
+    if (demand->control == CONTROL_SPEED) {
+        if (state->control != CONTROL_SPEED) {
+            state->speed_demand_rad_s = state->speed_measured_rad_s;
+            state->speed_integral_nm = within(state->torque_demand_nm, -limit, limit);
+            state->rest_ticks = 0.0;
+        }
+        return speed_loop(self, limit);
+    }
+    double up = self->loop.speed_limit_gain * (demand->speed_max_rad_s - state->speed_measured_rad_s);
+    double down = -self->loop.speed_limit_gain * (demand->speed_max_rad_s + state->speed_measured_rad_s);
+    return within(within(demand->torque_nm, down, up), -limit, limit);
+}
+
+/* The voltage of one axis before decoupling: PI, or the controller's. */
+static double axis_voltage(const CurrentController *p, const double *x, double error, double gain, double integral)
+{
+    if (p->order < 0)
+        return gain * error + integral;
+    double voltage = p->d * error;
+    for (int k = 0; k < p->order; k++)
+        voltage += p->c[k] * x[k];
+    return voltage;
+}
+
+static void advance_controller(const CurrentController *p, double *x, double error, double cut)
+{
+    double old[CONTROLLER_ORDER_MAX];
+    for (int k = 0; k < p->order; k++)
+        old[k] = x[k];
+    for (int k = 0; k < p->order; k++) {
+        double value = p->b[k] * error + p->take_back[k] * cut;
+        for (int j = 0; j < p->order; j++)
+            value += p->a[k][j] * old[j];
+        x[k] = value;
+    }
+}
+
+/* PI or state space in d (to zero) and q with decoupling and back-EMF feed-forward; the voltage circle serves d
+   first, and what it cuts off is taken back out of the integrals (no wind-up). */
+static void current_loops(InnerLoops *self, double i_q_wanted)
+{
+    const LoopParameters *p = &self->loop;
+    LoopState *state = &self->state;
+    double i_d = state->current_d_measured_a, i_q = state->current_q_measured_a;
+    double electrical = self->motor.pole_pairs * state->speed_measured_rad_s;
+    double error_d = -i_d, error_q = i_q_wanted - i_q;
+    double v_d = axis_voltage(&p->controller_d, state->controller_d, error_d, p->gain_d, state->integral_d);
+    double v_q = axis_voltage(&p->controller_q, state->controller_q, error_q, p->gain_q, state->integral_q);
+    v_d -= electrical * p->decouple_q_h * i_q;
+    v_q += electrical * (p->decouple_d_h * i_d + self->motor.flux_linkage_wb);
+    double circle = self->motor.voltage_max_v;
+    double out_d = within(v_d, -circle, circle);
+    double rest_q = sqrt(circle * circle - out_d * out_d);
+    double out_q = within(v_q, -rest_q, rest_q);
+    if (out_d != v_d || out_q != v_q)
+        state->limited = 1.0;
+    state->integral_d += p->integral_gain * (error_d + (out_d - v_d) * p->per_gain_d);
+    state->integral_q += p->integral_gain * (error_q + (out_q - v_q) * p->per_gain_q);
+    advance_controller(&p->controller_d, state->controller_d, error_d, out_d - v_d);
+    advance_controller(&p->controller_q, state->controller_q, error_q, out_q - v_q);
+    state->next.voltage_d_v = out_d;
+    state->next.voltage_q_v = out_q;
+}
+
+static void switch_off(LoopState *state)
+{
+    state->now.on = state->next.on = 0.0;
+    state->next.voltage_d_v = state->next.voltage_q_v = state->integral_d = state->integral_q = 0.0;
+    state->torque_demand_nm = state->rest_ticks = 0.0;
+    for (int k = 0; k < CONTROLLER_ORDER_MAX; k++)
+        state->controller_d[k] = state->controller_q[k] = 0.0;
+}
+
+/* The work of one inner period; its voltage goes out at the next one, turned on to that one's middle.
+
+   Inverter off: the holding brake closes as soon as the shaft is slow, and opens with the inverter on. */
+static void run_firmware(InnerLoops *self)
+{
+    const Demand *demand = &self->demand;
+    LoopState *state = &self->state;
+    state->now = state->next;
+    double angle = sample(self);
+    state->limited = 0.0;
+    if (demand->control == CONTROL_OFF) {
+        switch_off(state);
+        if (fabs(state->speed_measured_rad_s) < self->loop.rest_speed_rad_s)
+            state->braked = 1.0;
+    } else {
+        state->braked = 0.0;
+        double torque = torque_demand(self);
+        if (demand->control == CONTROL_TORQUE && torque != demand->torque_nm)
+            state->limited = 1.0;
+        state->torque_demand_nm = torque;
+        current_loops(self, torque * self->motor.per_torque_constant);
+        state->next.on = 1.0;
+        state->next.angle_rad =
+            angle + 1.5 * self->motor.period_s * self->motor.pole_pairs * state->speed_measured_rad_s;
+    }
+    state->control = demand->control;
+}
+
+/* Of the next periods; each period's load is that of its middle. */
+void look_up_loads(InnerLoops *self, int count)
+{
+    TableLoad *load = &self->load;
+    double tick_s = 1.0 / (double)self->rate_hz;
+    double at_s = ((double)self->ticks + 0.5) * tick_s - load->from_s;
+    load->place = fill_loads(&load->table, load->loads_nm, at_s, tick_s, count, load->place);
+    load->end = self->ticks + count;
+}
+
+static void run(InnerLoops *self, int64_t ticks)
+{
+    self->asked = 0;
+    for (; ticks > 0; ticks--) {
+        if (self->load.table.points > 0) {
+            if (self->ticks >= self->load.end)
+                look_up_loads(self, LOADS_AT_ONCE);
+            self->demand.load_nm = self->load.loads_nm[self->ticks + LOADS_AT_ONCE - self->load.end];
+        }
+        drive_motor(self, self->demand.load_nm);
+        run_firmware(self);
+        self->ticks++;
+    }
+}
+
+/* a b / c, rounded down; a b may leave 64 bits: a day at 100 kHz does. */
+static int64_t scaled(int64_t a, int64_t b, int64_t c)
+{
+    __int128 product = (__int128)a * b;
+    __int128 quotient = product / c;
+    return (int64_t)(quotient * c > product ? quotient - 1 : quotient);
+}
+
+static int64_t ticks_due(const InnerLoops *self, int64_t now_ns)
+{
+    return scaled(now_ns - self->power_on_ns, self->rate_hz, NS_PER_S) - self->ticks;
+}
+
+/* Runs every tick up to and including now_ns; whether there was one. */
+bool advance_to(InnerLoops *self, int64_t now_ns)
+{
+    int64_t due = ticks_due(self, now_ns);
+    if (due <= 0)
+        return false;
+    run(self, due);
+    return true;
+}
+
+/* Runs the ticks up to the next of the motion grid, or to now_ns if that comes first; whether the grid was
+   reached. */
+bool advance_to_motion_tick(InnerLoops *self, int64_t now_ns)
+{
+    int64_t due = ticks_due(self, now_ns);
+    int64_t missing = self->motion_ticks - self->ticks % self->motion_ticks;
+    int64_t ticks = due < missing ? due : missing;
+    if (ticks > 0)
+        run(self, ticks);
+    return due >= missing;
+}
+
+/* The instant of the last tick, ns rounded down: when the actual values were sampled. */
+int64_t tick_at(const InnerLoops *self)
+{
+    return self->power_on_ns + scaled(self->ticks, NS_PER_S, self->rate_hz);
+}
+
+/* The instant of the next tick at or after now_ns, ns rounded up. */
+int64_t tick_after(const InnerLoops *self, int64_t now_ns)
+{
+    int64_t ticks = -scaled(self->power_on_ns - now_ns, self->rate_hz, NS_PER_S);
+    return self->power_on_ns - scaled(-ticks, NS_PER_S, self->rate_hz);
+}
+
+/* The torque demand in force now: a set-point counts from the instant at which it was written, the speed loop's
+   demand from the tick that computed it. N m, inside its limits. */
+double torque_in_force(InnerLoops *self)
+{
+    if (self->demand.control == CONTROL_TORQUE && self->asked)
+        return torque_demand(self);
+    return self->demand.control == CONTROL_OFF ? 0.0 : self->state.torque_demand_nm;
+}

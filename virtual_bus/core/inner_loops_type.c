@@ -1,0 +1,279 @@
+/* Python's InnerLoops (native.pyi): its numbers as attributes, its work as methods. */
+#include <string.h>
+
+#include "arguments.h"
+#include "inner_loops.h"
+#include "types.h"
+
+typedef struct InnerLoopsObject {
+    PyObject head;
+    PyObject *times, *torques; /* octets that the load table lies in */
+    InnerLoops loops;
+} InnerLoopsObject;
+
+static InnerLoops *loops_of(PyObject *self) { return &((InnerLoopsObject *)self)->loops; }
+
+static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
+{
+    (void)arguments, (void)names;
+    PyObject *self = PyType_GenericAlloc(type, 0);
+    if (self == NULL)
+        return NULL;
+    InnerLoops *loops = loops_of(self);
+    loops->loop.controller_d.order = loops->loop.controller_q.order = -1;
+    loops->asked = 1;
+    loops->rate_hz = loops->motion_ticks = 1; /* divided by */
+    return self;
+}
+
+static void keep_table(InnerLoopsObject *self, PyObject *times, PyObject *torques)
+{
+    PyObject *before[] = {self->times, self->torques};
+    self->times = times;
+    self->torques = torques;
+    for (int k = 0; k < 2; k++) {
+        if (before[k] != NULL)
+            Py_DecRef(before[k]);
+    }
+}
+
+static void discard(PyObject *self)
+{
+    PyTypeObject *type = self->type;
+    keep_table((InnerLoopsObject *)self, NULL, NULL);
+    PyObject_Free(self);
+    Py_DecRef((PyObject *)type);
+}
+
+static PyObject *call_advance_to(PyObject *self, PyObject *now)
+{
+    int64_t now_ns;
+    return integer(now, &now_ns) ? PyBool_FromLong(advance_to(loops_of(self), now_ns)) : NULL;
+}
+
+static PyObject *call_advance_to_motion_tick(PyObject *self, PyObject *now)
+{
+    int64_t now_ns;
+    return integer(now, &now_ns) ? PyBool_FromLong(advance_to_motion_tick(loops_of(self), now_ns)) : NULL;
+}
+
+static PyObject *call_tick_at(PyObject *self, PyObject *none)
+{
+    (void)none;
+    return PyLong_FromLongLong(tick_at(loops_of(self)));
+}
+
+static PyObject *call_tick_after(PyObject *self, PyObject *now)
+{
+    int64_t now_ns;
+    return integer(now, &now_ns) ? PyLong_FromLongLong(tick_after(loops_of(self), now_ns)) : NULL;
+}
+
+static PyObject *call_torque_in_force(PyObject *self, PyObject *none)
+{
+    (void)none;
+    return PyFloat_FromDouble(torque_in_force(loops_of(self)));
+}
+
+static PyObject *call_demand_torque(PyObject *self, PyObject *torque_nm)
+{
+    InnerLoops *loops = loops_of(self);
+    if (!number(torque_nm, &loops->demand.torque_nm))
+        return NULL;
+    loops->asked = 1;
+    return nothing();
+}
+
+static PyObject *call_ramp_to_speed(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    InnerLoops *loops = loops_of(self);
+    double values[3];
+    if (!takes(count, 3, "ramp_to_speed") || !numbers(arguments, values, 3))
+        return NULL;
+    loops->demand.speed_rad_s = values[0];
+    loops->demand.acceleration_rad_s2 = values[1];
+    loops->demand.torque_feed_nm = values[2];
+    loops->demand.control = CONTROL_SPEED;
+    loops->asked = 1;
+    return nothing();
+}
+
+static PyObject *call_bear(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    InnerLoops *loops = loops_of(self);
+    const double *times_s, *torques_nm;
+    Py_ssize_t points, torques;
+    double from_s;
+    if (!takes(count, 4, "bear") || !doubles(arguments[0], &times_s, &points)
+        || !doubles(arguments[1], &torques_nm, &torques) || !number(arguments[3], &from_s))
+        return NULL;
+    int held = PyObject_IsTrue(arguments[2]);
+    if (held < 0)
+        return NULL;
+    if (points != torques || points > INT32_MAX) {
+        PyErr_Format(PyExc_ValueError, "%zd times and %zd torques: as many expected", points, torques);
+        return NULL;
+    }
+    Py_IncRef(arguments[0]);
+    Py_IncRef(arguments[1]);
+    keep_table((InnerLoopsObject *)self, arguments[0], arguments[1]);
+    loops->load.table = (LoadTable){times_s, torques_nm, (int)points, held};
+    loops->load.from_s = from_s;
+    loops->load.place = 0;
+    if (points)
+        look_up_loads(loops, 0);
+    return nothing();
+}
+
+static PyObject *call_set_controller(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    LoopParameters *loop = &loops_of(self)->loop;
+    int64_t axis, order;
+    const double *values;
+    Py_ssize_t given;
+    if (!takes(count, 3, "set_controller") || !integer(arguments[0], &axis) || !integer(arguments[1], &order)
+        || !doubles(arguments[2], &values, &given))
+        return NULL;
+    if (axis < 0 || axis > 1 || order < 0 || order > CONTROLLER_ORDER_MAX || given != 1 + order * (order + 3)) {
+        PyErr_Format(PyExc_ValueError, "axis %lld, order %lld, %zd numbers: 0 or 1, 0..%d, 1 + n (n + 3) expected",
+                     (long long)axis, (long long)order, given, CONTROLLER_ORDER_MAX);
+        return NULL;
+    }
+    CurrentController *controller = axis == 0 ? &loop->controller_d : &loop->controller_q;
+    size_t row = (size_t)order * sizeof(double);
+    controller->order = (int)order;
+    controller->d = *values++;
+    for (int k = 0; k < order; k++, values += order)
+        memcpy(controller->a[k], values, row);
+    memcpy(controller->b, values, row);
+    memcpy(controller->c, values + order, row);
+    memcpy(controller->take_back, values + 2 * order, row);
+    return nothing();
+}
+
+static PyObject *call_advance_motor(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    InnerLoops *loops = loops_of(self);
+    double values[4];
+    int64_t periods;
+    if (!takes(count, 5, "advance_motor") || !numbers(arguments, values, 4) || !integer(arguments[4], &periods))
+        return NULL;
+    Voltage voltage = {.d = values[0], .q = values[1], .live = 1.0, .turning = values[3]};
+    for (; periods > 0; periods--)
+        advance_motor(&loops->shaft, &loops->motor, voltage, values[2], 0.0);
+    return nothing();
+}
+
+static PyObject *call_state(PyObject *self, PyObject *none)
+{
+    (void)none;
+    InnerLoops *loops = loops_of(self);
+    char octets[sizeof loops->shaft + sizeof loops->state];
+    memcpy(octets, &loops->shaft, sizeof loops->shaft);
+    memcpy(octets + sizeof loops->shaft, &loops->state, sizeof loops->state);
+    return PyBytes_FromStringAndSize(octets, sizeof octets);
+}
+
+static PyMethodDef methods[] = {
+    {"advance_to", call_advance_to, METH_O, NULL},
+    {"advance_to_motion_tick", call_advance_to_motion_tick, METH_O, NULL},
+    {"tick_at", call_tick_at, METH_NOARGS, NULL},
+    {"tick_after", call_tick_after, METH_O, NULL},
+    {"torque_in_force", call_torque_in_force, METH_NOARGS, NULL},
+    {"demand_torque", call_demand_torque, METH_O, NULL},
+    {"ramp_to_speed", (PyCFunction)(void (*)(void))call_ramp_to_speed, METH_FASTCALL, NULL},
+    {"bear", (PyCFunction)(void (*)(void))call_bear, METH_FASTCALL, NULL},
+    {"set_controller", (PyCFunction)(void (*)(void))call_set_controller, METH_FASTCALL, NULL},
+    {"advance_motor", (PyCFunction)(void (*)(void))call_advance_motor, METH_FASTCALL, NULL},
+    {"state", call_state, METH_NOARGS, NULL},
+    {0},
+};
+
+#define PLACE(path) offsetof(InnerLoopsObject, loops.path)
+#define PARAMETER(group, name) {#name, T_DOUBLE, PLACE(group.name), 0, NULL}
+#define NUMBER(name, path) {name, T_DOUBLE, PLACE(path), 0, NULL}
+
+static PyMemberDef members[] = {
+    PARAMETER(motor, resistance_ohm),
+    PARAMETER(motor, inductance_d_h),
+    PARAMETER(motor, inductance_q_h),
+    PARAMETER(motor, flux_linkage_wb),
+    PARAMETER(motor, pole_pairs),
+    PARAMETER(motor, torque_factor),
+    PARAMETER(motor, inertia_kg_m2),
+    PARAMETER(motor, viscous_friction_nm_s),
+    PARAMETER(motor, coulomb_friction_nm),
+    PARAMETER(motor, voltage_max_v),
+    PARAMETER(motor, period_s),
+    PARAMETER(motor, substeps),
+    PARAMETER(motor, step_s),
+    PARAMETER(motor, torque_constant_nm_a),
+    PARAMETER(motor, per_inductance_d),
+    PARAMETER(motor, per_inductance_q),
+    PARAMETER(motor, per_inertia),
+    PARAMETER(motor, per_torque_constant),
+    NUMBER("per_period", motor.rate_hz),
+    PARAMETER(loop, counts),
+    PARAMETER(loop, counts_per_rad),
+    PARAMETER(loop, rad_per_count),
+    PARAMETER(loop, gain_d),
+    PARAMETER(loop, gain_q),
+    PARAMETER(loop, integral_gain),
+    PARAMETER(loop, per_gain_d),
+    PARAMETER(loop, per_gain_q),
+    PARAMETER(loop, decouple_d_h),
+    PARAMETER(loop, decouple_q_h),
+    PARAMETER(loop, speed_filter),
+    PARAMETER(loop, speed_gain),
+    PARAMETER(loop, speed_integral_gain),
+    PARAMETER(loop, speed_limit_gain),
+    PARAMETER(loop, rest_speed_rad_s),
+    PARAMETER(loop, brake_nm),
+    {"encoder_held", T_INT, PLACE(loop.encoder_held), 0, NULL},
+    PARAMETER(shaft, current_d_a),
+    PARAMETER(shaft, current_q_a),
+    PARAMETER(shaft, speed_rad_s),
+    PARAMETER(shaft, angle_rad),
+    PARAMETER(shaft, turns),
+    NUMBER("voltage_d_v", state.now.voltage_d_v),
+    NUMBER("voltage_q_v", state.now.voltage_q_v),
+    NUMBER("next_voltage_d_v", state.next.voltage_d_v),
+    NUMBER("next_voltage_q_v", state.next.voltage_q_v),
+    PARAMETER(state, count),
+    PARAMETER(state, speed_measured_rad_s),
+    PARAMETER(state, current_d_measured_a),
+    PARAMETER(state, current_q_measured_a),
+    PARAMETER(state, torque_measured_nm),
+    PARAMETER(state, torque_demand_nm),
+    PARAMETER(state, speed_demand_rad_s),
+    PARAMETER(state, rest_ticks),
+    PARAMETER(state, limited),
+    PARAMETER(state, braked),
+    {"control", T_INT, PLACE(state.control), READONLY, NULL},
+    {"wanted_control", T_INT, PLACE(demand.control), 0, NULL},
+    PARAMETER(demand, torque_max_nm),
+    PARAMETER(demand, current_max_a),
+    PARAMETER(demand, speed_max_rad_s),
+    PARAMETER(demand, load_nm),
+    {"asked", T_INT, PLACE(asked), 0, NULL},
+    {"power_on_ns", T_LONGLONG, PLACE(power_on_ns), 0, NULL},
+    {"rate_hz", T_LONGLONG, PLACE(rate_hz), 0, NULL},
+    {"ticks", T_LONGLONG, PLACE(ticks), READONLY, NULL},
+    {"motion_ticks", T_LONGLONG, PLACE(motion_ticks), 0, NULL},
+    {0},
+};
+
+static PyType_Slot slots[] = {
+    {Py_tp_new, (void *)make},
+    {Py_tp_dealloc, (void *)discard},
+    {Py_tp_methods, methods},
+    {Py_tp_members, members},
+    {0},
+};
+
+PyType_Spec inner_loops_spec = {
+    .name = "virtual_bus.core.native.InnerLoops",
+    .basicsize = sizeof(InnerLoopsObject),
+    .flags = Py_TPFLAGS_DEFAULT,
+    .slots = slots,
+};

@@ -1,0 +1,135 @@
+/* Equations of the machine in the rotor's dq frame (design/motor.py), with the mechanics, by Runge-Kutta.
+
+   Only +, -, *, / and sqrt occur, and the compiler may neither fuse nor reorder them: a run gives the same
+   bits on every IEEE 754 machine. */
+#include "motor.h"
+
+#include <math.h>
+
+#include "rotation.h"
+
+static const double PER_TURN = 1.0 / TURN_RAD;
+static const double BELOW_TURN_RAD = 0x1.921fb54442d17p+2; /* the next double below 2 pi */
+static const double SIXTH = 1.0 / 6.0;
+
+/* What is integrated; v: V, turning in the rotor's frame. */
+typedef struct Motion {
+    double i_d, i_q, speed, v_d, v_q;
+} Motion;
+
+/* What does not change within a step. */
+typedef struct Forcing {
+    double live, turning; /* as in Voltage */
+    double resisting;     /* N m of load and Coulomb friction */
+    double moving;        /* 0 holds the shaft */
+} Forcing;
+
+double motor_torque(const MotorParameters *p, double i_d, double i_q)
+{
+    double saliency = p->inductance_d_h - p->inductance_q_h;
+    return p->torque_factor * p->pole_pairs * (p->flux_linkage_wb + saliency * i_d) * i_q;
+}
+
+static Motion slopes(const MotorParameters *p, const Motion *x, const Forcing *f)
+{
+    double electrical = p->pole_pairs * x->speed;
+    double flux_d = p->inductance_d_h * x->i_d + p->flux_linkage_wb;
+    double flux_q = p->inductance_q_h * x->i_q;
+    double net = motor_torque(p, x->i_d, x->i_q) - p->viscous_friction_nm_s * x->speed - f->resisting;
+    double backwards = f->turning * electrical;
+    return (Motion){
+        .i_d = f->live * (x->v_d - p->resistance_ohm * x->i_d + electrical * flux_q) * p->per_inductance_d,
+        .i_q = f->live * (x->v_q - p->resistance_ohm * x->i_q - electrical * flux_d) * p->per_inductance_q,
+        .speed = f->moving * net * p->per_inertia,
+        .v_d = backwards * x->v_q,
+        .v_q = -backwards * x->v_d,
+    };
+}
+
+static Motion ahead(const Motion *x, const Motion *k, double h)
+{
+    return (Motion){x->i_d + h * k->i_d, x->i_q + h * k->i_q, x->speed + h * k->speed, x->v_d + h * k->v_d,
+                    x->v_q + h * k->v_q};
+}
+
+/* One classical step of fourth order, h seconds; returns the angle travelled. */
+static double runge_kutta(const MotorParameters *p, const Motion *x, const Forcing *f, double h, Motion *new)
+{
+    Motion k1 = slopes(p, x, f);
+    Motion x2 = ahead(x, &k1, 0.5 * h);
+    Motion k2 = slopes(p, &x2, f);
+    Motion x3 = ahead(x, &k2, 0.5 * h);
+    Motion k3 = slopes(p, &x3, f);
+    Motion x4 = ahead(x, &k3, h);
+    Motion k4 = slopes(p, &x4, f);
+    double w = h * SIXTH;
+    double travelled = w * (x->speed + 2.0 * (x2.speed + x3.speed) + x4.speed);
+    *new = (Motion){
+        x->i_d + w * (k1.i_d + 2.0 * (k2.i_d + k3.i_d) + k4.i_d),
+        x->i_q + w * (k1.i_q + 2.0 * (k2.i_q + k3.i_q) + k4.i_q),
+        x->speed + w * (k1.speed + 2.0 * (k2.speed + k3.speed) + k4.speed),
+        x->v_d + w * (k1.v_d + 2.0 * (k2.v_d + k3.v_d) + k4.v_d),
+        x->v_q + w * (k1.v_q + 2.0 * (k2.v_q + k3.v_q) + k4.v_q),
+    };
+    return travelled;
+}
+
+/* h seconds with Coulomb friction: the step is cut where the shaft comes to rest, and there it stays as long
+   as the friction holds it. Returns the angle travelled. */
+static double substep(const MotorParameters *p, Motion *x, Forcing f, double load_nm, double friction_nm, double h)
+{
+    Motion new;
+    double travelled = 0.0;
+    f.moving = 1.0;
+    if (friction_nm == 0.0) {
+        f.resisting = load_nm;
+        travelled = runge_kutta(p, x, &f, h, &new);
+        *x = new;
+        return travelled;
+    }
+    for (int cut = 0; cut < 4; cut++) {
+        double sign;
+        if (x->speed != 0.0) {
+            sign = x->speed > 0.0 ? 1.0 : -1.0;
+        } else {
+            double net = motor_torque(p, x->i_d, x->i_q) - load_nm;
+            if (fabs(net) <= friction_nm)
+                break;
+            sign = net > 0.0 ? 1.0 : -1.0;
+        }
+        f.resisting = load_nm + sign * friction_nm;
+        double angle = runge_kutta(p, x, &f, h, &new);
+        if (new.speed * sign >= 0.0) {
+            *x = new;
+            return travelled + angle;
+        }
+        if (x->speed == 0.0)
+            break;
+        double fraction = x->speed / (x->speed - new.speed);
+        travelled += runge_kutta(p, x, &f, fraction * h, &new);
+        *x = new;
+        x->speed = 0.0;
+        h *= 1.0 - fraction;
+    }
+    f.resisting = f.moving = 0.0;
+    runge_kutta(p, x, &f, h, &new);
+    *x = new;
+    return travelled;
+}
+
+void advance_motor(MotorState *state, const MotorParameters *p, Voltage voltage, double load_nm, double brake_nm)
+{
+    double friction_nm = p->coulomb_friction_nm + brake_nm;
+    Motion x = {state->current_d_a, state->current_q_a, state->speed_rad_s, voltage.d, voltage.q};
+    Forcing forcing = {.live = voltage.live, .turning = voltage.turning};
+    double angle = state->angle_rad;
+    for (int step = 0; step < (int)p->substeps; step++)
+        angle += substep(p, &x, forcing, load_nm, friction_nm, p->step_s);
+    double turns = floor(angle * PER_TURN);
+    state->current_d_a = x.i_d;
+    state->current_q_a = x.i_q;
+    state->speed_rad_s = x.speed;
+    /* Rounding may leave the angle a hair outside of its turn. */
+    state->angle_rad = least(most(angle - turns * TURN_RAD, 0.0), BELOW_TURN_RAD);
+    state->turns += turns;
+}

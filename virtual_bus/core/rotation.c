@@ -1,0 +1,36 @@
+/* Sine and cosine by +, - and * alone: the same bits on every IEEE 754 machine, whatever its library. */
+#include "rotation.h"
+
+#include <math.h>
+
+/* pi/2 in two parts: the high one has 33 bits, so that its product with a small whole number is exact. */
+static const double HALF_PI_HIGH = 0x1.921fb544p+0;
+static const double HALF_PI_LOW = 0x1.0b4611a626331p-34;
+static const double PER_HALF_PI = 2.0 / 3.141592653589793;
+
+/* The error is below 4e-16 for magnitudes up to 1000: reduction to -pi/4..pi/4, then the Taylor polynomials
+   to the 15th and 16th power. */
+SineCosine sine_cosine(double angle_rad)
+{
+    double quarter = floor(angle_rad * PER_HALF_PI + 0.5);
+    double x = angle_rad - quarter * HALF_PI_HIGH - quarter * HALF_PI_LOW;
+    double y = x * x;
+    double y2 = y * y;
+    double y4 = y2 * y2;
+    /* Estrin's scheme: half as many roundings wait for each other as in Horner's. */
+    double s = (-1.0 / 6.0 + y * (1.0 / 120.0)) + y2 * (-1.0 / 5040.0 + y * (1.0 / 362880.0));
+    s = s + y4 * (-1.0 / 39916800.0 + y * (1.0 / 6227020800.0) - y2 * (1.0 / 1307674368000.0));
+    s = x + x * y * s;
+    double c = (-0.5 + y * (1.0 / 24.0)) + y2 * (-1.0 / 720.0 + y * (1.0 / 40320.0));
+    c = c + y4 * ((-1.0 / 3628800.0 + y * (1.0 / 479001600.0))
+                  - y2 * (1.0 / 87178291200.0 - y * (1.0 / 20922789888000.0)));
+    c = 1.0 + y * c;
+    double remainder = quarter - 4.0 * floor(quarter * 0.25);
+    if (remainder == 0.0)
+        return (SineCosine){s, c};
+    if (remainder == 1.0)
+        return (SineCosine){c, -s};
+    if (remainder == 2.0)
+        return (SineCosine){-s, -c};
+    return (SineCosine){-c, s};
+}
