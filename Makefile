@@ -35,6 +35,7 @@
 #                    status 1 above 3 % (KEEP=1: keep them)
 #   make core        build the native core; every target that runs something does it by itself
 #   make core-debug  build it with sanitizers: LD_PRELOAD=$(gcc -print-file-name=libasan.so) with what runs it
+#   make core-fuzz   a core with sanitizers under drawn frames, drives and misuse, for at most SECONDS
 #   make compile     compile what has changed of the hot modules; test and bench do it by themselves
 #   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command leaves them unused)
 #   make wheel       sdist and wheel for this Python, compiled, into dist/
@@ -56,7 +57,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup core core-debug compile pure wheel demo check format test unit edits test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench instructions docs lock clean
+.PHONY: help setup core core-debug core-fuzz compile pure wheel demo check format test unit edits test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench instructions docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -94,6 +95,9 @@ $(CORE): $(wildcard virtual_bus/core/*.[ch]) virtual_bus/core/build.py | $(RUNTI
 
 core-debug: $(RUNTIME)
 	@$(BIN)/python virtual_bus/core/build.py debug
+
+core-fuzz: $(TOOLS) $(CORE)
+	@$(BIN)/python -m tests.core_fuzz --seconds $(SECONDS)
 
 # Whether a build is needed is decided by the digests of the sources, not by the ages of files.
 compile: $(RUNTIME) $(CORE)

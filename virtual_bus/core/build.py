@@ -21,6 +21,7 @@ LIBRARY: Final = FOLDER / "native.abi3.so"
 FLAGS: Final = (
     "-std=c17",
     "-O2",
+    "-DNDEBUG",
     # A fused multiply-add, where the processor has it, would change the last bit of a result.
     "-ffp-contract=off",
     "-fPIC",
@@ -29,7 +30,14 @@ FLAGS: Final = (
     "-Wextra",
     "-Wconversion",
 )
-SANITIZED: Final = ("-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined")
+SANITIZED: Final = (
+    "-O1",
+    "-g",
+    "-UNDEBUG",
+    "-fno-omit-frame-pointer",
+    "-fsanitize=address,undefined",
+    "-fno-sanitize-recover=all",
+)
 """Added for ``build.py debug``; Python then wants libasan preloaded."""
 PACKAGE: Final = "ziglang>=0.14"
 """Of a machine without a C compiler."""

@@ -4,6 +4,7 @@
    computes the next voltage, which the inverter applies from the next tick on. */
 #include "inner_loops.h"
 
+#include <assert.h>
 #include <math.h>
 
 #include "rotation.h"
@@ -214,7 +215,9 @@ static void run(InnerLoops *self, int64_t ticks)
         if (self->load.table.points > 0) {
             if (self->ticks >= self->load.end)
                 look_up_loads(self, LOADS_AT_ONCE);
-            self->demand.load_nm = self->load.loads_nm[self->ticks + LOADS_AT_ONCE - self->load.end];
+            int64_t place = self->ticks + LOADS_AT_ONCE - self->load.end;
+            assert(place >= 0 && place < LOADS_AT_ONCE);
+            self->demand.load_nm = self->load.loads_nm[place];
         }
         drive_motor(self, self->demand.load_nm);
         run_firmware(self);

@@ -1,5 +1,6 @@
 #include "load_table.h"
 
+#include <assert.h>
 #include <math.h>
 
 /* Puts into loads_nm the torques at `count` instants from at_s on; 0 N m before 0 s. `place`: a point not later
@@ -28,6 +29,7 @@ int fill_loads(const LoadTable *table, double *loads_nm, double at_s, double per
                     span_s = until_s - from_s, rise = torques_nm[place + 1] - level;
             }
         }
+        assert(place >= 0 && place <= last);
         loads_nm[number] = now_s >= 0.0 ? level + (now_s - from_s) / span_s * rise : 0.0;
     }
     return place;

@@ -5,6 +5,7 @@
    ones, itself counted towards the next five). */
 #include "wire_bits.h"
 
+#include <assert.h>
 #include <stdbool.h>
 
 enum {
@@ -61,6 +62,7 @@ typedef struct Bits {
 
 static void take(Bits *bits, unsigned byte, unsigned filling)
 {
+    assert(bits->state < 8 && byte < 256 && bits->crc < 1U << CRC_BITS);
     unsigned step = stuffing_table[bits->state][byte | filling];
     bits->crc = (bits->crc << 8 & 0x7FFF) ^ crc_table[bits->crc >> 7 ^ byte];
     bits->state = step & 7;

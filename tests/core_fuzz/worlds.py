@@ -1,0 +1,125 @@
+"""What the core is given: by a seed, frames, drives with what befalls them, and arguments that are none."""
+
+import math
+import random
+from collections.abc import Callable
+from dataclasses import replace
+from struct import pack
+from typing import Any, Final
+
+import numpy as np
+
+from design.statespace import StateSpace
+from drivers.timebase import NS_PER_MS, Instant
+from tests.motors import AZAIZ, LING
+from virtual_bus.core.native import InnerLoops, sine_cosine, wire_bits
+from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
+from virtual_bus.drive.load_table import LoadTable
+
+ODD: Final = (math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, 1.8e308, -1e300)
+AWRY: Final[tuple[object, ...]] = (
+    None,
+    "",
+    "1",
+    b"",
+    b"1234567",
+    object(),
+    1 << 80,
+    -(1 << 80),
+    1j,
+    [],
+    math.nan,
+    ...,
+)
+ACTIONS: Final = 40
+
+
+def frames(draw: random.Random) -> None:
+    """Every length, and identifiers and data with long runs of equal bits."""
+    for _ in range(200):
+        extended = draw.random() < 0.5
+        remote = draw.random() < 0.1
+        octets = draw.randrange(9)
+        data = bytes(draw.choice([0x00, 0xFF, draw.randrange(256)]) for _ in range(0 if remote else octets))
+        high, low = draw.randrange(1 << 11), draw.randrange(1 << 18)
+        key = high << 21 | (3 << 19 | low << 1 | remote if extended else remote << 20)
+        bits = wire_bits(key << 4 | octets, data)
+        least = (64 if extended else 44) + 8 * len(data)
+        assert least <= bits <= least + (least - 11) // 4, (hex(key), data, bits)
+
+
+def drive(draw: random.Random) -> None:
+    """A drive that is used as the firmware uses it: any motor, rate, encoder, load, and hostile numbers."""
+    rate_hz = draw.choice([1_000, 4_001, 8_000, 16_000, 100_000])
+    motor = replace(
+        draw.choice([AZAIZ, LING]),
+        coulomb_friction_nm=draw.choice([0.0, 0.05]),
+        inertia_kg_m2=10.0 ** draw.uniform(-6.0, 1.0),
+    )
+    parameters = FirmwareParameters(
+        inner_rate_hz=rate_hz,
+        encoder_counts_per_revolution=draw.choice([16, 1000, 65_536, 1 << 30]),
+        controller_q=_controller(draw, rate_hz) if draw.random() < 0.3 else None,
+    )
+    firmware = Firmware(motor, parameters)
+    now = draw.randrange(1 << draw.randrange(1, 60))
+    firmware.start(Instant(now))
+    for _ in range(ACTIONS):
+        draw.choice(_DONE)(firmware, draw, Instant(now))
+        now += draw.choice([0, draw.randrange(NS_PER_MS), draw.randrange(20 * NS_PER_MS)])
+        if draw.random() < 0.3:
+            firmware.inner.advance_to_motion_tick(now)
+        else:
+            firmware.advance_to(Instant(now))
+        assert firmware.tick_at <= now < firmware.tick_after(Instant(now + 1))
+        assert len(firmware.inner.state()) == len(InnerLoops().state())
+
+
+def _controller(draw: random.Random, rate_hz: int) -> StateSpace:
+    order = draw.randrange(9)
+    a = np.diag([draw.uniform(-0.9, 0.9) for _ in range(order)])
+    return StateSpace(a, np.ones((order, 1)), np.ones((1, order)), np.array([[1.0]]), 1.0 / rate_hz)
+
+
+def _number(draw: random.Random) -> float:
+    return draw.choice(ODD) if draw.random() < 0.1 else draw.uniform(-500.0, 500.0)
+
+
+def _bear(firmware: Firmware, draw: random.Random, now: Instant) -> None:
+    points = draw.choice([0, 1, 2, 300])
+    times = np.cumsum([10.0 ** draw.uniform(-6.0, -1.0) for _ in range(points)])
+    torques = np.array([_number(draw) for _ in range(points)])
+    begins = Instant(now + draw.randrange(-NS_PER_MS, NS_PER_MS))
+    firmware.bear(LoadTable(times.tobytes(), torques.tobytes()), draw.random() < 0.5, begins)
+
+
+_DONE: Final[tuple[Callable[[Firmware, random.Random, Instant], object], ...]] = (
+    lambda firmware, draw, now: firmware.control(draw.choice(list(InnerControl))),
+    lambda firmware, draw, now: firmware.demand_torque(_number(draw)),
+    lambda firmware, draw, now: firmware.ramp_to_speed(_number(draw), abs(_number(draw)), _number(draw)),
+    lambda firmware, draw, now: firmware.limit(abs(_number(draw)), abs(_number(draw)), abs(_number(draw))),
+    lambda firmware, draw, now: firmware.hold_encoder(draw.random() < 0.5),
+    lambda firmware, draw, now: firmware.bear(None),
+    _bear,
+)
+
+
+def misuse(draw: random.Random) -> None:
+    """Arguments of wrong number, type, size and range: an error of Python's, or taken."""
+    inner = InnerLoops()
+    inner.rate_hz = 16_000
+    calls: list[Callable[..., Any]] = [sine_cosine, wire_bits]
+    calls += [
+        getattr(inner, name) for name in dir(inner) if callable(getattr(inner, name)) and name[0] != "_"
+    ]
+    table = pack("=3d", 0.0, 1.0, 2.0)
+    for _ in range(100):
+        call = draw.choice(calls)
+        given = [draw.choice([*AWRY, *ODD, 0, 1, -1, 5, table, table[:8]]) for _ in range(draw.randrange(6))]
+        try:
+            call(*given)
+        except (TypeError, ValueError, OverflowError):
+            continue
+
+
+WORLDS: Final = (frames, drive, misuse)
