@@ -74,12 +74,12 @@ $(BIN)/python:
 	@echo "Setting up $(VENV): once, a minute or two"
 	@$(PYTHON) -m venv $(VENV)
 
-CORE := virtual_bus/core/native.abi3.so
+CORE := design/core/native.abi3.so virtual_bus/core/native.abi3.so
 
 # A machine without a C compiler gets one as a package, for the build only.
 $(RUNTIME): requirements.lock pyproject.toml | $(BIN)/python
 	@$(BIN)/pip install --quiet --require-hashes -r requirements.lock
-	@$(BIN)/python virtual_bus/core/build.py compiler || \
+	@$(BIN)/python design/core/build.py compiler || \
 	  $(BIN)/pip install --quiet --require-hashes -r requirements-compiler.lock
 	@$(BIN)/pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
@@ -90,11 +90,11 @@ $(TOOLS): requirements-dev.lock $(RUNTIME)
 
 core: $(CORE)
 
-$(CORE): $(wildcard virtual_bus/core/*.[ch]) virtual_bus/core/build.py | $(RUNTIME)
-	@$(BIN)/python virtual_bus/core/build.py
+$(CORE) &: $(wildcard design/core/*.[ch] virtual_bus/core/*.[ch]) design/core/build.py | $(RUNTIME)
+	@$(BIN)/python design/core/build.py
 
 core-debug: $(RUNTIME)
-	@$(BIN)/python virtual_bus/core/build.py debug
+	@$(BIN)/python design/core/build.py debug
 
 core-fuzz: $(TOOLS) $(CORE)
 	@$(BIN)/python -m tests.core_fuzz --seconds $(SECONDS)

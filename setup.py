@@ -25,11 +25,8 @@ from setuptools.errors import BaseError, CCompilerError
 ROOT = Path(__file__).resolve().parent
 sys.path.insert(0, str(ROOT))  # pip imports this file from elsewhere
 
+from design.core import build as core  # noqa: E402
 from drivers.compiled import MANIFEST, PURE, ROOMS, SUFFIX, digest_of, look  # noqa: E402
-
-CORE = ROOT / "virtual_bus" / "core"
-sys.path.insert(0, str(CORE))  # its package looks for a core that is built
-import build as core  # noqa: E402
 
 REQUIRED = bool(os.environ.get("SERVOBENCH_COMPILE"))
 MYPY = ["--cache-dir=/dev/null", "--follow-imports=silent"]
@@ -110,7 +107,7 @@ def remove_compiled(keep: Iterable[str] = ()) -> None:
     kept = frozenset(keep)
     for room in ROOMS:
         for path in (ROOT / room).rglob("*.so"):
-            if path.parent != CORE and path.relative_to(ROOT).as_posix() not in kept:
+            if path.name != core.LIBRARY and path.relative_to(ROOT).as_posix() not in kept:
                 path.unlink()
 
 
@@ -272,10 +269,10 @@ def main(arguments: Sequence[str]) -> None:
     elif "build_ext" in arguments:
         compile_in_place()
     elif "bdist_wheel" in arguments:
-        core.build()
+        core.build_all()
         build_wheel()
     elif "editable_wheel" in arguments:
-        core.build()
+        core.build_all()
         setup()
     elif "egg_info" in arguments:  # as a frontend asks for what a build requires
         setup(setup_requires=core.required())

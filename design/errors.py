@@ -49,6 +49,17 @@ class UnsuitableNetwork(DesignError):
 
 
 @dataclass(eq=False)
+class CoreNotBuilt(DesignError):
+    """The library of design/core is missing, or was built from other sources."""
+
+    found: str
+    expected: str
+
+    def __str__(self) -> str:
+        return f"the native library of design: found {self.found!r}, expected {self.expected}"
+
+
+@dataclass(eq=False)
 class SingularPlant(DesignError):
     """A plant that breaks an assumption of the synthesis; ``assumption``: its name, A1 to A4."""
 

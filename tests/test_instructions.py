@@ -31,7 +31,7 @@ totals: 14000
 
 
 def test_an_owner_has_its_own_instructions_and_not_those_of_what_it_calls() -> None:
-    assert by_owner(PROFILE) == {"compiled wire": 7, "code made at run time (numba)": 5, "libpython": 2}
+    assert by_owner(PROFILE) == {"compiled wire": 7, "code made at run time": 5, "libpython": 2}
 
 
 @pytest.mark.parametrize(

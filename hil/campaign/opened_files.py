@@ -150,7 +150,7 @@ def _not_the_users() -> tuple[tuple[str, ...], tuple[str, ...]]:
     home = os.path.expanduser("~")
     caches = {
         os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache"),
-        *filter(None, (os.environ.get(name) for name in ("MPLCONFIGDIR", "NUMBA_CACHE_DIR"))),
+        *filter(None, [os.environ.get("MPLCONFIGDIR")]),
     }
     rooms = {str(ROOT / room) for room in ROOMS}
     others = {paths["stdlib"], paths["platstdlib"], *_SYSTEM, *caches, *rooms}

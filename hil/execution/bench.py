@@ -135,7 +135,7 @@ def _simulated(config: BenchConfig) -> "Sequence[SimulatedServo]":
     """The drives of the bench, if its bus is simulated."""
     if not config.simulated:
         return ()
-    # It loads numba, which a host of other drives does without.
+    # A host of other drives does without it.
     from hil.execution.simulated_drives import simulated_drives
 
     return simulated_drives(config)

@@ -244,7 +244,6 @@ def find_load_machine(
         if not wanted:
             return None
         raise _no_load_machine(source, axis, f"a load for {product}, which was made without 2100h") from None
-    # It loads numba, which a host without such loads does without.
     from hil.load.simulated_load import load_table
 
     if number != load_table(over_time.signal).number:

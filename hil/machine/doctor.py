@@ -231,7 +231,7 @@ def _module_exists(machine: Machine, module: str) -> bool:
 RTPRIO_MIN = 50
 """hil/machine/realtime.py asks for this priority of SCHED_FIFO."""
 MEMLOCK_MIN_BYTES = 1 << 30
-"""A loop process with numpy, numba and its rings, with room to spare."""
+"""A loop process with numpy and its rings, with room to spare."""
 DISK_MIN_BYTES = 2 << 30
 """An hour's recording at 1 kHz with raw frames, with room to spare."""
 CPU_COUNT_MIN = 2

@@ -54,7 +54,7 @@ def run_measurement(request: MeasureRequest, say: Say, progress: Progress) -> Me
         raise BadInput("--motor", "", request.bus, "the bus 'simulated': other drives have their own motors")
     devices: Sequence[CanopenDevice] = ()
     if spec.simulated:
-        # They load numba, which a host of other drives does without.
+        # A host of other drives does without them.
         from hil.execution.simulated_drives import drive_parameters
         from virtual_bus.drive.servo import SimulatedServo
 

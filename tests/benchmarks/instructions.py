@@ -39,7 +39,7 @@ OWNERS: Final = (
     (r"/lib-dynload/", "Python's extensions"),
     (r"site-packages/(\w+)", r"\1"),
     (r"/lib(c|m|pthread)\.so|/ld-linux", "libc"),
-    (r"^\?+$", "code made at run time (numba)"),
+    (r"^\?+$", "code made at run time"),
 )
 """Pattern of a library's path, and whose its instructions are; the first that fits."""
 

@@ -14,8 +14,8 @@ from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from design.core.build import LIBRARY, SANITIZED, build, compiler
 from drivers.timebase import NS_PER_S, MonotonicClock
-from virtual_bus.core.build import SANITIZED, build, compiler
 
 NATIVE = "virtual_bus.core.native"
 
@@ -66,8 +66,8 @@ def main() -> int:
         print("no libasan here: nothing was tried")
         return 3
     with TemporaryDirectory() as folder:
-        core = Path(folder, "native.abi3.so")
-        build(core, SANITIZED)
+        core = Path(folder, LIBRARY)
+        build("virtual_bus", core, SANITIZED)
         environment = {**os.environ, "LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0"}
         done = subprocess.run(
             [sys.executable, "-m", "tests.core_fuzz", "--core", str(core), *sys.argv[1:]],

@@ -27,7 +27,7 @@ real_time = pytest.mark.xdist_group("real time")
 PROJECT = EXAMPLES / "drive_tests"
 TUTORIAL = EXAMPLES.parent / "docs" / "tutorial-pytest.md"
 REHEARSED = EXAMPLES.parent / "tests" / "contract" / "conformance" / "rehearsed.eds"
-HEAVY = {"numpy", "can", "canopen", "pydantic", "numba", "rerun", "hil.testing", "drivers.cia402.servo"}
+HEAVY = {"numpy", "can", "canopen", "pydantic", "rerun", "hil.testing", "drivers.cia402.servo"}
 LIMIT_S = 110
 
 

@@ -4,6 +4,7 @@ There is one implementation. Where the core is not built, or was built from othe
 it, importing this package raises BadInput, which says what to do.
 """
 
-from virtual_bus.core.build import check_built
+from design.core.build import LIBRARY, check_built
+from drivers.errors import BadInput
 
-check_built()
+check_built("virtual_bus", lambda found, expected: BadInput("the native core", LIBRARY, found, expected))

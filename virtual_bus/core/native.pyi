@@ -1,7 +1,7 @@
 """What the core, written in C, shows to Python; the sources beside this file say how it is computed."""
 
 SOURCES_DIGEST: str
-"""Of the C that the core was built from (virtual_bus.core.build)."""
+"""Of the C that the core was built from (design.core.build)."""
 
 def sine_cosine(angle_rad: float, /) -> tuple[float, float]:
     """Sine and cosine, error below 4e-16 for magnitudes up to 1000 rad."""

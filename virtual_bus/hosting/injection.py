@@ -108,7 +108,7 @@ class Injection:
                 return device
             source = DrawnNode(FaultPlan(), node, self._seed)
         if source.needs_drive:
-            # It loads numba, which is there already if a drive is.
+            # A host of other devices does without it.
             from virtual_bus.drive.servo import ServoApplication
 
             if not isinstance(device.application, ServoApplication):

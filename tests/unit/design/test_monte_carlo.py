@@ -81,6 +81,8 @@ def test_same_seed_same_runs(strategy: Strategy) -> None:
     chance = Chance(runs=300, seed=5, loss_probability=0.3, uncertainty=0.3)
     first, second = (run_many(LING, K, network(strategy), chance) for _ in range(2))
     assert np.array_equal(first, second)
+    more = replace(chance, runs=600)
+    assert np.array_equal(run_many(LING, K, network(strategy), more)[:300], first)
     other = run_many(LING, K, network(strategy), Chance(300, 6, loss_probability=0.3, uncertainty=0.3))
     assert not np.array_equal(first, other)
 

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.long
 
 KEPT_OUT = {
     "hil.execution.bench": {"rerun", "pyarrow", "matplotlib", "cvxpy", "scipy.optimize"},
-    "hil.recording.logger": {"scipy", "numba", "matplotlib", "cvxpy", "hil.configuration.config"},
+    "hil.recording.logger": {"scipy", "matplotlib", "cvxpy", "hil.configuration.config"},
 }
 
 

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from design.core.build import LIBRARY
+
 ROOT = Path(__file__).parents[3]
-CORE = ROOT / "virtual_bus" / "core"
+CORES = (ROOT / "design" / "core", ROOT / "virtual_bus" / "core")
 PROGRAM = """
 import os, sys
 from dataclasses import replace
@@ -38,6 +40,12 @@ for step in range(30):
     firmware.advance_to(Instant(now))
     print(firmware.inner.state().hex())
 """
+RANDOM_RUN = """
+from design.sampled.held_loop import SampledNetwork, Strategy
+from design.speed.monte_carlo import Chance, run_many
+from tests.motors import LING
+run_many(LING, [0.0, -0.02], SampledNetwork(Strategy.ARRIVAL, 0.01, 0, 0.0), Chance(runs=1, seed=0))
+"""
 COMPILERS = {name: [path] for name in ("gcc", "clang") if (path := shutil.which(name))}
 if find_spec("ziglang"):
     COMPILERS["zig"] = [sys.executable, "-m", "ziglang", "cc"]
@@ -46,9 +54,10 @@ if find_spec("ziglang"):
 def built(library: Path, compiler: list[str], *flags: str) -> Path:
     """The core by that compiler, as build.py makes it, with flags added."""
     program = (
-        "import build, sys; from pathlib import Path; build.build(Path(sys.argv[1]), tuple(sys.argv[2:]))"
+        "import sys; from pathlib import Path; from design.core.build import build; "
+        "build('virtual_bus', Path(sys.argv[1]), tuple(sys.argv[2:]))"
     )
-    environment = {**os.environ, "CC": " ".join(compiler), "PYTHONPATH": str(CORE)}
+    environment = {**os.environ, "CC": " ".join(compiler), "PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, "-c", program, library, *flags], env=environment, check=True, timeout=100)
     return library
 
@@ -70,12 +79,24 @@ def states(core: Path) -> list[str]:
 @pytest.mark.long
 def test_the_same_bits_from_every_compiler_at_every_optimisation(tmp_path: Path) -> None:
     """No fused product, no reordered sum, no library function: so the bits are the same on any machine."""
-    used = states(CORE / "native.abi3.so")
+    used = states(CORES[1] / LIBRARY)
     assert len(set(used)) == len(used) == 30
     for name, compiler in COMPILERS.items():
         for level in ("-O0", "-O3"):
             core = built(tmp_path / f"{name}{level}.so", compiler, level)
             assert states(core) == used, f"{name} {level}"
+
+
+def copy_cores(folder: Path) -> None:
+    """Checkout of two rooms with the sources of their cores, which are not built."""
+    for core in CORES:
+        room = folder / core.parent.name
+        shutil.copytree(core, room / "core", ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+        for path in core.parent.iterdir():
+            if path.name != "core":
+                (room / path.name).symlink_to(path)
+    for name in ("drivers", "tests"):
+        (folder / name).symlink_to(ROOT / name)
 
 
 def said(folder: Path, *command: str) -> str:
@@ -95,29 +116,41 @@ def test_a_core_that_is_not_of_its_sources_is_refused(tmp_path: Path) -> None:
     """As after an update of a checkout: no old core runs in silence."""
     if not COMPILERS:
         pytest.skip("no C compiler")
-    room = tmp_path / "virtual_bus"
-    shutil.copytree(CORE, room / "core", ignore=shutil.ignore_patterns("*.so", "__pycache__"))
-    shutil.copy(ROOT / "virtual_bus" / "__init__.py", room)
-    (tmp_path / "drivers").symlink_to(ROOT / "drivers")
+    copy_cores(tmp_path)
     asks = ("-c", "from virtual_bus.core.native import wire_bits; print(wire_bits(0x601 << 4 | 2, b'ab'))")
     assert "make core" in said(tmp_path, *asks)
-    assert said(tmp_path, "virtual_bus/core/build.py") == ""
+    assert said(tmp_path, "design/core/build.py") == ""
     first = said(tmp_path, *asks)
     assert first.isdigit()
-    with (room / "core" / "motor.c").open("a") as source:
+    with (tmp_path / "virtual_bus" / "core" / "motor.c").open("a") as source:
         source.write("/* edited */\n")
     assert "'built from other sources', expected a fresh one: make core" in said(tmp_path, *asks)
-    assert said(tmp_path, "virtual_bus/core/build.py") == ""
+    assert said(tmp_path, "design/core/build.py") == ""
     assert said(tmp_path, *asks) == first
+
+
+def test_a_shared_header_is_a_source_of_both_cores(tmp_path: Path) -> None:
+    if not COMPILERS:
+        pytest.skip("no C compiler")
+    copy_cores(tmp_path)
+    simulates = ("-c", "import virtual_bus.core; print('fresh')")
+    draws = ("-c", f"{RANDOM_RUN}print('fresh')")
+    assert "make core" in said(tmp_path, *draws)
+    assert said(tmp_path, "design/core/build.py") == ""
+    assert [said(tmp_path, *asks) for asks in (simulates, draws)] == ["fresh"] * 2
+    with (tmp_path / "design" / "core" / "stable_abi.h").open("a") as source:
+        source.write("/* edited */\n")
+    for asks in (simulates, draws):
+        assert "'built from other sources', expected a fresh one: make core" in said(tmp_path, *asks)
 
 
 def test_sources_that_do_not_compile_leave_the_core_as_it_was(tmp_path: Path) -> None:
     if not COMPILERS:
         pytest.skip("no C compiler")
-    shutil.copytree(CORE, tmp_path / "core", ignore=shutil.ignore_patterns("*.so", "__pycache__"))
-    library = tmp_path / "core" / "native.abi3.so"
+    copy_cores(tmp_path)
+    library = tmp_path / "virtual_bus" / "core" / LIBRARY
     library.write_bytes(b"before")
-    (tmp_path / "core" / "motor.c").write_text("no C")
-    assert "does not compile" in said(tmp_path, "core/build.py")
+    library.with_name("motor.c").write_text("no C")
+    assert "does not compile" in said(tmp_path, "design/core/build.py")
     assert library.read_bytes() == b"before"
-    assert sorted(tmp_path.glob("core/*.part")) == []
+    assert sorted(tmp_path.rglob("*.part")) == []

@@ -1,7 +1,8 @@
-"""Builds the core, ``python virtual_bus/core/build.py``, and tells whether the one that is there is fresh.
+"""Builds what is native, ``python design/core/build.py``, and tells whether what is there is fresh.
 
-With the machine's C compiler, or with the one that the package ziglang brings. It imports nothing of the
-project's until something is amiss: it runs before anything is installed.
+A library for each room that computes in C: its own sources, and the headers that stand beside this file. By
+the machine's C compiler, or by the one that the package ziglang brings. Nothing of the project's is imported:
+this runs before anything is installed.
 """
 
 import os
@@ -9,15 +10,16 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Callable, Sequence
 from hashlib import blake2b
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-FOLDER: Final = Path(__file__).resolve().parent
-LIBRARY: Final = FOLDER / "native.abi3.so"
+SHARED: Final = Path(__file__).resolve().parent
+ROOMS: Final = ("design", "virtual_bus")
+LIBRARY: Final = "native.abi3.so"
 FLAGS: Final = (
     "-std=c17",
     "-O2",
@@ -43,15 +45,21 @@ PACKAGE: Final = "ziglang>=0.14"
 """Of a machine without a C compiler."""
 
 
-def sources() -> list[Path]:
+def folder_of(room: str) -> Path:
+    """Where the sources of a room are, and its library."""
+    return SHARED.parents[1] / room / "core"
+
+
+def sources(room: str) -> list[Path]:
     """What is compiled, with its headers; empty in an installed package."""
-    return sorted([*FOLDER.glob("*.c"), *FOLDER.glob("*.h")])
+    folder = folder_of(room)
+    return sorted({*folder.glob("*.c"), *folder.glob("*.h"), *SHARED.glob("*.h")})
 
 
-def digest() -> str:
+def digest(room: str) -> str:
     """What tells one version of the sources from another."""
     made = blake2b(" ".join(FLAGS).encode(), digest_size=16)
-    for path in sources():
+    for path in sources(room):
         made.update(path.name.encode() + path.read_bytes())
     return made.hexdigest()
 
@@ -71,40 +79,49 @@ def required() -> list[str]:
     return [] if compiler() else [PACKAGE]
 
 
-def build(library: Path = LIBRARY, added: Sequence[str] = ()) -> None:
-    """Compile the sources into ``library``, with flags ``added``. Leaves the program with what is amiss."""
+def build(room: str, library: Path | None = None, added: Sequence[str] = ()) -> None:
+    """Compile a room's sources into ``library``, that of the room if None, with flags ``added``.
+
+    Leaves the program with what is amiss.
+    """
     command = compiler()
     if command is None:
         sys.exit(f"The core: no C compiler was found; install one, or: pip install '{PACKAGE}'")
+    library = library or folder_of(room) / LIBRARY
     part = library.with_name(f"{library.name}.{os.getpid()}.part")
-    marked = f'-DSOURCES_DIGEST="{digest()}"'
-    files = [str(path) for path in sources() if path.suffix == ".c"]
-    done = subprocess.run([*command, *FLAGS, *added, marked, "-shared", "-o", str(part), *files, "-lm"])
+    marked = (f'-DSOURCES_DIGEST="{digest(room)}"', f"-I{SHARED}")
+    files = [str(path) for path in sources(room) if path.suffix == ".c"]
+    done = subprocess.run([*command, *FLAGS, *added, *marked, "-shared", "-o", str(part), *files, "-lm"])
     if done.returncode:
         part.unlink(missing_ok=True)
         sys.exit(f"The core does not compile: {shlex.join(command)} ended with status {done.returncode}")
     part.replace(library)
 
 
-@cache
-def check_built() -> None:
-    """Error: BadInput where the core is missing, or was built from other sources than those beside it."""
-    from drivers.errors import BadInput
+def build_all(added: Sequence[str] = ()) -> None:
+    """Each room's library."""
+    for room in ROOMS:
+        build(room, added=added)
 
-    remedy = "make core" if sources() else "install servobench again"
+
+def check_built(room: str, refused: Callable[[str, str], Exception]) -> None:
+    """Error: ``refused`` of what was found and what was expected, where the room's library is missing, or was
+    built from other sources than those beside it."""
+    checkout = bool(sources(room))
+    remedy = "make core" if checkout else "install servobench again"
     try:
-        from virtual_bus.core.native import SOURCES_DIGEST
+        built = import_module(f"{room}.core.native").SOURCES_DIGEST
     except ImportError as error:
-        raise BadInput("the native core", LIBRARY.name, str(error), f"one that is built: {remedy}") from error
-    if sources() and digest() != SOURCES_DIGEST:
-        raise BadInput("the native core", LIBRARY.name, "built from other sources", f"a fresh one: {remedy}")
+        raise refused(str(error), f"one that is built: {remedy}") from error
+    if checkout and digest(room) != built:
+        raise refused("built from other sources", f"a fresh one: {remedy}")
 
 
 def main(arguments: Sequence[str]) -> None:
     """``compiler``: status 1 if there is none; ``debug``: build with sanitizers; otherwise as it is used."""
     if arguments == ["compiler"]:
         sys.exit(compiler() is None)
-    build(added=SANITIZED if arguments == ["debug"] else ())
+    build_all(SANITIZED if arguments == ["debug"] else ())
 
 
 if __name__ == "__main__":

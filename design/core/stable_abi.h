@@ -93,9 +93,11 @@ void Py_IncRef(PyObject *);
 void Py_DecRef(PyObject *);
 PyObject *PyErr_Occurred(void);
 PyObject *PyErr_Format(PyObject *, const char *, ...);
+PyObject *PyErr_NoMemory(void);
 double PyFloat_AsDouble(PyObject *);
 PyObject *PyFloat_FromDouble(double);
 long long PyLong_AsLongLong(PyObject *);
+unsigned long long PyLong_AsUnsignedLongLong(PyObject *);
 PyObject *PyLong_FromLongLong(long long);
 PyObject *PyBool_FromLong(long);
 int PyObject_IsTrue(PyObject *);
@@ -104,5 +106,7 @@ PyObject *PyBytes_FromStringAndSize(const char *, Py_ssize_t);
 PyObject *PyTuple_New(Py_ssize_t);
 int PyTuple_SetItem(PyObject *, Py_ssize_t, PyObject *);
 PyObject *PyUnicode_FromString(const char *);
+void *PyEval_SaveThread(void);
+void PyEval_RestoreThread(void *);
 
 #endif
