@@ -135,13 +135,14 @@ class OrderQuestion:
         lag = evidence.verdict(-self.sooner(), lags, self._usual.spread // 4 if phase else 0, untidy)
         if lag is None or not self._is_narrow(evidence.usual_delays(lag)):
             return self._lag_by_looks()
-        if lag and phase and self._is_usual(evidence.delays(0), 1 if untidy else 0):
+        if lag and phase and self._is_usual(evidence.delays(0), 1 if untidy or not self._probes else 0):
             return self._lag_by_looks() if self._alike.is_as_wide(self._usual) else None
         return lag
 
     def _is_usual(self, weighed: list[int], others: int) -> bool:
         """Whether all delays but so many ``others`` are as they were. Nothing excludes then that none
-        changed: what holds up SYNCs may hold up readings behind them too, and another lag be more even."""
+        changed: what holds up SYNCs may hold up readings behind them too, and another lag be more even. One
+        that is none of a probe decides nothing: it may have come before another node's frame, for once."""
         return bool(weighed) and sum(not self._usual.holds(delay) for delay in weighed) <= others
 
     def _is_narrow(self, weighed: list[int]) -> bool:

@@ -8,7 +8,7 @@ from tests.outages import simulated
 from tests.outages.hub import HubRuns
 
 
-@pytest.mark.parametrize("seed", [*range(1, 17), 299, 328])
+@pytest.mark.parametrize("seed", [*range(1, 17), 299, 327, 328])
 def test_a_run_through_outages_tells_what_happened_and_leaves_no_drive_turning(seed: int) -> None:
     assert simulated.run(seed).wrong == []
 
