@@ -150,7 +150,9 @@ class BusGuard:
                     if pdo.synchronous:
                         title = f"{pdo.name} of node {drive.node_id} ({pdo.cob_id:03X}h)"
                         known = delays.get(drive.name, _unknown)
-                        stream = SyncedStream(pdo, drive.assembler, syncs[name], period, known)
+                        frames = drive.assembler
+                        frames.keep_frames(pdo.cob_id)
+                        stream = SyncedStream(pdo, frames.take_frames, syncs[name], period, known)
                         self._tpdos.append(_WatchedTpdo(title, stream))
 
     def attend(self, now: Instant) -> None:

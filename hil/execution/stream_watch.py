@@ -19,7 +19,6 @@ from typing import Final, NamedTuple
 
 from drivers.canopen.owed import Owed
 from drivers.canopen.pdo import PdoMap
-from drivers.cia402.readings import ReadingAssembler
 from drivers.timebase import NEVER, Duration, Instant
 from hil.loop.syncs import REMEMBERED, SyncLog
 
@@ -62,10 +61,14 @@ class Extra(NamedTuple):
     data: bytes
 
 
-class _Frame(NamedTuple):
-    extra: Extra
-    delay: int
-    repeated: bool
+class _Frame:
+    __slots__ = ("at", "data", "delay", "repeated")
+
+    def __init__(self, at: Instant, data: bytes, delay: int, repeated: bool) -> None:
+        self.at = at
+        self.data = data
+        self.delay = delay
+        self.repeated = repeated
 
 
 class RegularStream:
@@ -94,9 +97,11 @@ class RegularStream:
         """Since this was last set back there was more than one frame where one was due."""
         self._step, self._tolerance = step, tolerance
         self._repeats, self._same = repeats, same
-        self._recent: deque[bytes] = deque(maxlen=RECENT)
+        self._recent: deque[bytes] = deque()
+        self._times: dict[bytes, int] = {}
+        """How often each of them is there: a look at each of 32 would cost more than all else."""
         self._usual = 0.0
-        self._frame = _Frame(Extra(Instant(0), b""), 0, False)
+        self._frame = _Frame(Instant(0), b"", 0, False)
         self._extras: list[_Frame] = []
 
     def trust(self, place: int) -> None:
@@ -105,13 +110,13 @@ class RegularStream:
 
     def take(self, place: int, delay: int, data: bytes, at: Instant) -> list[Extra]:
         """A frame has come, ``delay`` after what it answers; which before it were extra ones."""
-        frame = _Frame(Extra(at, data), delay, not self._repeats and self._is_known(data))
+        frame = _Frame(at, data, delay, not self._repeats and self._is_known(data))
         last = self.last
         moved = self._step if last is None else place - last
         extra = 0 <= moved < self._step
         repetition = frame.repeated and self.repeating
         if abs(moved - self._step) <= self._tolerance:
-            self._recent.append(data)
+            self._remember(data)
             found = self._found(data) if self._extras else []
             self.last, self._frame = place, frame
             self.regular = 0 if repetition else self.regular + 1
@@ -125,12 +130,12 @@ class RegularStream:
         if extra and self.regular >= self.least and len(self._extras) < EXTRAS_MAX:
             if not moved and abs(delay - self._usual) < abs(self._frame.delay - self._usual):
                 frame, self._frame = self._frame, frame
-                self._recent.append(data)
+                self._remember(data)
             if not frame.repeated:
                 self._extras.append(frame)
             return []
         self._clear_of_doubt()
-        self._recent.append(data)
+        self._remember(data)
         self.last, self._frame, self.regular = place, frame, 0
         return []
 
@@ -138,9 +143,10 @@ class RegularStream:
         """Frames have come, one for each of ``places``, which follow the last."""
         self.last = places[-1]
         self.regular += len(places)
-        self._recent.extend(frames)
+        for data in frames:
+            self._remember(data)
         self._usual += (delay - self._usual) / 8.0
-        self._frame = _Frame(Extra(Instant(0), frames[-1]), delay, False)
+        self._frame = _Frame(Instant(0), frames[-1], delay, False)
 
     def end(self) -> list[Extra]:
         """No regular frame comes any more: what came since the last one nobody asked for."""
@@ -158,14 +164,31 @@ class RegularStream:
         """Nothing extra is in question."""
         return not self._extras
 
+    def _remember(self, data: bytes) -> None:
+        """As one of the last frames."""
+        recent, times = self._recent, self._times
+        recent.append(data)
+        times[data] = times.get(data, 0) + 1
+        if len(recent) > RECENT:
+            oldest = recent.popleft()
+            if times[oldest] == 1:
+                del times[oldest]
+            else:
+                times[oldest] -= 1
+
     def _is_known(self, data: bytes) -> bool:
         """Whether one of the last frames had it, be it in question or not."""
-        return data in self._recent or any(data == frame.extra.data for frame in self._extras)
+        if data in self._times:
+            return True
+        for frame in self._extras:  # noqa: SIM110 - a generator costs more than all else here
+            if frame.data == data:
+                return True
+        return False
 
     def _found(self, data: bytes) -> list[Extra]:
         """The extra frames before a regular one."""
         before = self._frame
-        back = data == before.extra.data
+        back = data == before.data
         if (self._same and not back) or (before.repeated and (self.repeating or not back)):
             self._clear_of_doubt()
         if before.repeated:
@@ -174,11 +197,12 @@ class RegularStream:
 
     def _take_extras(self) -> list[Extra]:
         extras, self._extras = self._extras, []
-        return [frame.extra for frame in extras]
+        return [Extra(frame.at, frame.data) for frame in extras]
 
     def _clear_of_doubt(self) -> None:
         """What was in question nobody forged; it may be repeated as any frame may."""
-        self._recent.extend(frame.extra.data for frame in self._extras)
+        for frame in self._extras:
+            self._remember(frame.data)
         self._extras.clear()
 
 
@@ -200,14 +224,15 @@ class SyncedStream:
     def __init__(
         self,
         pdo: PdoMap,
-        assembler: ReadingAssembler,
+        take_frames: Callable[[int], list[tuple[bytes, Instant]]],
         syncs: SyncLog,
         period: Duration,
         delays: Callable[[], DelaysKnown],
     ) -> None:
-        """``period``: of the SYNCs. ``delays``: of the drive's readings, asked at each look: one that was
-        longer than a period and then is not brings two frames for one SYNC."""
-        self._assembler, self._syncs, self._delays = assembler, syncs, delays
+        """``take_frames``: by COB-ID, those that came since the last call. ``period``: of the SYNCs.
+        ``delays``: of the drive's readings, asked at each look: one that was longer than a period and then
+        is not brings two frames for one SYNC."""
+        self._frames_of, self._syncs, self._delays = take_frames, syncs, delays
         self._period = period
         self._behind: list[tuple[bytes, Instant]] = []
         """Frames behind the last SYNC of another: the next one shows whether one was lost before them."""
@@ -219,7 +244,6 @@ class SyncedStream:
         self._told = 0
         self._were = DelaysKnown.UNKNOWN
         self._quiet_since = syncs.counted
-        assembler.keep_frames(pdo.cob_id)
         self._seen = syncs.marks[-1].place if syncs.marks else 0
         self._counted = syncs.counted + syncs.missing
         if self._each == 1:
@@ -256,11 +280,11 @@ class SyncedStream:
 
     def _take_frames(self, until: Instant) -> list[tuple[bytes, Instant]]:
         """Those to hold against the SYNCs now; later ones wait."""
-        frames = [*self._behind, *self._assembler.take_frames(self._cob_id)]
+        frames = [*self._behind, *self._frames_of(self._cob_id)]
         self._behind = [frame for frame in frames if frame[1] >= until][-REMEMBERED:]
         return [frame for frame in frames if frame[1] < until]
 
-    def _extras(self, frames: list[tuple[bytes, Instant]], until: Instant) -> Iterator[Extra]:
+    def _extras(self, frames: list[tuple[bytes, Instant]], until: Instant) -> list[Extra]:
         starts = [
             (at, mark.place)
             for mark in self._syncs.marks
@@ -269,15 +293,17 @@ class SyncedStream:
         ]
         if starts and starts[-1][1] - starts[0][1] >= len(starts):
             starts = [*_with_missing(starts)]
+        found: list[Extra] = []
         if self._passes(starts, frames):
-            return
+            return found
         place = 0
         for data, at in frames:
             while place + 1 < len(starts) and starts[place + 1][0] <= at:
                 place += 1
             if starts and starts[place][0] <= at:
                 self._seen = starts[place][1]
-                yield from self._stream.take(self._seen, at - starts[place][0], data, at)
+                found += self._stream.take(self._seen, at - starts[place][0], data, at)
+        return found
 
     def _passes(self, starts: list[tuple[Instant, int]], frames: list[tuple[bytes, Instant]]) -> bool:
         """Whether each SYNC since the last look has its one frame: so it is nearly always."""

@@ -2,12 +2,11 @@
 
 from collections.abc import Collection
 from random import Random
-from typing import Final, cast
+from typing import Final
 
 import pytest
 
 from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
-from drivers.cia402.readings import ReadingAssembler
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from drivers.wire.frame_port import EchoBasis
 from hil.execution.stream_watch import DelaysKnown, SyncedStream, TimedStream
@@ -31,11 +30,8 @@ class Stream:
         self.frames: list[tuple[Instant, bytes]] = []
         self.syncs = SyncLog(Duration(0), Duration(PERIOD), EchoBasis.NONE)
         pdo = PdoMap(PdoDirection.TRANSMIT, 1, 0x181, (PdoEntry(0x606C, 0, "i"),), every)
-        assembler, period = cast(ReadingAssembler, self), Duration(PERIOD)
-        self.watch = SyncedStream(pdo, assembler, self.syncs, period, lambda: self.delays)
-
-    def keep_frames(self, cob_id: int) -> None:
-        assert cob_id == 0x181
+        period = Duration(PERIOD)
+        self.watch = SyncedStream(pdo, self.take_frames, self.syncs, period, lambda: self.delays)
 
     def take_frames(self, cob_id: int) -> list[tuple[bytes, Instant]]:
         assert cob_id == 0x181
