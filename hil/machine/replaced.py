@@ -22,6 +22,7 @@ class Modules:
 
     def __init__(self) -> None:
         self._before: dict[str, tuple[ModuleType, dict[str, Any]]] = {}
+        self._path = [*sys.path]
 
     def remember(self) -> None:
         """Code of the user's may run next. A module that is remembered already stays as it was then."""
@@ -35,7 +36,7 @@ class Modules:
 
     def replaced(self) -> str:
         """Names of functions, classes and modules that are others now, or gone; empty if none is."""
-        names: list[str] = []
+        names = [] if set(self._path) <= set(sys.path) else ["sys.path"]
         for name, (module, held) in self._before.items():
             if sys.modules.get(name) is not module:
                 names.append(f"sys.modules[{name!r}]")

@@ -54,6 +54,13 @@ def _as_user(number: int, before: str = "", *statuses: int) -> Environment:
     return Environment(before + user, statuses or (PASSED,), records=False)
 
 
+_BACK: Final = (
+    "#include <sys/syscall.h>\n#include <time.h>\n#include <unistd.h>\nstatic time_t back;\n"
+    "int clock_gettime(clockid_t which, struct timespec *now)"
+    " { int status = syscall(SYS_clock_gettime, which, now);"
+    " if (which == CLOCK_REALTIME) now->tv_sec -= back++ * 60; return status; }\n"
+)
+"""Sets the wall clock back by another minute each time that it is asked for."""
 _FOLDER: Final = "$PLACE/$'\\xff\\n a'"
 
 ENVIRONMENTS: Final = {
@@ -66,6 +73,14 @@ ENVIRONMENTS: Final = {
     "an odd locale": _only_run('LC_ALL=tr_TR.ISO-8859-9 exec "$@"'),
     "an odd time zone": Environment('TZ=Antarctica/Troll exec "$@"'),
     "no PATH": _only_run('PATH= exec "$@"'),
+    "no asserts, no docstrings": _only_run('PYTHONOPTIMIZE=2 exec "$@"'),
+    "no asserts": Environment('PYTHONOPTIMIZE=1 exec "$@"'),
+    "hashes as they are": Environment('PYTHONHASHSEED=0 exec "$@"'),
+    "a wall clock that is set back": Environment(
+        f"printf %s '{_BACK}' | cc -shared -fPIC -xc -o $PLACE/back.so - || exit; LD_PRELOAD=$PLACE/back.so "
+        'exec "$@"'
+    ),
+    "no core, whatever crashes": _limited("-c 0"),
     "umask 777": Environment('umask 777; exec "$@"', (PASSED, BAD_INPUT, NOT_RECORDED)),
     "the current folder is gone": Environment(
         'mkdir $PLACE/gone; cd $PLACE/gone; rmdir $PLACE/gone; exec "$@"', (BAD_INPUT,)

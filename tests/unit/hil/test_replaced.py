@@ -13,8 +13,9 @@ from hil.machine.replaced import Modules, replaced
 @pytest.fixture(autouse=True)
 def spared() -> Iterator[None]:
     """Take back what the tests replace: in a module that nothing of the bench has, and a hook."""
-    held, hook = dict(vars(colorsys)), sys.excepthook
+    held, hook, path = dict(vars(colorsys)), sys.excepthook, [*sys.path]
     yield
+    sys.path[:] = path
     vars(colorsys).update(held)
     sys.modules["colorsys"], sys.excepthook = colorsys, hook
 
@@ -26,6 +27,8 @@ def spared() -> Iterator[None]:
         ("colorsys.rgb_to_yiq = colorsys.yiq_to_rgb", "colorsys.rgb_to_yiq"),
         ("del colorsys.rgb_to_yiq", "colorsys.rgb_to_yiq"),
         ("del sys.modules['colorsys']", "sys.modules['colorsys']"),
+        ("sys.path.clear()", "sys.path"),
+        ("sys.path.insert(0, 'more')", ""),
         ("colorsys.more = print", ""),
         ("colorsys.ONE_THIRD = 0.3", ""),
         ("sys.excepthook = print", ""),
