@@ -22,10 +22,11 @@ class Modules:
 
     def __init__(self) -> None:
         self._before: dict[str, tuple[ModuleType, dict[str, Any]]] = {}
-        self._path = [*sys.path]
+        self._path: list[str] = []
 
     def remember(self) -> None:
         """Code of the user's may run next. A module that is remembered already stays as it was then."""
+        self._path = self._path or [*sys.path]
         for name, module in list(sys.modules.items()):
             # a lazy one, of a class of its own, would be loaded by the question
             if name in self._before or type(module) is not ModuleType:

@@ -6,7 +6,7 @@ in front or another stretch of time, if that was asked for.
 
 import socket
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -129,11 +129,16 @@ class HeadlessViewer:
         self._clock.sleep_until(Instant(self._clock.now() + duration_ns))
 
 
-def page_file(run: Path, *, unsealed: bool = False) -> Path:
+def _untold(_seal: str) -> None:
+    """Nobody asks what the seal says."""
+
+
+def page_file(run: Path, *, unsealed: bool = False, tell_seal: Callable[[str], None] = _untold) -> Path:
     """What the viewer opens of a folder: a run's run.rrd, a campaign's, a commissioning's,
     made now; a file is itself.
 
-    ``unsealed``: whether or not the files of a run are as they were recorded. Raises BadInput.
+    ``unsealed``: whether or not the files of a run are as they were recorded. ``tell_seal`` is told how they
+    are sealed. Raises BadInput.
     """
     if run.is_dir() and is_commissioning(run):
         return commissioning_page(run)
@@ -145,7 +150,7 @@ def page_file(run: Path, *, unsealed: bool = False) -> Path:
             f"the folder of a run, with its {RERUN_FILE}, of a commissioning, or of a reported campaign"
         )
         raise BadInput("RUN", "", str(run), expected)
-    seal_of(recording.parent, unsealed=unsealed)
+    tell_seal(seal_of(recording.parent, unsealed=unsealed))
     return recording
 
 
@@ -156,14 +161,15 @@ def draw_page(
     window_s: tuple[float | None, float | None] = (None, None),
     *,
     unsealed: bool = False,
+    tell_seal: Callable[[str], None] = _untold,
 ) -> bytes:
     """A page of the run or commissioning in a folder, or of a run.rrd, as PNG.
 
     ``at_s``: the cursor, None: at the end. ``window_s``: from when to when, None: as the page opens.
-    ``unsealed``: whether or not the run's files are as they were recorded. Raises BadInput, and PeerFault if
-    the viewer cannot run here.
+    ``unsealed``, ``tell_seal``: as :func:`page_file`. Raises BadInput, and PeerFault if the viewer cannot run
+    here.
     """
-    recording = page_file(run, unsealed=unsealed)
+    recording = page_file(run, unsealed=unsealed, tell_seal=tell_seal)
     with headless_viewer() as viewer:
         viewer.show(recording)
         if page is not None:

@@ -22,7 +22,7 @@ from hil.rows.run_files import (
     RESERVE_FILE,
     SUMMARY_FILE,
 )
-from hil.rows.seal import seal_of
+from hil.rows.seal import NOT_CHECKED, SEALED, seal_of
 from hil.verdict.verdict import VerdictKind
 
 _DEPTH_MAX: Final = 6
@@ -131,6 +131,7 @@ def _listed(folder: Path, unsealed: bool) -> ListedRun:
     if state is RunState.WHOLE:
         try:
             seal = seal_of(folder, unsealed=unsealed)
+            note = note or ("" if seal in (SEALED, NOT_CHECKED) else seal)
         except (BadInput, OSError) as error:
             state, note = RunState.DAMAGED, str(error)
     if state is RunState.DAMAGED:

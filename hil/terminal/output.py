@@ -36,6 +36,14 @@ def echo(text: str) -> None:
     typer.echo(text, file=results())
 
 
+def note_seal(run: Path, seal: str) -> None:
+    """Say of a recording that it is not sealed, or not up to its end; --unsealed has said so itself."""
+    from hil.rows.seal import NOT_CHECKED, SEALED
+
+    if seal not in ("", SEALED, NOT_CHECKED):
+        say(f"hil: note: {run}: {seal}")
+
+
 def say(text: str) -> None:
     """On stderr, at once."""
     print(text, file=messages(), flush=True)

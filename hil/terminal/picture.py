@@ -1,5 +1,6 @@
 """``hil picture``: a page of a recorded run as a PNG, or a figure for a paper."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -7,7 +8,7 @@ import typer
 
 from drivers.errors import BadInput
 from hil.terminal.options import RunArgument, UnsealedOption, flag, valued
-from hil.terminal.output import say_written
+from hil.terminal.output import note_seal, say_written
 
 
 def picture(
@@ -42,7 +43,9 @@ def picture(
         from hil.recorded.paper import paper_figure, save_figure
         from hil.recorded.recorded_run import open_run, signals_of
 
-        figure = paper_figure(signals_of(open_run(run, unsealed=unsealed)), *window)
+        opened = open_run(run, unsealed=unsealed)
+        note_seal(run, opened.seal)
+        figure = paper_figure(signals_of(opened), *window)
         save_figure(figure, out)
     else:
         if out.suffix != ".png":
@@ -50,5 +53,6 @@ def picture(
         from drivers.written_file import write_file
         from hil.recorded.viewer import draw_page
 
-        write_file("OUT", out, draw_page(run, page, at, window, unsealed=unsealed))
+        tell_seal = partial(note_seal, run)
+        write_file("OUT", out, draw_page(run, page, at, window, unsealed=unsealed, tell_seal=tell_seal))
     say_written(out)

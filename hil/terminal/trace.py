@@ -13,7 +13,7 @@ import typer
 from drivers.errors import BadInput
 from drivers.printable import printable
 from hil.terminal.options import JsonLinesOption, UnsealedOption, bitrate_option, bus_option, flag, valued
-from hil.terminal.output import say, write_line
+from hil.terminal.output import note_seal, say, write_line
 from hil.terminal.supervision import is_read
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def trace(
         if source.is_dir():
             from hil.rows.seal import seal_of
 
-            seal_of(source, unsealed=unsealed)
+            note_seal(source, seal_of(source, unsealed=unsealed))
         _read(source, differences, sheets, selection, as_json)
 
 

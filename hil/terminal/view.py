@@ -1,9 +1,11 @@
 """``hil view``: the viewer on a recorded run or commissioning."""
 
+from functools import partial
+
 import typer
 
 from hil.terminal.options import RunArgument, UnsealedOption
-from hil.terminal.output import say
+from hil.terminal.output import note_seal, say
 
 
 def view(run: RunArgument, unsealed: UnsealedOption = False) -> None:
@@ -15,7 +17,7 @@ def view(run: RunArgument, unsealed: UnsealedOption = False) -> None:
     from hil.recorded.viewer import page_file
     from hil.recording.log_files import start_viewer
 
-    recording = page_file(run, unsealed=unsealed)
+    recording = page_file(run, unsealed=unsealed, tell_seal=partial(note_seal, run))
     if missing_display():
         from hil.terminal.report import viewer_command
 

@@ -4,6 +4,7 @@ Every claim raises AssertionError with the figures that it rests on. One about a
 """
 
 import json
+import warnings
 from collections.abc import Callable
 from functools import cached_property, wraps
 from pathlib import Path
@@ -23,7 +24,7 @@ from hil.rows.event_lines import event_json, read_events
 from hil.rows.records import Rows
 from hil.rows.records_file import read_table, rows_of_table
 from hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
-from hil.rows.seal import check_seal
+from hil.rows.seal import SEALED, check_seal
 from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wire
@@ -81,8 +82,10 @@ class Run:
 
     @cached_property
     def _sealed(self) -> Path:
-        """The folder of its recording, held against the seal once. Raises BadInput."""
-        check_seal(self.folder)
+        """The folder of its recording, held against the seal once; warns of one that is not sealed, or not up
+        to its end. Raises BadInput."""
+        if (seal := check_seal(self.folder)) != SEALED:
+            warnings.warn(f"{self.folder}: {seal}", stacklevel=2)
         return self.folder
 
     @property

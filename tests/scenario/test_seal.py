@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 from typer.testing import CliRunner
 
@@ -18,6 +19,7 @@ import hil
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.cli import app
+from hil.configuration.bench_file import load_bench
 from hil.rows.seal import read_seal, sealed_line
 from tests.unit.hil.recorded_runs import BENCH, short_run
 
@@ -50,7 +52,8 @@ def copied(run: Path, tmp_path: Path) -> Path:
 
 def read(name: str, run: Path, *more: str) -> tuple[int, str]:
     without_display = {"DISPLAY": None, "WAYLAND_DISPLAY": None}
-    ended = CliRunner().invoke(app, [*READERS[name](run), *more], env=without_display)
+    asked = READERS[name](run) if name in READERS else [name, str(run)]
+    ended = CliRunner().invoke(app, [*asked, *more], env=without_display)
     return ended.exit_code, ended.output
 
 
@@ -88,6 +91,23 @@ def test_who_reads_a_recording_asks_its_seal(run: Path, tmp_path: Path, name: st
     assert "--unsealed" in told
     status, told = read(name, copy, "--unsealed")
     assert (status, "hil: note: unsealed" in told) == (0, True), told
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_who_reads_a_recording_without_a_seal_says_so(run: Path, tmp_path: Path, name: str) -> None:
+    """With its seal taken away and its format set back, as recordings of earlier versions are."""
+    copy, told_as = copied(run, tmp_path), "unsealed: recorded by an older version"
+    table = pa.ipc.open_file(copy / "records.arrow").read_all()
+    older = table.replace_schema_metadata({**table.schema.metadata, b"format": b"3"})
+    with pa.ipc.new_file(copy / "records.arrow", older.schema) as sink:
+        sink.write_table(older)
+    (copy / "seal").unlink()
+    status, told = read(name, copy)
+    assert (status, told_as in told) == (0, True), told
+    assert told_as in read("runs", tmp_path)[1]
+    with pytest.warns(UserWarning, match=told_as):
+        assert hil.Run(load_bench(copy / "bench.toml"), copy).summary.cycles
+    assert told_as not in read(name, run)[1]
 
 
 def test_a_file_that_the_run_had_not_is_told(run: Path, tmp_path: Path) -> None:

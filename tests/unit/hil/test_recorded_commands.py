@@ -4,6 +4,7 @@ What is drawn, judged and compared is held elsewhere, of recorded runs.
 """
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -33,8 +34,9 @@ def refusal(result: Result) -> str:
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     asked: list[Any] = []
 
-    def page(*given: Any, unsealed: bool) -> bytes:
+    def page(*given: Any, unsealed: bool, tell_seal: Callable[[str], None]) -> bytes:
         assert not unsealed
+        tell_seal("sealed")
         asked.append(given)
         return b"a page"
 
@@ -43,8 +45,8 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         return "the figure"
 
     monkeypatch.setattr(viewer, "draw_page", page)
-    monkeypatch.setattr(recorded_run, "open_run", lambda run, **_: f"opened {run}")
-    monkeypatch.setattr(recorded_run, "signals_of", lambda run: f"signals of {run}")
+    monkeypatch.setattr(recorded_run, "open_run", lambda run, **_: SimpleNamespace(run=run, seal="sealed"))
+    monkeypatch.setattr(recorded_run, "signals_of", lambda run: f"signals of opened {run.run}")
     monkeypatch.setattr(paper, "paper_figure", figure)
     monkeypatch.setattr(paper, "save_figure", lambda figure, out: out.write_text(figure))
     return asked
