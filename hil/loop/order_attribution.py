@@ -3,9 +3,9 @@
 from typing import Final
 
 from drivers.exchange import Reading
-from drivers.timebase import NS_PER_US, Duration, Instant
+from drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 from hil.loop.attribution import HELD_MAX, Health, Question, Tell
-from hil.loop.order_memory import Copies, Unanswered
+from hil.loop.order_memory import Copies, Unanswered, Unconfirmed
 from hil.loop.order_question import OrderQuestion
 from hil.loop.residuals import Extremes
 from hil.loop.samples import Sample
@@ -24,8 +24,7 @@ UNTIDY_FOR: Final = 1000
 OPEN_FOR: Final = 10
 """SYNCs after which one that was passed over will have no reading any more: networks hold frames for less."""
 FIRST: Final = 32
-"""Readings of a run until they say how far delays spread: a calibration's are of a shaft at rest and a bus
-without commands, with as many stuff bits each."""
+"""Readings of a run until they say how far delays spread: a calibration's are of a bus without commands."""
 HELD_UP: Final = 4
 """SYNCs after which a frame that was held up comes at the latest, and may be taken for that of another."""
 
@@ -72,9 +71,7 @@ class OrderAttribution:
         self._sure = True
         self._beyond = False
         """Whether the question has had no answer so far."""
-        self._unsure: list[tuple[int, int, bool]] = []
-        """Cycles whose readings wait for the answer, the bounds of their samples if it confirms them, and
-        whether they may be those of SYNCs before, if frames are held up."""
+        self._unsure = Unconfirmed(self.question, self._usual)
         self._strays: list[int] = []
         """Of those in a row, how long they came after the SYNC before them."""
         self._strays_known = 0
@@ -155,7 +152,7 @@ class OrderAttribution:
         self._in_question.odd += copy and self._in_question.odd < COPIES_MAX
         hidden = copy or self._syncs.may_hide(mark, received_at)
         if not (self._sure or self._beyond or hidden) and usual.holds(delay):
-            self._unsure.append((mark.sequence, self._error_of(delay), behind))
+            self._unsure.add(mark.sequence, self._error_of(delay), behind)
         return self._sample(reading, mark, certain=self._sure and not (copy or (behind and self._untidy > 0)))
 
     def _followed(self, received_at: Instant) -> SyncMark | None:
@@ -173,7 +170,7 @@ class OrderAttribution:
         if not (self._open.pass_over(self._answered, mark) and self._in_question.phase_known):
             return
         if self._beyond:
-            self._in_question.miss()
+            self._in_question.miss(self._answered)
         else:
             self._ask(self._usual.middle)
             self._in_question.evidence.add(received_at)
@@ -183,7 +180,7 @@ class OrderAttribution:
         if self._sure:
             self._sure = False
             self._in_question.put()
-        self._in_question.follow(age)
+        self._in_question.follow(age, self._answered)
 
     def _lags(self) -> int:
         """Of so many SYNCs one reading may be: the one before it, and those since the last certain one that
@@ -197,6 +194,8 @@ class OrderAttribution:
         question.take(mark.number, received_at - mark.on_bus_at)
         lag = question.lag(self._lags(), beyond=self._beyond, untidy=self._untidy > 0)
         if lag is None:
+            if before := question.settled_until():
+                self._settle_until(before)
             question.want_probe(mark.number, beyond=self._beyond)
             if question.asked >= HELD_MAX and not self._beyond:
                 self._give_up(mark.number)
@@ -216,16 +215,20 @@ class OrderAttribution:
             self._untidy = 0  # what seemed to be held up was of the new delay
             self._tell(f"its readings come {self._delays.low / NS_PER_US:.0f} us after their SYNC now")
         elif not self._beyond:
-            self._in_question.odd += self._untidy > 0 and any(behind for _, _, behind in self._unsure)
-            for sequence, error_ns, behind in self._unsure:
-                if not (behind and self._untidy):
-                    self.question.amend(sequence, self._usual.tell(certain=True), error_ns)
+            self._in_question.odd += self._untidy > 0 and self._unsure.behind
+            self._unsure.confirm(NEVER, untidy=self._untidy > 0)
             self.question.cleared = self._in_question.odd == 0
         if self._beyond:
             self._tell("it is known again which SYNCs its readings answer")
         self._sure = self._in_question.phase_known = True
         self._beyond = self._in_question.wants_probe = False
         self._unsure.clear()
+
+    def _settle_until(self, number: int) -> None:
+        """Readings up to that of SYNC ``number`` answer the SYNC before; those since are in question yet."""
+        self._known = max(self._known, number)
+        self._unsure.confirm(self._mark(number).sequence, untidy=self._untidy > 0)
+        self._beyond = False
 
     def _give_up(self, number: int) -> None:
         """Rows wait no longer for the answer; a probe looks again later."""
@@ -261,7 +264,7 @@ class OrderAttribution:
             off = max(delay, delays.high) - delays.low
             return self._echo_error + off + delays.unseen(self._transit)
         if self.health.placed <= FIRST:
-            late = min(delay - self._transit, self._period // 4)
+            late = min(delay - self._transit, self._period // 2)
             return self._echo_error + max(delay - delays.low, late)
         return self._echo_error + delays.late(delay, self._transit)
 
@@ -327,7 +330,7 @@ class OrderAttribution:
         self._in_question.evidence.add(reading.received_at)
         self._in_question.stray()
         if not self._beyond:
-            self._unsure.append((mark.sequence, self._error_of(age), self._open.is_within(HELD_UP, mark)))
+            self._unsure.add(mark.sequence, self._error_of(age), self._open.is_within(HELD_UP, mark))
         return self._guess(reading, mark)
 
     def _is_only_one(self, mark: SyncMark, copy: bool) -> bool:
@@ -392,5 +395,5 @@ class OrderAttribution:
 
     def _doubt(self, mark: SyncMark) -> None:
         """The reading that ``mark`` has may be another's."""
-        self._unsure = [unsure for unsure in self._unsure if unsure[0] != mark.sequence]
+        self._unsure.drop(mark.sequence)
         self.question.amend(mark.sequence, False, self._echo_error + REMEMBERED * self._period)

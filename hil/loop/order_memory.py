@@ -4,7 +4,9 @@ import math
 from typing import Final
 
 from drivers.timebase import Instant
+from hil.loop.attribution import Question
 from hil.loop.syncs import REMEMBERED, SyncLog, SyncMark
+from hil.loop.usual_delays import UsualDelays
 
 COPIES: Final = 8
 """The last readings, of which another may be a copy."""
@@ -66,3 +68,37 @@ class Copies:
         self._speeds[self._place] = speed_rad_s
         self._place = (self._place + 1) % COPIES
         return held
+
+
+class Unconfirmed:
+    """Rows of readings that wait for the answer to a question."""
+
+    def __init__(self, question: Question, usual: UsualDelays) -> None:
+        self._question = question
+        self._usual = usual
+        self._rows: list[tuple[int, int, bool]] = []
+
+    def add(self, sequence: int, error_ns: int, behind: bool) -> None:
+        """``error_ns``: the bound of its sample if the answer confirms it. ``behind``: whether it may be of a
+        SYNC before, if frames are held up."""
+        self._rows.append((sequence, error_ns, behind))
+
+    def drop(self, sequence: int) -> None:
+        """The reading of that cycle may be another's in any case."""
+        self._rows = [row for row in self._rows if row[0] != sequence]
+
+    def clear(self) -> None:
+        """None is confirmed."""
+        self._rows.clear()
+
+    @property
+    def behind(self) -> bool:
+        """Whether one of them may be that of a SYNC before."""
+        return any(behind for _, _, behind in self._rows)
+
+    def confirm(self, until: int, *, untidy: bool) -> None:
+        """Those up to cycle ``until`` are where they were placed; ``untidy``: frames are held up at times."""
+        for sequence, error_ns, behind in self._rows:
+            if sequence <= until and not (behind and untidy):
+                self._question.amend(sequence, self._usual.tell(certain=True), error_ns)
+        self._rows = [row for row in self._rows if row[0] > until]

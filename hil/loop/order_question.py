@@ -25,6 +25,8 @@ PROBED_FOR: Final = 32
 """Readings of a question in which probes have gone out: what they leave open, the look of delays decides."""
 
 
+MISSES_MAX: Final = 16
+"""Readings that are missing in one question, each with the delays since; more count as one."""
 WIDE_PARTS: Final = 8
 """Where delays spread over such a part of a period a reading may follow a probe by chance; hardly two do."""
 
@@ -47,7 +49,9 @@ class OrderQuestion:
         self._period = period
         self._soonest = transit - syncs.error_ns
         self._usual = usual
-        self._alike = Resemblance()
+        self._misses: list[tuple[int, Resemblance]] = []
+        """Where readings were missing since it was put: the number of the last SYNC answered before, and the
+        delays since."""
         self._probes: list[int] = []
         """Numbers of those that have gone out for it."""
         self._followed = 0
@@ -59,29 +63,47 @@ class OrderQuestion:
         """It begins."""
         self.asked = self.odd = self._next_probe = 0
         self._probes.clear()
+        self._misses.clear()
 
-    def follow(self, age: int) -> None:
-        """Weigh readings that come ``age`` after a SYNC, from here on."""
-        self.miss()
+    def follow(self, age: int, answered: int) -> None:
+        """Weigh readings that come ``age`` after a SYNC, from here on; ``answered``: see :meth:`miss`."""
+        self.miss(answered)
         self.evidence.begin(age)
 
-    def miss(self) -> None:
-        """A reading is missing."""
+    def miss(self, answered: int) -> None:
+        """A reading is missing after that of SYNC ``answered``."""
         self._followed = 0
-        self._alike.begin()
+        if len(self._misses) == MISSES_MAX:
+            answered, _ = self._misses.pop()
+        self._misses.append((answered, Resemblance()))
 
     def stray(self) -> None:
         """A reading came that is not weighed."""
-        self._alike.stray()
+        for _, since in self._misses:
+            since.stray()
+
+    def settled_until(self) -> int:
+        """Number of the SYNC up to whose reading all are placed right though more have been missing since;
+        0: of none. Delays that had grown at the first of them would be longer ever since."""
+        shorter = self.odd > 0 and self.sooner() > 0
+        if len(self._misses) < 2 or self._probes or shorter or not self.phase_known:
+            return 0
+        if not self._misses[0][1].is_shown(self._usual, self._period, ALIKE_MIN):
+            return 0
+        del self._misses[0]
+        answered, since = self._misses[0]
+        self.asked = since.seen
+        return answered
 
     def take(self, number: int, delay: int) -> None:
         """A reading came that is weighed, so long after SYNC ``number``."""
         self.asked += 1
         if self._usual.holds(delay):
-            self._alike.add(delay)
+            for _, since in self._misses:
+                since.add(delay)
             self._followed += number in self._probes
         else:
-            self._alike.stray()
+            self.stray()
 
     def probed(self, number: int, pause: int) -> None:
         """SYNC ``number`` has gone out late; none of the next ``pause`` is to."""
@@ -136,7 +158,7 @@ class OrderQuestion:
         if lag is None or not self._is_narrow(evidence.usual_delays(lag)):
             return self._lag_by_looks()
         if lag and phase and self._is_usual(evidence.delays(0), 1 if untidy or not self._probes else 0):
-            return self._lag_by_looks() if self._alike.is_as_wide(self._usual) else None
+            return self._lag_by_looks() if self._misses[-1][1].is_as_wide(self._usual) else None
         return lag
 
     def _is_usual(self, weighed: list[int], others: int) -> bool:
@@ -164,6 +186,6 @@ class OrderQuestion:
         least = PROBED_FOR if self._probes else ALIKE_MIN
         if self.phase_known:
             shorter = self.odd > 0 and self.sooner() > 0
-            return 0 if not shorter and self._alike.is_shown(usual, period, least) else None
+            return 0 if not shorter and self._misses[-1][1].is_shown(usual, period, least) else None
         delays = self.evidence.usual_delays(0) if self.evidence.delays(0) else []
         return lag_to_resemble(delays, usual, period, least)

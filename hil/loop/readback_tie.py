@@ -89,6 +89,8 @@ class ReadbackTie:
         """Whether a demand has been seen to come behind the reading of its SYNC."""
         self._last = 0
         """Number of the newest SYNC of which the last demand may be; 0 before the first."""
+        self._tied = 0
+        """Number of the SYNC of the last demand whose SYNC was found."""
         self._spacing = 0
         """SYNCs from one demand to the next: the fewest seen; 0: not known."""
 
@@ -134,6 +136,7 @@ class ReadbackTie:
             if self._stamps_tell and behind is not None and behind.received_at == first.received_at:
                 self.exact += 1
                 self.unordered += self.doubtful
+                self._tied = behind.mark.number
                 tellings.append(Telling(first, behind.since, behind.until, behind.mark))
                 del pending[0]
                 continue
@@ -210,6 +213,8 @@ class ReadbackTie:
             found.append((first, last))
             first += step
         if found[0] == (number, number):
+            if self._tied == number:
+                return None  # it has its demand, and this is one that came twice, or late
             self._behind = True
         return found
 
@@ -220,6 +225,7 @@ class ReadbackTie:
             self.inexact += 1
             return Telling(readback, self._since(first), self._until(last, readback), None)
         self.exact += 1
+        self._tied = last
         if known and last > known and (not self._spacing or last - known < self._spacing):
             self._spacing = last - known
         return Telling(readback, self._since(first), self._until(last, readback), self._mark(last))

@@ -137,15 +137,16 @@ class Resemblance:
     def __init__(self) -> None:
         self._low = self._high = self._count = self._others = 0
 
-    def begin(self) -> None:
-        """A reading is missing."""
-        self._count = self._others = 0
+    @property
+    def seen(self) -> int:
+        """How many there are."""
+        return self._count + self._others
 
     def stray(self) -> None:
         """A delay is not usual. Too many of them, and it begins again: later ones may be."""
         self._others += 1
-        if RARE * self._others > self._count and self._count + self._others >= KEPT:
-            self.begin()
+        if RARE * self._others > self._count and self.seen >= KEPT:
+            self._count = self._others = 0
 
     def add(self, delay: int) -> None:
         """A delay is usual."""
