@@ -125,6 +125,42 @@ def test_rows_put_together_from_two_runs_are_told(run: Path, tmp_path: Path) -> 
     assert (status, "records.arrow: rows 1 to " in told) == (2, True)
 
 
+def test_batches_that_have_changed_places_are_told(run: Path, tmp_path: Path) -> None:
+    """Readers of Arrow see a whole file with all of its rows."""
+    copy = copied(run, tmp_path)
+    with pa.ipc.open_file(copy / "records.arrow") as file:
+        table, schema = file.read_all(), file.schema
+    rows = table.num_rows // 2
+    with pa.ipc.new_file(copy / "records.arrow", schema) as sink:
+        sink.write_table(table.slice(rows))
+        sink.write_table(table.slice(0, rows))
+    status, told = read("review", copy)
+    assert (status, "records.arrow: rows 1 to " in told) == (2, True), told
+
+
+def test_a_summary_of_an_earlier_run_is_told(run: Path, tmp_path: Path) -> None:
+    """Of the same bench, by itself and with its line of that run's seal."""
+    other, copy = short_run(tmp_path / "other", seed=5), copied(run, tmp_path)
+    shutil.copy(other / "summary.json", copy)
+    for seal, place in (
+        ((run / "seal").read_text(), "summary.json: "),
+        (_with_line_of(other / "seal", run / "seal"), "seal: line "),
+    ):
+        (copy / "seal").write_text(seal)
+        for name in READERS:
+            status, told = read(name, copy)
+            assert (status, place in told) == (2, True), told
+        told = read("runs", copy)[1]
+        assert ("damaged" in told, "passed" in told) == (True, False)
+
+
+def _with_line_of(other: Path, seal: Path) -> str:
+    of_summary = '"file": "summary.json"'
+    (theirs,) = [line for line in other.read_text().splitlines() if of_summary in line]
+    lines = seal.read_text().splitlines()
+    return "".join(f"{theirs if of_summary in line else line}\n" for line in lines)
+
+
 FORGED: tuple[dict[str, object], ...] = (
     {"file": "records.arrow"},
     {"file": 1, "begin": 0, "end": 1, "digest": ""},

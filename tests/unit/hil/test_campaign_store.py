@@ -112,6 +112,22 @@ def test_a_missing_or_shortened_file_is_told(store: RunStore, tmp_path: Path) ->
         reopened(store)
 
 
+@pytest.mark.parametrize("other", ["part-000000001.parquet", "../other/runs/part-000000000.parquet"])
+def test_parts_that_have_changed_places_are_told(store: RunStore, tmp_path: Path, other: str) -> None:
+    """With one of the same store, or of the same place in another campaign's."""
+    runs = tmp_path / "campaign" / "runs"
+    for number in range(2):
+        store.append([row(number)])
+    with open_campaign(tmp_path / "other", plan(), resume=False) as beside:
+        beside.append([row(0) | {"outcome": "not passed", "passed": False}])
+    first, second = runs / "part-000000000.parquet", (runs.parent if "/" in other else runs) / other
+    held = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    second.write_bytes(held)
+    with pytest.raises(BadInput, match=r"part-000000000.parquet: found 'BLAKE2b "):
+        reopened(store)
+
+
 def test_a_part_that_no_run_of_the_campaign_has_written_is_told(store: RunStore, tmp_path: Path) -> None:
     store.append([row(0)])
     runs = tmp_path / "campaign" / "runs"
