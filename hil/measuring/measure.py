@@ -7,7 +7,7 @@ from typing import Final
 
 from drivers.cia402.objects402 import Object
 from drivers.cia402.servo import ServoDrive
-from drivers.errors import BadInput, PeerFault
+from drivers.errors import BadInput, BenchError, PeerFault
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s, utc_stamp
 from drivers.wire.adapters import parse_bus_spec
 from drivers.wire.frame_port import EchoBasis
@@ -104,6 +104,7 @@ class Measurement:
             world.error_frames,
             repeated=made_twice(request.faults),
         )
+        world.tell_troubles(self._tell)
         self._disturbances: tuple[str, ...] = ()
         self._axes: list[Axis] = []
         self._timing = timing_of(request)
@@ -116,7 +117,9 @@ class Measurement:
         """
         try:
             outcome, syncs = self._run()
-        except BaseException:
+        except BaseException as error:
+            if isinstance(error, BenchError):
+                self._world.explained(error)
             self._leave()
             raise
         failures = self._leave()

@@ -29,6 +29,7 @@ FAILED: Final = "failed "
 _ANSWER_MAX_S: Final = 120.0
 """The logger imports Rerun and opens its files: a second, ten of them on a crowded machine, a minute on one
 that is emulated."""
+_TOO_SLOW: Final = "this machine is too busy or too slow to record; hil run --no-record keeps no files"
 _FINISH_MAX_S: Final = 120.0
 """The files of a long run are packed and synced to a slow disk; who takes longer is stuck."""
 _REAP_MAX_S: Final = 5.0
@@ -142,7 +143,7 @@ class LoggerProcess:
             if self._trouble:
                 raise RecordingFailed(self._trouble)
             if clock.now() > deadline:
-                raise RecordingFailed(f"the logger did not answer within {_ANSWER_MAX_S:.0f} s")
+                raise RecordingFailed(f"the logger did not answer within {_ANSWER_MAX_S:.0f} s: {_TOO_SLOW}")
 
     def _listen(self, timeout_s: float) -> str | None:
         """The next answer that has come; what tells of trouble is kept apart."""
