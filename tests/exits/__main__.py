@@ -1,4 +1,4 @@
-"""``python -m tests.exits``: the table, cell by cell in an order drawn once, until the time is up."""
+"""``python -m tests.exits``: the table, cell by cell in an order drawn by --seed, until the time is up."""
 
 import argparse
 import tempfile
@@ -19,9 +19,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.exits", description=__doc__)
     parser.add_argument("--seconds", type=float, default=300.0)
     parser.add_argument("--cells", default="", help="only those that have these words, e.g. 'hub host kill'")
+    parser.add_argument("--seed", type=int, default=1, help="of the order")
     options = parser.parse_args()
     chosen = [cell for cell in CELLS if set(options.cells.split()) <= set(cell)]
-    Random(1).shuffle(chosen)
+    Random(options.seed).shuffle(chosen)
     clock = MonotonicClock()
     ends_at = clock.now() + options.seconds * NS_PER_S
     lines: dict[Cell, str] = {}
