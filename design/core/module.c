@@ -21,8 +21,8 @@ static PyObject *call_random_runs(PyObject *module, PyObject *const *arguments, 
         || !integer(arguments[5], &runs.losses_max) || !integer(arguments[6], &runs.behind)
         || !integer(arguments[7], &runs.steps))
         return NULL;
-    if (length != sizeof runs.figures / sizeof(double) || number_of_runs < 0 || runs.behind < 0
-        || runs.strategy < ON_ARRIVAL || runs.strategy > BY_HISTORY) {
+    if (length != sizeof runs.figures / sizeof(double) || number_of_runs < 0 || number_of_runs > INT32_MAX
+        || runs.behind < 0 || runs.behind > INT32_MAX || runs.strategy < ON_ARRIVAL || runs.strategy > BY_HISTORY) {
         PyErr_Format(PyExc_ValueError, "%zd figures, %lld runs, %lld periods behind, strategy %lld", length,
                      (long long)number_of_runs, (long long)runs.behind, (long long)runs.strategy);
         return NULL;

@@ -8,6 +8,7 @@ import socket
 import sysconfig
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -16,6 +17,7 @@ from rich.console import Console
 from rich.text import Text
 from serial.tools import list_ports
 
+from design.core.build import check_built
 from drivers import compiled
 from drivers.errors import BadInput
 from drivers.wire.adapters import link_up_command, socketcan_links
@@ -326,11 +328,13 @@ def compiled_modules(_machine: Machine) -> Look:
 
 
 def native_core(_machine: Machine) -> Look:
-    """Whether the core is built from the sources beside it."""
+    """Whether each room's core is built from the sources beside it."""
     try:
         import virtual_bus.core  # noqa: F401
+
+        check_built("design", partial(BadInput, "design", "core"))
     except BadInput as lack:
-        return Look(f"{lack.value}", str(lack.expected))
+        return Look(f"{lack.value}", lack.expected)
     return Look("built from these sources")
 
 
@@ -353,11 +357,7 @@ CHECKS: Final[tuple[tuple[str, str, Callable[[Machine], Look]], ...]] = (
     ("Vulkan driver", "pictures of a recording without a screen", headless_vulkan),
     ("disk space", "recordings in the present folder", disk_space),
     ("native core", "everything simulated, and each bus", native_core),
-    (
-        "compiled modules",
-        "pace: interpreted, everything works several times slower",
-        compiled_modules,
-    ),
+    ("compiled modules", "pace: interpreted, everything works several times slower", compiled_modules),
 )
 """Name, what of the bench depends on it, and who looks."""
 

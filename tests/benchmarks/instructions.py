@@ -85,8 +85,9 @@ def compare(counts: Mapping[str, Mapping[str, int]], made_with: str, kept: Mappi
 def _print(counts: dict[str, dict[str, int]], times_us: dict[str, float]) -> None:
     print(f"{'instructions a cycle':28}" + "".join(f"{title:>20}" for title in counts))
     sums = {title: sum(owners.values()) for title, owners in counts.items()}
-    largest = max(sums, key=lambda title: sums[title])
-    for owner in sorted({*counts[largest]}, key=lambda owner: -counts[largest][owner]):
+    all_owners = {owner for owners in counts.values() for owner in owners}
+    most = {owner: max(owners.get(owner, 0) for owners in counts.values()) for owner in all_owners}
+    for owner in sorted(most, key=lambda owner: -most[owner]):
         shares = [
             (owners.get(owner, 0), owners.get(owner, 0) / sums[title]) for title, owners in counts.items()
         ]

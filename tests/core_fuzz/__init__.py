@@ -1,1 +1,1 @@
-"""The native core with sanitizers and asserts, under drawn frames, drives, plans and misuse."""
+"""The native core of each room with sanitizers and asserts, under drawn worlds and misuse."""

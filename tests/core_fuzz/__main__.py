@@ -14,10 +14,10 @@ from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from design.core.build import LIBRARY, SANITIZED, build, compiler
+from design.core.build import LIBRARY, ROOMS, SANITIZED, build, compiler
 from drivers.timebase import NS_PER_S, MonotonicClock
 
-NATIVE = "virtual_bus.core.native"
+PROGRAM = "tests.core_fuzz"
 
 
 def preloaded() -> str | None:
@@ -28,16 +28,18 @@ def preloaded() -> str | None:
     return found if Path(found).is_absolute() else None
 
 
-def use(core: str) -> None:
-    """Let this process take that core in the place of the one beside its sources."""
-    spec = spec_from_loader(NATIVE, ExtensionFileLoader(NATIVE, core))
-    assert spec is not None
-    sys.modules[NATIVE] = module_from_spec(spec)
+def use(folder: str) -> None:
+    """Let this process take the cores of that folder in the place of those beside their sources."""
+    for room in ROOMS:
+        name = f"{room}.core.native"
+        spec = spec_from_loader(name, ExtensionFileLoader(name, str(Path(folder, room, LIBRARY))))
+        assert spec is not None
+        sys.modules[name] = module_from_spec(spec)
 
 
-def run(core: str, seed: int, worlds: int, seconds: float) -> int:
+def run(cores: str, seed: int, worlds: int, seconds: float) -> int:
     """Worlds from ``seed`` on; how many there were."""
-    use(core)
+    use(cores)
     from tests.core_fuzz.worlds import WORLDS
 
     clock = MonotonicClock()
@@ -52,25 +54,26 @@ def run(core: str, seed: int, worlds: int, seconds: float) -> int:
 
 def main() -> int:
     """Build, run, and tell: the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m tests.core_fuzz")
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--worlds", type=int, default=1 << 40)
-    parser.add_argument("--core", default="")
+    parser.add_argument("--cores", default="")
     asked = parser.parse_args()
-    if asked.core:
-        run(asked.core, asked.first, asked.worlds, asked.seconds)
+    if asked.cores:
+        run(asked.cores, asked.first, asked.worlds, asked.seconds)
         return 0
     library = preloaded()
     if library is None:
         print("no libasan here: nothing was tried")
         return 3
     with TemporaryDirectory() as folder:
-        core = Path(folder, LIBRARY)
-        build("virtual_bus", core, SANITIZED)
+        for room in ROOMS:
+            Path(folder, room).mkdir()
+            build(room, Path(folder, room, LIBRARY), SANITIZED)
         environment = {**os.environ, "LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0"}
         done = subprocess.run(
-            [sys.executable, "-m", "tests.core_fuzz", "--core", str(core), *sys.argv[1:]],
+            [sys.executable, "-m", PROGRAM, "--cores", folder, *sys.argv[1:]],
             env=environment,
             capture_output=True,
             text=True,

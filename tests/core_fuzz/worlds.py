@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from design.core import native
 from design.statespace import StateSpace
 from drivers.timebase import NS_PER_MS, Instant
 from tests.motors import AZAIZ, LING
@@ -104,22 +105,38 @@ _DONE: Final[tuple[Callable[[Firmware, random.Random, Instant], object], ...]] =
 )
 
 
+def random_runs(draw: random.Random) -> None:
+    """Runs of loops with any figures, hostile ones too: each has its peak, whatever is run with it."""
+    figures = [10.0 ** draw.uniform(-6.0, 4.0) for _ in range(15)]
+    if draw.random() < 0.5:
+        figures[draw.randrange(15)] = draw.choice(ODD)
+    behind, steps = draw.randrange(6), draw.randrange(200)
+    seed, first, count = draw.getrandbits(64), draw.randrange(1000), draw.randrange(20)
+
+    def peaks(begin: int, runs: int) -> bytes:
+        octets = pack("=15d", *figures)
+        return native.random_runs(seed, begin, runs, octets, strategy, losses_max, behind, steps)
+
+    strategy, losses_max = draw.randrange(3), draw.randrange(5)
+    assert peaks(first, count) == b"".join(peaks(first + number, 1) for number in range(count))
+
+
 def misuse(draw: random.Random) -> None:
     """Arguments of wrong number, type, size and range: an error of Python's, or taken."""
     inner = InnerLoops()
     inner.rate_hz = 16_000
-    calls: list[Callable[..., Any]] = [sine_cosine, wire_bits]
+    calls: list[Callable[..., Any]] = [sine_cosine, wire_bits, native.random_runs]
     calls += [
         getattr(inner, name) for name in dir(inner) if callable(getattr(inner, name)) and name[0] != "_"
     ]
     table = pack("=3d", 0.0, 1.0, 2.0)
     for _ in range(100):
         call = draw.choice(calls)
-        given = [draw.choice([*AWRY, *ODD, 0, 1, -1, 5, table, table[:8]]) for _ in range(draw.randrange(6))]
+        given = [draw.choice([*AWRY, *ODD, 0, 1, -1, 5, table, table[:8]]) for _ in range(draw.randrange(9))]
         try:
             call(*given)
         except (TypeError, ValueError, OverflowError):
             continue
 
 
-WORLDS: Final = (frames, drive, misuse)
+WORLDS: Final = (frames, drive, random_runs, misuse)
