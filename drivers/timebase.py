@@ -20,8 +20,9 @@ NS_PER_S: Final = 1_000_000_000
 US_PER_S: Final = 1_000_000.0
 NS_PER_100_US: Final = 100_000
 """The unit of CANopen's inhibit times (CiA 301, 7.5.2.18 and 7.5.2.37)."""
-NEVER: Final = Instant(1 << 62)
-"""146 years: later than every instant, and by half the range of 64 bits, so that sums do not overflow."""
+NEVER: Final = Instant((1 << 62) - 1)
+"""146 years: later than every instant, and by half the range of 64 bits, so that sums do not overflow.
+One more would be an object for each comparison: compiled code holds 63 bits without one."""
 
 
 class Clock(Protocol):

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.timebase import Instant
+from drivers.timebase import NEVER, Instant
 from virtual_bus.bus.hub_client import Client
 from virtual_bus.bus.hub_protocol import (
     BATCH_FRAMES_MAX,
@@ -19,7 +19,6 @@ from virtual_bus.bus.hub_protocol import (
 from virtual_bus.frame import Frame
 
 STATUS = b"a record of another length"
-NEVER = Instant(1 << 62)
 
 
 class Ends:
