@@ -9,6 +9,9 @@ had not been there:
 
 Of two frames of one SYNC that is taken for the extra one whose delay is less usual. One that equals another
 of the last frames is no news: a bus, an adapter or a gateway may repeat it.
+
+The next one proves nothing if its delay is off the usual one by more than half a period. Then answers have
+changed sides of their SYNCs: they take about a period, or a SYNC not heard was elsewhere than thought.
 """
 
 from collections import deque
@@ -80,11 +83,13 @@ class RegularStream:
         tolerance: int = 0,
         least: int = REGULAR,
         *,
+        period: int = 0,
         repeats: bool = False,
         same: bool = False,
     ) -> None:
-        """``least``: regular frames before an extra one. ``repeats``: frames are all alike. ``same``: the
-        regular frame after an extra one must be as the one before."""
+        """``least``: regular frames before an extra one. ``period``: of the SYNCs that are answered.
+        ``repeats``: frames are all alike. ``same``: the regular frame after an extra one must be as the one
+        before."""
         self.last: int | None = None
         """Place of the last regular frame."""
         self.regular = 0
@@ -96,7 +101,7 @@ class RegularStream:
         self.doubled = False
         """Since this was last set back there was more than one frame where one was due."""
         self._step, self._tolerance = step, tolerance
-        self._repeats, self._same = repeats, same
+        self._repeats, self._same, self._half = repeats, same, period / 2.0
         self._recent: deque[bytes] = deque()
         self._times: dict[bytes, int] = {}
         """How often each of them is there: a look at each of 32 would cost more than all else."""
@@ -117,7 +122,7 @@ class RegularStream:
         repetition = frame.repeated and self.repeating
         if abs(moved - self._step) <= self._tolerance:
             self._remember(data)
-            found = self._found(data) if self._extras else []
+            found = self._found(frame) if self._extras else []
             self.last, self._frame = place, frame
             self.regular = 0 if repetition else self.regular + 1
             self.repetitions += repetition
@@ -140,18 +145,19 @@ class RegularStream:
         return []
 
     def pass_over(self, places: range, delay: int, frames: list[bytes]) -> None:
-        """Frames have come, one for each of ``places``, which follow the last."""
+        """Frames have come, one for each of ``places``, which follow the last; ``delay``: their mean."""
         self.last = places[-1]
         self.regular += len(places)
         for data in frames:
             self._remember(data)
-        self._usual += (delay - self._usual) / 8.0
+        self._usual += (delay - self._usual) * min(len(places), 8) / 8.0
         self._frame = _Frame(Instant(0), frames[-1], delay, False)
 
     def end(self) -> list[Extra]:
         """No regular frame comes any more: what came since the last one nobody asked for."""
         if self._frame.repeated and self.repeating:
             self._clear_of_doubt()
+        self._extras = [frame for frame in self._extras if not self._is_on_other_side(frame)]
         return self._take_extras()
 
     @property
@@ -185,11 +191,17 @@ class RegularStream:
                 return True
         return False
 
-    def _found(self, data: bytes) -> list[Extra]:
-        """The extra frames before a regular one."""
+    def _is_on_other_side(self, frame: _Frame) -> bool:
+        """Whether a frame is likelier the answer that is usual a period before or after."""
+        return abs(frame.delay - self._usual) > self._half
+
+    def _found(self, frame: _Frame) -> list[Extra]:
+        """The extra frames before ``frame``, a regular one."""
         before = self._frame
-        back = data == before.data
+        back = frame.data == before.data
         if (self._same and not back) or (before.repeated and (self.repeating or not back)):
+            self._clear_of_doubt()
+        if self._is_on_other_side(frame):
             self._clear_of_doubt()
         if before.repeated:
             self.repetitions -= len(self._extras)
@@ -240,7 +252,7 @@ class SyncedStream:
         self._each = max(1, pdo.transmission_type)
         self._owed = Owed(REMEMBERED + self._each)
         self._owed.expect(2 * self._each)  # one under way, and the phase of one that comes seldom
-        self._stream = RegularStream(self._each)
+        self._stream = RegularStream(self._each, period=period)
         self._told = 0
         self._were = DelaysKnown.UNKNOWN
         self._quiet_since = syncs.counted
@@ -317,7 +329,8 @@ class SyncedStream:
         if not all(map(int.__lt__, begun, came)) or not all(map(int.__lt__, came, begun[1:])):
             return False
         first, self._seen = self._seen + 1, new[-1][1]
-        stream.pass_over(range(first, self._seen + 1), came[-1] - begun[-1], [data for data, _ in frames])
+        delay = sum(map(int.__sub__, came, begun)) // len(new)
+        stream.pass_over(range(first, self._seen + 1), delay, [data for data, _ in frames])
         return True
 
 

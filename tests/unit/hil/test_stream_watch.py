@@ -27,6 +27,8 @@ class Stream:
         """``unheard``: SYNCs of another node that this host does not hear; None: the SYNCs are its own."""
         self.delays = delays
         self.unheard = unheard
+        self.sync_late: dict[int, int] = {}
+        """By how much a SYNC comes behind its instant, ns, and the answers with it."""
         self.frames: list[tuple[Instant, bytes]] = []
         self.syncs = SyncLog(Duration(0), Duration(PERIOD), EchoBasis.NONE)
         pdo = PdoMap(PdoDirection.TRANSMIT, 1, 0x181, (PdoEntry(0x606C, 0, "i"),), every)
@@ -42,7 +44,7 @@ class Stream:
         """What is told of ``syncs``; ``arrivals``: by SYNC, delays of its frames, ns, negative: forged."""
         found: list[bytes] = []
         for number in range(1, syncs + 1):
-            at = number * PERIOD
+            at = number * PERIOD + self.sync_late.get(number, 0)
             if self.unheard is None:
                 self.syncs.handed(number, Instant(at))
             elif number not in self.unheard:
@@ -104,6 +106,35 @@ def test_an_answer_to_a_sync_of_another_that_this_host_did_not_hear_is_nobodys(e
         few = {each for each in unheard if each % 500 < 2}
         found = Stream(every, unheard=few).told(arrivals, 3000, at_end=True)
         assert found == [FORGED], (number, every)
+
+
+@pytest.mark.parametrize("every", [1, 10])
+@pytest.mark.parametrize("delay", [DELAY // 10, DELAY, 2 * DELAY])
+def test_an_answer_to_an_irregular_sync_that_was_not_heard_is_nobodys(every: int, delay: int) -> None:
+    """SYNCs up to 0.4 periods late: one that was not heard lay elsewhere than half-way; 40 drawn."""
+    for seed in range(40):
+        draw = Random(seed)
+        stream = Stream(every, unheard={number for number in range(70, 3000) if draw.random() < 0.1})
+        stream.sync_late = {number: draw.randrange(400_000) for number in range(1, 3001)}
+        arrivals = {number: [delay + draw.randrange(200_000)] for number in range(every, 3001, every)}
+        assert stream.told(arrivals, 3000, at_end=True) == [], seed
+
+
+@pytest.mark.parametrize("spread", [30_000, 300_000])
+def test_answers_after_a_period_that_change_sides_of_the_next_sync_are_nobodys(spread: int) -> None:
+    """A TPDO behind that of the reading may take longer than a period where readings do not."""
+    for seed in range(40):
+        draw, stream = Random(seed), Stream()
+        late = PERIOD + draw.randrange(spread)
+        arrivals = {
+            number: [late + draw.randrange(spread) - (spread if draw.random() < 0.02 else 0)]
+            for number in range(1, 2001)
+        }
+        assert stream.told(arrivals, 2000, at_end=True) == [], seed
+    for number in (810, 1250, 1499):
+        arrivals = {each: [PERIOD + 30_000] for each in range(1, 2001)}
+        arrivals[number].append(-DELAY)
+        assert Stream().told(arrivals, 2000, at_end=True) == [FORGED], number
 
 
 def test_a_frame_that_was_in_question_may_be_repeated() -> None:
