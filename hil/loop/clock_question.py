@@ -116,7 +116,7 @@ class ClockQuestion:
 
     def _is_late(self, before: SyncMark, mark: SyncMark) -> bool:
         """Whether ``before`` has no reading when that of ``mark`` comes, within half a period behind it."""
-        if before.number > mark.number or before.number in self.stamps:
+        if not self._at_arrival or before.number > mark.number or before.number in self.stamps:
             return False
         assert before.on_bus_at is not None
         assert mark.on_bus_at is not None
