@@ -4,8 +4,6 @@
 #include "arguments.h"
 #include "random_runs.h"
 
-#define EXPORT __attribute__((visibility("default")))
-
 static PyObject *call_random_runs(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
 {
     (void)module;
@@ -54,16 +52,10 @@ static PyModuleDef definition = {
     .methods = functions,
 };
 
-EXPORT PyObject *PyInit_native(void)
+PyMODINIT_FUNC PyInit_native(void)
 {
     PyObject *module = PyModule_Create2(&definition, PYTHON_ABI_VERSION);
-    if (module == NULL)
-        return NULL;
-    PyObject *digest = PyUnicode_FromString(SOURCES_DIGEST);
-    int failed = digest == NULL || PyModule_AddObjectRef(module, "SOURCES_DIGEST", digest) < 0;
-    if (digest != NULL)
-        Py_DecRef(digest);
-    if (failed) {
+    if (module != NULL && (PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) < 0)) {
         Py_DecRef(module);
         return NULL;
     }

@@ -9,6 +9,8 @@
 #include <math.h>
 #include <stdlib.h>
 
+#include "limits.h"
+
 /* Of b t: the series leave 1e-9 of the integrals there; the differences of doubles leave 3e-10, and 1e-7 at a
    tenth of it. */
 static const double SMALL = 1e-4;
@@ -26,8 +28,6 @@ typedef struct Sample {
     double value;
     bool came;
 } Sample;
-
-static double most(double a, double b) { return b > a ? b : a; }
 
 /* The finaliser of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014). */
 static uint64_t mixed(uint64_t x)

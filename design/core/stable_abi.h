@@ -78,6 +78,7 @@ typedef struct PyModuleDef {
 } PyModuleDef;
 #define PyModuleDef_HEAD_INIT {1, NULL}, NULL, 0, NULL
 #define PYTHON_ABI_VERSION 3
+#define PyMODINIT_FUNC __attribute__((visibility("default"))) PyObject *
 
 extern PyObject *PyExc_TypeError, *PyExc_ValueError;
 extern PyObject _Py_NoneStruct;
@@ -85,6 +86,7 @@ extern PyObject _Py_NoneStruct;
 
 PyObject *PyModule_Create2(PyModuleDef *, int);
 int PyModule_AddObjectRef(PyObject *, const char *, PyObject *);
+int PyModule_AddStringConstant(PyObject *, const char *, const char *);
 PyObject *PyType_FromSpec(PyType_Spec *);
 PyObject *PyType_GenericNew(PyTypeObject *, PyObject *, PyObject *);
 PyObject *PyType_GenericAlloc(PyTypeObject *, Py_ssize_t);

@@ -7,6 +7,7 @@
 #include <assert.h>
 #include <math.h>
 
+#include "limits.h"
 #include "rotation.h"
 
 static const int64_t NS_PER_S = 1000000000;

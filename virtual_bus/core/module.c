@@ -4,8 +4,6 @@
 #include "types.h"
 #include "wire_bits.h"
 
-#define EXPORT __attribute__((visibility("default")))
-
 static PyObject *call_sine_cosine(PyObject *module, PyObject *angle)
 {
     (void)module;
@@ -61,18 +59,12 @@ static int add_type(PyObject *module, PyType_Spec *spec, const char *name)
     return result;
 }
 
-EXPORT PyObject *PyInit_native(void)
+PyMODINIT_FUNC PyInit_native(void)
 {
     make_wire_tables();
     PyObject *module = PyModule_Create2(&definition, PYTHON_ABI_VERSION);
-    if (module == NULL)
-        return NULL;
-    PyObject *digest = PyUnicode_FromString(SOURCES_DIGEST);
-    int failed = digest == NULL || PyModule_AddObjectRef(module, "SOURCES_DIGEST", digest) < 0
-                 || add_type(module, &inner_loops_spec, "InnerLoops") < 0;
-    if (digest != NULL)
-        Py_DecRef(digest);
-    if (failed) {
+    if (module != NULL && (PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) < 0
+                           || add_type(module, &inner_loops_spec, "InnerLoops") < 0)) {
         Py_DecRef(module);
         return NULL;
     }

@@ -6,6 +6,7 @@
 
 #include <math.h>
 
+#include "limits.h"
 #include "rotation.h"
 
 static const double PER_TURN = 1.0 / TURN_RAD;

@@ -79,7 +79,6 @@ static void take(Bits *bits, unsigned byte, unsigned filling)
 int wire_bits(uint64_t field, const unsigned char *data, int length)
 {
     bool extended = field >> 23 & 1;
-    bool remote = field >> (extended ? 4 : 24) & 1;
     unsigned dlc = field & 0xF;
     uint64_t head = extended ? field >> 4 << 6 | dlc : field >> 23 << 5 | dlc;
     unsigned filling = extended ? 0x80 : 0xA8;
@@ -88,8 +87,6 @@ int wire_bits(uint64_t field, const unsigned char *data, int length)
         take(&bits, head >> shift & 0xFF, filling);
         filling = 0;
     }
-    if (remote)
-        length = 0;
     for (int place = 0; place < length; place++)
         take(&bits, data[place], 0);
     /* The CRC is filled up to two bytes behind, with a bit that makes no run. */

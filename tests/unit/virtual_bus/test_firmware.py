@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -55,6 +56,26 @@ def test_a_rate_that_no_ns_fits_does_not_drift() -> None:
     firmware.advance_to(Instant(3 * NS_PER_S))
     assert firmware.ticks == 36_000
     assert firmware.tick_at == 3 * NS_PER_S
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(
+    st.sampled_from([1_000, 4_001, 16_000, 99_991]),
+    st.integers(0, NS_PER_S),
+    st.integers(0, 2 * NS_PER_MS),
+    st.integers(-1, 1),
+)
+def test_the_next_tick_is_the_first_at_or_after(rate_hz: int, begun: int, passed: int, off: int) -> None:
+    """Just before a tick, at it, and just after it: by fractions of nanoseconds."""
+    firmware = torque_drive(inner_rate_hz=rate_hz)
+    firmware.start(Instant(begun))
+    at = math.ceil(Fraction(passed * rate_hz // NS_PER_S * NS_PER_S, rate_hz))
+    now = begun + max(at + off, 0)
+    ticks = math.ceil(Fraction((now - begun) * rate_hz, NS_PER_S))
+    assert firmware.tick_after(Instant(now)) == begun + math.ceil(Fraction(ticks * NS_PER_S, rate_hz))
+    firmware.advance_to(Instant(now))
+    assert firmware.ticks == (now - begun) * rate_hz // NS_PER_S
+    assert firmware.tick_at == begun + math.floor(Fraction(firmware.ticks * NS_PER_S, rate_hz))
 
 
 @settings(derandomize=True, deadline=None, max_examples=40)
