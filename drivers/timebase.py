@@ -59,6 +59,13 @@ def duration_s(seconds: float) -> Duration:
     return Duration(round(seconds * NS_PER_S))
 
 
+def suspended() -> Duration:
+    """For how long this machine has been suspended since it booted: its boot time goes on then, its monotonic
+    clock does not. An interruption between the two readings counts as well."""
+    monotonic = time.monotonic_ns()
+    return Duration(time.clock_gettime_ns(time.CLOCK_BOOTTIME) - monotonic)
+
+
 def wall_between() -> tuple[Instant, int, Instant]:
     """The wall clock, ns, between two readings of the monotonic clock: their offset, to their distance."""
     before = time.monotonic_ns()

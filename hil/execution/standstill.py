@@ -5,10 +5,9 @@ no tick looks late: only the drives tell that they were left alone.
 """
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, suspended
 from hil.execution.world import World
 from hil.loop.loop import PROGRESS_EVERY
 
@@ -17,16 +16,6 @@ STOOD_STILL: Final = Duration(100 * NS_PER_MS)
 master's heartbeat at least so long."""
 JUST_BEFORE: Final = Duration(NS_PER_S)
 """What ends a run so soon after a standstill, it has ended: drives tell at once what it did to them."""
-
-
-_UPTIME: Final = Path("/proc/uptime")
-
-
-def suspended() -> Duration:
-    """For how long this machine has been suspended since it booted, to 10 ms: its uptime goes on then, its
-    monotonic clock does not."""
-    up_s = float(_UPTIME.read_text(encoding="ascii").split()[0])
-    return Duration(round(up_s * NS_PER_S) - MonotonicClock().now())
 
 
 class Standstill:

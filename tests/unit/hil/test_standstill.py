@@ -3,10 +3,11 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock, suspended
 from drivers.wire.adapters import parse_bus_spec
 from hil.execution.standstill import Standstill
 from hil.execution.world import World, WorldPlan, open_world
@@ -78,3 +79,10 @@ def test_a_run_in_simulated_time_stands_still_for_nobody(world: World) -> None:
     passes(world, 3050)
     assert watch.cure() == ""
     assert told == []
+
+
+@pytest.mark.skipif("lxcfs" in Path("/proc/mounts").read_text(), reason="the uptime is a container's own")
+def test_suspension_is_what_the_uptime_has_beyond_the_monotonic_clock() -> None:
+    uptime_s = float(Path("/proc/uptime").read_text().split()[0])
+    beyond_s = uptime_s - MonotonicClock().now() / NS_PER_S
+    assert suspended() / NS_PER_S == pytest.approx(beyond_s, abs=1.0)
