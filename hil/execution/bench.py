@@ -297,9 +297,10 @@ class _Run:
             settings = drive_settings(self.config, drive.name, timing, self.sheets.get(drive.name))
             if (commissioned := self.config.drive[drive.name].commissioned) is not None:
                 write_commissioned(drive, commissioned, simulated=self.config.simulated)
-            for note in drive.configure(settings):
-                self._say(f"{drive.name}: {note}", "INFO" if note.endswith(DONE) else "WARN")
+            notes = drive.configure(settings)
             self._note_state(drive)
+            for note in notes:
+                self._say(f"{drive.name}: {note}", "INFO" if note.endswith(DONE) else "WARN")
             self.stop.check()
 
     def _note_progress(self, time_s: float) -> None:
@@ -371,14 +372,13 @@ class _Run:
         self._load.take_off(self._say)  # a disabled drive holds no shaft against a load
         for drive in self._drives:
             release = drive.release()
-            self._note_state(drive)
             self.conclusion.released(drive, release)
-            if release.unwatched:
-                self._say(f"{drive.name}: {release.unwatched}", "ERROR")
-            if not release.at_rest:
-                self._say(f"{drive.name}: not confirmed at rest: {release.evidence}", "ERROR")
-            elif release.rested_at is not None:
+            if release.rested_at is not None:
                 self.recorder.event(release.rested_at, "INFO", f"{drive.name}: at rest")
+            self._note_state(drive)
+            trouble = release.unwatched if release.at_rest else f"not confirmed at rest: {release.evidence}"
+            if trouble:
+                self._say(f"{drive.name}: {trouble}", "ERROR")
         if self._enabled_from is not None:
             for drive in self._drives:
                 self.conclusion.told(drive, self._enabled_from, self._zero)

@@ -9,8 +9,13 @@ import pytest
 
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_MS, NS_PER_S
+from hil.configuration.bench_tables import Bench
+from hil.execution.bench import run_bench
 from hil.loop.pace import CALIBRATION_SYNCS
+from hil.recording.memory_recorder import MemoryRecorder
+from hil.rows.recording_plan import RecordingPlan
 from hil.rows.run_files import EVENTS_FILE
+from hil.rows.side_rows import StateEvent, TextEvent
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
@@ -65,6 +70,22 @@ def test_what_a_run_comes_to_is_told_when_it_does(servo_bench: BenchRunner) -> N
         line["at_ns"] for line in lines if not any(part in line.get("text", "") for part in set_points)
     ]
     assert at_once == sorted(at_once)
+
+
+@pytest.mark.parametrize("example", ["ling2012.toml", "three_axes.toml"])
+def test_what_the_drives_come_to_is_told_in_order_of_time(example: str) -> None:
+    """As it comes to be known, whatever of it is written together."""
+    recorders: list[MemoryRecorder] = []
+
+    def in_memory(plan: RecordingPlan) -> MemoryRecorder:
+        recorders.append(MemoryRecorder(plan))
+        return recorders[-1]
+
+    config = Bench.load(EXAMPLES / example).config
+    run_bench(config, bus_spec="simulated", privileged=False, recording=in_memory)
+    told = [event.at for event in recorders[0].events if isinstance(event, TextEvent | StateEvent)]
+    assert len(told) > 10
+    assert told == sorted(told)
 
 
 @pytest.mark.parametrize("fault", ["over_temperature", "over_current", "under_voltage"])
