@@ -42,6 +42,8 @@ RECENT: Final = 32
 REPEATS: Final = 2
 """So many repetitions make a network that repeats frames. A single one may be the answer that says the same
 again, beside a stranger's frame."""
+LEARNT: Final = 8
+"""Frames over which the usual delay is averaged: a gateway's new one is learnt within ten periods."""
 EXTRAS_MAX: Final = 16
 """More between two regular frames are a flood, which is counted against the SYNCs."""
 
@@ -126,7 +128,7 @@ class RegularStream:
             self.last, self._frame = place, frame
             self.regular = 0 if repetition else self.regular + 1
             self.repetitions += repetition
-            self._usual += (delay - self._usual) / 8.0
+            self._usual += (delay - self._usual) / LEARNT
             return found
         if extra:
             self.doubled = True
@@ -150,7 +152,7 @@ class RegularStream:
         self.regular += len(places)
         for data in frames:
             self._remember(data)
-        self._usual += (delay - self._usual) * min(len(places), 8) / 8.0
+        self._usual += (delay - self._usual) * min(len(places) / LEARNT, 1.0)
         self._frame = _Frame(Instant(0), frames[-1], delay, False)
 
     def end(self) -> list[Extra]:
