@@ -18,8 +18,11 @@ class AppendFile:
             self.close()
             raise
 
-    def write(self, data: bytes) -> None:
-        """All of ``data`` or nothing of it. Error: OSError; the file is closed then."""
+    def write(self, data: bytes, *, unit: int = 0) -> None:
+        """All of ``data``, or as many entries of ``unit`` bytes as fit; without it, nothing.
+
+        Error: OSError; the file is closed then.
+        """
         view = memoryview(data)
         end = self._size
         try:
@@ -27,8 +30,9 @@ class AppendFile:
                 count = os.pwrite(self._descriptor, view, end)
                 view, end = view[count:], end + count
         except OSError:
-            if end > self._size:
-                os.ftruncate(self._descriptor, self._size)
+            fits = (end - self._size) // unit * unit if unit else 0
+            if end > self._size + fits:
+                os.ftruncate(self._descriptor, self._size + fits)
             self.close()
             raise
         self._size = end

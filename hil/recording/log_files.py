@@ -113,10 +113,14 @@ class RecordsKeeper(Keeper):
         self._drives |= drives_of(events)
         if self._zero.look(events):
             self._begin()
-        if self._blocks.add(rows):
-            self.flush()
-        else:
+        if not self._blocks.add(rows):
             self._tail.append(rows)
+            return
+        try:
+            self.flush()
+        except OSError:
+            self._tail.append(rows)  # a row takes less room there than its whole block
+            raise
 
     def flush(self) -> None:
         block = self._blocks.take()

@@ -32,8 +32,8 @@ class Tail:
         self.restart(0)
 
     def append(self, rows: NDArray[np.void]) -> None:
-        """Keep ``rows``, (n,). Error: OSError if the disk is full."""
-        self._file.write(rows.tobytes())
+        """Keep ``rows``, (n,). Error: OSError if the disk is full; as many as fit are kept then."""
+        self._file.write(rows.tobytes(), unit=self._dtype.itemsize)
 
     def restart(self, stored: int, rows: NDArray[np.void] | None = None) -> None:
         """The file holds the first ``stored`` rows of the run, and this one ``rows`` behind them."""

@@ -1,5 +1,8 @@
 """A recording plan, and how a run ended, for tests."""
 
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
@@ -26,3 +29,12 @@ def plan_for(folder: Path, real_time: bool = False) -> RecordingPlan:
         review=ReviewPlan((AxisPlan("axis1", 6_250.0),), VerdictLimits(dropouts_percent_max=10.0)),
         bench_toml="# resolved\n",
     )
+
+
+@contextmanager
+def files_below(size: int) -> Iterator[None]:
+    """No file may grow beyond ``size``, bytes; as if the disk were full there."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

@@ -2,9 +2,8 @@
 
 import json
 import os
-import resource
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from hil.rows.side_rows import TextEvent, frame_row
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import VerdictKind
 from tests.unit.hil.logger_fakes import Rings, made_rings
-from tests.unit.hil.recording_tools import plan_for, whole_outcome
+from tests.unit.hil.recording_tools import files_below, plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 from virtual_bus.faults.fault_log import BLOCK
 
@@ -108,15 +107,6 @@ def test_a_full_disk_under_one_file_spoils_only_that_file(tmp_path: Path, rings:
     assert json.loads((tmp_path / "summary.json").read_text())["recording_faults"] == [fault]
     for other in {"frames.log", "events.jsonl", "records.arrow", "run.rrd"} - {name}:
         assert (tmp_path / other).stat().st_size > 0
-
-
-@contextmanager
-def files_below(size: int) -> Iterator[None]:
-    """No file may grow beyond ``size``, bytes; as if the disk were full there."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_disk_that_fills_up_under_the_telemetry_is_told(rings: Rings, tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ from hil.rows.side_rows import (
     TextEvent,
 )
 from hil.verdict.summary import Summary
-from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.recording_tools import files_below, plan_for
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 from tests.unit.hil.test_log_files import summary_of, viewers
@@ -178,6 +178,21 @@ def test_8192_rows_are_a_batch(plan: RecordingPlan, tmp_path: Path, count: int, 
     keeper = RecordsKeeper(plan, tmp_path)
     tell(keeper, BeginEvent(Instant(0)), rows=rows)
     assert stored(tmp_path).size == (count if at_once else 0)
+
+
+@pytest.mark.parametrize("count", [100, 8192, 20_000])
+def test_as_many_rows_as_fit_are_kept_of_those_that_fill_a_disk(
+    plan: RecordingPlan, tmp_path: Path, count: int
+) -> None:
+    keeper, room = RecordsKeeper(plan, tmp_path), 20_000
+    tell(keeper, BeginEvent(BEGIN))
+    rows = plain_rows(count, velocity=np.random.default_rng(1).standard_normal(count))
+    with files_below(room), pytest.raises(OSError, match="File too large"):
+        tell(keeper, rows=rows)
+    kept = read_tail(tmp_path / TAIL_FILE, ROW_DTYPE, 0)
+    assert keeper.stored == 0
+    assert kept.size == (room - 24) // ROW_DTYPE.itemsize
+    assert kept.tobytes() == rows[: kept.size].tobytes()
 
 
 def test_a_run_without_a_cycle_has_records_all_the_same(plan: RecordingPlan, tmp_path: Path) -> None:
