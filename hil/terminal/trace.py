@@ -77,10 +77,13 @@ def _read(
     from hil.reviewing.trace.known_nodes import KnownNodes
     from hil.reviewing.trace.run_trace import RecordedBus
 
+    window = None
     if source.is_dir():
         run = RecordedBus(source)
-        known, log, zero_ns = run.known(sheets), run.log, run.zero_ns
-        frames = iter(run)
+        known, zero_ns = run.known(sheets), run.zero_ns
+        window = None if zero_ns is None else selection.window(zero_ns)
+        frames = iter(run) if window is None else run.of_window(window)
+        log = run.log
         for note in run.notes:
             say(f"hil: note: {note}")
     else:
@@ -88,7 +91,8 @@ def _read(
         known, frames, zero_ns = KnownNodes(sheets), iter(log), None
     if (first := next(frames, None)) is not None:
         zero_ns = first.at_ns if zero_ns is None else zero_ns
-        _print(selection, decode(chain((first,), frames), known), zero_ns or 0, as_json)
+        entries = decode(chain((first,), frames), known, None if window is None else window.end_ns)
+        _print(selection, entries, zero_ns or 0, as_json)
     for note in log.notes():
         say(f"hil: note: {source}: {note}")
 

@@ -25,6 +25,7 @@ from hil.reviewing.trace.capture_file import (
     capture_packets,
 )
 from hil.reviewing.trace.log_frame import LogFrame
+from hil.reviewing.trace.log_window import TimeWindow, lines_of_window
 
 STDIN: Final = Path("-")
 _GZIP_MAGIC: Final = b"\x1f\x8b"
@@ -37,9 +38,13 @@ _SHOWN_MAX: Final = 60
 class BusLog:
     """The frames of a log, and what in it was none."""
 
-    def __init__(self, path: Path, differences: bool = False) -> None:
-        """``differences``: each stamp counts from the frame before (candump -t d)."""
+    def __init__(self, path: Path, differences: bool = False, *, window: TimeWindow | None = None) -> None:
+        """``differences``: each stamp counts from the frame before (candump -t d).
+
+        ``window``: of a log in order of time only the frames in there, and what they rest on, are read.
+        """
         self._path = path
+        self._window = window
         self._differences = differences
         self.frames = 0
         """Read so far."""
@@ -91,8 +96,11 @@ class BusLog:
             start = file.peek(4)[:4]
             if start in PCAP_MAGICS or start == PCAPNG_MAGIC:
                 yield from self._captured(file)
-            else:
-                yield from self._listed(file)
+                return
+            lines = _lines(file) if self._window is None else lines_of_window(self._path, self._window)
+            for number, line in lines:
+                if (frame := self._listed(number, line)) is not None:
+                    yield frame
         except BrokenCapture as error:
             self.damage = str(error)
         except (EOFError, OSError, zlib.error) as error:
@@ -105,25 +113,27 @@ class BusLog:
             else:
                 yield packet
 
-    def _listed(self, file: io.BufferedReader) -> Iterator[LogFrame]:
-        number = 0
-        while line := file.readline(_LINE_MAX):
-            number += 1
-            whole = line.endswith(b"\n") or len(line) < _LINE_MAX
-            frame = frame_of_line(line, number) if whole else None
-            if frame is not None:
-                yield frame
-            elif not is_remark(line):
-                self._count(f"line {number}", line)
-            while not whole:
-                rest = file.readline(_LINE_MAX)
-                whole = rest.endswith(b"\n") or len(rest) < _LINE_MAX
+    def _listed(self, number: int, line: bytes) -> LogFrame | None:
+        frame = frame_of_line(line, number) if len(line) < _LINE_MAX or line.endswith(b"\n") else None
+        if frame is None and not is_remark(line):
+            self._count(f"line {number}", line)
+        return frame
 
     def _count(self, place: str, line: bytes) -> None:
         self.malformed += 1
         if self.malformed == 1:
             text = printable(line[:_SHOWN_MAX].decode("utf-8", "replace").rstrip())
             self.first_malformed = f"{place}: {text!r}" if text else place
+
+
+def _lines(file: io.BufferedReader) -> Iterator[tuple[int, bytes]]:
+    """Each with its number; of a longer one than any of candump its beginning."""
+    number = 0
+    while line := file.readline(_LINE_MAX):
+        number += 1
+        yield number, line
+        while not line.endswith(b"\n") and len(line) == _LINE_MAX:
+            line = file.readline(_LINE_MAX)
 
 
 @contextmanager

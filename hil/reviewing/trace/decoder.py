@@ -38,14 +38,20 @@ _NO_OBJECT: Final = (0x0602_0000, 0x0609_0011)
 _SDO_BYTES: Final = 8
 
 
-def decode(frames: Iterable[LogFrame], known: KnownNodes | None = None) -> Iterator[TraceEntry]:
+def decode(
+    frames: Iterable[LogFrame], known: KnownNodes | None = None, until_ns: int | None = None
+) -> Iterator[TraceEntry]:
     """The frames of a log or a live bus in words, in order of time; an SDO transfer comes where it ends.
 
-    ``known``: data sheets and scales. A page of a recording is made of the same entries.
+    ``known``: data sheets and scales. ``until_ns``: of a log in order of time, nothing is asked for that ends
+    later. A page of a recording is made of the same entries.
     """
     known = known or KnownNodes()
     channels: dict[str, BusDecoder] = {}
     for frame in frames:
+        behind = until_ns is not None and frame.at_ns is not None and frame.at_ns > until_ns
+        if behind and not any(decoder.has_transfer_since(until_ns) for decoder in channels.values()):
+            return
         decoder = channels.get(frame.channel)
         if decoder is None:
             decoder = channels[frame.channel] = BusDecoder(known, frame.channel)
@@ -99,6 +105,11 @@ class BusDecoder:
             for node, channel in sorted(self._sdo.items())
             for transfer in channel.close()
         ]
+
+    def has_transfer_since(self, at_ns: int | None) -> bool:
+        """Whether an SDO transfer that began by then has not ended."""
+        pending = [channel.pending for channel in self._sdo.values()]
+        return any(one is not None and (one.first.at_ns or 0) <= (at_ns or 0) for one in pending)
 
     def _objects(self, node: int) -> NodeObjects:
         objects = self._nodes.get(node)

@@ -16,6 +16,7 @@ from hil.configuration.bench_file import load_bench
 from hil.reviewing.trace.bus_log import BusLog
 from hil.reviewing.trace.known_nodes import KnownNodes, NodeKey, SheetFile
 from hil.reviewing.trace.log_frame import LogFrame
+from hil.reviewing.trace.log_window import TimeWindow
 from hil.rows.records_file import read_metadata, refuse_later_format
 from hil.rows.run_files import (
     BENCH_FILE,
@@ -52,12 +53,20 @@ class RecordedBus:
 
     def __iter__(self) -> Iterator[LogFrame]:
         """Each frame with T or R."""
+        return self._told(self.log)
+
+    def of_window(self, window: TimeWindow) -> Iterator[LogFrame]:
+        """The same of the frames in a window, as frames.log counts, and of those that say what they mean."""
+        self.log = BusLog(self._folder / FRAMES_FILE, window=window)
+        return self._told(self.log)
+
+    def _told(self, log: BusLog) -> Iterator[LogFrame]:
         path = self._folder / DIRECTIONS_FILE
         if not path.exists() or not path.stat().st_size:
-            yield from self.log
+            yield from log
             return
         with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as letters:
-            for frame in self.log:
+            for frame in log:
                 place = (frame.number - 1) * DIRECTION_BYTES
                 yield frame._replace(sent=letters[place : place + 1].decode("latin-1"))
 

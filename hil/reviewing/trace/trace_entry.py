@@ -1,12 +1,16 @@
 """One line of a decoded bus, and which lines somebody wants to see."""
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any, Final, NamedTuple
 
 from drivers.timebase import NS_PER_S
+from hil.reviewing.trace.log_window import TimeWindow
 from hil.reviewing.trace.object_value import ObjectValue
 
 KINDS: Final = ("nmt", "sync", "emcy", "time", "heartbeat", "guarding", "sdo", "pdo", "lss", "error", "other")
+
+_EVER_NS: Final = 1 << 62
 
 
 class TraceEntry(NamedTuple):
@@ -83,6 +87,16 @@ class TraceSelection(NamedTuple):
                 continue
             if self._in_time(entry, zero_ns):
                 yield entry
+
+    def window(self, zero_ns: int) -> TimeWindow | None:
+        """The same times as a log counts; None: all of it is wanted."""
+        if self.from_s is None and self.to_s is None:
+            return None
+        begin, end = (
+            wide if at_s is None else zero_ns + math.floor(at_s * NS_PER_S)
+            for at_s, wide in ((self.from_s, -_EVER_NS), (self.to_s, _EVER_NS))
+        )
+        return TimeWindow(begin, end + 1)
 
     def _in_time(self, entry: TraceEntry, zero_ns: int) -> bool:
         if self.from_s is None and self.to_s is None:
