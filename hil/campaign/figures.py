@@ -1,7 +1,7 @@
 """What a campaign came to: rates, quantiles, worst cases, sensitivities, pairs; plain values."""
 
 import math
-from itertools import product
+from collections.abc import Collection
 from statistics import NormalDist
 from typing import Any
 
@@ -140,13 +140,22 @@ def _sensitivities(done: Campaign) -> dict[str, Any]:
     return sensitivities
 
 
-def worst_runs(done: Campaign) -> list[dict[str, Any]]:
-    """Those that were not completed first, then by their peak error."""
-    peak = done.column(PEAK).astype(float)
-    order = np.lexsort((-np.nan_to_num(peak, nan=np.inf), done.column("completed").astype(bool)))
+def worst_first(done: Campaign) -> NDArray[np.intp]:
+    """(runs,) places in the table: those that failed first, of them those cut short, then by peak error."""
+    peak = -np.nan_to_num(done.column(PEAK).astype(float), nan=np.inf)
+    passed, completed = (done.column(name).astype(bool) for name in ("passed", "completed"))
+    order: NDArray[np.intp] = np.lexsort((peak, completed, passed))
+    return order
+
+
+def worst_runs(done: Campaign, named: Collection[int] = ()) -> list[dict[str, Any]]:
+    """The first of them, and those among the others that are ``named``."""
     keys = list(done.plan.run(0).labels)
     columns = ["run", "seed", *keys, "outcome", PEAK, "reason", "digest"]
-    rows: list[dict[str, Any]] = done.table.select(columns).take(order[:WORST_SHOWN]).to_pylist()
+    numbers = done.column("run").astype(int)
+    order = worst_first(done)
+    chosen = [place for rank, place in enumerate(order) if rank < WORST_SHOWN or numbers[place] in named]
+    rows: list[dict[str, Any]] = done.table.select(columns).take(chosen).to_pylist()
     return rows
 
 
@@ -174,17 +183,3 @@ def _pair(done: Campaign, axis: GridAxis, place: int) -> dict[str, Any]:
     change = _plain(comparison.pop("difference"), "mean")
     named = {"key": axis.title, "first": axis.labels[0], "second": axis.labels[place]}
     return {**named, **comparison, "peak_percent_second_less_first": change}
-
-
-def grid_of(done: Campaign, rows: GridAxis, across: GridAxis) -> dict[str, NDArray[np.float64]]:
-    """(rows, columns) over two axes, all others pooled: pass rate, largest peak error; NaN: no run."""
-    shape = (len(rows.labels), len(across.labels))
-    rate, peak = np.full(shape, np.nan), np.full(shape, np.nan)
-    passed, error = done.column("passed").astype(float), done.column(PEAK).astype(float)
-    for row, column in product(range(shape[0]), range(shape[1])):
-        where = done.at(rows, row) & done.at(across, column)
-        if where.any():
-            rate[row, column] = passed[where].mean()
-            finite = error[where][np.isfinite(error[where])]
-            peak[row, column] = finite.max() if finite.size else np.nan
-    return {"pass rate": rate, "largest peak error, %": peak}

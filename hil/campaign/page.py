@@ -8,11 +8,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from matplotlib import colormaps
-from numpy.typing import NDArray
 
 from hil.campaign.campaign import Campaign
-from hil.campaign.figures import PEAK, figures_of, grid_of
+from hil.campaign.cells import CellMap, cell_maps
+from hil.campaign.figures import PEAK, figures_of
 from hil.campaign.plan import GridAxis
 from hil.recording.rerun_page import framed, plot, stream_into
 
@@ -22,8 +21,6 @@ _APPLICATION: Final = "servobench campaign"
 _MEMBERS: Final = "/members"
 _GREEN, _RED = (112, 224, 128), (255, 74, 96)
 _INK: Final = (235, 235, 235)
-_GREY: Final = 60
-"""Of 255: cells without runs."""
 _MARGIN: Final = 0.5
 """Of a cell, about the map."""
 
@@ -48,47 +45,23 @@ def write_page(done: Campaign, place: Path) -> None:
 
 def _send_maps(stream: rr.RecordingStream, done: Campaign) -> Iterator[_Map]:
     for number, (rows, across) in enumerate(combinations(done.plan.axes, 2)):
-        worst = _worst_in_cells(done, rows, across)
-        for name, values in grid_of(done, rows, across).items():
-            is_rate = name == "pass rate"
-            path = f"/map{number}/{'rate' if is_rate else 'peak'}"
-            stream.log(f"{path}/cells", rr.Image(_colors(values, is_rate=is_rate)), static=True)
-            stream.log(f"{path}/values", _labels(values, worst, is_rate=is_rate), static=True)
+        for cells in cell_maps(done, rows, across):
+            path = f"/map{number}/{'rate' if cells.is_rate else 'peak'}"
+            stream.log(f"{path}/cells", rr.Image(cells.colors), static=True)
+            stream.log(f"{path}/values", _labels(cells), static=True)
             stream.log(f"{path}/keys", _keys(rows, across), static=True)
-            yield _Map(path, f"{name}: {rows.title} (down) over {across.title}", values.shape)
+            yield _Map(path, f"{cells.title}: {rows.title} (down) over {across.title}", cells.values.shape)
 
 
-def _worst_in_cells(done: Campaign, rows: GridAxis, across: GridAxis) -> NDArray[np.int64]:
-    """(rows, columns): the run with the largest peak error, or one that did not come to its end; -1: none."""
-    peak = done.column(PEAK).astype(float)
-    peak = np.where(np.isfinite(peak), peak, np.inf)
-    numbers = done.column("run").astype(int)
-    worst = np.full((len(rows.labels), len(across.labels)), -1)
-    for place in np.ndindex(worst.shape):
-        inside = done.at(rows, place[0]) & done.at(across, place[1])
-        if inside.any():
-            worst[place] = numbers[inside][np.argmax(peak[inside])]
-    return worst
-
-
-def _colors(values: NDArray[np.float64], *, is_rate: bool) -> NDArray[np.uint8]:
-    """(rows, columns, 3): a pixel for each cell; one without a value is grey."""
-    finite = values[np.isfinite(values)]
-    low, high = (0.0, 1.0) if is_rate or not finite.size else (float(finite.min()), float(finite.max()))
-    shares = (values - low) / (high - low) if high > low else np.full(values.shape, 0.5)
-    shades = colormaps["RdYlGn" if is_rate else "viridis_r"](np.nan_to_num(shares))
-    rgb = np.where(np.isfinite(values)[..., None], shades[..., :3], _GREY / 255.0)
-    return np.asarray(np.round(255.0 * rgb), np.uint8)
-
-
-def _labels(values: NDArray[np.float64], worst: NDArray[np.int64], *, is_rate: bool) -> rr.Points2D:
-    """In each cell its value, and its worst run."""
-    places, labels = [], []
-    for (row, column), value in np.ndenumerate(values):
-        label = "none" if not np.isfinite(value) else f"{value:.2f}" if is_rate else f"{value:.3g} %"
-        places.append((column + 0.5, row + 0.5))
-        labels.append(f"{label} · run {worst[row, column]}" if worst[row, column] >= 0 else label)
-    return rr.Points2D(places, labels=labels, colors=_INK, radii=0.02, show_labels=True)
+def _labels(cells: CellMap) -> rr.Points2D:
+    places = list(np.ndindex(cells.values.shape))
+    return rr.Points2D(
+        [(column + 0.5, row + 0.5) for row, column in places],
+        labels=[cells.label(*place) for place in places],
+        colors=cells.inks.reshape(-1, 3),
+        radii=0.02,
+        show_labels=True,
+    )
 
 
 def _keys(rows: GridAxis, across: GridAxis) -> rr.Points2D:
@@ -124,7 +97,8 @@ def _markdown(done: Campaign, figures: dict[str, Any]) -> str:
         [
             f"# Campaign {figures['name']}",
             f"{figures['passed']} of {figures['runs']} runs passed: {outcomes}.",
-            "A cell of a map names its worst run. To look into a run, and to lay it beside another:",
+            "A cell of pass rates names the worst of its runs that did not pass, one of errors that of the "
+            "largest. To look into a run, and to lay it beside another:",
             f"    hil campaign replay {done.folder} --run K --into runs/K\n"
             "    hil view runs/K\n    hil compare runs/K runs/L",
             "\n".join(["| worst run | outcome | peak | keys |", "|--:|:--|--:|:--|", *rows]),

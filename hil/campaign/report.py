@@ -1,19 +1,19 @@
 """A campaign as one HTML file that needs nothing beside it."""
 
 import io
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from html import escape
-from itertools import combinations
+from itertools import chain, combinations, repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
-from numpy.typing import NDArray
 
 from hil.campaign.campaign import Campaign
-from hil.campaign.figures import PEAK, failure_line, figures_of, grid_of
+from hil.campaign.cells import CellMap, cell_maps
+from hil.campaign.figures import PEAK, failure_line, figures_of, worst_runs
 from hil.campaign.plan import GridAxis
 
 CELLS_NAMED_MAX = 200
@@ -50,8 +50,11 @@ def _parts(done: Campaign, figures: dict[str, Any]) -> Iterator[str]:
             f"<p class='b'>{escape(failure_line(figures['failure']))}</p><p>Tables of figures and of what "
             "matters are of the first round alone, which is drawn as the sweep has it.</p>"
         )
+    named = set[int]()
     for rows, across in combinations(done.plan.axes, 2):
-        yield f"<h2>{escape(rows.title)} over {escape(across.title)}</h2>{heat_maps(done, rows, across)}"
+        maps = cell_maps(done, rows, across)
+        named.update(run for cells in maps for run in cells.runs.ravel().tolist())
+        yield f"<h2>{escape(rows.title)} over {escape(across.title)}</h2>{heat_maps(maps, rows, across)}"
     yield "<h2>Points</h2>" + _table(
         ("point", "runs", "passed", "rate", "low", "high", "peak error, 95 % of runs", "low", "high"),
         map(_point, figures["points"]),
@@ -65,7 +68,7 @@ def _parts(done: Campaign, figures: dict[str, Any]) -> Iterator[str]:
     )
     if figures["sensitivity"]:
         yield _sensitivity(figures["sensitivity"])
-    yield _worst(done, figures["worst"])
+    yield _worst(done, worst_runs(done, named))
 
 
 def _certificate(tally: dict[str, Any]) -> str:
@@ -123,46 +126,50 @@ def _worst(done: Campaign, worst: list[dict[str, Any]]) -> str:
         command = f"hil campaign replay {done.folder} --run {each['run']}"
         keys = ", ".join(f"{key} = {_number(each[key])}" for key in done.plan.run(0).labels)
         rows.append((each["run"], keys, each["seed"], each["outcome"], _number(each[PEAK]), command))
-    return "<h2>Worst runs</h2>" + _table(("run", "keys", "seed", "outcome", "peak, %", "again"), rows)
+    titles = ("run", "keys", "seed", "outcome", "peak, %", "again")
+    told = "<p>Those that did not pass first, then by their peak error; every run that a map names.</p>"
+    return f"<h2>Worst runs</h2>{told}" + _table(titles, rows, [f"run{each['run']}" for each in worst])
 
 
-def heat_maps(done: Campaign, rows: GridAxis, across: GridAxis) -> str:
-    """Pass rate and largest peak error as one SVG; other axes are pooled."""
+def heat_maps(maps: Sequence[CellMap], rows: GridAxis, across: GridAxis) -> str:
+    """As one SVG; a cell is a link to the run that it names."""
     picture = Picture(figsize=(12.0, 0.8 + 0.5 * max(6, len(rows.labels))), layout="constrained")
-    for axes, (title, values) in zip(
-        np.atleast_1d(picture.subplots(1, 2)), grid_of(done, rows, across).items(), strict=True
-    ):
-        _heat_map(axes, title, values, rows, across)
+    for axes, cells in zip(picture.subplots(1, len(maps)), maps, strict=True):
+        _heat_map(axes, cells, rows, across)
     text = io.StringIO()
     picture.savefig(text, format="svg", metadata={"Date": None})
     return text.getvalue()[text.getvalue().index("<svg") :]
 
 
-def _heat_map(axes: Axes, title: str, values: NDArray[np.float64], rows: GridAxis, across: GridAxis) -> None:
-    is_rate = title == "pass rate"
+def _heat_map(axes: Axes, cells: CellMap, rows: GridAxis, across: GridAxis) -> None:
     image = axes.imshow(
-        values,
+        cells.values,
         origin="lower",
         aspect="auto",
-        cmap="RdYlGn" if is_rate else "viridis_r",
-        vmin=0.0 if is_rate else None,
-        vmax=1.0 if is_rate else None,
+        cmap=cells.palette,
+        vmin=0.0 if cells.is_rate else None,
+        vmax=1.0 if cells.is_rate else None,
     )
-    axes.set(title=title, xlabel=across.title, ylabel=rows.title)
+    axes.set(title=cells.title, xlabel=across.title, ylabel=rows.title)
     axes.set_xticks(range(len(across.labels)), across.labels, rotation=30, ha="right")
     axes.set_yticks(range(len(rows.labels)), rows.labels)
     axes.figure.colorbar(image, ax=axes)
-    if values.size <= CELLS_NAMED_MAX:
-        for (row, column), value in np.ndenumerate(values):
-            if np.isfinite(value):
-                axes.text(
-                    column, row, f"{value:.2f}" if is_rate else f"{value:.3g}", ha="center", va="center"
-                )
+    if cells.values.size <= CELLS_NAMED_MAX:
+        for row, column in np.argwhere(np.isfinite(cells.values)):
+            lines = cells.label(row, column).replace(" (", "\n(").replace(", ", "\n")
+            ink = cells.inks[row, column] / 255.0
+            run = cells.runs[row, column]
+            url = f"#run{run}" if run >= 0 else None
+            axes.text(column, row, lines, ha="center", va="center", color=ink, fontsize="small", url=url)
 
 
-def _table(titles: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+def _table(titles: Iterable[str], rows: Iterable[Iterable[Any]], ids: Iterable[str] = ()) -> str:
+    """``ids``: of the rows, for links to them."""
     head = "".join(f"<th>{escape(title)}</th>" for title in titles)
-    body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
+    marks = chain((f" id='{each}'" for each in ids), repeat(""))
+    body = "".join(
+        f"<tr{mark}>{''.join(map(_cell, row))}</tr>" for row, mark in zip(rows, marks, strict=False)
+    )
     return f"<table><tr>{head}</tr>{body}</table>"
 
 

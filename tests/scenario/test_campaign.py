@@ -18,8 +18,9 @@ from drivers.errors import BadInput
 from hil import run as run_bench
 from hil.campaign import Campaign, CampaignPlan, CampaignProgress, run_campaign
 from hil.campaign import pool as pool_module
+from hil.campaign.cells import cell_maps
 from hil.campaign.chunks import RunRefused, WorkerDied
-from hil.campaign.figures import figures_of, grid_of
+from hil.campaign.figures import figures_of
 from hil.campaign.page import write_page
 from hil.campaign.pool import DEATHS_MAX, Worker, WorkerPool
 from hil.campaign.store import open_campaign
@@ -286,8 +287,9 @@ def test_its_page_has_every_run_and_a_cell_s_worst_run(done: Campaign, tmp_path:
         assert [value for (value,) in drawn] == pytest.approx(shown.tolist())
     _, labels = columns(tmp_path / "page.rrd", "/map0/rate/values", "Points2D:labels")
     rows, across = both.plan.axes
-    rate = grid_of(both, rows, across)["pass rate"]
-    assert labels == [[f"{value:.2f} · run {number}" for number, value in enumerate(rate.ravel())]]
+    rate, _ = cell_maps(both, rows, across)
+    assert labels == [[rate.label(*place) for place in np.ndindex(rate.values.shape)]]
+    assert [run for run in rate.runs.ravel() if run >= 0] == np.flatnonzero(~passed).tolist(), "one a cell"
     write_page(done, tmp_path / "one_key.rrd")
     _, text = columns(tmp_path / "one_key.rrd", "/summary", "TextDocument:text")
     assert "hil campaign replay" in str(text)

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from numpy.typing import NDArray
 
 from hil.campaign.campaign import Campaign
-from hil.campaign.figures import PEAK, figures_of, grid_of, worst_runs
+from hil.campaign.cells import cell_maps
+from hil.campaign.figures import PEAK, figures_of, worst_runs
 from hil.campaign.plan import GridAxis
 from hil.campaign.worker import FIGURES
 
@@ -75,11 +77,18 @@ def done() -> Campaign:
     return made
 
 
-def test_the_worst_are_those_cut_short_and_then_those_of_the_largest_error(done: Campaign) -> None:
+def test_the_worst_are_those_that_failed_first_of_them_those_cut_short_then_by_error(done: Campaign) -> None:
+    def rank(number: int) -> tuple[bool, bool, float]:
+        return PASSED[number], COMPLETED[number], -math.inf if number == UNMEASURED else -PEAKS[number]
+
+    expected = sorted(range(RUNS), key=rank)
     worst = worst_runs(done)
-    rest = sorted((number for number in range(RUNS) if COMPLETED[number]), key=lambda number: -PEAKS[number])
-    assert [row["run"] for row in worst] == [UNMEASURED, 3, *rest][:10]
-    assert worst[1] == {
+    assert [row["run"] for row in worst] == expected[:10]
+    assert [row["run"] for row in worst_runs(done, {expected[0], expected[-1]})] == [
+        *expected[:10],
+        expected[-1],
+    ]
+    assert next(row for row in worst if row["run"] == 3) == {
         "run": 3,
         "seed": 103,
         **labels(3),
@@ -91,12 +100,38 @@ def test_the_worst_are_those_cut_short_and_then_those_of_the_largest_error(done:
 
 
 def test_a_map_pools_what_is_not_on_its_axes(done: Campaign) -> None:
-    maps = grid_of(done, LOAD, CONTROLLER)
+    rate, peak = cell_maps(done, LOAD, CONTROLLER)
+    for number, (load, controller) in enumerate(POINTS):
+        here = [n for n in range(RUNS) if POINTS[n % 6] == (load, controller)]
+        assert rate.values[load, controller] == sum(PASSED[n] for n in here) / REPLICATES
+        assert (rate.low[load, controller], rate.high[load, controller]) == done.pass_rate(number)[1:]
+        assert peak.values[load, controller] == max(PEAKS[n] for n in here if n != UNMEASURED)
+    pooled, _ = cell_maps(done, LOAD, LOAD)
+    assert np.isnan(pooled.low).all(), "points share their seeds: there is no interval over several"
+
+
+def test_a_map_names_the_guilty_and_no_run_that_passed(done: Campaign) -> None:
+    rate, peak = cell_maps(done, LOAD, CONTROLLER)
     for load, controller in POINTS:
         here = [n for n in range(RUNS) if POINTS[n % 6] == (load, controller)]
-        assert maps["pass rate"][load, controller] == sum(PASSED[n] for n in here) / REPLICATES
-        peak = max(PEAKS[n] for n in here if n != UNMEASURED)
-        assert maps["largest peak error, %"][load, controller] == peak
+        run = rate.runs[load, controller]
+        failed = [n for n in here if not PASSED[n]]
+        assert (run in failed) if failed else run == -1
+        assert PEAKS[peak.runs[load, controller]] == max(PEAKS[n] for n in here if n != UNMEASURED)
+
+
+def test_labels_can_be_read_on_every_cell(done: Campaign) -> None:
+    """By a contrast of 4.5 to 1 (WCAG 2.2, 1.4.3), whatever the value."""
+
+    def luminance(color: NDArray[np.uint8]) -> float:
+        parts = [part / 12.92 if part <= 0.03928 else ((part + 0.055) / 1.055) ** 2.4 for part in color / 255]
+        return float(0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2])
+
+    for cells in cell_maps(done, LOAD, CONTROLLER):
+        drawn = cells._replace(values=np.append(np.linspace(0.0, 1.0, 500), np.nan)[None])
+        for color, ink in zip(drawn.colors[0], drawn.inks[0], strict=True):
+            light, dark = sorted((luminance(color), luminance(ink)), reverse=True)
+            assert (light + 0.05) / (dark + 0.05) >= 4.5
 
 
 def test_figures_are_counted_and_of_what_was_measured(done: Campaign) -> None:

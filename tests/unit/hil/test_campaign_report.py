@@ -17,6 +17,7 @@ from rerun.chunk import RrdReader
 
 from hil.campaign import page, report
 from hil.campaign.campaign import Campaign
+from hil.campaign.cells import CellMap, cell_maps
 from hil.campaign.figures import PEAK
 from hil.campaign.plan import GridAxis
 from hil.campaign.worker import FIGURES
@@ -82,7 +83,7 @@ def made(certificate: str = "", adaptive: Any = None) -> Campaign:
 @pytest.fixture
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Maps are looked at by themselves."""
-    monkeypatch.setattr(report, "heat_maps", lambda _done, rows, across: f"[{rows.title} x {across.title}]")
+    monkeypatch.setattr(report, "heat_maps", lambda _maps, rows, across: f"[{rows.title} x {across.title}]")
 
 
 def sections(done: Campaign, place: Path) -> dict[str, str]:
@@ -99,7 +100,7 @@ def sections(done: Campaign, place: Path) -> dict[str, str]:
 
 def table(text: str) -> list[list[str]]:
     (body,) = re.findall(r"<table>(.*)</table>", text)
-    rows = re.findall(r"<tr>(.*?)</tr>", body)
+    rows = re.findall(r"<tr(?: id='run\d+')?>(.*?)</tr>", body)
     return [re.findall(r"<t[hd](?: class='n')?>(.*?)</t[hd]>", row) for row in rows]
 
 
@@ -146,7 +147,15 @@ def test_the_tables_are_rows_of_figures(tmp_path: Path) -> None:
     assert points[6][:3] == ["p5", "1", "0"]
     worst = table(parts["Worst runs"])
     assert worst[0] == ["run", "keys", "seed", "outcome", "peak, %", "again"]
-    assert worst[1] == [
+    assert [row[0] for row in worst[1:]] == ["9", "5", "1", "4", "10", "8", "7", "6", "3", "2"]
+    assert worst[1][:5] == [
+        "9",
+        "load.nm = 0.2, controller = &lt;hinf&gt;",
+        "109",
+        "not &lt;passed&gt;",
+        "10.5",
+    ]
+    assert worst[4] == [
         "4",
         "load.nm = 0.4, controller = pi",
         "104",
@@ -154,7 +163,6 @@ def test_the_tables_are_rows_of_figures(tmp_path: Path) -> None:
         "-",
         "hil campaign replay some where --run 4",
     ]
-    assert worst[2][:5] == ["10", "load.nm = 0.4, controller = pi", "110", "passed", "11.5"]
     assert len(worst) == 11
     quantiles = table(parts["Figures of all runs"])
     assert quantiles[1] == ["speed_error_peak_percent", "%", "10", "7", "11.05", "11.5"]
@@ -210,7 +218,7 @@ def pictures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 
 
 def test_a_heat_map_shows_rate_and_peak_of_each_cell(pictures: list[Figure]) -> None:
-    text = report.heat_maps(made(), LOAD, KIND)
+    text = report.heat_maps(cell_maps(made(), LOAD, KIND), LOAD, KIND)
     assert text.startswith("<svg ")
     assert "dc:date" not in text
     (picture,) = pictures
@@ -222,25 +230,36 @@ def test_a_heat_map_shows_rate_and_peak_of_each_cell(pictures: list[Figure]) -> 
         assert [label.get_text() for label in axes.get_xticklabels()] == ["pi", "<hinf>"]
         assert [label.get_text() for label in axes.get_yticklabels()] == ["0.1", "0.2", "0.4"]
     rates, peaks = rate.images[0], peak.images[0]
-    assert (rates.cmap.name, rates.get_clim(), rates.origin) == ("RdYlGn", (0.0, 1.0), "lower")
+    assert (rates.cmap.name, rates.get_clim(), rates.origin) == ("RdYlBu", (0.0, 1.0), "lower")
     assert (peaks.cmap.name, peaks.get_clim()) == ("viridis_r", (6.5, 11.5))
     written = {text.get_position(): text.get_text() for text in rate.texts}
-    assert written[0, 0] == "1.00"
-    assert written[1, 2] == "0.00"
+    assert written[0, 0].splitlines() == ["1.00", "(0.16 to 1.00)"]
+    assert written[1, 2].splitlines() == ["0.00", "(0.00 to 0.97)", "run 5"]
     assert {text.get_position(): text.get_text() for text in peak.texts} == {
-        (0, 0): "7.5", (1, 0): "8.5", (0, 1): "9.5", (1, 1): "10.5", (0, 2): "11.5", (1, 2): "6.5",
+        (0, 0): "7.5 %\nrun 6", (1, 0): "8.5 %\nrun 7", (0, 1): "9.5 %\nrun 8",
+        (1, 1): "10.5 %\nrun 9", (0, 2): "11.5 %\nrun 10", (1, 2): "6.5 %\nrun 5",
     }  # fmt: skip
+
+
+def test_a_cell_is_a_link_to_its_run(tmp_path: Path) -> None:
+    report.write_report(made(), tmp_path / "r.html")
+    text = (tmp_path / "r.html").read_text()
+    links, places = set(re.findall(r'"#(run\d+)"', text)), re.findall(r"<tr id='(run\d+)'>", text)
+    assert links == {f"run{number}" for number in (1, 5, 6, 7, 8, 9, 10)}
+    assert links <= set(places)
 
 
 @pytest.mark.parametrize(("rows", "named"), [(20, True), (21, False)])
 def test_beyond_two_hundred_cells_no_number_is_written(rows: int, named: bool) -> None:
     values = np.zeros((rows, 10))
     values[0, 0] = math.nan
-    axes = Figure().add_subplot()
     down = GridAxis("a", (), tuple(map(str, range(rows))), None)
     across = GridAxis("b", (), tuple(map(str, range(10))), None)
-    report._heat_map(axes, "pass rate", values, down, across)
-    assert len(axes.texts) == (rows * 10 - 1 if named else 0)
+    nowhere = np.full(values.shape, math.nan)
+    cells = CellMap("pass rate", values, nowhere, nowhere, np.full(values.shape, -1), True)
+    assert report.heat_maps([cells, cells], down, across).count("<!-- 0.00 -->") == (
+        2 * (rows * 10 - 1) if named else 0
+    )
 
 
 GREY = [60, 60, 60]
@@ -250,26 +269,31 @@ def shade(name: str, share: float) -> list[int]:
     return [round(255 * part) for part in colormaps[name](share)[:3]]
 
 
+def cells_of(values: list[list[float]], is_rate: bool, runs: list[list[int]] | None = None) -> CellMap:
+    array = np.array(values)
+    nowhere = np.full(array.shape, math.nan)
+    named = np.full(array.shape, -1) if runs is None else np.array(runs)
+    return CellMap("", array, nowhere, nowhere, named, is_rate)
+
+
 def test_cells_are_coloured_by_their_share() -> None:
-    rates = page._colors(np.array([[0.0, 0.5], [1.0, math.nan]]), is_rate=True)
+    rates = cells_of([[0.0, 0.5], [1.0, math.nan]], True).colors
     assert rates.tolist() == [
-        [shade("RdYlGn", 0.0), shade("RdYlGn", 0.5)],
-        [shade("RdYlGn", 1.0), GREY],
+        [shade("RdYlBu", 0.0), shade("RdYlBu", 0.5)],
+        [shade("RdYlBu", 1.0), GREY],
     ]
-    peaks = page._colors(np.array([[4.0, 6.0, math.nan, 8.0]]), is_rate=False)
+    peaks = cells_of([[4.0, 6.0, math.nan, 8.0]], False).colors
     assert peaks.tolist() == [
         [shade("viridis_r", 0.0), shade("viridis_r", 0.5), GREY, shade("viridis_r", 1.0)]
     ]
-    same = page._colors(np.array([[4.0, 4.0]]), is_rate=False)
-    assert same.tolist() == [[shade("viridis_r", 0.5)] * 2]
-    assert page._colors(np.array([[math.nan]]), is_rate=False).tolist() == [[GREY]]
+    assert cells_of([[4.0, 4.0]], False).colors.tolist() == [[shade("viridis_r", 0.5)] * 2]
+    assert cells_of([[math.nan]], False).colors.tolist() == [[GREY]]
 
 
-def test_a_cell_names_its_worst_run() -> None:
-    worst = page._worst_in_cells(made(), LOAD, KIND)
-    assert worst.tolist() == [[6, 7], [8, 9], [4, 5]], "run 4 came to no error that is known"
+def test_a_map_without_runs_names_none() -> None:
     nothing = GridAxis("load.nm", (), ("9",), (9.0,))
-    assert page._worst_in_cells(made(), nothing, KIND).tolist() == [[-1, -1]]
+    for cells in cell_maps(made(), nothing, KIND):
+        assert [cells.label(0, 0), cells.label(0, 1)] == ["none", "none"]
 
 
 def texts(points: rr.Points2D) -> tuple[list[str], list[list[float]]]:
@@ -279,11 +303,12 @@ def texts(points: rr.Points2D) -> tuple[list[str], list[list[float]]]:
 
 
 def test_values_and_keys_stand_in_and_beside_the_cells() -> None:
-    values, worst = np.array([[0.25, math.nan], [1.0, 12.3456]]), np.array([[3, -1], [0, 7]])
-    told, places = texts(page._labels(values, worst, is_rate=True))
-    assert told == ["0.25 · run 3", "none", "1.00 · run 0", "12.35 · run 7"]
+    values, runs = [[0.25, math.nan], [1.0, 12.3456]], [[3, -1], [-1, 7]]
+    rates, errors = cells_of(values, True, runs), cells_of(values, False, runs)
+    told, places = texts(page._labels(rates))
+    assert told == ["0.25, run 3", "none", "1.00", "12.35, run 7"]
     assert places == [[0.5, 0.5], [1.5, 0.5], [0.5, 1.5], [1.5, 1.5]]
-    assert texts(page._labels(values, worst, is_rate=False))[0][3] == "12.3 % · run 7"
+    assert texts(page._labels(errors))[0][3] == "12.3 %, run 7"
     told, places = texts(page._keys(LOAD, KIND))
     assert told == ["0.1", "0.2", "0.4", "pi", "<hinf>"]
     assert places == [[-0.25, 0.5], [-0.25, 1.5], [-0.25, 2.5], [0.5, 3.25], [1.5, 3.25]]
@@ -327,7 +352,8 @@ def test_the_summary_leads_from_a_cell_to_a_run() -> None:
     assert page._markdown(made(), figures).split("\n\n") == [
         "# Campaign x",
         "3 of 4 runs passed: 3 passed, 1 failed.",
-        "A cell of a map names its worst run. To look into a run, and to lay it beside another:",
+        "A cell of pass rates names the worst of its runs that did not pass, one of errors that of the "
+        "largest. To look into a run, and to lay it beside another:",
         "    hil campaign replay some where --run K --into runs/K\n"
         "    hil view runs/K\n    hil compare runs/K runs/L",
         "| worst run | outcome | peak | keys |\n|--:|:--|--:|:--|\n"
