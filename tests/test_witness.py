@@ -258,9 +258,11 @@ def cycles(periods_ms: Sequence[float], answer_ms: float = 1.0) -> list[Frame]:
     ("frames", "said"),
     [
         (cycles([4.0] * 1000), ""),
-        (cycles([4.0] * 500 + [2000.0] + [4.0] * 500), ""),
+        (cycles([4.0] * 500 + [36.0] + [4.0] * 500), ""),
+        (sorted([*cycles([4.0] * 500 + [2000.0] + [4.0] * 500), Frame(3.0, 0x601, bytes(8))]), ""),
+        (cycles([4.0] * 500 + [104.0] + [4.0] * 500), "nothing for 104 ms between two SYNCs"),
         (cycles([4.0] * 1000 + [8.0, 4.0] * 3), "3 of 1005 cycles"),
-        (cycles([4.0] * 500) + [Frame(2.0 + n, 0x080, b"") for n in range(3)], "2 of 502 cycles"),
+        (cycles([4.0] * 500) + [Frame(2.0 + n / 500, 0x080, b"") for n in range(3)], "2 of 502 cycles"),
         (
             [Frame(0.0, 0x601, bytes(8)), Frame(0.1, 0x601, bytes(8)), Frame(0.3, 0x581, bytes(8))],
             "took 300 ms",

@@ -8,12 +8,16 @@ from typing import Final
 from tests.witness.frames import Frame
 
 SYNC: Final = 0x080
+NMT: Final = 0x000
 _CYCLES_MIN: Final = 100
 """Fewer tell no period."""
 _LATE_BY: Final = 0.75
 """Of a period: the SYNCs by which a loop learns a drive's clock before it begins are 1.5 periods apart."""
 _PAUSE: Final = 4.5
 """Periods without SYNC from which on the host has paused: between exercises it asks a drive every five."""
+_STANDSTILL: Final = 10.0
+"""Periods between two SYNCs without a word of the host from which on it was kept from its work: where it
+pauses for longer, to reckon, it asks or commands by SDO or NMT before the next SYNC."""
 _SHARE_MAX: Final = 0.002
 """Of the cycles: a machine that has time for all is late in none or two of a thousand."""
 _ANSWER_S: Final = 0.2
@@ -28,6 +32,9 @@ def lateness(frames: Sequence[Frame], node: int) -> str:
     cycles, late = _late_cycles(frames, node)
     if late > _SHARE_MAX * cycles:
         told.append(f"{late} of {cycles} cycles were late on the bus")
+    silent_s = _standstill(frames, node)
+    if silent_s > 0.0:
+        told.append(f"the host said nothing for {1e3 * silent_s:.0f} ms between two SYNCs")
     answer_s = _slowest_answer(frames, node)
     if answer_s > _ANSWER_S:
         told.append(f"an SDO answer took {1e3 * answer_s:.0f} ms")
@@ -51,6 +58,20 @@ def _late_cycles(frames: Sequence[Frame], node: int) -> tuple[int, int]:
         for gap, told in zip(gaps, answered, strict=True)
     )
     return len(gaps), late
+
+
+def _standstill(frames: Sequence[Frame], node: int) -> float:
+    """The longest time between two SYNCs in which the host asked and commanded nothing, s; 0 if short."""
+    silences, before = list[float](), None
+    for frame in frames:
+        if frame.cob_id == SYNC:
+            silences += [] if before is None else [frame.at_s - before]
+            before = frame.at_s
+        elif frame.cob_id in (NMT, 0x600 + node):
+            before = None
+    if len(silences) < _CYCLES_MIN or max(silences) < _STANDSTILL * median(silences):
+        return 0.0
+    return max(silences)
 
 
 def _slowest_answer(frames: Sequence[Frame], node: int) -> float:
