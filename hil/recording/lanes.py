@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.cia402.profile import State
 from drivers.rotation import RPM_PER_RAD_S
-from hil.reviewing.envelope import CodeLane
+from hil.reviewing.envelope import CodeLane, Envelope
 from hil.reviewing.position_error import PositionErrorMeter
 from hil.reviewing.review import Review
 from hil.reviewing.speed_error import SpeedErrorMeter
@@ -165,22 +165,33 @@ def error_limit_rpm(meter: SpeedErrorMeter, limits: VerdictLimits) -> float | No
     return None if percent is None else percent / 100.0 * meter.reference_peak * RPM_PER_RAD_S
 
 
+def _breaches(limited: Iterable[tuple[Envelope, float | None]]) -> CodeLane:
+    """Of values and how large they may be: 1 where one is judged, 2 where one is larger, else 0."""
+    points = [(*values.points(), limit) for values, limit in limited]
+    times = np.concatenate([at for at, _, _ in points])
+    codes = [np.zeros(len(at), np.int64) if most is None else 1 + (size > most) for at, size, most in points]
+    order, lane = np.argsort(times, kind="stable"), CodeLane()
+    if any(most is not None for _, _, most in points):
+        lane.add(times[order], np.concatenate(codes)[order])
+    return lane
+
+
 def error_lane(review: Review, plan: ReviewPlan, number: int, begin: int, end: int) -> list[LabelChange]:
     """From when on the error of speed or position of an axis was kept, beyond its limit, or not counted.
 
     ``begin``, ``end``: the first and the last cycle.
     """
-    meter: SpeedErrorMeter | PositionErrorMeter = review.errors[number]
-    most_rpm = error_limit_rpm(review.errors[number], plan.limits)
+    speed = review.errors[number]
+    meter: SpeedErrorMeter | PositionErrorMeter = speed
+    most_rpm, percent = error_limit_rpm(speed, plan.limits), plan.limits.after_load_percent_max
     limit = None if most_rpm is None else most_rpm / RPM_PER_RAD_S
+    limited = [(speed.counted, limit), (speed.after_load, None if percent is None else percent / 100.0)]
     if plan.axes[number].quantity == "position":
         meter, limit = review.positions[number], plan.limits.position_error_peak_rad_max
+        limited = [(meter.counted, limit)]
+    names = NOT_JUDGED, KEPT, BEYOND
     judged = [(begin, NOT_JUDGED if limit is None else KEPT)]
-    if limit is not None:
-        times, error = meter.counted.points()
-        lane = CodeLane()
-        lane.add(times, (error > limit).astype(np.int64))
-        judged += [(at, BEYOND if code else KEPT) for at, code in lane.changes()]
+    judged += [(at, names[code]) for at, code in _breaches(limited).changes()]
     starts = [at for at, _ in judged]
     marks = [(at, label) for at, label in judged if not any(a <= at < b for a, b in meter.settling)]
     if len(meter.settling) > _WINDOWS_MAX:

@@ -73,7 +73,7 @@ class _AxisMeters:
             "recovery_time_ms_max": (steps.recovery_time_ms, recovery_at),
             "losses_in_a_row_max": (lost.most or None, lost.at),
             "speed_error_peak_percent_max": (error.peak_percent, self.error.counted.peak.at),
-            "after_load_percent_max": (error.after_load_percent, self.error.after_load.at),
+            "after_load_percent_max": (error.after_load_percent, self.error.after_load.peak.at),
             "speed_error_rms_rad_s_max": (error.rms_rad_s, None),
             "delay_p99_us_max": (self.network.reading.quantile_ns(0.99), None),
             "torque_rms_nm_max": (self.swing.worst.value, self.swing.worst.at),

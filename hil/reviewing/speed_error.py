@@ -58,21 +58,31 @@ class AskedChanges:
         return change, load_change, np.abs(change) > self._acceleration_max * elapsed_s * ROUNDING
 
 
-class CountedErrors(Envelope):
-    """The errors that count, by size."""
+class PeakEnvelope(Envelope):
+    """With the largest value and when its cycle was due, ns."""
 
     def __init__(self) -> None:
         super().__init__()
         self.peak = Largest()
-        """And when its cycle was due, ns."""
+
+    def add(self, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Take in the instants, (n,) ns, at which the cycles were due, and the values, (n,)."""
+        super().add(times, values)
+        self.peak.look(times, values)
+
+
+class CountedErrors(PeakEnvelope):
+    """The errors that count, by size."""
+
+    def __init__(self) -> None:
+        super().__init__()
         self._count, self._square_sum = 0, 0.0
 
     def add(self, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Take in the instants, (n,) ns, at which the cycles were due, and the errors, (n,)."""
+        """As of an envelope."""
         if not values.size:
             return
         super().add(times, values)
-        self.peak.look(times, values)
         self._count += values.size
         # cumsum adds from left to right; sum() adds in pairs, whose result depends on the chunk
         self._square_sum = float(np.cumsum(np.concatenate(([self._square_sum], values * values)))[-1])
@@ -98,8 +108,8 @@ class SpeedErrorMeter:
         """From when to when the error is not counted, ns; in order, and apart from each other."""
         self.counted = CountedErrors()
         """rad/s."""
-        self.after_load = Largest()
-        """Of the errors after a change of load, as a share of the reference, and when it was due, ns."""
+        self.after_load = PeakEnvelope()
+        """Of the errors after a change of load, as a share of the reference."""
 
     def add(self, rows: Rows) -> None:
         """Take in rows of this axis: (n,) of ROW_DTYPE, in order of sequence."""
@@ -111,11 +121,11 @@ class SpeedErrorMeter:
         self.reference_peak = max(self.reference_peak, float(np.abs(reference).max()))
         self.counted.add(rows["due_at"][counts], error[counts])
         relative = counts & after_load & (reference != 0.0)
-        self.after_load.look(rows["due_at"][relative], error[relative] / np.abs(reference[relative]))
+        self.after_load.add(rows["due_at"][relative], error[relative] / np.abs(reference[relative]))
 
     def figures(self) -> SpeedError:
         """Of all rows so far."""
-        peak, share = self.counted.peak.value, self.after_load.value
+        peak, share = self.counted.peak.value, self.after_load.peak.value
         return SpeedError(
             peak_rad_s=peak,
             peak_percent=100.0 * peak / self.reference_peak

@@ -150,7 +150,7 @@ class Meter:
     """An error over time, and when it did not count."""
 
     def __init__(self, errors: Sequence[float], settling: Sequence[tuple[int, int]], peak: float) -> None:
-        self.counted = Envelope()
+        self.counted, self.after_load = Envelope(), Envelope()
         self.settling = list(settling)
         self.reference_peak = peak
         self._errors = errors
@@ -215,6 +215,38 @@ def test_an_error_is_kept_or_beyond_or_does_not_count(
     assert judged(errors, settling) == lane
     limited_by_position = judged(errors, settling, None, "position", 5.0)
     assert limited_by_position == lane
+
+
+@pytest.mark.parametrize(
+    ("peak", "after", "lane"),
+    [
+        (
+            None,
+            15.0,
+            [
+                (0, "Not judged"),
+                (0, "Not judged"),
+                (3, "Kept"),
+                (4, "BEYOND"),
+                (5, "Kept"),
+                (7, "Not judged"),
+            ],
+        ),
+        (10.0, 15.0, [(0, "Kept"), (0, "Kept"), (1, "BEYOND"), (2, "Kept"), (4, "BEYOND"), (5, "Kept")]),
+        (10.0, 25.0, [(0, "Kept"), (0, "Kept"), (1, "BEYOND"), (2, "Kept")]),
+        (None, None, [(0, "Not judged")]),
+    ],
+)
+def test_an_error_after_a_load_is_held_against_its_own_limit(
+    peak: float | None, after: float | None, lane: list[tuple[float, str]]
+) -> None:
+    """From the fourth cycle to the seventh, as shares of a reference of 20 rad/s; it reached 50."""
+    meter = Meter([1.0, 6.0, 1.0, 1.0, 4.0, 1.0, 1.0, 1.0], [], 50.0)
+    meter.after_load.add(STEP * np.arange(3, 7), np.array([1.0, 4.0, 1.0, 1.0]) / 20.0)
+    limits = VerdictLimits(speed_error_peak_percent_max=peak, after_load_percent_max=after)
+    review = SimpleNamespace(errors=[meter], positions=[])
+    found = error_lane(cast(Review, review), ReviewPlan((AxisPlan("a", 1.0),), limits), 0, 0, 10 * STEP)
+    assert [(change.at / STEP, change.label) for change in found] == [*lane, (10, "-")]
 
 
 def test_without_a_limit_nothing_is_judged() -> None:
