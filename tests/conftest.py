@@ -1,9 +1,9 @@
 """What every test gets: assertions of helpers that tell, and a second try in real time where it is owed.
 
-A test of the group "real time", or on vcan, needs a machine that wakes a process in time. One that failed
-while the machine did not (see :mod:`tests.stillness`) says nothing yet, and is tried again, three times in
-all. A failure on a machine that kept its time stands; so does what was told wrongly, however late all were.
-Beside other workers these tests are in the first, which `make test` lets go before the others.
+A test of the group "real time", or on vcan or a controller, needs a machine that wakes a process in time.
+One that failed while the machine did not (see :mod:`tests.stillness`) says nothing yet, and is tried again,
+three times in all. A failure on a machine that kept its time stands; so does what was told wrongly, however
+late all were. Beside other workers these tests are in the first, which `make test` lets go before the others.
 """
 
 import signal
@@ -21,7 +21,7 @@ pytest.register_assert_rewrite("tests.contract", "tests.scenario", "tests.truth"
 
 TRIES = 3
 REAL_TIME = "real time"
-VCAN = Path(__file__).parent / "vcan"
+ON_LINUX = {Path(__file__).parent / each for each in ("can", "vcan")}
 _witness: Witness | None = None
 """One for each worker, made when it is first needed."""
 
@@ -102,7 +102,7 @@ def forked_children() -> Iterator[None]:
 
 def _is_in_real_time(item: pytest.Item) -> bool:
     group = item.get_closest_marker("xdist_group")
-    return VCAN in item.path.parents or (group is not None and REAL_TIME in group.args)
+    return not ON_LINUX.isdisjoint(item.path.parents) or (group is not None and REAL_TIME in group.args)
 
 
 def _is_excused(error: BaseException) -> bool:

@@ -44,10 +44,9 @@ a segment that is asked for again because the answer to it was lost. They say no
 # Client command specifiers (CiA 301 7.2.4.3).
 _INITIATE_DOWNLOAD = 1
 _BLOCK_DOWNLOAD = 6
-_INITIATE_REQUESTS = (_INITIATE_DOWNLOAD, 2)
-"""Initiate download and initiate upload: their answers name the object."""
-_INITIATE_ANSWERS = (2, 3)
-"""Server command specifiers of the answers to them."""
+_INITIATE_ANSWERS = {_INITIATE_DOWNLOAD: 3, 2: 2}
+"""Initiate download and initiate upload -> server command specifier of the answer, which names the object."""
+_ABORT_ANSWER = _ABORTED >> 5
 
 
 class Pump(Protocol):
@@ -132,7 +131,8 @@ class PumpedSdoClient(SdoClient):
         self.busy = False
         """A request waits for its answer, or for the channel: nothing else may be begun on it."""
         self._multiplexer = bytes(3)
-        self._initiating = False
+        self._answered_by: int | None = None
+        """How the answer to the present request begins; None: it is asked for a segment."""
 
     def upload(self, index: int, subindex: int) -> bytes:
         """Read an object, from its beginning again if its segments break off."""
@@ -148,15 +148,15 @@ class PumpedSdoClient(SdoClient):
             try:
                 return transfer()
             except SdoAbortedError as error:
-                if self._initiating or error.code not in _BROKEN_OFF:
+                if self._answered_by is not None or error.code not in _BROKEN_OFF:
                     raise
                 code = error.code
         raise BrokenOff(f"its segments broke off {SDO_ATTEMPTS} times: {abort_text(code)}")
 
     def request_response(self, sdo_request: bytes) -> Any:
         """One request and its answer, resent when no answer comes."""
-        self._initiating = sdo_request[0] >> 5 in _INITIATE_REQUESTS
-        if self._initiating:
+        self._answered_by = _INITIATE_ANSWERS.get(sdo_request[0] >> 5)
+        if self._answered_by is not None:
             self._multiplexer = bytes(sdo_request[1:4])
         with self.taken():
             return super().request_response(sdo_request)  # type: ignore[no-untyped-call]
@@ -184,8 +184,12 @@ class PumpedSdoClient(SdoClient):
         """Take an answer, unless it is malformed or answers a request that was given up before."""
         if len(data) != 8:
             return
-        named = data[1:4] == self._multiplexer
-        if named if self._initiating else data[0] >> 5 not in _INITIATE_ANSWERS:
+        answer = data[0] >> 5
+        if self._answered_by is None:
+            fits = answer not in _INITIATE_ANSWERS.values()
+        else:
+            fits = data[1:4] == self._multiplexer and answer in (self._answered_by, _ABORT_ANSWER)
+        if fits:
             self.responses.put(bytes(data))
 
     def abort(self, abort_code: int = 0x08000000) -> None:

@@ -85,18 +85,20 @@ def _link(link: dict[str, Any]) -> CanLink:
     info = link.get("linkinfo") or {}
     data = info.get("info_data") or {}
     counters = data.get("berr_counter") or {}
+    # Drivers that know a few bit rates only, as that of serial adapters, tell no bit timing beside them.
+    bit = data.get("bittiming") or {"bitrate": data.get("bittiming_bitrate")}
     return CanLink(
         str(link.get("ifname", "")),
         "UP" in link.get("flags", ()),
         str(info.get("info_kind", "")),
-        (data.get("bittiming") or {}).get("bitrate"),
+        bit.get("bitrate"),
         str(data.get("state", "")),
         counters.get("tx"),
         counters.get("rx"),
         "LISTEN-ONLY" in (data.get("ctrlmode") or ()),
         link.get("txqlen"),
         data.get("restart_ms", 0) if info.get("info_kind") == _ADAPTER else None,
-        _real((data.get("bittiming") or {}).get("sample_point")),
+        _real(bit.get("sample_point")),
     )
 
 

@@ -228,9 +228,9 @@ class Observer:
         """Let time pass, still taking frames in."""
         self._network.pump(Instant(self._clock.now() + round(duration_s * NS_PER_S)))
 
-    def until_turning(self, speed_rad_s: float) -> None:
+    def until_turning(self, speed_rad_s: float, limit_s: float = START_LIMIT_S) -> None:
         """Wait until the shaft turns at least that fast."""
-        deadline = self._clock.now() + round(START_LIMIT_S * NS_PER_S)
+        deadline = self._clock.now() + round(limit_s * NS_PER_S)
         while abs(self.velocity_rad_s()) < speed_rad_s:
             assert self._clock.now() < deadline, "the drive never reached its speed"
             self.wait(0.01)

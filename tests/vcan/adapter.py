@@ -85,6 +85,14 @@ def hold() -> None:
     run_tool("tc", "qdisc", "replace", "dev", ADAPTER, "root", "netem", "delay", "200s", "limit", "10")
 
 
+def flood(frames: int) -> None:
+    """Another process offers so many frames, about one each millisecond, to a queue of ten which passes 125
+    a second; what is refused it does not repeat. Afterwards the adapter is as fast as ever."""
+    run_tool("tc", "qdisc", "replace", "dev", ADAPTER, "root", "netem", "rate", "16kbit", "limit", "10")
+    run_tool("cangen", ADAPTER, "-g", "1", "-i", "-I", "7FF", "-L", "8", "-n", str(frames))
+    release()
+
+
 def lose() -> None:
     """The adapter loses what it is handed, as one that is bus-off: without a carrier the kernel takes each
     frame and drops it (``can_bus_off`` in drivers/net/can/dev, ``noop_enqueue`` in net/sched)."""

@@ -14,6 +14,7 @@ from tests.vcan.adapter import (
     drive_beside,
     echoes_like_a_driver,
     error,
+    flood,
     lose,
     release,
     set_up,
@@ -22,6 +23,7 @@ from tests.vcan.struck_run import struck
 
 CYCLES = 300
 DOWN_S, OFF_S = 0.05, 0.1
+FLOOD = 1000
 
 
 @pytest.fixture(name="far")
@@ -47,6 +49,10 @@ def bus_off_and_restarted(watching: Observer) -> None:
     error(RESTARTED)
 
 
+def flooded(_watching: Observer) -> None:
+    flood(FLOOD)
+
+
 def wall_clock_set(watching: Observer) -> None:
     """Kernels stamp frames by it. It is set back afterwards."""
     for step in ("+1 hour", "-1 hour"):
@@ -59,6 +65,7 @@ def wall_clock_set(watching: Observer) -> None:
     [
         pytest.param(down_for_a_moment, ["is down: nothing is sent or heard", "is up again"], id="down"),
         pytest.param(bus_off_and_restarted, ["is bus-off", "was restarted after bus-off"], id="bus-off"),
+        pytest.param(flooded, ["takes no frames", "takes frames again"], id="another process floods"),
         pytest.param(wall_clock_set, [], id="wall clock"),
     ],
 )

@@ -46,6 +46,18 @@ def test_links_are_read_with_rate_state_and_counters() -> None:
     ]
 
 
+def test_a_driver_that_knows_a_few_bit_rates_tells_its_own_elsewhere() -> None:
+    """As iproute2 6.1 prints Linux's driver of serial adapters, shortened."""
+    described = (
+        '[{"ifname": "can0", "flags": ["NOARP", "UP", "LOWER_UP"], "txqlen": 10, "link_type": "can", '
+        '"linkinfo": {"info_kind": "can", "info_data": {"state": "ERROR-ACTIVE", "restart_ms": 0, '
+        '"bittiming_bitrate": 500000, "bitrate_const": [500000, 1000000], "clock": 0}}}]'
+    )
+    (link,) = parse_links(described)
+    assert (link.bitrate_bit_s, link.sample_point) == (500_000, None)
+    assert "can0 is set to 500000 bit/s, the bench to 1000000" in "\n".join(link_advice(link, 1_000_000))
+
+
 @pytest.mark.parametrize("text", ["", "  ", "Object is not there", "{}", "[3]", '[{"link_type": "ether"}]'])
 def test_what_is_no_description_has_no_links(text: str) -> None:
     assert parse_links(text) == []

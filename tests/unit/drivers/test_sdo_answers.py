@@ -97,6 +97,22 @@ def test_answers_to_repeated_requests_are_owed_however_late(rig: Rig, late_ms: i
     assert told == []
 
 
+@pytest.mark.parametrize(
+    ("late", "writes"),
+    [("4b85600034120000", True), ("6085600000000000", False)],
+    ids=["answer to a read before a write", "answer to a write before a read"],
+)
+def test_a_late_answer_of_the_other_kind_is_not_taken_for_that_to_the_same_object(
+    rig: Rig, late: str, writes: bool
+) -> None:
+    """A slow node answers a repeated request once more, after the next one has been sent."""
+    bus, _, network = rig
+    bus.deliver(0x581, bytes.fromhex(late), NS_PER_MS // 20)
+    if writes:
+        network.download(1, 0x6085, 0, bytes(4))
+    assert network.upload(1, 0x6085) == bytes(4)
+
+
 def test_a_read_is_given_up_though_polls_of_the_silent_node_are_due(rig: Rig) -> None:
     """Each poll is due again by the time at which the one before is given up."""
     bus, servo, network = rig
