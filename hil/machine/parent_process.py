@@ -139,9 +139,10 @@ def tell_parent(**what: Any) -> None:
 
     ``bus``, ``bitrate`` and ``nodes``: that this command moves. ``recording`` and ``logger``: its folder, and
     the process that records. ``concluded``: what the command came to: ``status``, and of a run ``digest`` and
-    ``recording``.
-    ``error``: what ends it early. ``advice``: what mends an early end. ``released``: False if what ended it
-    may have kept it from bringing its drives to rest.
+    ``recording``. ``own_code``: code of the user's runs from now on. ``intact``: an error was looked at, and
+    nothing of what the program is made of is another than before that code ran. ``error``: what ends it
+    early. ``advice``: what mends an early end. ``released``: False if what ended it may have kept it from
+    bringing its drives to rest.
     """
     if _parent is not None:
         _parent.tell(**what)

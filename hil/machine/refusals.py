@@ -8,6 +8,7 @@ from typing import Final
 
 from drivers.errors import BenchError
 from hil.machine.held_process import OWN_FILES, told
+from hil.machine.parent_process import tell_parent
 from hil.machine.replaced import replaced
 
 _WITH_REMEDY: Final = {
@@ -18,6 +19,7 @@ _WITH_REMEDY: Final = {
 _MAKING_PROCESSES: Final = ("_execute_child", "_launch", "_begin")
 """Functions of subprocess, multiprocessing and the command's parent, in which EAGAIN says that there may be
 no further process; elsewhere it is a defect."""
+_NOT_TOLD: Final = "the process failed, and failed again when it was to tell of what"
 _MORE_PROCESSES: Final = "raise the limits of ulimit -u and -v"
 
 
@@ -33,8 +35,17 @@ class OwnCodeRaised(BenchError):
 
 
 def explained(error: BaseException) -> BenchError | None:
-    """``error`` as the machine's or the user's; None: it is a defect of the program."""
-    return as_refusal(error) or raised_by_own_code(error) or _as_replaced(error)
+    """``error`` as the machine's or the user's; None: it is a defect of the program, and nothing of what the
+    program is made of is another than it was."""
+    try:
+        known = as_refusal(error) or raised_by_own_code(error) or _as_replaced(error)
+    except Exception:
+        if OWN_FILES:
+            return OwnCodeRaised(f"code of your own has run here, and then {_NOT_TOLD}")
+        raise
+    if known is None:
+        tell_parent(intact=True)
+    return known
 
 
 def _as_replaced(error: BaseException) -> OwnCodeRaised | None:

@@ -1,27 +1,40 @@
 """What the user's code has put in the place of functions that are not its own.
 
 Where ``time.monotonic_ns`` is another function the bench fails anywhere, and no call of the user's is on the
-way. So it is looked for once something has failed, by what stood in all modules before code of the user's
-first ran: nothing of it costs a cycle.
+way. So it is looked for once something has failed, by what stood in all modules, and in their classes, before
+code of the user's first ran: nothing of it costs a cycle.
 """
 
 import sys
-from types import ModuleType
-from typing import Any, Final
+from collections.abc import Iterator, Mapping
+from types import CodeType, FunctionType, ModuleType
+from typing import Any, Final, NamedTuple
 
 from hil.machine.held_process import OWN_FILES
-from hil.machine.parent_process import has_parent
+from hil.machine.parent_process import has_parent, tell_parent
 
 _TO_BE_REPLACED: Final = "hook"
 """How names end that Python looks up in order to be given others: sys.excepthook."""
 _NAMED_MOST: Final = 3
+_IMMUTABLE: Final = 1 << 8
+"""Py_TPFLAGS_IMMUTABLETYPE of <object.h>: a class into which nothing can be put."""
+
+
+class _Held(NamedTuple):
+    """What stood in a module or in a class."""
+
+    owner: ModuleType | type
+    values: dict[str, Any]
+    codes: dict[str, CodeType]
+    """Of the functions among them: one may be given that of another."""
 
 
 class Modules:
     """What stood in them."""
 
     def __init__(self) -> None:
-        self._before: dict[str, tuple[ModuleType, dict[str, Any]]] = {}
+        self._before: dict[str, _Held] = {}
+        self._classes: dict[type, tuple[str, _Held]] = {}
         self._path: list[str] = []
 
     def remember(self) -> None:
@@ -31,25 +44,49 @@ class Modules:
             # a lazy one, of a class of its own, would be loaded by the question
             if name in self._before or type(module) is not ModuleType:
                 continue
-            held = dict(vars(module))
-            if held.get("__file__") not in OWN_FILES:
-                self._before[name] = module, held
+            held = _held(module)
+            if held.values.get("__file__") in OWN_FILES:
+                continue
+            self._before[name] = held
+            for value in held.values.values():
+                # by its type: an object may answer the question for its class with an error
+                if issubclass(type(value), type):
+                    self._remember_class(value)
+
+    def _remember_class(self, asked: type) -> None:
+        for each in type.mro(asked) if asked is not type else ():
+            if each not in self._classes and not each.__flags__ & _IMMUTABLE:
+                self._classes[each] = f"{each.__module__}.{each.__qualname__}", _held(each)
 
     def replaced(self) -> str:
         """Names of functions, classes and modules that are others now, or gone; empty if none is."""
         names = [] if set(self._path) <= set(sys.path) else ["sys.path"]
-        for name, (module, held) in self._before.items():
-            if sys.modules.get(name) is not module:
+        for name, held in self._before.items():
+            if sys.modules.get(name) is not held.owner:
                 names.append(f"sys.modules[{name!r}]")
-            now = vars(module)
-            names += [
-                f"{name}.{key}"
-                for key, value in held.items()
-                if now.get(key) is not value and callable(value) and not key.endswith(_TO_BE_REPLACED)
-            ]
+            names += [f"{name}.{key}" for key in _others(held) if not key.endswith(_TO_BE_REPLACED)]
+        for name, held in self._classes.values():
+            names += [f"{name}.{key}" for key in _others(held)]
         names.sort()
         more = len(names) - _NAMED_MOST
         return ", ".join(names[:_NAMED_MOST]) + (f" and {more} more" if more > 0 else "")
+
+
+def _held(owner: ModuleType | type) -> _Held:
+    values = dict(vars(owner))
+    codes = {key: value.__code__ for key, value in values.items() if type(value) is FunctionType}
+    return _Held(owner, values, codes)
+
+
+def _others(held: _Held) -> Iterator[str]:
+    """Keys under which there is another function or class now, or none."""
+    now: Mapping[str, Any] = vars(held.owner)
+    for key, value in held.values.items():
+        if now.get(key) is not value:
+            if callable(value) or hasattr(type(value), "__get__"):
+                yield key
+        elif (code := held.codes.get(key)) is not None and now[key].__code__ is not code:
+            yield key
 
 
 _of_process: Final = Modules()
@@ -58,6 +95,7 @@ _of_process: Final = Modules()
 def remember_modules() -> None:
     """In a command's process. Elsewhere, as under pytest, others have reasons to replace functions."""
     if has_parent():
+        tell_parent(own_code=True)
         _of_process.remember()
 
 

@@ -9,11 +9,13 @@ import select
 import signal
 import threading
 from collections import deque
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from hil.machine.parent_process import Pipes
 from hil.rows.run_files import PRINTED_FILE
+from hil.verdict.verdict import ExitStatus
 
 PRINTED_MARK: Final = b"printed: "
 """In front of each line on stderr that the user's code has printed."""
@@ -102,7 +104,7 @@ class Relay:
         if descriptor == self._pipes.told:
             self._partial[descriptor] = rest
             for line in lines.splitlines():
-                self._take_told(json.loads(line))
+                self._take_told(_as_told(line))
             return
         if len(rest) > LINE_MAX:
             lines, newline, rest = lines + newline + rest, b"\n", b""
@@ -121,6 +123,61 @@ class Relay:
     def _take_printed(self, lines: bytes) -> None:
         self._printed.write(lines)
         self._stderr.put(b"".join(PRINTED_MARK + line for line in lines.splitlines(keepends=True)))
+
+
+def _as_told(line: bytes) -> dict[str, Any]:
+    """What a line says; without what a command does not tell in that way, as one whose ``json.dumps`` is
+    another function than it was."""
+    try:
+        what = json.loads(line)
+    except (ValueError, RecursionError):
+        return {}
+    if not isinstance(what, dict):
+        return {}
+    if "status" in what:
+        return what if _is_result(what) else {}
+    return {key: value for key, value in what.items() if key in _TOLD and _TOLD[key](value)}
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) is int and 0 < value < 1 << 31
+
+
+def _is_truth(value: Any) -> bool:
+    return isinstance(value, bool)
+
+
+def _is_status(value: Any) -> bool:
+    return type(value) is int and value in set(ExitStatus)
+
+
+def _is_result(value: Any) -> bool:
+    return _is_status(value["status"]) and _is_text(value.get("results"))
+
+
+def _is_end(value: Any) -> bool:
+    words = (value.get("digest", ""), value.get("recording", "")) if isinstance(value, dict) else ()
+    return bool(words) and _is_status(value.get("status")) and all(map(_is_text, words))
+
+
+_TOLD: Final[Mapping[str, Callable[[Any], bool]]] = {
+    "bus": _is_text,
+    "bitrate": _is_number,
+    "nodes": lambda value: isinstance(value, list) and all(map(_is_number, value)),
+    "recording": _is_text,
+    "logger": _is_number,
+    "concluded": _is_end,
+    "error": _is_text,
+    "advice": _is_text,
+    "released": _is_truth,
+    "own_code": _is_truth,
+    "intact": _is_truth,
+}
+"""What :func:`hil.machine.parent_process.tell_parent` takes."""
 
 
 class _PrintedFile:

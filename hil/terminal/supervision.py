@@ -17,6 +17,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, Final, NoReturn
 
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
@@ -137,8 +138,9 @@ def _work(
     except KeyboardInterrupt:
         status = ExitStatus.INTERRUPTED
     except BaseException:  # noqa: BLE001 - top of the process
-        traceback.print_exc(file=messages())
         status = ExitStatus.DEFECT
+        with suppress(Exception):  # code of the user's may have put something in its place
+            traceback.print_exc(file=messages())
     living.tell_result(status if isinstance(status, int) else ExitStatus.FAILED)
     raise SystemExit(status)
 

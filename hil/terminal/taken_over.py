@@ -47,6 +47,13 @@ def concluded(known: Known, result: Mapping[str, Any], arguments: Sequence[str],
     """Exit status and text for stdout of a command that told its ``result``; where its drives may not be at
     rest, they are stopped."""
     status, text = _believed(known, result, arguments, say)
+    doubt = _damage(known, status, text, arguments)
+    if doubt:
+        say(f"hil: error: {doubt}")
+        known = {**known, "released": False}
+        status, text = ExitStatus.PEER_FAULT, ""
+        if "--json" in arguments:
+            text = _failed_object(doubt, status, arguments)
     for finding in () if known.get("released", True) else _stop_drives(known, say):
         say(f"hil: error: {finding.text}")
         if status != ExitStatus.DEFECT:
@@ -73,6 +80,28 @@ def _believed(known: Known, result: Mapping[str, Any], arguments: Sequence[str],
         return status, text
     say(f"hil: error: {doubt}")
     return ExitStatus.NOT_RECORDED, _also(text, Finding(VerdictKind.NOT_RECORDED, doubt), arguments)
+
+
+def _damage(known: Known, status: int, text: str, arguments: Sequence[str]) -> str:
+    """Why what the process of a command told is not its own, but comes of what the user's code has put in the
+    place of its functions; empty: nothing says so. A defect is one of the program only if that process has
+    looked at what it is made of, and found it as it was."""
+    if not known.get("own_code"):
+        return ""
+    ended = arguments[0] != "run" and "concluded" in known
+    if status == ExitStatus.DEFECT and not known.get("intact") and not ended:
+        return "code of your own has run, and then the process could not tell any more what failed"
+    if arguments[0] == "run" and "--json" in arguments and _status_in(text) != status:
+        return "code of your own has run, and then the process told a result that is none"
+    return ""
+
+
+def _status_in(text: str) -> int | None:
+    try:
+        status: int = json.loads(text)["verdict"]["exit_status"]
+    except (ValueError, KeyError, TypeError):
+        return None
+    return status
 
 
 def _also(text: str, finding: Finding, arguments: Sequence[str]) -> str:

@@ -7,6 +7,7 @@ where it can be written, holds one object that says the same status, and nothing
 """
 
 import argparse
+import atexit
 import gc
 import json
 import os
@@ -16,10 +17,11 @@ import signal
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from random import Random
-from typing import Final, NamedTuple
+from types import FrameType
+from typing import Any, Final, NamedTuple
 
 import hil
 from drivers.timebase import NS_PER_MS, NS_PER_S, MonotonicClock
@@ -120,7 +122,17 @@ TAMPERING: Final = (
     "put('builtins:__import__')",
     "put('json:dumps')",
     "put('json:loads', lambda *_, **__: {})",
+    "put('json:dumps', lambda *_, **__: '{}')",
+    "put('json:dumps', lambda *_, **__: '0')",
+    "put('json:dumps.__code__', (lambda *_, **__: '[').__code__)",
+    "put('json.encoder:JSONEncoder.encode')",
     "put('math:isfinite')",
+    "put('pathlib:Path.read_text')",
+    "put('sys:excepthook')",
+    "put('sys:exit')",
+    "put('threading:Thread.start')",
+    "put('traceback:extract_tb', lambda *_: 1 / 0)",
+    "put('traceback:print_exc', lambda *_, **__: 1 / 0); 1 / 0",
     "put('numpy:zeros')",
     "put('os:fsync', lambda _: 1 / 0)",
     "put('os:getpid', lambda: 1)",
@@ -136,6 +148,18 @@ TAMPERING: Final = (
     "__import__('builtins').__dict__.clear()",
 )
 """Of the interpreter itself: where the run survives it may pass, else it is the user's code that failed."""
+REPLACEMENTS: Final = (
+    "None",
+    "0",
+    "''",
+    "os.read",
+    "sys.exit",
+    "lambda *_, **__: None",
+    "lambda *_, **__: {}",
+    "lambda *_, **__: 1 / 0",
+    "property(lambda _: 1 / 0)",
+)
+"""What is put in the place of a function that a command calls."""
 STREAMS: Final = ("file", "file", "file", "file", "closed", "/dev/full", "dead pipe")
 """What stdout and stderr lead to, each by itself."""
 
@@ -168,13 +192,57 @@ class Ended(NamedTuple):
     took_ms: float
 
 
-def drawn(number: int, seed: int) -> Case:
-    """The case of a number; all are there once before any is there again, in another order for each seed."""
+def drawn(number: int, seed: int, called: Sequence[str]) -> Case:
+    """The case of a number. In turns a replacement of one of the ``called`` functions and a listed way; of
+    those all are there once before any is there again, in another order for each seed."""
     random = Random(f"{seed} {number}")
     ways = [*HARMLESS, *ENDING, *TAMPERING]
-    Random(f"{seed} {number // len(ways)}").shuffle(ways)
-    way = ways[number % len(ways)]
+    Random(f"{seed} {number // (2 * len(ways))}").shuffle(ways)
+    way = replacement(random, called) if number % 2 else ways[number // 2 % len(ways)]
     return Case(number, way, random.choice(HOOKS), random.choice(STREAMS), random.choice(STREAMS))
+
+
+def replacement(random: Random, called: Sequence[str]) -> str:
+    """A way that puts something in the place of a function of a module or of a class."""
+    return f"put('{random.choice(called)}', {random.choice(REPLACEMENTS)})"
+
+
+def called_functions(folder: Path) -> list[str]:
+    """Those that a command calls which runs to its end, its own and Python's, as MODULE:NAME."""
+    calls, names = folder / "calls", set[str]()
+
+    def note(frame: FrameType, event: str, function: Any) -> None:
+        if event == "call":
+            names.add(f"{frame.f_globals.get('__name__')}:{frame.f_code.co_qualname}")
+        elif event == "c_call":
+            names.add(f"{function.__module__ or type(function.__self__).__module__}:{function.__qualname__}")
+
+    def write() -> None:
+        sys.setprofile(None)
+        calls.write_text("\n".join(sorted(filter(_can_be_replaced, names))), encoding="utf-8")
+
+    if not (process := os.fork()):
+        atexit.register(write)
+        sys.setprofile(note)
+        bench = folder / "bench.toml"
+        case = Case(0, "pass", "output", "file", "file")
+        bench.write_text(_bench(case, folder / "tally").config.resolved_text(), encoding="utf-8")
+        _become(case, bench, folder / "stdout", folder / "stderr")
+    _status(process)
+    return calls.read_text(encoding="utf-8").splitlines()
+
+
+def _can_be_replaced(name: str) -> bool:
+    module, _, path = name.partition(":")
+    *owners, key = path.split(".")
+    owner: object = sys.modules.get(module)
+    for each in owners:
+        owner = getattr(owner, each, None)
+    try:
+        setattr(owner, key, vars(owner)[key])
+    except (AttributeError, KeyError, TypeError):
+        return False
+    return True
 
 
 def run_case(case: Case, folder: Path) -> Ended:
@@ -269,9 +337,11 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=1e6)
+    parser.add_argument("--replacing", action="store_true", help="replacements of called functions alone")
     asked = parser.parse_args()
     folder = Path(tempfile.mkdtemp())  # no context: a command that is forked in here leaves through it
-    hil.run(_bench(drawn(0, asked.seed)._replace(way="pass"), folder / "tally"))  # imports and compiles all
+    hil.run(_bench(Case(0, "pass", "output", "file", "file"), folder / "tally"))  # imports and compiles all
+    called = called_functions(folder)
     gc.freeze()  # else the end of each command would look through all of it
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup has it ignored, and & of a script the other one
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -282,7 +352,9 @@ def main() -> int:
     for number in range(asked.runs):
         if clock.now() > ends_at:
             break
-        case = drawn(number, asked.seed)
+        if asked.replacing and not number % 2:
+            continue
+        case = drawn(number, asked.seed, called)
         ended = run_case(case, folder)
         statuses[ended.status] += 1
         found = list(findings(case, ended))

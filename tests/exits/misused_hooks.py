@@ -61,9 +61,13 @@ def traced() -> None:
 
 
 def put(name: str, value: object = None) -> None:
-    """Put ``value`` in the place of what ``name`` says, as MODULE:NAME."""
-    module, _, key = name.partition(":")
-    setattr(importlib.import_module(module), key, value)
+    """Put ``value`` in the place of what ``name`` says, as MODULE:NAME or MODULE:CLASS.NAME."""
+    module, _, path = name.partition(":")
+    *owners, key = path.split(".")
+    owner: object = importlib.import_module(module)
+    for each in owners:
+        owner = getattr(owner, each)
+    setattr(owner, key, value)
 
 
 def stopped() -> None:

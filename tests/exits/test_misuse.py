@@ -180,3 +180,43 @@ def test_native_code_that_ends_a_worker_of_pytest_fails_its_test(tmp_path: Path)
     assert done.returncode == 1, done.stdout + done.stderr
     assert "worker 'gw0' crashed while running '::test_one'" in done.stdout
     assert "1 failed, 1 passed" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("where", "way", "said"),
+    [
+        (
+            "channels",
+            "put('drivers.canopen.sdo:PumpedSdoClient.upload')",
+            "code of your own has replaced drivers.canopen.sdo.PumpedSdoClient.upload; then ",
+        ),
+        (
+            "channels",
+            "put('drivers.canopen.sdo:PumpedSdoClient.upload'); put('traceback:extract_tb')",
+            "code of your own has run here, and then the process failed, and failed again",
+        ),
+        (
+            "channels",
+            "put('hil.terminal.exit_status:explained'); put('drivers.canopen.sdo:PumpedSdoClient.upload'); "
+            "put('hil.execution.conclusion:explained')",
+            "code of your own has run, and then the process could not tell any more what failed",
+        ),
+        (
+            "output",
+            "put('hil.verdict.summary:Summary.as_json', lambda _: {})",
+            "code of your own has run, and then the process told a result that is none",
+        ),
+    ],
+)
+def test_a_damaged_process_is_no_defect_of_the_program(
+    tmp_path: Path, where: str, way: str, said: str
+) -> None:
+    """Its parent is made of nothing that is in it, and prints an object of its own."""
+    bench = with_hooks(changed_bench(tmp_path), where, way)
+    asked = ["run", str(bench), "--bus", "simulated", "--no-record", "--json"]
+    done = run_command(python_command("hil.cli", *asked))
+    assert done.returncode == 3, done.stderr
+    assert f"hil: error: {said}" in done.stderr
+    verdict = json.loads(done.stdout)["verdict"]
+    assert (verdict["exit_status"], verdict["outcome"]) == (3, "bus, drive or safety")
+    assert verdict["reason"].startswith(said)

@@ -1,6 +1,7 @@
 """What code of the user's put in the place of another function can be named."""
 
 import colorsys
+import sched
 import sys
 from collections.abc import Iterator
 
@@ -14,8 +15,11 @@ from hil.machine.replaced import Modules, replaced
 def spared() -> Iterator[None]:
     """Take back what the tests replace: in a module that nothing of the bench has, and a hook."""
     held, hook, path = dict(vars(colorsys)), sys.excepthook, [*sys.path]
+    enter, code = sched.scheduler.enter, sched.scheduler.enter.__code__
     yield
     sys.path[:] = path
+    sched.scheduler.enter = enter  # type: ignore[method-assign]
+    enter.__code__ = code
     vars(colorsys).update(held)
     sys.modules["colorsys"], sys.excepthook = colorsys, hook
 
@@ -32,6 +36,9 @@ def spared() -> Iterator[None]:
         ("colorsys.more = print", ""),
         ("colorsys.ONE_THIRD = 0.3", ""),
         ("sys.excepthook = print", ""),
+        ("sched.scheduler.enter = None", "sched.scheduler.enter"),
+        ("sched.scheduler.more = print", ""),
+        ("sched.scheduler.enter.__code__ = sched.scheduler.cancel.__code__", "sched.scheduler.enter"),
         (
             "colorsys.rgb_to_yiq = colorsys.yiq_to_rgb = colorsys.rgb_to_hls = colorsys.hls_to_rgb = None",
             "colorsys.hls_to_rgb, colorsys.rgb_to_hls, colorsys.rgb_to_yiq and 1 more",
