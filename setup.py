@@ -64,12 +64,10 @@ GROUPS = {
         *_below("hil/rows", "records side_rows"),
     ],
     "bus": [
-        *_below("virtual_bus", "event_heap frame timeline"),
-        *_below("virtual_bus/bus", "bit_length bus_load controller error_frame error_handling"),
-        *_below(
-            "virtual_bus/bus", "frame_image held_frames host_port hub_broker hub_client hub_port hub_protocol"
-        ),
-        *_below("virtual_bus/bus", "judge port segment trial"),
+        *_below("virtual_bus", "frame"),
+        *_below("virtual_bus/bus", "bit_length controller error_frame error_handling"),
+        *_below("virtual_bus/bus", "frame_image host_port hub_broker hub_client hub_port hub_protocol"),
+        *_below("virtual_bus/bus", "judge listener trial"),
         *_below("virtual_bus/faults", "fates fault_injector fault_log fault_streams strikes"),
     ],
     "device": [

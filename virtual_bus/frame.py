@@ -16,7 +16,8 @@ class Device(Protocol):
     The host calls ``start`` once, then ``receive`` for each frame of the bus that the
     device did not send itself, and ``wake`` whenever ``wake_at`` is reached. ``now``
     never runs backwards. Each call returns the frames to send, in order, and may
-    change ``wake_at``.
+    change ``wake_at``. A device that has ``heard``, a dictionary by identifier, is spared on a
+    simulated segment all other data frames.
     """
 
     @property

@@ -19,6 +19,8 @@ typedef struct PyObject {
 typedef PyObject *(*PyCFunction)(PyObject *, PyObject *);
 /* METH_FASTCALL: positional arguments as an array */
 typedef PyObject *(*PyCFunctionFast)(PyObject *, PyObject *const *, Py_ssize_t);
+typedef int (*visitproc)(PyObject *, void *);
+typedef void (*freefunc)(void *);
 
 typedef struct PyMethodDef {
     const char *name;
@@ -39,18 +41,33 @@ typedef struct PyMemberDef {
 } PyMemberDef;
 #define T_INT 1
 #define T_DOUBLE 4
+#define T_OBJECT 6 /* None where it is NULL */
+#define T_BOOL 14
 #define T_LONGLONG 17
 #define READONLY 1
+
+typedef struct PyGetSetDef {
+    const char *name;
+    PyObject *(*get)(PyObject *, void *);
+    int (*set)(PyObject *, PyObject *, void *);
+    const char *doc;
+    void *closure;
+} PyGetSetDef;
 
 typedef struct PyType_Slot {
     int slot;
     void *function;
 } PyType_Slot;
+#define Py_sq_length 45
+#define Py_tp_clear 51
 #define Py_tp_dealloc 52
 #define Py_tp_doc 56
 #define Py_tp_methods 64
 #define Py_tp_new 65
+#define Py_tp_traverse 71
 #define Py_tp_members 72
+#define Py_tp_getset 73
+#define Py_tp_free 74
 
 typedef struct PyType_Spec {
     const char *name;
@@ -60,7 +77,10 @@ typedef struct PyType_Spec {
     PyType_Slot *slots;
 } PyType_Spec;
 #define Py_TPFLAGS_DEFAULT (1UL << 18)
+#define Py_TPFLAGS_DISALLOW_INSTANTIATION (1UL << 7)
 #define Py_TPFLAGS_IMMUTABLETYPE (1UL << 8)
+#define Py_TPFLAGS_BASETYPE (1UL << 10)
+#define Py_TPFLAGS_HAVE_GC (1UL << 14)
 
 typedef struct PyModuleDef {
     PyObject base;
@@ -80,22 +100,31 @@ typedef struct PyModuleDef {
 #define PYTHON_ABI_VERSION 3
 #define PyMODINIT_FUNC __attribute__((visibility("default"))) PyObject *
 
-extern PyObject *PyExc_TypeError, *PyExc_ValueError;
+extern PyObject *PyExc_TypeError, *PyExc_ValueError, *PyExc_AttributeError;
 extern PyObject _Py_NoneStruct;
 #define Py_None (&_Py_NoneStruct)
 
 PyObject *PyModule_Create2(PyModuleDef *, int);
 int PyModule_AddObjectRef(PyObject *, const char *, PyObject *);
+int PyModule_AddIntConstant(PyObject *, const char *, long);
 int PyModule_AddStringConstant(PyObject *, const char *, const char *);
 PyObject *PyType_FromSpec(PyType_Spec *);
 PyObject *PyType_GenericNew(PyTypeObject *, PyObject *, PyObject *);
 PyObject *PyType_GenericAlloc(PyTypeObject *, Py_ssize_t);
+void *PyType_GetSlot(PyTypeObject *, int);
+int PyType_IsSubtype(PyTypeObject *, PyTypeObject *);
 void PyObject_Free(void *);
+void PyObject_GC_UnTrack(void *);
+void *PyMem_Realloc(void *, size_t);
+void PyMem_Free(void *);
 void Py_IncRef(PyObject *);
 void Py_DecRef(PyObject *);
 PyObject *PyErr_Occurred(void);
 PyObject *PyErr_Format(PyObject *, const char *, ...);
 PyObject *PyErr_NoMemory(void);
+void PyErr_SetObject(PyObject *, PyObject *);
+void PyErr_Fetch(PyObject **, PyObject **, PyObject **);
+void PyErr_Restore(PyObject *, PyObject *, PyObject *);
 double PyFloat_AsDouble(PyObject *);
 PyObject *PyFloat_FromDouble(double);
 long long PyLong_AsLongLong(PyObject *);
@@ -107,7 +136,19 @@ int PyBytes_AsStringAndSize(PyObject *, char **, Py_ssize_t *);
 PyObject *PyBytes_FromStringAndSize(const char *, Py_ssize_t);
 PyObject *PyTuple_New(Py_ssize_t);
 int PyTuple_SetItem(PyObject *, Py_ssize_t, PyObject *);
+PyObject *PyTuple_GetItem(PyObject *, Py_ssize_t);
+Py_ssize_t PyTuple_Size(PyObject *);
+PyObject *PyDict_GetItemWithError(PyObject *, PyObject *);
+extern PyTypeObject PyDict_Type;
+PyObject *PySequence_Tuple(PyObject *);
+Py_ssize_t PyObject_Size(PyObject *);
+PyObject *PyObject_GetAttr(PyObject *, PyObject *);
+/* Of the stable ABI from 3.12 on; 3.11 exports them with the same meaning. */
+PyObject *PyObject_Vectorcall(PyObject *, PyObject *const *, size_t, PyObject *);
+PyObject *PyObject_VectorcallMethod(PyObject *, PyObject *const *, size_t, PyObject *);
+#define PY_VECTORCALL_ARGUMENTS_OFFSET ((size_t)1 << (8 * sizeof(size_t) - 1))
 PyObject *PyUnicode_FromString(const char *);
+PyObject *PyUnicode_InternFromString(const char *);
 void *PyEval_SaveThread(void);
 void PyEval_RestoreThread(void *);
 

@@ -16,11 +16,11 @@ from drivers.wire.link import BusLink, StampSource, Tap
 from hil.configuration.background import BackgroundTables
 from hil.configuration.config import BenchConfig, BusSegment
 from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
-from virtual_bus.bus.bus_load import BusLoad
 from virtual_bus.bus.disturbance import BusError
 from virtual_bus.bus.error_message import error_frame_of
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.core.native import BusLoad
 from virtual_bus.device.background import background_nodes
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.faults.fault_log import FaultLog

@@ -1,21 +1,40 @@
 """What the core is given: by a seed, frames, drives with what befalls them, and arguments that are none."""
 
+import gc
 import math
 import random
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from struct import pack
 from typing import Any, Final
 
+import can
 import numpy as np
 
 from design.core import native
 from design.statespace import StateSpace
-from drivers.timebase import NS_PER_MS, Instant
+from drivers.timebase import NS_PER_MS, Duration, Instant
 from tests.motors import AZAIZ, LING
-from virtual_bus.core.native import InnerLoops, sine_cosine, wire_bits
+from virtual_bus.bus.host_port import HostPort
+from virtual_bus.bus.judge import Direction, Judge
+from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener
+from virtual_bus.bus.segment import CanSegment
+from virtual_bus.core.native import (
+    BusLoad,
+    HeldFrames,
+    HostPlace,
+    InnerLoops,
+    Port,
+    Segment,
+    SimulatedClock,
+    Timeline,
+    sine_cosine,
+    wire_bits,
+)
 from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from virtual_bus.drive.load_table import LoadTable
+from virtual_bus.frame import Frame
 
 ODD: Final = (math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, 1.8e308, -1e300)
 AWRY: Final[tuple[object, ...]] = (
@@ -121,22 +140,124 @@ def random_runs(draw: random.Random) -> None:
     assert peaks(first, count) == b"".join(peaks(first + number, 1) for number in range(count))
 
 
+class _Refused(Exception):
+    """What a callback of a drawn bus raises."""
+
+
+class _Answering(Listener):
+    """Sends, detaches a port, lets time pass or raises, in the middle of a delivery."""
+
+    def __init__(self, draw: random.Random, segment: CanSegment) -> None:
+        self._draw = draw
+        self._segment = segment
+
+    def on_frame(self, frame: Frame, now: Instant) -> None:
+        chance = self._draw.random()
+        if chance < 0.2:
+            _act_on_bus(self._draw, self._segment, now)
+        elif chance < 0.22:
+            raise _Refused(frame)
+
+
+class _Fate(Judge):
+    """Holds, loses and doubles frames, and raises."""
+
+    def __init__(self, draw: random.Random) -> None:
+        self._draw = draw
+
+    def hold(self, way: int, can_id: int, now: Instant, extended: bool) -> int:  # noqa: ARG002
+        if self._draw.random() < 0.01:
+            raise _Refused(can_id)
+        return self._draw.choice([0, 0, -1, 1, self._draw.randrange(5 * NS_PER_MS)])
+
+    def replacements(self, frame: Frame) -> list[tuple[Frame, Duration]]:
+        return [(frame, Duration(self._draw.randrange(NS_PER_MS))) for _ in range(self._draw.randrange(4))]
+
+
+def _frame(draw: random.Random) -> Frame:
+    extended, remote = draw.random() < 0.2, draw.random() < 0.1
+    can_id = draw.randrange(1 << 29) if extended else draw.choice([0x80, 0x181, draw.randrange(1 << 11)])
+    return Frame(can_id, b"" if remote else draw.randbytes(draw.randrange(9)), extended, remote, remote * 4)
+
+
+def _act_on_bus(draw: random.Random, segment: CanSegment, now: Instant) -> None:
+    """One of what may be done at any instant, within a callback too."""
+    ports = segment.ports
+    if not ports:
+        return
+    port = draw.choice(ports)
+    match draw.randrange(40):
+        case 0:
+            port.detach()
+        case 1:
+            segment.attach("late", _Answering(draw, segment))
+        case 2:
+            port.go_bus_off() if draw.random() < 0.1 else port.set_listen_only(False)
+        case 3:
+            segment.timeline.call_at(Instant(now + draw.randrange(NS_PER_MS)), port.send).cancel()
+        case 4:
+            segment.timeline.run_until(Instant(now + draw.randrange(NS_PER_MS)))
+        case 5:
+            port.on_sent = None if draw.random() < 0.5 else lambda frame, _at: port.send(frame)
+        case _:
+            port.send(_frame(draw))
+
+
+def _used_bus(draw: random.Random) -> "weakref.ref[CanSegment]":
+    """A segment whose ports come, go and answer in the middle of a delivery, hosts with faults, and
+    callbacks that raise."""
+    timeline = Timeline()
+    segment = CanSegment(timeline, draw.choice([10_000, 500_000, 1_000_000]))
+    for number in range(draw.randrange(1, 6)):
+        segment.attach(f"port{number}", _Answering(draw, segment))
+    hosts = [HostPort(segment, f"host{number}") for number in range(draw.randrange(3))]
+    for host in hosts:
+        host.put_before(_Fate(draw), draw.choice(list(Direction)))
+        if draw.random() < 0.5:
+            host.hear_itself()
+    for _ in range(200):
+        try:
+            _act_on_bus(draw, segment, timeline.now)
+            for host in hosts:
+                host.transmit(_frame(draw))
+                host.receive(Instant(timeline.now + draw.randrange(NS_PER_MS)))
+        except (_Refused, can.CanOperationError):
+            continue
+        assert all(0 <= port.pending <= TRANSMIT_QUEUE_MAX for port in segment.ports)
+    return weakref.ref(segment)
+
+
+def bus(draw: random.Random) -> None:
+    """A bus that was used in any way is garbage at the end."""
+    gone = _used_bus(draw)
+    gc.collect()
+    assert gone() is None
+
+
 def misuse(draw: random.Random) -> None:
     """Arguments of wrong number, type, size and range: an error of Python's, or taken."""
     inner = InnerLoops()
     inner.rate_hz = 16_000
+    timeline = Timeline()
+    segment, held, place = Segment(timeline, 500_000), HeldFrames(), HostPlace(timeline)
+    port = Port(segment, 1, "port", place)
     calls: list[Callable[..., Any]] = [sine_cosine, wire_bits, native.random_runs]
+    calls += [BusLoad, HeldFrames, HostPlace, Port, Segment, SimulatedClock, Timeline]
     calls += [
-        getattr(inner, name) for name in dir(inner) if callable(getattr(inner, name)) and name[0] != "_"
+        getattr(each, name)
+        for each in (inner, timeline, segment, held, place, port, BusLoad(), SimulatedClock(timeline))
+        for name in dir(each)
+        if callable(getattr(each, name)) and name[0] != "_"
     ]
     table = pack("=3d", 0.0, 1.0, 2.0)
     for _ in range(100):
         call = draw.choice(calls)
-        given = [draw.choice([*AWRY, *ODD, 0, 1, -1, 5, table, table[:8]]) for _ in range(draw.randrange(9))]
+        odd = [*AWRY, *ODD, 0, 1, -1, 5, table, table[:8], timeline, segment, port, place, Frame(1)]
+        given = [draw.choice(odd) for _ in range(draw.randrange(9))]
         try:
             call(*given)
-        except (TypeError, ValueError, OverflowError):
+        except (TypeError, ValueError, OverflowError, AttributeError):
             continue
 
 
-WORLDS: Final = (frames, drive, random_runs, misuse)
+WORLDS: Final = (frames, drive, random_runs, misuse, bus)

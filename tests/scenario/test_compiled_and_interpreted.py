@@ -16,14 +16,14 @@ SHORT_S = 0.5
 EDITED: dict[str, tuple[str, set[str]]] = {
     "wire": ("drivers/timebase.py", set()),
     "loop": ("hil/loop/axis.py", {"wire", "bus", "device"}),
-    "bus": ("virtual_bus/timeline.py", {"wire", "loop"}),
+    "bus": ("virtual_bus/bus/host_port.py", {"wire", "loop"}),
     "device": ("virtual_bus/drive/servo.py", {"wire", "loop", "bus"}),
 }
 """Group -> a module of it, and the groups that stay compiled when that is edited."""
 FIRST_OF = {
     "wire": "drivers.timebase",
     "loop": "hil.loop.axis",
-    "bus": "virtual_bus.timeline",
+    "bus": "virtual_bus.bus.host_port",
     "device": "virtual_bus.drive.servo",
 }
 

@@ -8,8 +8,10 @@ A controller that comes back from bus-off counts 11 recessive bits once for each
 end (ACK or error delimiter, end of frame, intermission) and once for every 11 bits of idle bus.
 """
 
+from typing import TYPE_CHECKING
+
 from drivers.timebase import NS_PER_S, Duration, Instant
-from virtual_bus.bus.bit_length import arbitration_key, bits_duration
+from virtual_bus.bus.bit_length import bits_duration
 from virtual_bus.bus.controller import (
     RECOVERY_SEQUENCE_BITS,
     RECOVERY_SEQUENCES,
@@ -18,9 +20,12 @@ from virtual_bus.bus.controller import (
     ErrorState,
 )
 from virtual_bus.bus.disturbance import BusError
-from virtual_bus.bus.port import BusMedium, Handling, Port
+from virtual_bus.bus.port import Port
 from virtual_bus.bus.trial import Conditions, Trial, bit_by_bit, is_plain, undisturbed
 from virtual_bus.frame import Frame
+
+if TYPE_CHECKING:
+    from virtual_bus.bus.segment import CanSegment
 
 INTEGRATION_BITS = 11
 """Recessive bits that a node sees before it takes part (ISO 11898-1, bus integration)."""
@@ -28,10 +33,10 @@ _TAIL_BITS = 8
 """Recessive bits at the end of a frame (ACK delimiter, end of frame) and of an error frame."""
 
 
-class ErrorHandling(Handling):
+class ErrorHandling:
     """Takes over the arbitration of ``segment``."""
 
-    def __init__(self, segment: BusMedium) -> None:
+    def __init__(self, segment: "CanSegment") -> None:
         self._segment = segment
         self._timeline = segment.timeline
         self._under_way = False
@@ -42,21 +47,21 @@ class ErrorHandling(Handling):
         self._trial: Trial | None = None
         self._conditions = Conditions(segment.bitrate_bit_s, segment.acknowledged)
         self._leaving: list[Port] = []
-        self._adopt()
 
     def choose(self) -> None:
         """Let the port begin that can do so first and, among several, wins the arbitration."""
         segment = self._segment
-        if self._under_way or segment._delivering:
+        if self._under_way or segment.delivering:
             return
-        free_at = max(self._timeline.now, segment._free_at)
+        free_at = max(self._timeline.now, segment.free_at)
         best: tuple[Instant, int, int] | None = None
         sender: Port | None = None
-        for port in (*segment._ports, *self._leaving):
+        for port in (*segment.ports, *self._leaving):
             controller = port.controller
-            if not port._queue or not controller.can_send:
+            key = port.key
+            if key is None or not controller.can_send:
                 continue
-            rank = max(free_at, controller.suspended_until), arbitration_key(port._queue[0]), port._rank
+            rank = max(free_at, controller.suspended_until), key, port.rank
             if best is None or rank < best:
                 best, sender = rank, port
         if best is None or (sender is self._sender and best[0] == self._start_at):
@@ -68,7 +73,7 @@ class ErrorHandling(Handling):
 
     def left(self, port: Port) -> None:
         """``port`` was detached; what it has queued still goes out."""
-        if port._queue:
+        if port.pending:
             self._leaving.append(port)
 
     def pull_off(self, port: Port) -> None:
@@ -77,7 +82,7 @@ class ErrorHandling(Handling):
             bit = (self._timeline.now - self._start_at) * self._segment.bitrate_bit_s // NS_PER_S
             if port is self._sender and bit < self._trial.frame_bits:
                 self._settle(self._conditions._replace(cut_at=bit))
-            elif port._rank in self._trial.accepted and bit < self._trial.frame_bits - 9:
+            elif port.rank in self._trial.accepted and bit < self._trial.frame_bits - 9:
                 self._settle(self._conditions)
         self.choose()
 
@@ -105,29 +110,27 @@ class ErrorHandling(Handling):
         if not self._under_way:
             self._await_recovery(controller)
 
-    def _adopt(self) -> None:
+    def adopt(self) -> None:
         """Go on from where the segment is."""
         segment = self._segment
-        waiting = list(segment._contenders)
-        if segment._sender is not None:
-            waiting.append(segment._sender)
-        self._leaving = [port for port in waiting if port not in segment._ports]
-        segment._contenders.clear()
-        sender, segment._sender = segment._sender, None
-        if sender is None or self._timeline.now <= segment._start_at:
+        sender, contenders = segment.hand_over(self)
+        waiting = contenders if sender is None else (*contenders, sender)
+        self._leaving = [port for port in waiting if port not in segment.ports]
+        if sender is None or self._timeline.now <= segment.start_at:
             self.choose()
             return
         self._sender, self._under_way = sender, True
-        self._start_at, self._end_at = segment._start_at, segment._end_at
-        self._frame = sender._queue[0]
+        self._start_at, self._end_at = segment.start_at, segment.end_at
+        self._frame = sender.head
+        assert self._frame is not None
         controllers = self._controllers()
-        self._trial = undisturbed(self._frame, sender._rank, controllers, segment.bitrate_bit_s)
+        self._trial = undisturbed(self._frame, sender.rank, controllers, segment.bitrate_bit_s)
         self._timeline.post(self._end_at, self._finish)
 
     def _controllers(self) -> dict[int, CanController]:
-        controllers = {port._rank: port.controller for port in self._segment._ports}
+        controllers = {port.rank: port.controller for port in self._segment.ports}
         if self._sender is not None:
-            controllers.setdefault(self._sender._rank, self._sender.controller)
+            controllers.setdefault(self._sender.rank, self._sender.controller)
         return controllers
 
     def _bits(self, bits: int) -> Duration:
@@ -140,9 +143,10 @@ class ErrorHandling(Handling):
             return  # another port, or another instant, was chosen since
         segment = self._segment
         self._under_way = True
-        self._frame = frame = sender._queue[0]
+        self._frame = frame = sender.head
+        assert frame is not None
         self._count_idle_bits()
-        judge = segment._judge
+        judge = segment.disturb
         disturbance = None if judge is None else judge(sender.name, frame, self._start_at)
         self._settle(Conditions(segment.bitrate_bit_s, segment.acknowledged, disturbance))
 
@@ -153,12 +157,12 @@ class ErrorHandling(Handling):
         assert frame is not None
         self._conditions = conditions
         controllers = self._controllers()
-        rate, rank = segment.bitrate_bit_s, sender._rank
+        rate, rank = segment.bitrate_bit_s, sender.rank
         quiet = conditions.disturbance is None and sender.controller.on_bus
         if quiet and is_plain(rank, controllers, rate, segment.acknowledged):
             self._trial = trial = undisturbed(frame, rank, controllers, rate)
         else:
-            names = {port._rank: port.name for port in segment._ports}
+            names = {port.rank: port.name for port in segment.ports}
             self._trial = trial = bit_by_bit(frame, rank, controllers, names, conditions)
         self._end_at = Instant(max(self._start_at + self._bits(trial.frame_bits), self._timeline.now))
         self._timeline.post(self._end_at, self._finish)
@@ -173,58 +177,59 @@ class ErrorHandling(Handling):
         assert frame is not None
         self._under_way, self._sender = False, None
         wire_free_at = max(self._start_at + self._bits(trial.bits), now)
-        segment._free_at = free_at = Instant(wire_free_at + segment._intermission)
-        segment._load.add(free_at - self._start_at, free_at)
+        segment.free_at = free_at = Instant(wire_free_at + segment.intermission_ns)
+        segment.load.add(free_at - self._start_at, free_at)
         if trial.completed:
             segment.frames += 1
-        if trial.completed and sender._queue:  # else it went off in this instant
-            sender._queue.pop(0)
+        if trial.completed:
+            sender.take_head()  # none is there if it went off in this instant
         states = self._count(sender, trial)
         if sender.controller.state is ErrorState.PASSIVE:
             sender.controller.suspended_until = Instant(free_at + self._bits(SUSPEND_BITS))
-        if sender in self._leaving and not sender._queue:
+        if sender in self._leaving and not sender.pending:
             self._leaving.remove(sender)
         self._restart_recoveries(Instant(wire_free_at - self._bits(_TAIL_BITS)))
-        segment._delivering = True
+        segment.delivering = True
         try:
             self._hand_out(sender, frame, trial, now)
             for port, state in states:
                 self._enter(port, state, now)
         finally:
-            segment._delivering = False
+            segment.delivering = False
             self.choose()
 
     def _hand_out(self, sender: Port, frame: Frame, trial: Trial, now: Instant) -> None:
         segment = self._segment
         if trial.completed or trial.accepted:
-            for monitor in segment._monitors:
+            for monitor in segment.monitors:
                 monitor(frame, now)
-        for port in segment._ports:
-            if port._rank in trial.accepted and port.controller.on_bus:
-                port.listener.on_frame(frame, now)
+        for port in segment.ports:
+            listener = port.listener
+            if listener is not None and port.rank in trial.accepted and port.controller.on_bus:
+                listener.on_frame(frame, now)
         if trial.completed and sender.on_sent is not None:
             sender.on_sent(frame, now)
         if trial.error is not None and not trial.completed:
             segment.errors += 1
             bit, kind = trial.error
             error = BusError(now, kind, sender.name, frame, bit, trial.bits)
-            for on_error in segment._error_monitors:
+            for on_error in segment.error_monitors:
                 on_error(error)
 
     def _count(self, sender: Port, trial: Trial) -> list[tuple[Port, ErrorState]]:
         """Move the counters; returns who is in another state now."""
-        ports = (*self._segment._ports, *(port for port in self._leaving if port is sender))
+        ports = (*self._segment.ports, *(port for port in self._leaving if port is sender))
         changed = []
         for port in ports:
             controller = port.controller
             before = controller.state
             if before is ErrorState.BUS_OFF:
                 continue
-            if (node := trial.nodes.get(port._rank)) is not None:
+            if (node := trial.nodes.get(port.rank)) is not None:
                 controller.take(node)
             elif port is sender:
                 controller.sent_well()
-            elif port._rank in trial.accepted:
+            elif port.rank in trial.accepted:
                 controller.received_well()
             if controller.state is not before:
                 changed.append((port, controller.state))
@@ -233,8 +238,8 @@ class ErrorHandling(Handling):
     def _enter(self, port: Port, state: ErrorState, now: Instant) -> None:
         """Tell the port's owner; a controller that went off forgets what it had to send."""
         if state is ErrorState.BUS_OFF:
-            port._queue.clear()
-            port._room = 0
+            port.clear()
+            port.room = 0
             if port in self._leaving:
                 self._leaving.remove(port)
             if port.recover_after_ns is not None:
@@ -256,7 +261,7 @@ class ErrorHandling(Handling):
             self._await_recovery(controller)
 
     def _recovering(self) -> list[CanController]:
-        return [port.controller for port in self._segment._ports if port.controller.recovery_left]
+        return [port.controller for port in self._segment.ports if port.controller.recovery_left]
 
     def _await_recovery(self, controller: CanController) -> None:
         bits = controller.recovery_left * RECOVERY_SEQUENCE_BITS
@@ -265,12 +270,12 @@ class ErrorHandling(Handling):
     def _end_recoveries(self, now: Instant) -> None:
         if self._under_way:
             return
-        for port in self._segment._ports:
+        for port in self._segment.ports:
             controller = port.controller
             bits = controller.recovery_left * RECOVERY_SEQUENCE_BITS
             if controller.recovery_left and now >= controller.recovery_from + self._bits(bits):
                 controller.come_back()
-                port._reopen()
+                port.reopen()
                 if port.on_error_state is not None:
                     port.on_error_state(ErrorState.ACTIVE, now)
         self.choose()

@@ -7,7 +7,8 @@ from typing import Final
 
 from drivers.timebase import NEVER, Instant
 from virtual_bus.bus.hub_protocol import BATCH_FRAMES_MAX, ECHO_HELD_NS, FRAME_BYTES, encode_frame
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener, Port
+from virtual_bus.bus.listener import Listener
+from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Event
 

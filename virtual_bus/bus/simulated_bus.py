@@ -166,7 +166,7 @@ class SimulatedBus(can.BusABC):
         self.frame_port.close()
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
-        self.frame_port.filters = filters
+        self.frame_port.filter(filters)
 
     def _step_until(self, done: Callable[[], bool], limit: Instant) -> None:
         timeline = self.timeline

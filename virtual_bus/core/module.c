@@ -1,5 +1,6 @@
 /* The module virtual_bus.core.native; native.pyi says what it holds. */
 #include "arguments.h"
+#include "host_place.h"
 #include "rotation.h"
 #include "types.h"
 #include "wire_bits.h"
@@ -49,22 +50,69 @@ static PyModuleDef definition = {
     .methods = functions,
 };
 
-static int add_type(PyObject *module, PyType_Spec *spec, const char *name)
+typedef struct ShownNumber {
+    const char *name;
+    long value;
+} ShownNumber;
+
+static const ShownNumber shown_numbers[] = {
+    {"TRANSMIT_QUEUE_MAX", TRANSMIT_QUEUE_MAX},
+    {"RECEIVE_QUEUE_MAX", RECEIVE_QUEUE_MAX},
+    {"HELD_MAX", HELD_MAX},
+    {"CHECKPOINTS_MAX", CHECKPOINTS_MAX},
+};
+
+typedef struct ShownType {
+    PyType_Spec *spec;
+    const char *name;
+    PyTypeObject **place; /* for those that the core itself asks for */
+} ShownType;
+
+static const ShownType shown_types[] = {
+    {&inner_loops_spec, "InnerLoops", NULL},
+    {&timeline_spec, "Timeline", &timeline_type},
+    {&event_spec, "Event", &event_type},
+    {&clock_spec, "SimulatedClock", NULL},
+    {&load_spec, "BusLoad", &load_type},
+    {&segment_spec, "Segment", &segment_type},
+    {&port_spec, "Port", &port_type},
+    {&held_spec, "HeldFrames", &held_type},
+    {&place_spec, "HostPlace", &place_type},
+};
+
+static bool show_type(PyObject *module, const ShownType *shown)
 {
-    PyObject *type = PyType_FromSpec(spec);
+    PyObject *type = PyType_FromSpec(shown->spec);
     if (type == NULL)
-        return -1;
-    int result = PyModule_AddObjectRef(module, name, type);
-    Py_DecRef(type);
-    return result;
+        return false;
+    bool well = PyModule_AddObjectRef(module, shown->name, type) == 0;
+    if (well && shown->place != NULL)
+        *shown->place = (PyTypeObject *)type; /* and a reference, as long as the process is there */
+    else
+        Py_DecRef(type);
+    return well;
+}
+
+static bool fill(PyObject *module)
+{
+    if (PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) < 0)
+        return false;
+    for (size_t place = 0; place < sizeof shown_numbers / sizeof *shown_numbers; place++) {
+        if (PyModule_AddIntConstant(module, shown_numbers[place].name, shown_numbers[place].value) < 0)
+            return false;
+    }
+    for (size_t place = 0; place < sizeof shown_types / sizeof *shown_types; place++) {
+        if (!show_type(module, &shown_types[place]))
+            return false;
+    }
+    return true;
 }
 
 PyMODINIT_FUNC PyInit_native(void)
 {
     make_wire_tables();
     PyObject *module = PyModule_Create2(&definition, PYTHON_ABI_VERSION);
-    if (module != NULL && (PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) < 0
-                           || add_type(module, &inner_loops_spec, "InnerLoops") < 0)) {
+    if (module != NULL && !fill(module)) {
         Py_DecRef(module);
         return NULL;
     }

@@ -1,5 +1,11 @@
 """What the core, written in C, shows to Python; the sources beside this file say how it is computed."""
 
+from collections.abc import Callable, Sequence, Sized
+from typing import Any, Protocol, Self
+
+from drivers.timebase import Duration, Instant
+from drivers.wire.frame_port import WireFrame
+
 SOURCES_DIGEST: str
 """Of the C that the core was built from (design.core.build)."""
 
@@ -161,3 +167,236 @@ class InnerLoops:
 
     def state(self) -> bytes:
         """All state of motor and loops, for comparing two of them."""
+
+class Event:
+    """An entry of a timeline that can be taken back; it runs once or never."""
+
+    @property
+    def pending(self) -> bool:
+        """Whether the event is still to run."""
+
+    def cancel(self) -> None:
+        """Take the event back; no effect once it has run."""
+
+class Timeline:
+    """An event heap with a present instant that never runs backwards.
+
+    What a callback raises comes out of the call that let time pass; the other events stay.
+    """
+
+    @property
+    def now(self) -> Instant: ...
+    def call_at(self, when: Instant, callback: Callable[[Instant], object], /) -> Event:
+        """Run ``callback(now)`` at ``when``; an instant that has passed means: at once, at ``now``."""
+
+    def post(self, when: Instant, callback: Callable[[Instant], object], /) -> None:
+        """As ``call_at``, for what is never taken back."""
+
+    def next_at(self) -> Instant | None:
+        """The instant of the next event; None if there is none left."""
+
+    def step(self) -> bool:
+        """Go to the next event and run it; False if there is none left."""
+
+    def run_until(self, when: Instant, /) -> None:
+        """Run every event up to and including ``when``, then stand at ``when``."""
+
+    def run_until_filled(self, when: Instant, inbox: Sized, /) -> bool:
+        """As ``run_until``, but stop after the event that puts something into ``inbox``; whether there is
+        something in it. It lets no more time pass than the frame needed."""
+
+class SimulatedClock:
+    """The bench's clock on a timeline: to sleep is to let the events happen."""
+
+    def __init__(self, timeline: Timeline, /) -> None: ...
+    @property
+    def timeline(self) -> Timeline: ...
+    def now(self) -> Instant:
+        """The present instant of the timeline, ns."""
+
+    def sleep_until(self, when: Instant, /) -> None:
+        """Run the timeline up to ``when``; at once if it has passed."""
+
+TRANSMIT_QUEUE_MAX: int
+RECEIVE_QUEUE_MAX: int
+HELD_MAX: int
+CHECKPOINTS_MAX: int
+
+class BusLoad:
+    """Bus load over any past interval, from a bounded number of checkpoints: exact for the first 4096 frames,
+    later good to the frames between two checkpoints, at worst one in 2048 of the whole run."""
+
+    @property
+    def busy_ns(self) -> Duration:
+        """In all."""
+
+    def add(self, duration_ns: int, end: Instant, /) -> None:
+        """The bus was busy for so long up to ``end``; ends never decrease."""
+
+    def busy_until(self, when: Instant, /) -> int:
+        """Cumulated busy time at ``when``, ns; a busy spell lies at the end of its interval."""
+
+    def percent(self, since: Instant, until: Instant, /) -> float:
+        """Load between two instants, percent; 0 for an empty interval."""
+
+class Hearer(Protocol):
+    """The owner of a port."""
+
+    def on_frame(self, frame: WireFrame, now: Instant, /) -> None:
+        """Another port's frame ended at ``now``."""
+
+class Handling(Protocol):
+    """In charge of the arbitration once something may go wrong with a frame or a port."""
+
+    def choose(self) -> None:
+        """Let the port begin that can do so first and, among several, wins the arbitration."""
+
+class Segment:
+    """A bus of one bit rate on a timeline, with any number of ports; see segment.c."""
+
+    def __new__(cls, timeline: Timeline, bitrate_bit_s: int, /) -> Self:
+        """Error: ValueError for a bit rate that is not positive."""
+
+    frames: int
+    """Frames that ended."""
+    free_at: Instant
+    """End of the last intermission."""
+    delivering: bool
+    """A frame is being handed out: no other is chosen meanwhile."""
+    @property
+    def timeline(self) -> Timeline: ...
+    @property
+    def ports(self) -> tuple[Any, ...]:
+        """Those that are attached, in their order."""
+
+    @property
+    def monitors(self) -> tuple[Callable[[WireFrame, Instant], None], ...]: ...
+    @property
+    def handling(self) -> Any | None: ...
+    @property
+    def bitrate_bit_s(self) -> int: ...
+    @property
+    def intermission_ns(self) -> Duration: ...
+    @property
+    def start_at(self) -> Instant:
+        """Of the frame that is being sent or comes next."""
+
+    @property
+    def end_at(self) -> Instant: ...
+    @property
+    def load(self) -> BusLoad:
+        """Of completed frames and the intermission after each."""
+
+    def add_port(self, port: Port, /) -> None: ...
+    def remove_port(self, port: Port, /) -> None: ...
+    def add_monitor(self, on_frame: Callable[[WireFrame, Instant], None], /) -> None:
+        """Show every frame, whoever sent it, to ``on_frame`` at its end."""
+
+    def hand_over(self, handling: Handling, /) -> tuple[Any | None, tuple[Any, ...]]:
+        """Let ``handling`` choose from now on; the port that was sending or chosen, and those that wait."""
+
+class Port:
+    """A node's connection to a segment: a first-in first-out transmit queue of 256 frames and a listener."""
+
+    def __init__(self, segment: Segment, rank: int, name: str, listener: Hearer, /) -> None: ...
+    listener: Hearer | None
+    """Gets every other port's frame; None: detached."""
+    on_sent: Callable[[WireFrame, Instant], None] | None
+    room: int
+    """Frames that it holds at most; 0: it is bus-off."""
+    @property
+    def name(self) -> str: ...
+    @property
+    def rank(self) -> int: ...
+    @property
+    def pending(self) -> int:
+        """Frames that wait for the bus, the one being sent included."""
+
+    @property
+    def head(self) -> WireFrame | None:
+        """The first of them."""
+
+    @property
+    def key(self) -> int | None:
+        """Its arbitration key (virtual_bus.bus.bit_length)."""
+
+    def send(self, frame: WireFrame, /) -> None:
+        """Queue ``frame``. Raises what ``refusal()`` of the class on top returns, if it is full, off or
+        detached; ValueError for a frame that is none of classical CAN."""
+
+    def hear_only(self, heard: dict[int, Any], /) -> None:
+        """Hand only those data frames to the listener whose identifier, of 11 bits, is in ``heard`` then."""
+
+    def take_head(self) -> WireFrame | None:
+        """Error: ValueError while no error handling is in charge."""
+
+    def clear(self) -> None:
+        """Forget what is queued. Error: ValueError while no error handling is in charge."""
+
+class HeldFrames:
+    """Let go in the order of their release, those of one instant in the order in which they came.
+
+    4096 at most: both TPDOs of a cycle of 1 ms for two seconds.
+    """
+
+    overflow: int
+    """Frames lost because too many were held."""
+    def __len__(self) -> int: ...
+    def hold(self, frame: WireFrame, release: int, mark: int = 0, /) -> bool:
+        """Keep ``frame`` until ``release`` (an Instant); False if there is no room. ``mark``: the owner's."""
+
+    def next_at(self) -> int:
+        """When the next one goes; NEVER if none is held."""
+
+    def take(self, now: int, /) -> tuple[int, int, WireFrame, int] | None:
+        """The next one that goes by ``now``: release, order, frame, mark."""
+
+    def clear(self) -> None:
+        """Forget all that is held."""
+
+class FrameJudge(Protocol):
+    """See virtual_bus.bus.judge."""
+
+    def hold(self, way: int, can_id: int, now: Instant, extended: bool, /) -> int: ...
+    def replacements(self, frame: WireFrame, /) -> Sequence[tuple[WireFrame, Duration]]: ...
+
+class HostPlace:
+    """A participant's inbox, of 65 536 frames, and the faults in front of it and of its sending; see
+    host_place.c. It is the listener of its port."""
+
+    def __init__(self, timeline: Timeline, /) -> None: ...
+    accepts: Callable[[WireFrame], bool] | None
+    """Acceptance filter, in front of the faults."""
+    closed: bool
+    """Nothing that was held comes in any more."""
+    @property
+    def held_in(self) -> HeldFrames: ...
+    @property
+    def held_out(self) -> HeldFrames: ...
+    @property
+    def overruns(self) -> int:
+        """Frames lost because nobody fetched them."""
+
+    def __len__(self) -> int:
+        """Frames that wait in the inbox."""
+
+    def take_port(self, port: Port, /) -> None:
+        """Send by ``port`` from now on."""
+
+    def put_before(self, judge: FrameJudge, way_out: int, /) -> None:
+        """Let ``judge`` decide about every frame; ``way_out``: the way of the frames sent here, 0 or 1."""
+
+    def receive(self, until: Instant, /) -> tuple[WireFrame, Instant, bool] | None:
+        """The next frame, its instant, and whether it is an own one; None if there is none up to ``until``.
+
+        Time passes no further than to that frame, or to ``until``.
+        """
+
+    def transmit(self, frame: WireFrame, /) -> None:
+        """Queue ``frame`` now, or let its fate befall it. Raises as :meth:`Port.send`."""
+
+    def on_frame(self, frame: WireFrame, now: Instant, /) -> None:
+        """Another port's frame ended at ``now``."""
+
+    def on_sent(self, frame: WireFrame, now: Instant, /) -> None:
+        """An own frame ended at ``now``: it meets no fault."""

@@ -5,5 +5,7 @@
 #include "stable_abi.h"
 
 extern PyType_Spec inner_loops_spec;
+extern PyType_Spec timeline_spec, event_spec, clock_spec;
+extern PyType_Spec segment_spec, port_spec, held_spec, place_spec, load_spec;
 
 #endif

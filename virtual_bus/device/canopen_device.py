@@ -29,7 +29,7 @@ from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import MemoryStore, ParameterStorage, ParameterStore
 from virtual_bus.device.pdo_engine import PdoEngine
 from virtual_bus.device.sdo_server import SdoServer
-from virtual_bus.device.station import Station
+from virtual_bus.device.station import Handler, Station
 from virtual_bus.device.sync_consumer import SyncConsumer
 from virtual_bus.frame import Frame
 
@@ -140,6 +140,11 @@ class CanopenDevice:
     def answer_scan_in_configuration(self) -> None:
         """From now on every frame of an LSS fast scan is answered in the configuration state too."""
         self._lss.scan_answered_in_configuration = True
+
+    @property
+    def heard(self) -> dict[int, tuple[Handler, ...]]:
+        """The identifiers of the data frames that it listens to, as they are at the time."""
+        return self._station.data_handlers
 
     @property
     def wake_at(self) -> Instant | None:

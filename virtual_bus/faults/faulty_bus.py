@@ -24,10 +24,10 @@ from drivers.wire.frame_port import FramePort
 from drivers.wire.identifiers import ERROR_FLAG
 from drivers.wire.message import frame_of, message_of
 from drivers.wire.message_port import MessagePort, StampSource
-from virtual_bus.bus.held_frames import HeldFrames
 from virtual_bus.bus.host_port import HostPort
 from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.core.native import HeldFrames
 from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.frame_fault import Side
 from virtual_bus.frame import Frame

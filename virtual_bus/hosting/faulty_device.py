@@ -18,9 +18,9 @@ from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.objects301 import is_mapping
 from drivers.timebase import NEVER, Instant
 from drivers.wire.identifiers import EXTENDED_FLAG
-from virtual_bus.bus.held_frames import HeldFrames
 from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.port import Port
+from virtual_bus.core.native import HeldFrames
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.object_dictionary import Check
 from virtual_bus.device.sdo_abort import AbortCode

@@ -10,10 +10,10 @@ import pytest
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant
 from tests.motors import LING
-from virtual_bus.bus.held_frames import HELD_MAX
 from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.core.native import HELD_MAX
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.faults.fault_log import FaultLog, entry_line, read_line

@@ -281,7 +281,7 @@ def test_babbling_starves_the_lower_priorities_and_load_is_full() -> None:
     babbler, sender, other = bench.nodes
     babble = Frame(0x000, bytes(8))
     babbler.port.on_sent = lambda _frame, _at: babbler.port.send(babble)
-    bench.segment._handled()
+    bench.segment.handled()
     babbler.port.send(babble)
     bench.run(300)
     sender.port.send(FRAME)

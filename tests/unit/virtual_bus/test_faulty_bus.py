@@ -13,10 +13,10 @@ from drivers.timebase import NS_PER_S, Instant
 from tests.fates import keys
 from tests.hearing import Hearing
 from tests.ports import fetched
-from virtual_bus.bus.held_frames import HELD_MAX
 from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.core.native import HELD_MAX
 from virtual_bus.faults.fault_injector import FaultInjector
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.faulty_bus import (

@@ -1,7 +1,7 @@
 """The one place where frames wait: order, bound, and what the owner notes beside a frame."""
 
 from drivers.timebase import NEVER
-from virtual_bus.bus.held_frames import HELD_MAX, HeldFrames
+from virtual_bus.core.native import HELD_MAX, HeldFrames
 from virtual_bus.frame import Frame
 
 
@@ -12,7 +12,7 @@ def frame(n: int) -> Frame:
 def test_frames_go_by_their_release_and_those_of_one_instant_in_the_order_of_coming() -> None:
     held = HeldFrames()
     for n, release in enumerate((30, 10, 20, 10)):
-        assert held.hold(frame(n), release, mark=n)
+        assert held.hold(frame(n), release, n)
     assert (len(held), held.next_at()) == (4, 10)
     assert held.take(9) is None
     taken = [held.take(25) for _ in range(4)]

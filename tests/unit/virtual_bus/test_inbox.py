@@ -1,4 +1,4 @@
-"""The inbox of a host port: first in, first out, with a bound."""
+"""The inbox of a host port: first in, first out."""
 
 from collections import deque
 
@@ -7,42 +7,34 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import Instant
-from virtual_bus.bus.host_port import Inbox, ReceivedFrame
+from virtual_bus.core.native import HostPlace
 from virtual_bus.frame import Frame
-
-
-def arrival(number: int) -> ReceivedFrame:
-    return ReceivedFrame(Frame(number), Instant(number), False)
+from virtual_bus.timeline import Timeline
 
 
 @settings(derandomize=True, deadline=None)
 @given(st.lists(st.tuples(st.booleans(), st.integers(1, 90)), max_size=60))
-def test_it_is_a_bounded_queue(steps: list[tuple[bool, int]]) -> None:
+def test_it_is_a_queue(steps: list[tuple[bool, int]]) -> None:
     """``steps``: so many put in, or so many taken out."""
-    inbox, reference, number = Inbox(200), deque[int](), 0
+    inbox, reference, number = HostPlace(Timeline()), deque[tuple[int, int, bool]](), 0
     for puts, count in steps:
         for _ in range(count):
             if puts:
-                kept = inbox.put(arrival(number))
-                assert kept == (len(reference) < 200)
-                if kept:
-                    reference.append(number)
+                own = number % 3 == 0
+                (inbox.on_sent if own else inbox.on_frame)(Frame(number % 2048), Instant(number))
+                reference.append((number % 2048, number, own))
                 number += 1
             elif reference:
-                assert inbox.take().frame.can_id == reference.popleft()
+                received = inbox.receive(Instant(0))
+                assert received is not None
+                frame, at, own = received
+                assert (frame.can_id, at, own) == reference.popleft()
+            else:
+                assert inbox.receive(Instant(0)) is None
             assert len(inbox) == len(reference)
             assert bool(inbox) == bool(reference)
 
 
-def test_an_empty_one_gives_nothing() -> None:
-    with pytest.raises(IndexError):
-        Inbox(1).take()
-
-
-def test_what_was_taken_is_not_kept() -> None:
-    inbox = Inbox(10_000)
-    for number in range(10_000):
-        inbox.put(arrival(number))
-    for _ in range(9_999):
-        inbox.take()
-    assert len(inbox._arrivals) < 200
+def test_without_a_port_it_sends_nothing() -> None:
+    with pytest.raises(ValueError, match="no port"):
+        HostPlace(Timeline()).transmit(Frame(1))

@@ -199,7 +199,7 @@ def test_detached_port_sends_what_it_has_and_hears_nothing() -> None:
     timeline.run_until(Instant(10_000_000))
     assert segment.frames == 4
     assert heard == sent == []
-    assert segment._ports == (staying,)
+    assert segment.ports == (staying,)
     with pytest.raises(can.CanOperationError, match="detached"):
         leaving.send(Frame(0x100))
 

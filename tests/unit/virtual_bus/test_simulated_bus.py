@@ -8,10 +8,10 @@ import pytest
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from tests.ports import fetched
 from tests.unit.virtual_bus.can_reference import wire_bits
-from virtual_bus.bus.host_port import RECEIVE_QUEUE_MAX
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener, Port
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus, TimelineCyclicTask
+from virtual_bus.core.native import RECEIVE_QUEUE_MAX
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
 
