@@ -10,8 +10,9 @@ had not been there:
 Of two frames of one SYNC that is taken for the extra one whose delay is less usual. One that equals another
 of the last frames is no news: a bus, an adapter or a gateway may repeat it.
 
-The next one proves nothing if its delay is off the usual one by more than half a period. Then answers have
-changed sides of their SYNCs: they take about a period, or a SYNC not heard was elsewhere than thought.
+The next one proves nothing if its delay is off the usual one by more than half a period, or is rather that of
+the frame in question. Then answers have changed sides of their SYNCs: they take about a period, or took more
+and now take less, or a SYNC not heard was elsewhere than thought.
 """
 
 from collections import deque
@@ -36,7 +37,8 @@ QUIET_SYNCS: Final = 2000
 REGULAR_TIMED: Final = 2
 """The same of a stream by timer, whose next frame has to come where it was due."""
 TOLERANCE: Final = 40
-"""A frame by timer is in time within this part of its period: what a busy bus holds it up."""
+"""A frame by timer is in time within this part of its period, and one that answers a SYNC comes as is usual
+within this part of a period: what a busy bus holds it up."""
 RECENT: Final = 32
 """Frames of which another one may be a repetition."""
 REPEATS: Final = 2
@@ -104,6 +106,7 @@ class RegularStream:
         """Since this was last set back there was more than one frame where one was due."""
         self._step, self._tolerance = step, tolerance
         self._repeats, self._same, self._half = repeats, same, period / 2.0
+        self._noise = period / TOLERANCE
         self._recent: deque[bytes] = deque()
         self._times: dict[bytes, int] = {}
         """How often each of them is there: a look at each of 32 would cost more than all else."""
@@ -197,13 +200,18 @@ class RegularStream:
         """Whether a frame is likelier the answer that is usual a period before or after."""
         return abs(frame.delay - self._usual) > self._half
 
+    def _is_as_extras(self, frame: _Frame) -> bool:
+        """Whether a frame comes as late as one in question did, and not as is usual."""
+        off = abs(frame.delay - self._usual)
+        return off > self._noise and any(abs(frame.delay - each.delay) < off for each in self._extras)
+
     def _found(self, frame: _Frame) -> list[Extra]:
         """The extra frames before ``frame``, a regular one."""
         before = self._frame
         back = frame.data == before.data
         if (self._same and not back) or (before.repeated and (self.repeating or not back)):
             self._clear_of_doubt()
-        if self._is_on_other_side(frame):
+        if self._is_on_other_side(frame) or self._is_as_extras(frame):
             self._clear_of_doubt()
         if before.repeated:
             self.repetitions -= len(self._extras)

@@ -179,6 +179,14 @@ def test_a_delay_that_was_longer_than_a_period_and_then_is_not_is_nobodys() -> N
     assert Stream(delays=DelaysKnown.UNKNOWN).told(arrivals, 2000) == []
 
 
+@pytest.mark.parametrize("less", [1_020_000, 1_081_000, 1_250_000])
+def test_an_answer_that_took_a_little_more_than_a_period_and_then_less_is_nobodys(less: int) -> None:
+    """A read-back behind readings that take less than a period: its last late one and its first in time
+    answer two SYNCs within the time of one."""
+    arrivals = {number: [less if number <= 120 else DELAY] for number in range(1, 301)}
+    assert Stream().told(arrivals, 300, at_end=True) == []
+
+
 def test_at_the_end_nothing_is_told_while_it_is_in_question_how_long_readings_take() -> None:
     """The last three come behind the last SYNC, as the delay has been three periods longer than was known."""
     stream = Stream()
