@@ -21,6 +21,8 @@ from hil.configuration.config import BenchConfig
 from hil.configuration.config_errors import BadInputs
 from hil.control.own_code import OwnCodeFailed, object_of
 from hil.execution.bench import run_bench
+from hil.machine.refusals import explained
+from hil.machine.replaced import watch_for_replacements
 from hil.machine.stopping import Interrupted, StopRequest
 from hil.recording.memory_recorder import MemoryRecorder
 from hil.recording.recorder import recorder_of
@@ -266,6 +268,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     said = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what code of one's own prints is no answer
+    watch_for_replacements()
 
     def tell(what: dict[str, Any]) -> None:
         said.write(json.dumps(what) + "\n")
@@ -282,6 +285,11 @@ def main() -> int:
         return error.exit_status
     except BrokenPipeError:
         """Nobody asks any more."""
+    except Exception as error:
+        if (known := explained(error)) is None:
+            raise
+        tell(refusal(known))
+        return known.exit_status
     return 0
 
 

@@ -90,15 +90,23 @@ def _others(held: _Held) -> Iterator[str]:
 
 
 _of_process: Final = Modules()
+_is_watched = False
+
+
+def watch_for_replacements() -> None:
+    """This process is one of the bench's own: what is replaced here, the user's code has replaced."""
+    global _is_watched
+    _is_watched = True
 
 
 def remember_modules() -> None:
-    """In a command's process. Elsewhere, as under pytest, others have reasons to replace functions."""
-    if has_parent():
+    """In a command's process, and in one that watches. Elsewhere, as under pytest, others have reasons to
+    replace functions."""
+    if has_parent() or _is_watched:
         tell_parent(own_code=True)
         _of_process.remember()
 
 
 def replaced() -> str:
-    """As :meth:`Modules.replaced`; empty outside of a command's process."""
+    """As :meth:`Modules.replaced`; empty in a process that remembers none."""
     return _of_process.replaced()

@@ -1,11 +1,13 @@
 """A campaign leaves with 0 only behind its last run, whatever its check puts in the way of an exit status."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from hil.configuration.toml_text import toml_text
+from tests.exits.misused_hooks import __file__ as hooks
 from tests.scenario.processes import run_command
 from tests.unit.hil.recorded_runs import BENCH
 from virtual_bus.child_python import python_command
@@ -73,3 +75,24 @@ def test_a_campaign_for_which_there_is_no_room_says_so(tmp_path: Path) -> None:
     assert status == told["exit_status"] == 5, said
     assert told["error"] == f"--out: {tmp_path / 'out'}: File too large"
     assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_what_a_controller_has_replaced_is_named_wherever_it_ran(tmp_path: Path, workers: str) -> None:
+    """A worker died with it, three times, and the campaign ended with 6."""
+    path = sweep(tmp_path)
+    way = "put('drivers.canopen.sdo:PumpedSdoClient.upload')"
+    controller = {
+        "kind": "python",
+        "object": f"{hooks}:Hooks",
+        "parameters": {"where": "channels", "way": way},
+    }
+    written = tomllib.loads(path.read_text(encoding="utf-8"))
+    del written["own"]
+    written["change"]["drive.axis1.controller"] = controller
+    path.write_text(toml_text(written), encoding="utf-8")
+    command = python_command("hil.cli", "campaign", str(path), "--out", str(tmp_path / "out"))
+    done = run_command([*command, "--workers", workers, "--json"])
+    assert done.returncode == 3, done.stderr
+    said = json.loads(done.stdout)["error"]
+    assert said.startswith("code of your own has replaced drivers.canopen.sdo.PumpedSdoClient.upload; then")
