@@ -9,6 +9,7 @@
 #   make test-dask   campaigns on a Dask cluster of this machine
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make test-can    the tests on two CAN controllers of one bus: CAN0=can0 CAN1=can1, or emulated by QEMU
+#                    (CORE=1: without what takes an emulated machine minutes each, but for one run of a bench)
 #   make truth       hold the rows of runs against the truth: of given plans, then of drawn ones, for at most
 #                    SECONDS each
 #   make swarm       hold runs drawn at random against what must be true of each, as a campaign (OUT=DIR: its
@@ -156,7 +157,7 @@ test-vcan: $(TOOLS) compile
 	@.ci/test-vcan $(BIN)/pytest tests/vcan
 
 test-can: $(TOOLS) compile
-	@.ci/test-can $(BIN)/pytest -o timeout=600 tests/can
+	@.ci/test-can $(BIN)/pytest -o timeout=600 $(if $(CORE),-m "not long") tests/can
 
 SECONDS ?= 300
 

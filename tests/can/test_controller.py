@@ -124,6 +124,7 @@ def test_what_is_set_is_seen_and_what_does_not_fit_is_named(channel: str, ip_lin
     assert all(part in advice for part in ("the bench to 1000000", "restart-ms 100", "txqueuelen 10"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("length", [10, 1])
 def test_a_scan_finds_who_is_there_through_a_short_queue(
     channel: str, other: str, ip_link: IpLink, length: int
