@@ -25,7 +25,8 @@ def trace(
     source: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[RUN|LOG]", help="A recording, or a log: candump, pcap, pcapng; .gz; - for stdin."
+            metavar="[RUN|LOG]",
+            help="A recording, or a log: candump, pcap, pcapng, asc, blf, trc, ...; .gz; - for stdin.",
         ),
     ] = None,
     eds: Annotated[
@@ -72,7 +73,7 @@ def trace(
 def _read(
     source: Path, differences: bool, sheets: "list[SheetFile]", selection: "TraceSelection", as_json: bool
 ) -> None:
-    from hil.reviewing.trace.bus_log import BusLog
+    from hil.reviewing.trace.bus_log import KINDS, BusLog
     from hil.reviewing.trace.decoder import decode
     from hil.reviewing.trace.known_nodes import KnownNodes
     from hil.reviewing.trace.run_trace import RecordedBus
@@ -93,6 +94,8 @@ def _read(
         zero_ns = first.at_ns if zero_ns is None else zero_ns
         entries = decode(chain((first,), frames), known, None if window is None else window.end_ns)
         _print(selection, entries, zero_ns or 0, as_json)
+    elif not source.is_dir():
+        raise BadInput(str(source), "", log.first_malformed or log.damage or "no frame", KINDS)
     for note in log.notes():
         say(f"hil: note: {source}: {note}")
 

@@ -1,4 +1,4 @@
-"""A log of whatever program as a stream of frames: candump's, pcap, pcapng, each packed by gzip or not.
+"""A log of whatever program as a stream of frames: candump's, pcap, pcapng, and those that python-can reads.
 
 It is read as it goes, so its length costs no memory. What is no frame is counted, and the first told.
 """
@@ -26,8 +26,11 @@ from hil.reviewing.trace.capture_file import (
 )
 from hil.reviewing.trace.log_frame import LogFrame
 from hil.reviewing.trace.log_window import TimeWindow, lines_of_window
+from hil.reviewing.trace.other_logs import SUFFIXES, BrokenLog, kind_of, other_frames
 
 STDIN: Final = Path("-")
+KINDS: Final = f"a log of candump, a pcap or pcapng, or one of {', '.join(SUFFIXES)}"
+"""What can be read, for an error."""
 _GZIP_MAGIC: Final = b"\x1f\x8b"
 _LINE_MAX: Final = 1024
 """A line of candump -x -a with 64 bytes has 330."""
@@ -97,11 +100,14 @@ class BusLog:
             if start in PCAP_MAGICS or start == PCAPNG_MAGIC:
                 yield from self._captured(file)
                 return
+            if kind_of(self._path):
+                yield from other_frames(self._path)
+                return
             lines = _lines(file) if self._window is None else lines_of_window(self._path, self._window)
             for number, line in lines:
                 if (frame := self._listed(number, line)) is not None:
                     yield frame
-        except BrokenCapture as error:
+        except (BrokenCapture, BrokenLog) as error:
             self.damage = str(error)
         except (EOFError, OSError, zlib.error) as error:
             self.damage = str(error) or type(error).__name__
@@ -144,10 +150,10 @@ def _opened(path: Path) -> Iterator[io.BufferedReader]:
         return
     try:
         if stat.S_ISDIR(os.stat(path).st_mode):
-            raise BadInput(str(path), "", "a folder", "a recording, or a log of candump, pcap or pcapng")
+            raise BadInput(str(path), "", "a folder", f"a recording, or {KINDS}")
         file = path.open("rb")
     except OSError as error:
-        raise BadInput(str(path), "", error.strerror, "a log of candump, pcap or pcapng") from None
+        raise BadInput(str(path), "", error.strerror, KINDS) from None
     with file:
         if file.peek(2)[:2] == _GZIP_MAGIC:
             with gzip.open(file) as unpacked:
