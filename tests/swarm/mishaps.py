@@ -115,8 +115,8 @@ def disturbed(found: Circumstances, program: Callable[[], int]) -> Callable[[], 
 _WRITE: Final = AppendFile.write
 
 
-def _with_write(write: Callable[[AppendFile, bytes], None], program: Callable[[], int]) -> int:
-    with patch.object(AppendFile, "write", lambda file, data: write(file, data)):
+def _with_write(write: Callable[[AppendFile, bytes, int], None], program: Callable[[], int]) -> int:
+    with patch.object(AppendFile, "write", lambda file, data, *, unit=0: write(file, data, unit)):
         return program()
 
 
@@ -124,13 +124,13 @@ class _Dying:
     def __init__(self, writes: int) -> None:
         self._left = writes
 
-    def write(self, file: AppendFile, data: bytes) -> None:
+    def write(self, file: AppendFile, data: bytes, unit: int) -> None:
         """Half of it, and no more, once there were enough."""
         if self._left:
             self._left -= 1
-            _WRITE(file, data)
+            _WRITE(file, data, unit=unit)
             return
-        _WRITE(file, data[: len(data) // 2])
+        _WRITE(file, data[: len(data) // 2], unit=unit)
         os.kill(os.getpid(), STRIKE)
 
 
@@ -140,9 +140,9 @@ class _Slow:
         self._takes = takes
         self._clock = MonotonicClock()
 
-    def write(self, file: AppendFile, data: bytes) -> None:
+    def write(self, file: AppendFile, data: bytes, unit: int) -> None:
         """Later, the first times."""
         if self._left:
             self._left -= 1
             self._clock.sleep_until(Instant(self._clock.now() + self._takes))
-        _WRITE(file, data)
+        _WRITE(file, data, unit=unit)

@@ -25,7 +25,7 @@ from hil.reviewing.trace.capture_file import (
     capture_packets,
 )
 from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.log_window import TimeWindow, lines_of_window
+from hil.reviewing.trace.log_window import LogWindow, lines_of_window
 from hil.reviewing.trace.other_logs import SUFFIXES, BrokenLog, kind_of, other_frames
 
 STDIN: Final = Path("-")
@@ -41,7 +41,7 @@ _SHOWN_MAX: Final = 60
 class BusLog:
     """The frames of a log, and what in it was none."""
 
-    def __init__(self, path: Path, differences: bool = False, *, window: TimeWindow | None = None) -> None:
+    def __init__(self, path: Path, differences: bool = False, *, window: LogWindow | None = None) -> None:
         """``differences``: each stamp counts from the frame before (candump -t d).
 
         ``window``: of a log in order of time only the frames in there, and what they rest on, are read.

@@ -33,14 +33,14 @@ for _service in (SDO_ANSWER, SDO_REQUEST):
     _SDO[_service + 1 : _service + NODE_BITS + 1] = True
 
 
-class TimeWindow(NamedTuple):
+class LogWindow(NamedTuple):
     """As a log counts; both ends belong to it."""
 
     begin_ns: int
     end_ns: int
 
 
-def lines_of_window(path: Path, window: TimeWindow) -> Iterator[tuple[int, bytes]]:
+def lines_of_window(path: Path, window: LogWindow) -> Iterator[tuple[int, bytes]]:
     """Number, from 1 on, and text of the lines that ``window`` needs, in the order of the log.
 
     The log is one of candump -L whose times never fall. Behind the window come lines of SDO transfers alone.
@@ -50,13 +50,13 @@ def lines_of_window(path: Path, window: TimeWindow) -> Iterator[tuple[int, bytes
     with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as log:
         begin = _line_at(log, window.begin_ns - _MARGIN_NS)
         end = max(begin, _line_at(log, window.end_ns + _MARGIN_NS))
-        number = yield from _telling(log, 0, begin, 0, Telling(~_SDO))
+        number = yield from _telling(log, 0, begin, 0, TellingFrames(~_SDO))
         while begin < end:
             stop = log.find(b"\n", begin) + 1 or len(log)
             number += 1
             yield number, log[begin:stop]
             begin = stop
-        yield from _telling(log, end, len(log), number, Telling(np.zeros_like(_SDO)))
+        yield from _telling(log, end, len(log), number, TellingFrames(np.zeros_like(_SDO)))
 
 
 def _line_at(log: mmap, at_ns: int) -> int:
@@ -73,7 +73,7 @@ def _line_at(log: mmap, at_ns: int) -> int:
     return low
 
 
-class Telling:
+class TellingFrames:
     """Which frames say what others mean."""
 
     def __init__(self, first: NDArray[np.bool_]) -> None:
@@ -99,7 +99,7 @@ class Telling:
 
 
 def _telling(
-    log: mmap, begin: int, end: int, number: int, telling: Telling
+    log: mmap, begin: int, end: int, number: int, telling: TellingFrames
 ) -> Generator[tuple[int, bytes], None, int]:
     """Of the lines from ``begin`` to ``end``, behind line ``number``, those that tell; the last number."""
     while begin < end:

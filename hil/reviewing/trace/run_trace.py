@@ -16,7 +16,7 @@ from hil.configuration.bench_file import load_bench
 from hil.reviewing.trace.bus_log import BusLog
 from hil.reviewing.trace.known_nodes import KnownNodes, NodeKey, SheetFile
 from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.log_window import TimeWindow
+from hil.reviewing.trace.log_window import LogWindow
 from hil.rows.records_file import read_metadata, refuse_later_format
 from hil.rows.run_files import (
     BENCH_FILE,
@@ -55,7 +55,7 @@ class RecordedBus:
         """Each frame with T or R."""
         return self._told(self.log)
 
-    def of_window(self, window: TimeWindow) -> Iterator[LogFrame]:
+    def of_window(self, window: LogWindow) -> Iterator[LogFrame]:
         """The same of the frames in a window, as frames.log counts, and of those that say what they mean."""
         self.log = BusLog(self._folder / FRAMES_FILE, window=window)
         return self._told(self.log)

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Final, NamedTuple
 
 from drivers.timebase import NS_PER_S
-from hil.reviewing.trace.log_window import TimeWindow
+from hil.reviewing.trace.log_window import LogWindow
 from hil.reviewing.trace.object_value import ObjectValue
 
 KINDS: Final = ("nmt", "sync", "emcy", "time", "heartbeat", "guarding", "sdo", "pdo", "lss", "error", "other")
@@ -88,7 +88,7 @@ class TraceSelection(NamedTuple):
             if self._in_time(entry, zero_ns):
                 yield entry
 
-    def window(self, zero_ns: int) -> TimeWindow | None:
+    def window(self, zero_ns: int) -> LogWindow | None:
         """The same times as a log counts; None: all of it is wanted."""
         if self.from_s is None and self.to_s is None:
             return None
@@ -96,7 +96,7 @@ class TraceSelection(NamedTuple):
             wide if at_s is None else zero_ns + math.floor(at_s * NS_PER_S)
             for at_s, wide in ((self.from_s, -_EVER_NS), (self.to_s, _EVER_NS))
         )
-        return TimeWindow(begin, end + 1)
+        return LogWindow(begin, end + 1)
 
     def _in_time(self, entry: TraceEntry, zero_ns: int) -> bool:
         if self.from_s is None and self.to_s is None:

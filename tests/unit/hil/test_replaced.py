@@ -2,13 +2,14 @@
 
 import colorsys
 import sched
+import subprocess
 import sys
 from collections.abc import Iterator
 
 import pytest
 
 from hil.machine.held_process import held_process
-from hil.machine.replaced import Modules, replaced
+from hil.machine.replaced import Modules
 
 
 @pytest.fixture(autouse=True)
@@ -52,7 +53,16 @@ def test_functions_and_modules_are_named_and_nothing_else(line: str, named: str)
     exec(line)
     modules.remember()
     assert modules.replaced() == named
-    assert replaced() == "", "of a process that is no command's"
+
+
+def test_a_process_that_is_no_command_s_remembers_nothing() -> None:
+    """As pytest's: others have reasons to replace functions there."""
+    code = (
+        "import colorsys; from hil.machine.replaced import remember_modules, replaced; remember_modules(); "
+        "colorsys.rgb_to_yiq = None; print([replaced()])"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert told == "['']\n"
 
 
 def test_a_stack_that_is_made_shallow_is_as_deep_as_before() -> None:
