@@ -76,6 +76,7 @@ def _read(
     from hil.reviewing.trace.bus_log import KINDS, BusLog
     from hil.reviewing.trace.decoder import decode
     from hil.reviewing.trace.known_nodes import KnownNodes
+    from hil.reviewing.trace.log_window import EVER_NS
     from hil.reviewing.trace.run_trace import RecordedBus
 
     window = None
@@ -92,7 +93,7 @@ def _read(
         known, frames, zero_ns = KnownNodes(sheets), iter(log), None
     if (first := next(frames, None)) is not None:
         zero_ns = first.at_ns if zero_ns is None else zero_ns
-        entries = decode(chain((first,), frames), known, None if window is None else window.end_ns)
+        entries = decode(chain((first,), frames), known, EVER_NS if window is None else window.end_ns)
         _print(selection, entries, zero_ns or 0, as_json)
     elif not source.is_dir():
         raise BadInput(str(source), "", log.first_malformed or log.damage or "no frame", KINDS)

@@ -20,6 +20,7 @@ from drivers.canopen.sdo import abort_text, object_name
 from drivers.wire.error_frames import error_frame_text
 from hil.reviewing.trace.known_nodes import KnownNodes
 from hil.reviewing.trace.log_frame import LogFrame
+from hil.reviewing.trace.log_window import EVER_NS
 from hil.reviewing.trace.node_objects import NodeObjects
 from hil.reviewing.trace.object_value import ObjectValue
 from hil.reviewing.trace.pdo_book import PdoBook
@@ -39,7 +40,7 @@ _SDO_BYTES: Final = 8
 
 
 def decode(
-    frames: Iterable[LogFrame], known: KnownNodes | None = None, until_ns: int | None = None
+    frames: Iterable[LogFrame], known: KnownNodes | None = None, until_ns: int = EVER_NS
 ) -> Iterator[TraceEntry]:
     """The frames of a log or a live bus in words, in order of time; an SDO transfer comes where it ends.
 
@@ -49,8 +50,8 @@ def decode(
     known = known or KnownNodes()
     channels: dict[str, BusDecoder] = {}
     for frame in frames:
-        behind = until_ns is not None and frame.at_ns is not None and frame.at_ns > until_ns
-        if behind and not any(decoder.has_transfer_since(until_ns) for decoder in channels.values()):
+        behind = (frame.at_ns or 0) > until_ns
+        if behind and not any(decoder.has_open_transfer(until_ns) for decoder in channels.values()):
             return
         decoder = channels.get(frame.channel)
         if decoder is None:
@@ -106,10 +107,10 @@ class BusDecoder:
             for transfer in channel.close()
         ]
 
-    def has_transfer_since(self, at_ns: int | None) -> bool:
+    def has_open_transfer(self, begun_by_ns: int) -> bool:
         """Whether an SDO transfer that began by then has not ended."""
         pending = [channel.pending for channel in self._sdo.values()]
-        return any(one is not None and (one.first.at_ns or 0) <= (at_ns or 0) for one in pending)
+        return any(one is not None and (one.first.at_ns or 0) <= begun_by_ns for one in pending)
 
     def _objects(self, node: int) -> NodeObjects:
         objects = self._nodes.get(node)

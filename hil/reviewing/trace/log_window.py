@@ -21,6 +21,8 @@ from drivers.wire.identifiers import STANDARD_ID_MAX
 _STAMP: Final = re.compile(rb"\((\d{1,12})\.(\d{1,9})\)")
 _CHUNK: Final = 1 << 22
 """Bytes that are looked through at once; a few arrays of this length are held."""
+EVER_NS: Final = 1 << 62
+"""Behind every frame of every log."""
 _MARGIN_NS: Final = 100 * NS_PER_MS
 """A logger holds frames back until they are in order; one that came later than that stands near its place."""
 _SPACE, _NEWLINE, _DATA, _REMOTE = (ord(mark) for mark in " \n#R")

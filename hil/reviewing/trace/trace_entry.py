@@ -5,12 +5,10 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Final, NamedTuple
 
 from drivers.timebase import NS_PER_S
-from hil.reviewing.trace.log_window import LogWindow
+from hil.reviewing.trace.log_window import EVER_NS, LogWindow
 from hil.reviewing.trace.object_value import ObjectValue
 
 KINDS: Final = ("nmt", "sync", "emcy", "time", "heartbeat", "guarding", "sdo", "pdo", "lss", "error", "other")
-
-_EVER_NS: Final = 1 << 62
 
 
 class TraceEntry(NamedTuple):
@@ -92,11 +90,9 @@ class TraceSelection(NamedTuple):
         """The same times as a log counts; None: all of it is wanted."""
         if self.from_s is None and self.to_s is None:
             return None
-        begin, end = (
-            wide if at_s is None else zero_ns + math.floor(at_s * NS_PER_S)
-            for at_s, wide in ((self.from_s, -_EVER_NS), (self.to_s, _EVER_NS))
-        )
-        return LogWindow(begin, end + 1)
+        begin = -EVER_NS if self.from_s is None else zero_ns + math.floor(self.from_s * NS_PER_S)
+        end = EVER_NS if self.to_s is None else zero_ns + math.ceil(self.to_s * NS_PER_S)
+        return LogWindow(begin, end)
 
     def _in_time(self, entry: TraceEntry, zero_ns: int) -> bool:
         if self.from_s is None and self.to_s is None:
