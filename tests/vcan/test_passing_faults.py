@@ -23,7 +23,8 @@ from tests.vcan.struck_run import struck
 
 CYCLES = 300
 DOWN_S, OFF_S = 0.05, 0.1
-FLOOD = 1000
+FLOOD = 150
+"""Frames: a busy emulated machine takes long for them, and a run ends after 100 cycles without a reading."""
 
 
 @pytest.fixture(name="far")
