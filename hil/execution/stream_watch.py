@@ -10,6 +10,9 @@ had not been there:
 Of two frames of one SYNC that is taken for the extra one whose delay is less usual. One that equals another
 of the last frames is no news: a bus, an adapter or a gateway may repeat it.
 
+Where the answer to the next SYNC was lost, and not held back, the one after that proves the same of frames
+that came too early to answer it.
+
 The next one proves nothing if its delay is off the usual one by more than half a period, or is rather that of
 the frame in question. Then answers have changed sides of their SYNCs: they take about a period, or took more
 and now take less, or a SYNC not heard was elsewhere than thought.
@@ -102,6 +105,8 @@ class RegularStream:
         self.repetitions = 0
         """Frames too many that may be repetitions of one before; in a network that repeats frames, all that
         equal one of the last."""
+        self.held = True
+        """A frame that is missing may have been held back, and come yet."""
         self.doubled = False
         """Since this was last set back there was more than one frame where one was due."""
         self._step, self._tolerance = step, tolerance
@@ -125,11 +130,12 @@ class RegularStream:
         moved = self._step if last is None else place - last
         extra = 0 <= moved < self._step
         repetition = frame.repeated and self.repeating
-        if abs(moved - self._step) <= self._tolerance:
+        lost = moved > self._step and not self.held and not any(map(self._is_on_other_side, self._extras))
+        if abs(moved - self._step) <= self._tolerance or (lost and self._extras):
             self._remember(data)
             found = self._found(frame) if self._extras else []
             self.last, self._frame = place, frame
-            self.regular = 0 if repetition else self.regular + 1
+            self.regular = 0 if repetition or lost else self.regular + 1
             self.repetitions += repetition
             self._usual += (delay - self._usual) / LEARNT
             return found
@@ -278,6 +284,7 @@ class SyncedStream:
         frames = self._take_frames(until)
         quiet = self._syncs.counted - self._quiet_since >= QUIET_SYNCS and self._were is DelaysKnown.ALL_SHORT
         self._stream.least, self._stream.doubled = REGULAR_IN_TIME if quiet else REGULAR, False
+        self._stream.held = not quiet or self._syncs.of_another
         extras = [*self._extras(frames, until), *(self._stream.end() if at_end else ())]
         were, self._were = self._were, self._delays()
         settled = were and (self._were or not at_end)  # at the end nothing more answers an open question
