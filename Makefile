@@ -23,7 +23,8 @@
 #   make outages     have the adapter of drawn benches take no frames, be down and lose what comes, in simulated time
 #                    and on a hub: no false pass, nothing unaccounted, no drive left turning; SECONDS each
 #   make sheets      have hil eds, hil commission and hil run at each of 40 made-up data sheets, and before them at
-#                    vendors' own (SHEETS=FOLDER), on the hub, with a third party that writes every frame down
+#                    vendors' own (SHEETS=FOLDER), on the hub, with a third party that writes every frame down;
+#                    for at most SECONDS (1800 unless said), of the made-up ones from FIRST on
 #   make mutate      put defects into the product: all in its safety limits and fault reactions, and for at
 #                    most SECONDS drawn ones anywhere; the tests must see them
 #   make pictures    draw every page of runs of every kind, for at most SECONDS, into build/pictures, and look in
@@ -187,9 +188,11 @@ outages: $(TOOLS) compile
 
 # Vendors' files are not in the repository: where the folder is missing they are left out, and the table says so.
 SHEETS ?= ../shared/eds
+FIRST ?= 0
 
+sheets: SECONDS = 1800
 sheets: $(TOOLS) compile
-	@$(BIN)/python -m tests.witness --sheets $(SHEETS)
+	@$(BIN)/python -m tests.witness --sheets $(SHEETS) --seconds $(SECONDS) --first $(FIRST)
 
 # Interpreted, in a copy of its own: the checkout and its compiled modules are left alone.
 mutate: $(TOOLS) compile

@@ -4,8 +4,12 @@ A test of the group "real time", or on vcan or a controller, needs a machine tha
 One that failed while the machine did not (see :mod:`tests.stillness`) says nothing yet, and is tried again,
 three times in all. A failure on a machine that kept its time stands; so does what was told wrongly, however
 late all were. Beside other workers these tests are in the first, which `make test` lets go before the others.
+
+An emulated machine (SERVOBENCH_EMULATED: User Mode Linux, QEMU) may stand still in all three tries. A few
+tests for which it did are left out, by name; what more there are fail, as what is broken does.
 """
 
+import os
 import signal
 import sys
 from collections.abc import Generator, Iterator
@@ -15,15 +19,17 @@ from typing import Any
 
 import pytest
 
-from tests.stillness import EXCUSED_MS, Untrue, Witness
+from tests.stillness import EXCUSED_MS, STOOD_STILL_MS, Untrue, Witness
 
 pytest.register_assert_rewrite("tests.contract", "tests.scenario", "tests.truth")
 
 TRIES = 3
+LEFT_OUT_MAX = 3
 REAL_TIME = "real time"
 ON_LINUX = {Path(__file__).parent / each for each in ("can", "vcan")}
 _witness: Witness | None = None
 """One for each worker, made when it is first needed."""
+_left_out: list[str] = []
 
 
 def pytest_configure() -> None:
@@ -66,12 +72,24 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """What the machine did is told with a failure."""
     report = yield
     if report.failed and _witness is not None and _is_in_real_time(item):
-        report.sections.append(("The machine", f"kept a process waiting for {_witness.late_ms()} ms"))
+        told = f"kept a process waiting for {_witness.late_ms()} ms"
+        report.sections.append(("The machine", told))
+        if _is_left_out(item, call):
+            _left_out.append(item.nodeid)
+            report.outcome, report.longrepr = "skipped", (str(item.path), 0, f"the machine {told}")
     return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name what was left out."""
+    for name in _left_out:
+        terminalreporter.line(f"left out, as the emulated machine stood still {TRIES} times: {name}")
 
 
 def pytest_runtest_teardown(item: pytest.Item) -> None:
@@ -103,6 +121,18 @@ def forked_children() -> Iterator[None]:
 def _is_in_real_time(item: pytest.Item) -> bool:
     group = item.get_closest_marker("xdist_group")
     return not ON_LINUX.isdisjoint(item.path.parents) or (group is not None and REAL_TIME in group.args)
+
+
+def _is_left_out(item: pytest.Item, call: pytest.CallInfo[None]) -> bool:
+    return (
+        "SERVOBENCH_EMULATED" in os.environ
+        and len(_left_out) < LEFT_OUT_MAX
+        and getattr(item, "execution_count", 0) >= TRIES
+        and call.excinfo is not None
+        and not isinstance(call.excinfo.value, Untrue)
+        and _witness is not None
+        and _witness.late_ms() >= STOOD_STILL_MS
+    )
 
 
 def _is_excused(error: BaseException) -> bool:

@@ -2,14 +2,19 @@
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
-from tests.stillness import EXCUSED_MS, Witness
+from tests.conftest import LEFT_OUT_MAX
+from tests.stillness import EXCUSED_MS, STOOD_STILL_MS, Witness
 
-STOOD_STILL_MS = 40
+WAITED_MS = 40
 PATIENCE_MS = 5_000
 CLOCK = MonotonicClock()
 
@@ -27,12 +32,12 @@ def rest(milliseconds: int) -> None:
 
 def test_a_process_that_waited_is_told_until_the_next_test_begins(witness: Witness) -> None:
     os.kill(witness.process_id, signal.SIGSTOP)
-    rest(STOOD_STILL_MS)
+    rest(WAITED_MS)
     os.kill(witness.process_id, signal.SIGCONT)
     deadline = CLOCK.now() + PATIENCE_MS * NS_PER_MS
     while not witness.late_ms() and CLOCK.now() < deadline:
         rest(1)
-    assert witness.late_ms() >= STOOD_STILL_MS - EXCUSED_MS
+    assert witness.late_ms() >= WAITED_MS - EXCUSED_MS
     witness.begin()
     os.kill(witness.process_id, signal.SIGSTOP)  # it cannot tell anything meanwhile
     assert witness.late_ms() == 0
@@ -44,3 +49,52 @@ def test_one_that_has_ended_says_so(witness: Witness) -> None:
     os.waitid(os.P_PID, witness.process_id, os.WEXITED | os.WNOWAIT)
     with pytest.raises(AssertionError, match="nobody watches"):
         witness.late_ms()
+
+
+@pytest.mark.xdist_group("real time")
+@pytest.mark.parametrize(
+    ("late_ms", "environment", "failed"),
+    [
+        pytest.param(2 * STOOD_STILL_MS, {"SERVOBENCH_EMULATED": "1"}, 1, id="emulated, and stood still"),
+        pytest.param(0, {"SERVOBENCH_EMULATED": "1"}, LEFT_OUT_MAX + 1, id="emulated, and kept its time"),
+        pytest.param(2 * STOOD_STILL_MS, {}, LEFT_OUT_MAX + 1, id="a machine of one's own"),
+    ],
+)
+def test_few_tests_for_which_an_emulated_machine_stood_still_are_left_out(
+    tmp_path: Path, late_ms: int, environment: dict[str, str], failed: int
+) -> None:
+    text = f"""
+        import os, signal
+        from pathlib import Path
+        import pytest
+        from tests.test_stillness import rest
+
+        @pytest.mark.xdist_group("real time")
+        @pytest.mark.parametrize("number", range({LEFT_OUT_MAX + 1}))
+        def test_that_fails(number):
+            for witness in map(int, Path("/proc/thread-self/children").read_text().split()):
+                if {late_ms}:
+                    os.kill(witness, signal.SIGSTOP)
+                    rest({late_ms})
+                    os.kill(witness, signal.SIGCONT)
+                    rest(20)
+            assert False
+    """
+    (tmp_path / "test_late.py").write_text(dedent(text), encoding="utf-8")
+    root = Path(__file__).parents[1]
+    clean = {
+        key: value for key, value in os.environ.items() if not key.startswith(("PYTEST_", "SERVOBENCH_"))
+    }
+    ran = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "tests.conftest", "--rootdir", str(tmp_path), "test_late.py"],
+        cwd=tmp_path,
+        env=clean | environment | {"PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    left_out = LEFT_OUT_MAX + 1 - failed
+    assert ran.returncode == 1, ran.stdout
+    assert f"{failed} failed" in ran.stdout
+    assert (f"{left_out} skipped" in ran.stdout) == bool(left_out)
+    assert ran.stdout.count("left out, as the emulated machine stood still") == left_out
