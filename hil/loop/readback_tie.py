@@ -250,12 +250,19 @@ class ReadbackTie:
         return marks[max(0, number - marks[0].number)]
 
     def _newest_before(self, readback: Readback) -> int:
-        """Number of the last SYNC that had ended when a demand came; 0: of none that is remembered."""
-        mark = self._syncs.newest_before(Instant(readback.received_at + self._syncs.error_ns))
-        return 0 if mark is None else mark.number
+        """Number of the last SYNC that had ended when a demand came, or may have, unheard; 0: of none that is
+        remembered."""
+        at = Instant(readback.received_at + self._syncs.error_ns)
+        for mark in reversed(self._syncs.marks):
+            if mark.ended_by(at):
+                return mark.number
+        return 0
 
     def _on_bus_from(self, number: int, last: int) -> int:
-        """The first SYNC from ``number`` on that was on the bus, but none beyond ``last``."""
-        while number < last and self._mark(number).on_bus_at is None:
+        """The first SYNC from ``number`` on that was on the bus, or may have been; none beyond ``last``."""
+        while number < last:
+            mark = self._mark(number)
+            if mark.on_bus_at is not None or mark.hidden:
+                break
             number += 1
         return number

@@ -64,6 +64,17 @@ class SyncMark:
         self.unsent = False
         """Whether it never went out, as the bus had no room for it."""
 
+    @property
+    def hidden(self) -> bool:
+        """Whether it may have been on the bus unheard."""
+        return self.on_bus_at is None and not (self.sure or self.unsent)
+
+    def ended_by(self, at: Instant) -> bool:
+        """Whether it had ended by ``at``, or may have, unheard."""
+        if self.on_bus_at is None:
+            return self.hidden and self.handed_at <= at
+        return self.on_bus_at <= at
+
 
 class SyncLog:
     """What is known of the SYNCs of one segment."""
@@ -179,9 +190,8 @@ class SyncLog:
         if self.unheard_until < mark.handed_at:
             return False
         return any(
-            later.number > mark.number and later.on_bus_at is None and later.handed_at <= received_at
+            later.number > mark.number and later.hidden and later.handed_at <= received_at
             for later in self.marks
-            if not (later.sure or later.unsent)
         )
 
     def never_sent(self, handed_at: Instant) -> None:

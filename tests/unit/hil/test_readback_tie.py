@@ -1,0 +1,45 @@
+"""Of which SYNC a torque demand is that came in a frame of its own, by its place among the readings."""
+
+import pytest
+
+from drivers.exchange import Readback
+from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.wire.frame_port import EchoBasis
+from hil.loop.readback_tie import ReadbackTie
+from hil.loop.samples import Sample
+from hil.loop.syncs import SyncLog
+from tests.unit.hil.loop_fakes import reading_at
+
+PERIOD = Duration(NS_PER_MS)
+READING_AFTER, DEMAND_AFTER = 100_000, 200_000
+
+
+def at(number: int) -> Instant:
+    """The end of a SYNC, which had been handed over just then."""
+    return Instant(number * PERIOD)
+
+
+@pytest.mark.parametrize("unsent", [False, True])
+def test_a_demand_behind_a_sync_that_was_not_heard_may_be_of_it(unsent: bool) -> None:
+    """Of SYNC 2 echo and reading were dropped by the host, and of SYNC 1 the demand; or SYNC 2 was not sent,
+    and the demand is SYNC 1's, late."""
+    syncs = SyncLog(Duration(0), PERIOD, EchoBasis.BUS)
+    tie = ReadbackTie(syncs, PERIOD, 20)
+    for number in (1, 2, 3):
+        syncs.handed(number, at(number))
+        if number != 2:
+            syncs.came(at(number), at(number))
+            received_at = Instant(at(number) + READING_AFTER)
+            tie.reading(Sample(number, reading_at(received_at), at(number), 0, True), received_at, False)
+        elif unsent:
+            syncs.never_sent(at(number))
+        else:
+            syncs.not_heard(Instant(at(number) + READING_AFTER))
+    told_at = Instant(at(2) + DEMAND_AFTER)
+    (telling,) = tie.take([Readback(7, told_at, 1)], at_end=False)
+    if unsent:
+        assert telling.sync is not None
+        assert telling.sync.number == 1
+    else:
+        assert telling.sync is None
+        assert telling.since <= at(1) < at(2) <= telling.until
