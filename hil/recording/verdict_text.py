@@ -6,11 +6,11 @@ from datetime import UTC, datetime
 from textwrap import wrap
 from typing import Final
 
-from drivers.timebase import NS_PER_S
+from drivers.timebase import NS_PER_S, NS_PER_US
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.run_files import FIRST_CYCLE_EPOCH
 from hil.verdict.summary import Figures, Percentiles, Summary, metric_title
-from hil.verdict.summary_text import certificate_rows, loss_text, timing_lines
+from hil.verdict.summary_text import certificate_rows, computing_note, loss_text, timing_lines
 from hil.verdict.verdict import Check, LimitResult, verdict_title
 
 _CELL_COLUMNS: Final = 52
@@ -28,8 +28,11 @@ def verdict_markdown(
         return f"# {plan.name} · running\n\n{_origin(plan, metadata or {})}\n"
     verdict = summary.verdict
     parts = [f"# {plan.name} · {verdict_title(verdict)}", _origin(plan, metadata or {})]
-    if verdict.findings:
-        parts.append("\n".join(f"- {finding.outcome}: **{finding.text}**" for finding in verdict.findings))
+    remarks = [f"- {finding.outcome}: **{finding.text}**" for finding in verdict.findings]
+    if slow := computing_note(summary, plan.review.period / NS_PER_US):
+        remarks.append(f"- {slow}")
+    if remarks:
+        parts.append("\n".join(remarks))
     if verdict.limits:
         head = ["| limit | value | at most | | worst |", "|:--|--:|--:|:--|:--|"]
         parts.append("\n".join([*head, *map(_limit, verdict.limits)]))

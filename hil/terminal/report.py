@@ -15,7 +15,7 @@ from hil.configuration.config import BenchConfig
 from hil.machine.parent_process import results
 from hil.terminal.output import columns, titled
 from hil.verdict.summary import Percentiles, Summary, metric_title
-from hil.verdict.summary_text import certificate_lines, loss_text, timing_lines
+from hil.verdict.summary_text import certificate_lines, computing_note, loss_text, timing_lines
 from hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
 
 WIDTH_MAX = 100
@@ -39,7 +39,7 @@ def print_run(
     """One screen: what was run, how well it went, the verdict, and where the recording is."""
     console = console or Console(highlight=False, file=results())
     panel = Panel(
-        Group(_figures(config, summary, bus_spec), Text(), _verdict_table(summary), *_notes(summary)),
+        Group(_figures(config, summary, bus_spec), Text(), _verdict_table(summary), *_notes(config, summary)),
         title=Text(f"{config.bench.name}: {verdict_title(summary.verdict)}", style="bold"),
         title_align="left",
         border_style=_STYLE.get(summary.verdict.outcome, "red"),
@@ -102,12 +102,14 @@ def _verdict_table(summary: Summary) -> Table | Text:
     return table
 
 
-def _notes(summary: Summary) -> list[Text]:
+def _notes(config: BenchConfig, summary: Summary) -> list[Text]:
     notes = []
     for finding in summary.verdict.findings:
         if finding.outcome not in _TOLD_ELSEWHERE:
             notes.append(Text(f"{finding.outcome.capitalize()}: {finding.text}", style="bold red"))
-    notes.extend(Text(note, style="bold yellow") for note in summary.network_notes)
+    slow = computing_note(summary, config.loop.period_us)
+    told = [*summary.network_notes, *([slow.capitalize()] if slow else [])]
+    notes.extend(Text(note, style="bold yellow") for note in told)
     notes.extend(Text(f"The recording lacks: {fault}", style="yellow") for fault in summary.recording_faults)
     return notes
 

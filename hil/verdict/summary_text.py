@@ -37,6 +37,17 @@ def loss_text(run: Figures | Summary) -> str:
     return f"{run.reading_losses_in_a_row} readings, {commands} commands"
 
 
+def computing_note(run: Summary, period_us: float) -> str | None:
+    """Of controllers whose computing (p99) fills the period: in simulated time the loop waits for them."""
+    taken = run.compute_us.p99
+    if taken is None or taken < period_us:
+        return None
+    return (
+        f"computing takes {taken:.0f} us (p99), the period is {period_us:g} us: "
+        "simulated time waits for it, a bus in real time does not"
+    )
+
+
 def timing_lines(timing: Mapping[str, Any] | None) -> dict[str, str]:
     """By title: a line for the SYNC of each segment and one for each axis; empty for a run without them."""
     if timing is None:

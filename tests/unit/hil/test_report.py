@@ -93,6 +93,15 @@ def test_a_run_cut_short_says_why() -> None:
     assert "The recording lacks: 7 rows" in printed(summary(faults=("7 rows",)))
 
 
+@pytest.mark.parametrize(("p99", "told"), [(999.0, False), (1000.0, True), (28_345.6, True)])
+def test_a_controller_too_slow_for_its_period_is_named_though_simulated_time_waited(
+    p99: float, told: bool
+) -> None:
+    text = " ".join(printed(replace(summary(), compute_us=Percentiles(12.0, p99, 3e4))).split())
+    assert (f"Computing takes {p99:.0f} us (p99), the period is 1000 us" in text) is told
+    assert ("simulated time waits for it" in text.replace("│ ", "")) is told
+
+
 def test_fits_one_screen() -> None:
     lines = printed(summary(), width=80).splitlines()
     assert len(lines) <= 24

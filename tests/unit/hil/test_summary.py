@@ -246,4 +246,7 @@ def test_the_page_tells_result_limits_and_notes(plan: RecordingPlan) -> None:
     cells = [row.split("|")[2].strip() for row in verdict_markdown(plan, long).splitlines() if "|" in row]
     assert max(map(len, cells)) <= 60, "a cell shows one line, and cuts off what is longer"
     assert "| delay of readings, p99 [us] | 900 | 5 | not measured |" in verdict_markdown(plan, dead)
+    slow = verdict_markdown(plan, replace(dead, compute_us=Percentiles(20.0, 28_000.0, 3e4)))
+    assert "- computing takes 28000 us (p99), the period is 1000 us: simulated time waits for it" in slow
+    assert "computing takes" not in verdict_markdown(plan, summary_with())
     assert verdict_markdown(plan, None).startswith("# synthetic · running")
