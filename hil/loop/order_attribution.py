@@ -10,7 +10,7 @@ from hil.loop.order_question import OrderQuestion
 from hil.loop.residuals import Extremes
 from hil.loop.samples import Sample
 from hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
-from hil.loop.usual_delays import UsualDelays, middle_of
+from hil.loop.usual_delays import FIRST, UsualDelays, middle_of
 
 ASK_AGAIN_AFTER: Final = 100
 """SYNCs from a question that had no answer until it is put again."""
@@ -23,8 +23,6 @@ UNTIDY_FOR: Final = 1000
 """Readings for which frames are expected to come twice or be held up once more."""
 OPEN_FOR: Final = 10
 """SYNCs after which one that was passed over will have no reading any more: networks hold frames for less."""
-FIRST: Final = 32
-"""Readings of a run until they say how far delays spread: a calibration's are of a bus without commands."""
 HELD_UP: Final = 4
 """SYNCs after which a frame that was held up comes at the latest, and may be taken for that of another."""
 
@@ -60,7 +58,7 @@ class OrderAttribution:
         self._echoes_late = syncs.basis in STAMPED_LATE
         self._delays = Extremes()
         """Of readings whose place is certain, outliers too: bounds are made from them."""
-        self._usual = UsualDelays(period, syncs.error_ns, self._echoes_late)
+        self._usual = UsualDelays(period, transit, syncs.error_ns, self._echoes_late)
         self._in_question = OrderQuestion(syncs, period, transit, self._usual)
         self._answered = 0
         """Number of the last SYNC that has its reading."""
@@ -119,7 +117,7 @@ class OrderAttribution:
             mark = self._followed(received_at)
             if mark is None:
                 return self._stray(reading, copy)
-        elif mark is None or not usual.least <= delay <= usual.most:
+        elif mark is None or not usual.holds(delay) or self._comes_sooner(mark, received_at, copy):
             return self._stray(reading, copy)
         elif mark.number == self._answered + 1 and not (
             self._untidy or self._strays or mark.sequence == SURPLUS
@@ -138,8 +136,7 @@ class OrderAttribution:
             self.question.withdraw(mark.sequence)
             self.question.cleared = self._sure
         self._answered = mark.number
-        if self._sure:
-            self._known = mark.number
+        self._known = mark.number if self._sure else self._known
         self._held = None
         self.question.open = not (self._sure or self._beyond)
         if mark.sequence == SURPLUS:
@@ -151,9 +148,10 @@ class OrderAttribution:
         behind = self._open.is_within(HELD_UP, mark)
         self._in_question.odd += copy and self._in_question.odd < COPIES_MAX
         hidden = copy or self._syncs.may_hide(mark, received_at)
-        if not (self._sure or self._beyond or hidden) and usual.holds(delay):
+        if waits := not (self._sure or self._beyond or hidden) and usual.holds(delay):
             self._unsure.add(mark.sequence, self._error_of(delay), behind)
-        return self._sample(reading, mark, certain=self._sure and not (copy or (behind and self._untidy > 0)))
+        certain = self._sure and not (copy or (behind and self._untidy > 0))
+        return self._sample(reading, mark, certain=certain, waits=waits)
 
     def _followed(self, received_at: Instant) -> SyncMark | None:
         """The SYNC before a reading of the delay that is in question."""
@@ -209,6 +207,7 @@ class OrderAttribution:
     def _settle(self, lag: int) -> None:
         """Readings answer the SYNC before, or one ``lag`` earlier."""
         if lag or not self._in_question.phase_known:
+            self._unsure.clear()
             delays = self._in_question.evidence.usual_delays(lag)
             self._usual.begin(delays)
             self._delays.begin(delays)
@@ -240,7 +239,8 @@ class OrderAttribution:
             " it has no stamp beside the speed: they are marked uncertain"
         )
 
-    def _sample(self, reading: Reading, mark: SyncMark, *, certain: bool) -> Sample:
+    def _sample(self, reading: Reading, mark: SyncMark, *, certain: bool, waits: bool = False) -> Sample:
+        """``waits``: the answer to a question will tell whether it is where it is placed."""
         health, on_bus_at = self.health, mark.on_bus_at
         assert on_bus_at is not None
         health.placed += 1
@@ -253,7 +253,7 @@ class OrderAttribution:
             health.error_ns_max = max(health.error_ns_max, error_ns)
             if delay < self._transit - self._echo_error:
                 health.below_transit += 1
-        if not self._usual.tell(certain=certain):
+        if waits or not self._usual.tell(certain=certain):
             error_ns, certain = self._echo_error + reading.received_at - self._syncs.oldest_at, False
         return Sample(mark.sequence, reading, on_bus_at, error_ns, certain)
 
@@ -264,8 +264,7 @@ class OrderAttribution:
             off = max(delay, delays.high) - delays.low
             return self._echo_error + off + delays.unseen(self._transit)
         if self.health.placed <= FIRST:
-            late = min(delay - self._transit, self._period // 2)
-            return self._echo_error + max(delay - delays.low, late)
+            return self._echo_error + max(delay - delays.low, min(delay - self._transit, self._period // 2))
         return self._echo_error + delays.late(delay, self._transit)
 
     # ---- frames that are held up, or come twice -----------------------------------------------------------
@@ -290,11 +289,12 @@ class OrderAttribution:
                 self._usual.begin(self._strays)
                 self._strays.clear()
             return self._sample(reading, mark, certain=True)
+        self._usual.stray(copy=copy)
         if next_one and self._in_question.phase_known and len(self._strays) < STRAYS_MAX:
             return self._count_in(reading, mark, age)
         if held is None and self._is_held(mark, age, copy):
             return self._hold(reading, mark)
-        probing = self._is_before_probe(reading.received_at)
+        probing = self._in_question.is_before_probe(reading.received_at, self._answered, self._lags())
         if probing:
             self._in_question.odd += 1
         else:
@@ -315,13 +315,6 @@ class OrderAttribution:
         self.question.open = not (self._sure or self._beyond)
         return self._guess(reading, mark)
 
-    def _is_before_probe(self, received_at: Instant) -> bool:
-        """Whether a reading comes as it must in front of a probe, which is late, if delays have grown."""
-        question = self._in_question
-        late = Instant(received_at - self._period)
-        probing = question.phase_known and question.is_probing(self._answered)
-        return probing and question.is_like(late, self._lags())
-
     def _count_in(self, reading: Reading, mark: SyncMark, age: int) -> Sample | None:
         """It is that of the next SYNC, or of one that was passed over."""
         self._answered = mark.number
@@ -338,6 +331,13 @@ class OrderAttribution:
         if not self._sure or (self._untidy and copy) or mark.sequence == SURPLUS or not self._usual.apart:
             return False
         return mark.number == self._answered + 1 and not self._open.is_within(OPEN_FOR, mark)
+
+    def _comes_sooner(self, usual: SyncMark, received_at: Instant, copy: bool) -> bool:
+        """Whether a reading is that of a SYNC after the ``usual`` one, as this and all before have theirs."""
+        if usual.number > self._answered or copy:
+            return False
+        later = self._syncs.newest_before(Instant(received_at - self._transit))
+        return later is not None and self._is_only_one(later, copy)
 
     def _is_held(self, mark: SyncMark, age: int, copy: bool) -> bool:
         """Whether a reading is that of the SYNC before ``mark``, unless ``mark`` has none of its own: no

@@ -89,6 +89,8 @@ class Unconfirmed:
 
     def clear(self) -> None:
         """None is confirmed."""
+        for _ in self._rows:
+            self._usual.tell(certain=False)
         self._rows.clear()
 
     @property
@@ -99,6 +101,8 @@ class Unconfirmed:
     def confirm(self, until: int, *, untidy: bool) -> None:
         """Those up to cycle ``until`` are where they were placed; ``untidy``: frames are held up at times."""
         for sequence, error_ns, behind in self._rows:
-            if sequence <= until and not (behind and untidy):
-                self._question.amend(sequence, self._usual.tell(certain=True), error_ns)
+            if sequence <= until:
+                certain = self._usual.tell(certain=not (behind and untidy))
+                if not (behind and untidy):
+                    self._question.amend(sequence, certain, error_ns)
         self._rows = [row for row in self._rows if row[0] > until]

@@ -54,8 +54,6 @@ class OrderQuestion:
         delays since."""
         self._probes: list[int] = []
         """Numbers of those that have gone out for it."""
-        self._followed = 0
-        """So many of them were followed at once, since the last reading that is missing."""
         self._next_probe = 0
         """Number of the first SYNC that may be a probe."""
 
@@ -72,7 +70,6 @@ class OrderQuestion:
 
     def miss(self, answered: int) -> None:
         """A reading is missing after that of SYNC ``answered``."""
-        self._followed = 0
         if len(self._misses) == MISSES_MAX:
             answered, _ = self._misses.pop()
         self._misses.append((answered, Resemblance()))
@@ -86,13 +83,14 @@ class OrderQuestion:
         """Number of the SYNC up to whose reading all are placed right though more have been missing since;
         0: of none. Delays that had grown at the first of them would be longer ever since."""
         shorter = self.odd > 0 and self.sooner() > 0
-        if len(self._misses) < 2 or self._probes or shorter or not self.phase_known:
+        if len(self._misses) < 2 or shorter or not self.phase_known:
             return 0
-        if not self._misses[0][1].is_shown(self._usual, self._period, ALIKE_MIN):
+        if not self._looks_as_before(self._misses[0]):
             return 0
         del self._misses[0]
         answered, since = self._misses[0]
         self.asked = since.seen
+        self._probes = [number for number in self._probes if number > answered]
         return answered
 
     def take(self, number: int, delay: int) -> None:
@@ -101,7 +99,9 @@ class OrderQuestion:
         if self._usual.holds(delay):
             for _, since in self._misses:
                 since.add(delay)
-            self._followed += number in self._probes
+            if number in self._probes:
+                for miss in self._misses:
+                    miss[1].followed += 1
         else:
             self.stray()
 
@@ -119,6 +119,11 @@ class OrderQuestion:
     def is_probing(self, answered: int) -> bool:
         """Whether the next SYNC behind number ``answered`` is a probe, or is to be one."""
         return self.wants_probe or (bool(self._probes) and self._probes[-1] > answered)
+
+    def is_before_probe(self, received_at: Instant, answered: int, lags: int) -> bool:
+        """Whether a reading comes as it must in front of a probe, which is late, if delays have grown."""
+        late = Instant(received_at - self._period)
+        return self.phase_known and self.is_probing(answered) and self.is_like(late, lags)
 
     def want_probe(self, number: int, *, beyond: bool) -> None:
         """SYNC ``number`` has its reading; see :meth:`lag`."""
@@ -177,15 +182,30 @@ class OrderQuestion:
             spread *= self._usual.parts
         return spread <= self._period // (8 if few else 2)
 
+    def _looks_as_before(self, miss: tuple[int, Resemblance]) -> bool:
+        """Whether delays look as before since one of the readings that are missing."""
+        least = self._alike_least
+        return not self._speaks_against(miss) and miss[1].is_shown(self._usual, self._period, least)
+
+    def _speaks_against(self, miss: tuple[int, Resemblance]) -> bool:
+        """Whether probes have gone out, and readings have not followed them, but for what is lost and what
+        chance makes of delays that spread."""
+        answered, since = miss
+        few = 1 if WIDE_PARTS * self._usual.spread < self._period else 2
+        probed = sum(number > answered for number in self._probes)
+        return bool(self._probes) and since.followed < max(few, probed // 2)
+
+    @property
+    def _alike_least(self) -> int:
+        return PROBED_FOR if self._probes else ALIKE_MIN
+
     def _lag_by_looks(self) -> int | None:
-        """The lag with which delays look as before, where SYNCs do not tell it. A probe that was not followed
-        speaks against it."""
-        usual, period = self._usual, self._period
-        if self._probes and self._followed < (1 if WIDE_PARTS * usual.spread < period else 2):
-            return None
-        least = PROBED_FOR if self._probes else ALIKE_MIN
+        """The lag with which delays look as before, where SYNCs do not tell it."""
+        miss = self._misses[-1]
         if self.phase_known:
             shorter = self.odd > 0 and self.sooner() > 0
-            return 0 if not shorter and self._misses[-1][1].is_shown(usual, period, least) else None
+            return 0 if not shorter and self._looks_as_before(miss) else None
+        if self._speaks_against(miss):
+            return None
         delays = self.evidence.usual_delays(0) if self.evidence.delays(0) else []
-        return lag_to_resemble(delays, usual, period, least)
+        return lag_to_resemble(delays, self._usual, self._period, self._alike_least)

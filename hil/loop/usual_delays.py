@@ -28,6 +28,12 @@ TAIL_PARTS: Final = 4
 """By such a part of their spread the next delay may well be off: not all spread evenly."""
 RESOLUTION_NS: Final = 2 * NS_PER_US
 """Deviation that delays have at least: the stuff bits of one frame or two."""
+FIRST: Final = 32
+"""Readings of a run until they say how far delays spread: a calibration's are of a bus without commands, and
+of a shaft at rest."""
+STUFFED_PARTS: Final = 5
+"""Stuff bits make a frame longer by up to such a part: 24 bits beside the 111 of one with eight bytes. Zeros
+have most of them, so that the least delay is less once a shaft turns."""
 ALIKE_MIN: Final = 12
 """Readings after which delays that look as before are those of before: a probe is out by then."""
 ALIKE_PER_PERIOD: Final = 256
@@ -40,8 +46,9 @@ ALIKE_MOST: Final = 56
 class UsualDelays:
     """The delays of the last readings whose place is certain."""
 
-    def __init__(self, period: Duration, echo_error: int, echoes_late: bool) -> None:
-        """``echoes_late``: echoes may be stamped any time after the end of their frames."""
+    def __init__(self, period: Duration, transit: Duration, echo_error: int, echoes_late: bool) -> None:
+        """``transit``: of the shortest frame. ``echoes_late``: echoes may be stamped any time after the end
+        of their frames."""
         self.low = self.high = 0
         """Of those that are no outliers."""
         self.least = self.most = 0
@@ -49,6 +56,7 @@ class UsualDelays:
         self.apart = True
         """Whether a usual delay is one of one SYNC only: they spread over less than a period."""
         self._period = period
+        self._stuffing = transit // STUFFED_PARTS
         self._echo_error = echo_error
         self.parts = 2 if echoes_late else 1
         """So many times what they spread over SYNCs and readings may move against each other."""
@@ -57,6 +65,12 @@ class UsualDelays:
         self._fresh = 0
         self._unsure = 0.0
         """Share of the last readings whose place was not certain."""
+        self._unusual = 0.0
+        """Share of the last readings that came at an unusual delay."""
+        self._told = 0
+        """Readings that this share rests on, up to :data:`KEPT`."""
+        self._placed = 0
+        """Readings of the run whose place was certain, up to :data:`FIRST`."""
 
     @property
     def spread(self) -> int:
@@ -67,11 +81,29 @@ class UsualDelays:
         """Whether one of another delay hardly looks usual: they spread over half a period at the most."""
         return 2 * self.parts * self.spread <= self._period
 
+    @property
+    def resolution_ns(self) -> int:
+        """By how much the least delay may differ though nothing has changed."""
+        return RESOLUTION_NS if self._placed >= FIRST else max(RESOLUTION_NS, self._stuffing)
+
+    def tolerance(self, spread: int, count: int) -> int:
+        """How far the least of ``count`` delays may well lie from the least of those before, ns."""
+        return max(self.resolution_ns, SLACKS * spread // count)
+
     def tell(self, *, certain: bool) -> bool:
         """Whether the place of a reading, ``certain`` by what is usual, may be told so: not where most of the
-        last ones were in doubt, and one that is held up may well look usual."""
+        last ones were in doubt, and one that is held up may well look usual; nor where so many came at other
+        delays that none is usual."""
         self._unsure += (1.0 - certain - self._unsure) / KEPT
-        return certain and (self.narrow or 2.0 * self._unsure < 1.0)
+        self._told += self._told < KEPT
+        self._unusual -= self._unusual / (RARE + self._told)
+        self._placed += certain and self._placed < FIRST
+        rare = RARE * self._unusual <= 1.0
+        return certain and rare and (self.narrow or 2.0 * self._unsure < 1.0)
+
+    def stray(self, *, copy: bool) -> None:
+        """A reading came at an unusual delay, a ``copy`` of another perhaps."""
+        self._unusual += (not copy) / (RARE + self._told)
 
     @property
     def middle(self) -> int:
@@ -80,7 +112,8 @@ class UsualDelays:
     def begin(self, delays: Sequence[int]) -> None:
         """Forget all; these are usual now."""
         self._kept = list(delays[-KEPT:])
-        self._oldest, self._unsure = 0, 0.0
+        self._oldest = self._told = 0
+        self._unsure = self._unusual = 0.0
         self._look()
 
     def add(self, delay: int) -> None:
@@ -121,7 +154,9 @@ class UsualDelays:
         spread = self.high - self.low
         free = self._period - self.parts * spread
         slack = max(SLACKS * spread // len(self._kept), spread // TAIL_PARTS)
-        margin = max(slack + self._echo_error, self._period // USUAL_PARTS)
+        if self._placed < FIRST:  # later on, what echoes err by is in the spread
+            slack += self._echo_error
+        margin = max(slack, self._period // USUAL_PARTS)
         margin = min(margin, free // 3)
         self.apart = margin >= 0
         self.least, self.most = self.low - margin, self.high + margin
@@ -136,6 +171,8 @@ class Resemblance:
 
     def __init__(self) -> None:
         self._low = self._high = self._count = self._others = 0
+        self.followed = 0
+        """Probes that readings of a usual delay have followed."""
 
     @property
     def seen(self) -> int:
@@ -157,7 +194,7 @@ class Resemblance:
     def is_as_wide(self, usual: UsualDelays) -> bool:
         """Whether the largest is the same too. For that delays which grew by whole periods would have to have
         become more even as well, by just what is uneven in the SYNCs."""
-        return self._count > 0 and abs(self._high - usual.high) <= tolerance(usual.spread, self._count)
+        return self._count > 0 and abs(self._high - usual.high) <= usual.tolerance(usual.spread, self._count)
 
     def is_shown(self, usual: UsualDelays, period: Duration, least: int) -> bool:
         """By so many readings or more, ``least`` of them in any case."""
@@ -166,17 +203,12 @@ class Resemblance:
             or RARE * self._others > self._count
         ):
             return False
-        return abs(self._low - usual.low) <= tolerance(usual.spread, self._count)
+        return abs(self._low - usual.low) <= usual.tolerance(usual.spread, self._count)
 
 
 def readings_to_resemble(spread: int, period: Duration, least: int) -> int:
     """How many readings show the least delay of some that spread over so much."""
     return max(least, min(ALIKE_MOST, ALIKE_PER_PERIOD * spread // period))
-
-
-def tolerance(spread: int, count: int) -> int:
-    """How far the least of ``count`` delays may well lie above the least possible one, ns."""
-    return max(RESOLUTION_NS, SLACKS * spread // count)
 
 
 def lag_to_resemble(delays: Sequence[int], usual: UsualDelays, period: Duration, least: int) -> int | None:
@@ -185,13 +217,14 @@ def lag_to_resemble(delays: Sequence[int], usual: UsualDelays, period: Duration,
     if len(delays) < least:
         return None
     low, spread = min(delays), max(delays) - min(delays)
-    if spread + period // USUAL_PARTS > period:
+    tolerance = usual.tolerance(spread, len(delays))
+    if spread + period // USUAL_PARTS > period or abs(spread - usual.spread) > 2 * tolerance:
         return None
     if len(delays) < readings_to_resemble(spread, period, least):
         return None
     lag = (usual.low - low + period // 2) // period
     off = low + lag * period - usual.low
-    return lag if lag >= 0 and abs(off) <= tolerance(spread, len(delays)) else None
+    return lag if lag >= 0 and abs(off) <= tolerance else None
 
 
 def middle_of(ages: Sequence[int], period: Duration) -> int:

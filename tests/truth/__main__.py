@@ -10,6 +10,7 @@
     broken     certain rows whose interval does not hold the instant of sampling
     unsure     rows that are marked uncertain, by what befell them (tests/truth/doubts.py)
     open       rows that nobody could decide from when SYNCs and readings came (tests/truth/oracle.py)
+    explained  rows that no other way to place the readings explains (tests/truth/other_ways.py)
     commands   told lost and acted, or told acting and were lost; outside: acted outside of the interval told
 
 Ends with status 1 if something certain is wrong.
@@ -171,6 +172,12 @@ def _print_doubts(verdicts: Sequence[Verdict]) -> None:
         undecidable = sum(verdict.undecidable for verdict in those)
         known = "" if those[0].plan.has_stamps else f", {100 * undecidable / rows:.2f} % are open"
         print(f"\nunsure, {name}: {causes.total()} of {rows} rows{known}")
+        if not those[0].plan.has_stamps:
+            alone = rows - sum(verdict.ambiguous for verdict in those)
+            unsure = sum(verdict.unsure_unambiguous for verdict in those)
+            print(
+                f"  {alone} rows have one explanation; of those {100 * unsure / max(1, alone):.2f} % unsure"
+            )
         for cause in CAUSES:
             if count := causes[cause, False] + causes[cause, True]:
                 print(f"  {cause:34} {count:7} {100 * count / rows:6.2f} %, open {causes[cause, True]:7}")

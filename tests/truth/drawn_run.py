@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_US, Duration
 from drivers.wire.frame_port import EchoBasis
@@ -17,6 +19,7 @@ from tests.truth.doubts import doubts
 from tests.truth.drawn import TICK_US, DrawnPlan
 from tests.truth.judge import Judgement, Timing, judge_axis
 from tests.truth.oracle import undecidable
+from tests.truth.other_ways import explained_otherwise
 from tests.truth.rows import READING_IS_A_SET, told_by
 from tests.truth.tapped_run import Surroundings, TappedRun, run_with_taps
 from tests.truth.taps import SYNC_ID
@@ -42,6 +45,10 @@ class Verdict:
     """Rows in doubt by cause, and whether nobody could decide them, as far as the oracle tells."""
     undecidable: int = 0
     """Rows of drives without stamps that nobody could decide, in doubt or not."""
+    ambiguous: int = 0
+    """Rows of drives without stamps that have another explanation (tests/truth/other_ways.py)."""
+    unsure_unambiguous: int = 0
+    """Rows in doubt that have none."""
     ended_by: str = ""
     """The error that ended the run before its time, or that kept it from beginning."""
 
@@ -96,6 +103,10 @@ def _judge(run: TappedRun, config: BenchConfig, verdict: Verdict) -> None:
         open_to_all = set[int]() if plan.has_stamps else undecidable(truth, timing.period)
         verdict.undecidable += len(open_to_all.intersection(told["sync_handed_at"].tolist()))
         verdict.doubts += doubts(told, truth, timing, open_to_all)
+        if not plan.has_stamps:
+            has_others = np.isin(told["sync_handed_at"], list(explained_otherwise(truth)))
+            verdict.ambiguous += int(has_others.sum())
+            verdict.unsure_unambiguous += int(((told["certain"] == 0) & ~has_others).sum())
 
 
 def timing_of(plan: DrawnPlan, config: BenchConfig) -> Timing:

@@ -101,6 +101,26 @@ def test_without_stamps_a_bound_holds_before_the_delays_of_a_run_are_known(seed:
     assert verdict.wrong == {}, verdict.examples
 
 
+@pytest.mark.parametrize(("seed", "unsure"), [(9033, 120), (9155, 1200)])
+def test_what_looks_as_before_is_decided_though_more_readings_are_missing(seed: int, unsure: int) -> None:
+    """1499 and 1442 of 1500 rows were in doubt: the calibration had seen frames with 3 us more of stuff bits,
+    and beside probes each further loss began the count anew."""
+    verdict = judged(drawn_plan(seed), 1500)
+    assert verdict.wrong == {}, verdict.examples
+    assert verdict.readings.uncertain < unsure
+
+
+@pytest.mark.parametrize(("seed", "cycles"), [(110028, 1120), (110033, 30), (110072, 360), (130070, 60)])
+def test_a_usual_delay_places_no_reading_where_all_before_have_theirs_or_others_are_not_rare(
+    seed: int, cycles: int
+) -> None:
+    """A gateway of a period went away, and all readings since stood one SYNC early; of delays that spread
+    over two periods and more those that the calibration had were believed; probes that hardly one reading had
+    followed, and a spread five times as wide, left the delay as it was: 413 certain rows were wrong."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert verdict.readings.wrong == 0, verdict.examples
+
+
 def test_a_feature_that_is_left_out_changes_no_other() -> None:
     for seed in range(30):
         plan = drawn_plan(seed)
