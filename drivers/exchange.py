@@ -63,16 +63,20 @@ class Reading(Record):
 class Readback(Record):
     """The torque demand 0x6074 as a drive told it: which command it was following at a SYNC."""
 
-    __match_args__ = ("demand_raw", "received_at", "readings")
+    __match_args__ = ("demand_raw", "received_at", "readings", "in_reading")
     __slots__ = __match_args__
 
-    def __init__(self, demand_raw: int, received_at: Instant, readings: int) -> None:
+    def __init__(
+        self, demand_raw: int, received_at: Instant, readings: int, in_reading: bool = False
+    ) -> None:
         self.demand_raw: Final = demand_raw
         """In the unit of 0x6071."""
         self.received_at: Final = received_at
         self.readings: Final = readings
         """How many readings of this drive were complete when it came: it goes with the SYNC of the last of
         them, if no frame was lost or overtaken on the way."""
+        self.in_reading: Final = in_reading
+        """Whether it came in the frame of that reading, so that it is of its SYNC in any case."""
 
 
 class DemandChange(Record):
@@ -92,7 +96,7 @@ class DemandChange(Record):
 class SentCommand:
     """A set-point that was handed to the bus, and what the bus told of it since."""
 
-    __slots__ = ("handed_at", "on_bus_at", "raw", "sequence", "unsent")
+    __slots__ = ("handed_at", "maybe_at", "on_bus_at", "raw", "sequence", "unsent")
 
     def __init__(self, sequence: int, raw: int, handed_at: Instant) -> None:
         self.sequence = sequence
@@ -106,6 +110,8 @@ class SentCommand:
         self.on_bus_at: Instant | None = None
         """End of its frame on the bus, by its echo; None until that comes, and for ever on a bus without
         echoes or for a frame that never reached the wire."""
+        self.maybe_at: Instant | None = None
+        """The first echo that is taken for that of another command with equal data, and may be its own."""
 
 
 class Command(Record):

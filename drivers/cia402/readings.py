@@ -179,9 +179,9 @@ class ReadingAssembler:
         self._torque_raw = raw
         self.torque_told_at = at
 
-    def demand_told(self, raw: int, at: Instant) -> None:
-        """0x6074 of a SYNC arrived."""
-        self._readbacks.append(Readback(raw, at, self.readings_made))
+    def demand_told(self, raw: int, at: Instant, in_reading: bool) -> None:
+        """0x6074 of a SYNC arrived, in the frame of the last reading or in another."""
+        self._readbacks.append(Readback(raw, at, self.readings_made, in_reading))
 
     def demand_changed(self, raw: int, stamp_raw: int, at: Instant) -> None:
         """0x6074 arrived because it had changed; ``stamp_raw``: 0x1013 of that moment."""
@@ -330,7 +330,7 @@ class _Inlet:
         if self._velocity >= 0:
             assembler.speed_told(fields[self._velocity], fields[self._stamp] if self._stamp >= 0 else -1, at)
         if self._demand >= 0:
-            assembler.demand_told(fields[self._demand], at)
+            assembler.demand_told(fields[self._demand], at, self._velocity >= 0)
         if self._watched >= 0 and (watch := assembler.watch) is not None:
             assembler.tell_watch(watch, fields[self._watched])
 

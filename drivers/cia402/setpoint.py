@@ -1,7 +1,7 @@
 """Controlword and set-points of one drive, and the RPDOs that carry them."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 from drivers.canopen.network import CanopenNetwork
@@ -61,22 +61,33 @@ class _Awaited:
     def echoed(self, data: bytes, at: Instant, handed_at: Instant) -> None:
         """A frame of this RPDO was on the bus. Where nobody tells which, it is that of the first command that
         sent such data since the last one seen there; or, if the bus let frames overtake each other, of the
-        last one before."""
-        waiting = self._waiting
+        last one before. Of others that wait with such data it may be all the same."""
+        waiting, overtaken = self._waiting, self._overtaken
         for place, (awaited, command) in enumerate(waiting):
             if awaited == data and handed_at in (UNTOLD, command.handed_at):
                 command.on_bus_at = at
                 for _ in range(place):
-                    self._overtaken.append(waiting.popleft())
+                    overtaken.append(waiting.popleft())
                 waiting.popleft()
+                if handed_at == UNTOLD:
+                    _note_maybe(waiting, data, at)
+                    _note_maybe(overtaken, data, at)
                 return
-        overtaken = self._overtaken
         for place in range(len(overtaken) - 1, -1, -1):
             awaited, command = overtaken[place]
             if awaited == data and handed_at in (UNTOLD, command.handed_at):
                 command.on_bus_at = at
                 del overtaken[place]
+                if handed_at == UNTOLD:
+                    _note_maybe(overtaken, data, at)
                 return
+
+
+def _note_maybe(commands: Iterable[tuple[bytes, SentCommand]], data: bytes, at: Instant) -> None:
+    """The echo at ``at`` may be of any of ``commands`` that sent ``data``."""
+    for awaited, command in commands:
+        if awaited == data and command.maybe_at is None:
+            command.maybe_at = at
 
 
 class _Carrier:

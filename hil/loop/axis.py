@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from drivers.errors import LimitExceeded
-from drivers.exchange import DemandChange, Drive, Reading
+from drivers.exchange import Drive, Reading
 from drivers.record import replaced
 from drivers.timebase import NEVER, NS_PER_US, Duration, Instant, MonotonicClock
 from hil.loop.attribution import HELD_FOR, HELD_MAX
@@ -18,7 +18,7 @@ from hil.loop.decision import Decision, Tick
 from hil.loop.delay import DelayMeter, Fate
 from hil.loop.lessons import Lessons
 from hil.loop.order_attribution import OrderAttribution
-from hil.loop.readback_tie import ReadbackTie, Telling
+from hil.loop.readback_tie import ProvedChanges, ReadbackTie, Telling
 from hil.loop.safety import SafetyGuard
 from hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Sending, without_sync
 from hil.loop.scenario import Quantity, ReferenceProfile
@@ -80,6 +80,7 @@ class Axis:
         self.meter = DelayMeter(parts.deadline, parts.horizon)
         self.commands = CommandMeter(parts.horizon, syncs, parts.acts_at_syncs)
         self.readbacks = ReadbackTie(syncs, period, parts.horizon)
+        self._changes = ProvedChanges(REVOKED)
         self._number = number
         self._period = period
         self._attribute()
@@ -207,10 +208,12 @@ class Axis:
         """Take in what the drive told of its torque demand."""
         tellings = self.readbacks.take(self._drive.take_readbacks(), at_end=at_end)
         self.commands.patient = self.readbacks.doubtful
-        for change in self._drive.take_demand_changes():
+        for change in self._changes.take(self._drive.take_demand_changes(), spread=self.by_stamp.spread):
             while tellings and tellings[0].received_at < change.received_at:
                 self._take_telling(tellings.pop(0))
-            self._take_change(change)
+            at, error_ns = self.by_stamp.clock.place(change.device_time_ns), self.by_stamp.map_error_ns
+            if at - error_ns <= change.received_at:
+                self.commands.changed(change.demand_raw, at, Duration(error_ns))
         for telling in tellings:
             self._take_telling(telling)
 
@@ -311,6 +314,8 @@ class Axis:
         was_open, duplicates = question.open, self.by_stamp.health.duplicates
         sample = self.by_stamp.place(reading) if by_stamp else self.by_order.place(reading)
         again = self.by_stamp.health.duplicates > duplicates
+        if by_stamp and (sample is not None or question.open) and not again:
+            self._changes.reading(reading, certain=sample is not None and sample.certain)
         self.readbacks.reading(sample, reading.received_at, again or self.by_stamp.may_overtake)
         if question.cleared:
             question.cleared = False
@@ -331,13 +336,6 @@ class Axis:
         self.commands.told(telling.demand_raw, telling.since, telling.until, telling.sync)
         if self.commands.out_of_order > out_of_order:
             self.readbacks.doubt()
-
-    def _take_change(self, change: DemandChange) -> None:
-        """The torque demand when it changed."""
-        clock = self.by_stamp.clock
-        if clock.ready and not self.by_stamp.question.open:
-            at = clock.place(change.device_time_ns)
-            self.commands.changed(change.demand_raw, at, Duration(self.by_stamp.map_error_ns))
 
     def _hold_cycles(self) -> int:
         """How long a row waits, in cycles, for what may still become known of its reading."""

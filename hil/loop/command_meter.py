@@ -10,7 +10,8 @@ end of a SYNC, one whose SYNC is not known over a longer time. Commands arrive i
 sent, each once, until a telling shows that they do not. From that alone:
 
 - *acting*: a telling that only this command explains. It began to act after it could be there first, and
-  after the last telling of an older one; it acted by the end of the telling.
+  after as many SYNCs as pass each command; it acted by the end of the telling. An older one that is told
+  later than that does not bound it: a network that brings commands twice makes the same tellings.
 - *lost*: it never was on the bus, as no echo came and none was lost; or the drive takes set-points at
   SYNCs, and from its arrival to the command that replaced it each SYNC has a telling, none explained by it.
 - *not identifiable*: all others. It equals a neighbour, or the drive was not asked in time. One that was
@@ -24,7 +25,7 @@ from drivers.exchange import SentCommand
 from drivers.timebase import Duration, Instant
 from drivers.wire.frame_port import EchoBasis
 from hil.loop.delay import UNHEARD_MAX
-from hil.loop.followed_command import FollowedCommand
+from hil.loop.followed_command import FollowedCommand, LeastPasses
 from hil.loop.samples import CommandFate, Sending
 from hil.loop.syncs import ECHO_ERROR, LATE_WITHOUT_BOUND, STAMPED_LATE, SyncLog, SyncMark
 
@@ -82,11 +83,12 @@ class CommandMeter:
         has it; None: that is not so."""
         self._steady_from = self._steady_to = 0
         """Places of those two; the first is in the past where what was before it is followed, or it."""
+        self._passes = LeastPasses()
 
     def sent(self, command: SentCommand) -> None:
         """A command has been handed over."""
         followed = self._followed
-        followed.append(FollowedCommand(command, self._shows, self._syncs.heard_ns))
+        followed.append(FollowedCommand(command, self._shows, self._late_most, self._syncs.heard_ns))
         if len(followed) - self._past > self._window:
             leaving = followed[self._past]
             if leaving.possible:
@@ -100,10 +102,8 @@ class CommandMeter:
             self._asked = max(0, self._asked - 1)
 
     def told(self, demand_raw: int, since: Instant, until: Instant, sync: SyncMark | None = None) -> None:
-        """The drive followed ``demand_raw`` at an instant from ``since`` to ``until``.
-
-        ``sync``: the SYNC that it is of; None if that is not known.
-        """
+        """The drive followed ``demand_raw`` at an instant from ``since`` to ``until``; ``sync``: the SYNC
+        that it is of, None if that is not known."""
         self._telling = True
         if sync is not None and self._at_syncs:
             self._note_sync(sync)
@@ -122,7 +122,7 @@ class CommandMeter:
         if equal[0] < 0:
             return
         if len(equal) == 1:
-            self._note_acting(self._followed[equal[0]], until)
+            self._note_acting(self._followed[equal[0]], until, sync)
         self._reach(equal[0], until)
         self._exclude(equal[0], sync)
 
@@ -137,7 +137,7 @@ class CommandMeter:
             place
             for place in range(max(in_force, self._past), len(followed))
             if followed[place].raw == demand_raw
-            and followed[place].was_there(Instant(until + self._echo_error))
+            and followed[place].may_be_there(until)
             and not followed[place].acted_before(since)
         ]
         if not equal:
@@ -146,10 +146,10 @@ class CommandMeter:
         self._note_possible(equal)
         if len(equal) == 1:
             command = followed[equal[0]]
-            self._note_acting(command, until)
-            if command.not_before is None or command.not_before < since:
-                command.not_before = since
-            command.stamped = self._stamping = True
+            self._note_acting(command, until, None)
+            if command.stamped_from is None or since < command.stamped_from:
+                command.stamped_from = since
+            self._stamping = True
             self._reach(equal[0], until)
 
     # ---- what a telling shows -----------------------------------------------------------------------------
@@ -166,20 +166,21 @@ class CommandMeter:
             reached_by = followed[first].reached_by
             if reached_by is None or reached_by > since:
                 return False
-        there = Instant(until + self._echo_error)
         fresh = place = max(self._steady_to + 1, self._past)
         while (
-            place < len(followed) and followed[place].raw == demand_raw and followed[place].was_there(there)
+            place < len(followed)
+            and followed[place].raw == demand_raw
+            and followed[place].may_be_there(until)
         ):
             place += 1
-        if self._any_there(place, there):
+        if self._any_there(place, until):
             return False
         for new in range(fresh, place):
             followed[new].possible = True
         self._steady_to = max(self._steady_to, place - 1)
         if first >= self._past:
             if first == self._steady_to:
-                self._note_acting(followed[first], until)
+                self._note_acting(followed[first], until, sync)
             self._exclude(first, sync)
         return True
 
@@ -189,13 +190,13 @@ class CommandMeter:
         first = max(oldest, self._past)
         if len(equal) != newest - first + (2 if oldest < 0 else 1):
             return
-        if newest >= 0 and not self._any_there(newest + 1, Instant(until + self._echo_error)):
+        if newest >= 0 and not self._any_there(newest + 1, until):
             self._steady_raw = self._followed[newest].raw
             self._steady_from, self._steady_to = oldest, newest
 
     def _any_there(self, place: int, at: Instant) -> bool:
-        """Whether any command from ``place`` on was there by ``at``."""
-        while place < len(self._followed) and not self._followed[place].was_there(at):
+        """Whether any command from ``place`` on may have been there by ``at``."""
+        while place < len(self._followed) and not self._followed[place].may_be_there(at):
             place += 1
         return place < len(self._followed)
 
@@ -208,8 +209,7 @@ class CommandMeter:
         """
         followed = self._followed
         last = len(followed) - 1
-        there = Instant(until + self._echo_error)
-        while last >= 0 and not followed[last].was_there(there):
+        while last >= 0 and not followed[last].may_be_there(until):
             last -= 1
         place = last
         if self._at_syncs and last > 0 and followed[last].raw != demand_raw and not followed[last].possible:
@@ -219,12 +219,12 @@ class CommandMeter:
         newest, before = followed[place], followed[place - 1]
         if newest.raw != demand_raw or before.raw == demand_raw or newest.possible:
             return False
-        if before.reached_by is None or before.reached_by > since or not newest.was_there(there):
+        if before.reached_by is None or before.reached_by > since or not newest.may_be_there(until):
             return False
         if place < last:
             self._note_not_yet(place, since, sync)
         newest.possible = True
-        self._note_acting(newest, until)
+        self._note_acting(newest, until, sync)
         self._reach(place, until)
         self._exclude(place, sync)
         self._steady_raw = demand_raw if place == last else None
@@ -248,11 +248,10 @@ class CommandMeter:
         empty if nothing explains the demand."""
         followed = self._followed
         in_force = self._in_force(since)
-        there = Instant(until + self._echo_error)
         equal = [
             place
             for place in range(max(in_force, self._past), len(followed))
-            if followed[place].raw == demand_raw and followed[place].was_there(there)
+            if followed[place].raw == demand_raw and followed[place].may_be_there(until)
         ]
         if in_force < 0 and self._before_raw in (None, demand_raw):
             self._before_raw = demand_raw
@@ -273,7 +272,7 @@ class CommandMeter:
         followed = self._followed
         settled = Instant(since - self._echo_error)
         if self._at_syncs:
-            previous = None if sync is None else self._previous_of(sync)
+            previous = None if sync is None else self._syncs.end_before(sync)
             settled = Instant(-(1 << 62)) if previous is None else Instant(previous - self._echo_error)
         for newer in range(max(place + 1, self._past), len(followed)):
             command = followed[newer]
@@ -283,14 +282,27 @@ class CommandMeter:
                 command.not_before = since
             if command.was_there(settled):
                 command.passed = True
+            if sync is not None:
+                command.passes = self._passes_until(command, sync)
+                if command.passes <= self._passes.least:
+                    command.not_before_usual = since
+
+    def _passes_until(self, command: FollowedCommand, sync: SyncMark) -> int:
+        """SYNCs from the first one at which a command was there to ``sync``, that one included."""
+        last = self._syncs.newest_before(command.first_there)
+        return sync.place - (0 if last is None else last.place)
 
     def _note_possible(self, places: list[int]) -> None:
         for place in places:
             if place >= 0:
                 self._followed[place].possible = True
 
-    def _note_acting(self, command: FollowedCommand, until: Instant) -> None:
+    def _note_acting(self, command: FollowedCommand, until: Instant, sync: SyncMark | None) -> None:
         command.fate = CommandFate.ACTING
+        if sync is not None and not command.counted:
+            command.counted = True
+            if self._passes_until(command, sync) == command.passes + 1:
+                self._passes.add(command.passes)
         if command.acts_by is None or until < command.acts_by:
             command.acts_by = until
 
@@ -316,7 +328,7 @@ class CommandMeter:
             if command.judged:
                 return
             command.judged = True
-            first = self._first_there(command)
+            first = command.first_there
             command.excluded = not command.possible and first > self._seen_since + self._echo_error
 
     def _note_sync(self, sync: SyncMark) -> None:
@@ -330,15 +342,6 @@ class CommandMeter:
         if place < 0 or marks[place] is not self._exact:
             self._seen_since = sync.handed_at if sync.on_bus_at is None else sync.on_bus_at
         self._exact = sync
-
-    def _previous_of(self, sync: SyncMark) -> Instant | None:
-        """The end of the last SYNC on the bus before ``sync``; None if it is not remembered."""
-        marks = self._syncs.marks
-        for place in range(sync.number - marks[0].number - 1, -1, -1):
-            on_bus_at = marks[place].on_bus_at
-            if on_bus_at is not None:
-                return on_bus_at
-        return None
 
     # ---- fates --------------------------------------------------------------------------------------------
 
@@ -355,7 +358,8 @@ class CommandMeter:
         command = followed[self._asked]
         fate = CommandFate.NOT_SENT if command.sent.unsent else command.fate
         if fate is not None:
-            if self._stamping and self.patient and not command.stamped and now - sequence < self._horizon:
+            waits = self._stamping and self.patient and command.stamped_from is None
+            if waits and now - sequence < self._horizon:
                 return None
         else:
             fate = self._outcome_unseen(command, now - sequence)
@@ -390,10 +394,4 @@ class CommandMeter:
         if fate is not CommandFate.ACTING:
             passed = command.passed and command.replaced and not command.possible
             return command.not_before if passed else None
-        first, not_before = self._first_there(command), command.not_before
-        return first if not_before is None or self._unordered else max(first, not_before)
-
-    def _first_there(self, command: FollowedCommand) -> Instant:
-        """It was not on the bus before."""
-        handed_at, on_bus_at = command.sent.handed_at, command.sent.on_bus_at
-        return handed_at if on_bus_at is None else max(handed_at, Instant(on_bus_at - self._late_most))
+        return command.acts_after(in_order=not self._unordered)

@@ -1,8 +1,15 @@
 """A command that was sent, and what tellings have shown of it so far."""
 
+from typing import Final
+
 from drivers.exchange import SentCommand
 from drivers.timebase import Instant
 from hil.loop.samples import CommandFate
+
+PASSES_WATCHED: Final = 32
+"""Commands whose least number of passes stands for the next ones."""
+MANY: Final = 1 << 30
+"""More passes than a command can have."""
 
 
 class FollowedCommand:
@@ -10,32 +17,43 @@ class FollowedCommand:
 
     __slots__ = (
         "acts_by",
+        "counted",
         "excluded",
         "fate",
         "heard_ns",
         "judged",
+        "late_most",
         "not_before",
+        "not_before_usual",
         "passed",
+        "passes",
         "possible",
         "raw",
         "reached_by",
         "replaced",
         "sent",
         "shows",
-        "stamped",
+        "stamped_from",
     )
 
-    def __init__(self, sent: SentCommand, shows: bool, heard_ns: int) -> None:
-        """``shows``: its own echo tells when it is on the bus. ``heard_ns``: for how long the bus had been
-        heard of."""
+    def __init__(self, sent: SentCommand, shows: bool, late_most: int, heard_ns: int) -> None:
+        """``shows``: its own echo tells when it is on the bus; ``late_most``: how much later an echo may be
+        stamped, ns. ``heard_ns``: for how long the bus had been heard of."""
         self.sent = sent
         self.raw = sent.raw
         self.shows = shows
+        self.late_most = late_most
         self.heard_ns = heard_ns
         self.fate: CommandFate | None = None
         """Acting, or None."""
         self.not_before: Instant | None = None
         """The latest instant at which an older one was followed."""
+        self.not_before_usual: Instant | None = None
+        """The same, of the SYNCs by which commands are passed at the least."""
+        self.passes = 0
+        """SYNCs from its arrival to the last at which an older one was followed, that one included."""
+        self.counted = False
+        """Whether it is known how many there were until it acted."""
         self.acts_by: Instant | None = None
         self.reached_by: Instant | None = None
         """By then the drive followed this one or a newer one."""
@@ -49,8 +67,8 @@ class FollowedCommand:
         """Whether it is known if it is excluded."""
         self.excluded = False
         """Whether it can have acted at no SYNC before it was replaced."""
-        self.stamped = False
-        """Whether the drive has stamped the change to it."""
+        self.stamped_from: Instant | None = None
+        """It did not act before, by the stamp with which the drive told the change to it; None without."""
 
     def was_there(self, at: Instant) -> bool:
         """Whether it was on the bus by ``at``; where no echo tells, whether it had been handed over."""
@@ -59,6 +77,52 @@ class FollowedCommand:
             return on_bus_at <= at
         return not (self.shows or self.sent.unsent) and self.sent.handed_at <= at
 
+    def may_be_there(self, at: Instant) -> bool:
+        """Whether it may have been on the bus by ``at``: its echo may be stamped late, or another's."""
+        sent = self.sent
+        if sent.handed_at > at or sent.unsent or (self.shows and sent.on_bus_at is None):
+            return False
+        return self.first_there <= at
+
+    @property
+    def first_there(self) -> Instant:
+        """It was not on the bus before."""
+        sent = self.sent
+        on_bus_at, maybe_at = sent.on_bus_at, sent.maybe_at
+        if maybe_at is not None and (on_bus_at is None or maybe_at < on_bus_at):
+            on_bus_at = maybe_at
+        if on_bus_at is None or on_bus_at - self.late_most < sent.handed_at:
+            return sent.handed_at
+        return Instant(on_bus_at - self.late_most)
+
+    def acts_after(self, *, in_order: bool) -> Instant:
+        """The latest instant known at which it did not act yet, of one that acts.
+
+        An older command that was followed later shows nothing by itself: it may have come twice.
+        """
+        known = self.first_there
+        for at in (self.stamped_from, self.not_before_usual if in_order else None):
+            if at is not None and known < at and (self.acts_by is None or at <= self.acts_by):
+                known = at
+        return known
+
     def acted_before(self, at: Instant) -> bool:
         """Whether it is known to have acted before ``at``."""
         return self.acts_by is not None and self.acts_by < at
+
+
+class LeastPasses:
+    """By how many SYNCs a command is passed at the least until it acts: as few as any of the last was."""
+
+    def __init__(self) -> None:
+        self.least = 0
+        """0 before enough have acted."""
+        self._next = MANY
+        self._count = 0
+
+    def add(self, passes: int) -> None:
+        """So many passed the last one."""
+        self.least, self._next = min(self.least, passes), min(self._next, passes)
+        self._count += 1
+        if self._count == PASSES_WATCHED:
+            self.least, self._next, self._count = self._next, MANY, 0

@@ -1,4 +1,4 @@
-"""Of which SYNC a drive told its torque demand.
+"""Of which SYNC a drive told its torque demand, and which stamps of its changes are to be trusted.
 
 A frame that carries the speed beside the demand is its reading, and so is its SYNC. A frame of its own has no
 stamp; as the drive sends one behind each reading, its place among them tells:
@@ -13,11 +13,11 @@ overtake one another, come twice or were lost, it is of an instant from one to a
 next reading has come, as two demands behind one reading show that they are not in order.
 """
 
+from collections import deque
 from typing import Final
 
-from drivers.exchange import Readback
+from drivers.exchange import DemandChange, Readback, Reading
 from drivers.timebase import Duration, Instant
-from drivers.wire.frame_port import EchoBasis
 from hil.loop.samples import Sample
 from hil.loop.syncs import REMEMBERED, SyncLog, SyncMark
 
@@ -28,10 +28,6 @@ DOUBTED_FOR: Final = 1000
 in a thousand frames does it to two neighbours once in a million, and one alone is seen."""
 SILENT_PERIODS: Final = 4
 """A demand waits so long for the next reading: longer than a few losses in a row, shorter than a row does."""
-
-
-STAMPED_EACH: Final = (EchoBasis.BUS, EchoBasis.HARDWARE)
-"""Here what has one stamp is one frame; elsewhere several are stamped when they are fetched together."""
 
 
 class Telling:
@@ -75,7 +71,6 @@ class ReadbackTie:
         self.unordered = 0
         """Demands that came while the order of frames told nothing: no command is told lost by them."""
         self._syncs = syncs
-        self._stamps_tell = syncs.echoes in STAMPED_EACH
         self._period = period
         self._horizon = Duration(horizon * period)
         self._by_count: list[_Placed | None] = [None] * READINGS_REMEMBERED
@@ -133,7 +128,7 @@ class ReadbackTie:
             if count > self.readings:
                 break
             behind = self._placed_at(count)
-            if self._stamps_tell and behind is not None and behind.received_at == first.received_at:
+            if first.in_reading and behind is not None:
                 self.exact += 1
                 self.unordered += self.doubtful
                 self._tied = behind.mark.number
@@ -266,3 +261,48 @@ class ReadbackTie:
                 break
             number += 1
         return number
+
+
+class ProvedChanges:
+    """Demands that a drive stamped when they changed, until the map of its clock is known to hold there.
+
+    That is when readings stamped before it and after it have been placed for certain: a clock that was set in
+    between would have put a question.
+
+        readings     :1         :2         :3
+        change             :c                      proved with reading 2
+    """
+
+    def __init__(self, settled: int) -> None:
+        """``settled``: where delays spread, a certain reading may be taken back until so many more came."""
+        self._pending: list[DemandChange] = []
+        self._stamps: deque[int] = deque(maxlen=settled + 1)
+        """Of the last readings that were placed for certain in a row."""
+        self._since_ns = 0
+        """Of the first of them."""
+
+    def reading(self, reading: Reading, *, certain: bool) -> None:
+        """The next reading with a stamp was placed."""
+        if not certain:
+            self._stamps.clear()
+            self._pending.clear()
+        elif reading.device_time_ns is not None:
+            if not self._stamps:
+                self._since_ns = reading.device_time_ns
+            self._stamps.append(reading.device_time_ns)
+
+    def take(self, changes: list[DemandChange], *, spread: bool) -> list[DemandChange]:
+        """Those of ``changes``, and of the ones that waited, that are proved now."""
+        pending, stamps = self._pending, self._stamps
+        pending.extend(changes)
+        if not pending:
+            return pending
+        if not stamps:
+            pending.clear()
+            return []
+        if spread and len(stamps) < (stamps.maxlen or 0):
+            return []
+        until_ns = stamps[0] if spread else stamps[-1]
+        proved = [change for change in pending if self._since_ns <= change.device_time_ns <= until_ns]
+        self._pending = [change for change in pending if change.device_time_ns > until_ns]
+        return proved

@@ -315,6 +315,15 @@ class SyncLog:
                 break
         return beside
 
+    def end_before(self, mark: SyncMark) -> Instant | None:
+        """The end of the last SYNC on the bus before that of ``mark``; None if it is not remembered."""
+        marks = self.marks
+        for place in range(mark.number - marks[0].number - 1, -1, -1):
+            on_bus_at = marks[place].on_bus_at
+            if on_bus_at is not None:
+                return on_bus_at
+        return None
+
     def newest_before(self, at: Instant) -> SyncMark | None:
         """The last SYNC that had ended by ``at``."""
         for mark in reversed(self.marks):

@@ -95,11 +95,12 @@ def judge_commands(
     ``stamp_error``: see :class:`.judge.Timing`."""
     result = CommandJudgement()
     newest = int(told["command_handed_at"].max()) if told.size else NO_INSTANT
+    at_once = {at: iter(commands) for at, commands in truth.at_once.items()}
     for row in told:
         handed_at, fate = int(row["command_handed_at"]), int(row["command_fate"])
         if handed_at == NO_INSTANT:
             continue
-        command = truth.commands.get(handed_at)
+        command = next(at_once.get(handed_at, iter(())), truth.commands.get(handed_at))
         if command is not None:
             _judge(result, row, command, tolerance, stamp_error)
         elif fate != NOT_SENT:

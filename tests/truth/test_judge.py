@@ -235,6 +235,18 @@ def test_a_command_that_was_never_handed_over_is_found() -> None:
     assert judge_commands(told, truth()).unknown == 1
 
 
+def test_commands_that_were_handed_over_in_one_instant_are_told_apart() -> None:
+    axis = truth()
+    told = told_rightly(axis)
+    at, after = (int(told["command_handed_at"][row]) for row in (ROW, ROW + 1))
+    together = [axis.commands[at], replace(axis.commands[after], handed_at=Instant(at))]
+    told["command_handed_at"][ROW + 1] = at
+    axis = replace(axis, commands=axis.commands | {at: together[-1]}, at_once={at: together})
+    assert judge_commands(told, axis, NO_TIME).outside == 0
+    told["command_acts_by"][ROW] -= 1
+    assert judge_commands(told, axis, NO_TIME).outside == 1
+
+
 def test_a_command_on_sync_acts_at_a_sync() -> None:
     axis = truth(LOSSES, "on_sync")
     heard_at = {sync.reading.heard.at for sync in axis.syncs if sync.reading is not None}

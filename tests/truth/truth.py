@@ -2,7 +2,7 @@
 
 from bisect import bisect_left
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -65,6 +65,9 @@ class AxisTruth:
     """First SYNCs heard after a step of the drive's clock."""
     commands: dict[int, CommandTruth]
     """By the instant of the hand-over, as far as it is known what became of them."""
+    at_once: dict[int, list[CommandTruth]] = field(default_factory=dict)
+    """Of instants at which several were handed over, all of them in order: a host that was late may serve two
+    cycles in one instant of simulated time."""
 
     def handed_between(self, begin: int, end: int) -> tuple[SyncTruth, ...]:
         """The SYNCs handed over in [begin, end)."""
@@ -109,13 +112,15 @@ def axis_truth(log: TapLog, node_id: int, reading_is_a_set: bool, syncs_heard: b
     for at, frame in log.fetched:
         if id(frame) in answer_to:
             answered_at[at].append(answer_to[id(frame)])
+    commands = _command_truths(log, node_id, on_bus)
     return AxisTruth(
         layout,
         _sync_truths(handed, on_bus, first),
         {passed.at: place for place, passed in enumerate(handed)},
         answered_at,
         tuple(steps(drive.syncs)),
-        _command_truths(log, node_id, on_bus),
+        {at: together[-1] for at, together in commands.items()},
+        {at: together for at, together in commands.items() if len(together) > 1},
     )
 
 
@@ -164,17 +169,17 @@ def _sync_truths(
     return tuple(reversed(made))
 
 
-def _command_truths(log: TapLog, node_id: int, on_bus: dict[int, Instant]) -> dict[int, CommandTruth]:
+def _command_truths(log: TapLog, node_id: int, on_bus: dict[int, Instant]) -> dict[int, list[CommandTruth]]:
     drive = log.drives[node_id]
     assert drive.layout is not None
     acts = _acting(drive.commands, drive.syncs) if drive.layout.command_is_synchronous else None
     if acts is None:
         acts = _first(drive.commands)
-    return {
-        at: CommandTruth(at, on_bus.get(id(frame)), acts.get(id(frame)))
-        for at, frame in log.handed
-        if drive.layout.is_set_point(frame)
-    }
+    commands: dict[int, list[CommandTruth]] = defaultdict(list)
+    for at, frame in log.handed:
+        if drive.layout.is_set_point(frame):
+            commands[at].append(CommandTruth(at, on_bus.get(id(frame)), acts.get(id(frame))))
+    return commands
 
 
 def _acting(commands: list[Passed], syncs: list[Heard]) -> dict[int, Instant]:

@@ -81,6 +81,16 @@ def test_of_equal_commands_the_first_is_found_first(rig: Rig) -> None:
     assert instants(commands) == [100, 200, None]
 
 
+def test_of_equal_commands_that_wait_or_were_overtaken_each_may_be_the_one(rig: Rig) -> None:
+    commands = rig.send(10, 20, 10, 30, 10)
+    rig.echo(1, 100)
+    rig.echo(2, 200)
+    assert instants(commands) == [None, 100, 200, None, None]
+    assert [command.maybe_at for command in commands] == [200, None, None, None, 200]
+    rig.echo(4, 300)
+    assert [command.maybe_at for command in commands] == [200, None, None, None, 200], "the first counts"
+
+
 def test_an_echo_that_tells_when_its_frame_was_handed_over_is_of_no_other(rig: Rig) -> None:
     commands = []
     for _ in range(3):

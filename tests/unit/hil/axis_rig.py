@@ -119,9 +119,12 @@ class Rig:
         self.drive.readings.append(reading)
         return reading
 
-    def read_back(self, raw: int, number: int, readings: int, delay: int = DELAY + 20_000) -> None:
+    def read_back(
+        self, raw: int, number: int, readings: int, delay: int = DELAY + 20_000, in_reading: bool = False
+    ) -> None:
         """0x6074 as of the SYNC ``number``, told after so many readings of the run."""
-        self.drive.readbacks.append(Readback(raw, Instant(self.at(number) + delay), TAUGHT + readings))
+        at = Instant(self.at(number) + delay)
+        self.drive.readbacks.append(Readback(raw, at, TAUGHT + readings, in_reading))
 
     def tick(self, number: int) -> Tick:
         at = self.at(number)

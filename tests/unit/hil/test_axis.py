@@ -167,6 +167,20 @@ def test_a_readback_after_a_reading_that_is_not_known_is_of_no_one_sync(
     assert (rig.axis.readbacks.exact, rig.axis.readbacks.inexact) == placed
 
 
+@pytest.mark.parametrize(("in_reading", "exact"), [(True, True), (False, False)])
+def test_a_readback_is_of_the_sync_of_its_own_frame_whatever_its_stamp(in_reading: bool, exact: bool) -> None:
+    """One from before that comes twice may be stamped just as the next reading is."""
+    rig = Rig(Sending())
+    rig.axis.readbacks.doubt()
+    rig.cycle(1)
+    rig.begin(2)
+    rig.answer(2)
+    rig.axis.collect()
+    rig.read_back(0, 2, 2, DELAY, in_reading)
+    rig.axis.settle_all(2 + HORIZON)
+    assert (rig.axis.readbacks.exact, rig.axis.readbacks.inexact) == (int(exact), int(not exact))
+
+
 def test_a_change_is_told_between_the_readbacks_before_and_after_it() -> None:
     """At SYNC 2 the drive followed nothing yet, 300 us later command 1, and so at SYNC 3."""
     rig = Rig(Sending())

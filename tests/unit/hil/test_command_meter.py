@@ -9,6 +9,7 @@ from drivers.timebase import NS_PER_MS, Duration, Instant
 from drivers.wire.frame_port import EchoBasis
 from hil.loop.command_meter import CommandMeter
 from hil.loop.delay import UNHEARD_MAX
+from hil.loop.followed_command import PASSES_WATCHED
 from hil.loop.samples import CommandFate, Sending
 from hil.loop.syncs import SyncLog
 
@@ -39,13 +40,14 @@ def meter_on(echoes: EchoBasis, heard: int = 0) -> tuple[CommandMeter, SyncLog]:
 
 def play(raws: list[int], acting: list[int | None], *, every: int = 1) -> list[Sending]:
     """``acting[n]``: from which SYNC on command n is in force; None: lost. Told every ``every`` SYNCs."""
-    meter, _ = meter_on(EchoBasis.BUS)
+    meter, syncs = meter_on(EchoBasis.BUS)
     settled: list[Sending] = []
     waiting = list(range(len(raws)))
     for number in range(len(raws) + HORIZON + 1):
         in_force = [n for n, since in enumerate(acting) if since is not None and since <= number]
+        mark = syncs.heard(number, sync_at(number)) if number else syncs.marks[-1]
         if number % every == 0:
-            meter.told(raws[max(in_force)] if in_force else AT_REST, sync_at(number), sync_at(number))
+            meter.told(raws[max(in_force)] if in_force else AT_REST, sync_at(number), sync_at(number), mark)
         if number < len(raws):
             meter.sent(command(number, raws[number]))
         while waiting:
@@ -91,10 +93,33 @@ def test_a_command_that_is_passed_over_is_told_and_its_neighbours_are_not_blamed
 
 
 def test_a_delay_beyond_the_next_sync_is_seen_as_late_not_as_lost() -> None:
-    settled = play([1, 2, 3, 4, 5, 6], [number + 2 for number in range(6)])
-    assert fates(settled) == [CommandFate.ACTING] * 6
-    assert settled[3].acts_after == sync_at(4), "it was there, and not in force yet"
+    count = 2 * PASSES_WATCHED
+    settled = play(list(range(1, count + 1)), [number + 2 for number in range(count)])
+    assert fates(settled) == [CommandFate.ACTING] * count
+    assert settled[3].acts_after == sync_at(3) + ON_BUS, "the one before it may have come twice"
     assert settled[3].acts_by == sync_at(5)
+    assert settled[-1].acts_after == sync_at(count), "it was there, and none acts as soon as that"
+
+
+def test_a_command_that_comes_twice_bounds_no_other() -> None:
+    """The drive follows 2 for a moment, then 1 that comes again, and 2 that does: as if 2 had been late."""
+    settled = play([1, 2, 3], [1, 3, None])
+    assert fates(settled)[1] is CommandFate.ACTING
+    assert (settled[1].acts_after, settled[1].acts_by) == (sync_at(1) + ON_BUS, sync_at(3))
+
+
+def test_an_echo_that_is_stamped_late_leaves_open_which_of_two_equal_commands_acts() -> None:
+    """The echo of the second is stamped behind the change that it made."""
+    meter, _ = meter_on(EchoBasis.KERNEL)
+    meter.sent(command(0, 5))
+    later = command(1, 5)
+    later.on_bus_at = Instant(sync_at(1) + 900_000)
+    meter.sent(later)
+    meter.changed(5, Instant(sync_at(1) + ON_BUS), Duration(3_000))
+    for number in (0, 1):
+        outcome = meter.outcome(number, HORIZON + 1)
+        assert outcome is not None
+        assert outcome.fate is CommandFate.NOT_IDENTIFIABLE
 
 
 def test_equal_commands_cannot_be_told_apart() -> None:
