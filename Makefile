@@ -76,7 +76,7 @@ $(BIN)/python:
 	@echo "Setting up $(VENV): once, a minute or two"
 	@$(PYTHON) -m venv $(VENV)
 
-CORE := design/core/native.abi3.so virtual_bus/core/native.abi3.so
+CORE := $(foreach room,design virtual_bus hil,$(room)/core/native.abi3.so)
 
 # A machine without a C compiler gets one as a package, for the build only.
 $(RUNTIME): requirements.lock pyproject.toml | $(BIN)/python
@@ -92,7 +92,7 @@ $(TOOLS): requirements-dev.lock $(RUNTIME)
 
 core: $(CORE)
 
-$(CORE) &: $(wildcard design/core/*.[ch] virtual_bus/core/*.[ch]) design/core/build.py | $(RUNTIME)
+$(CORE) &: $(wildcard */core/*.[ch]) design/core/build.py | $(RUNTIME)
 	@$(BIN)/python design/core/build.py
 
 core-debug: $(RUNTIME)

@@ -60,7 +60,7 @@ GROUPS = {
         ),
         *_below("hil/loop", "period_doubt readback_tie residuals stamp_attribution syncs usual_delays"),
         *_below("hil/execution", "stream_watch"),
-        *_below("hil/recording", "ring row_writer"),
+        *_below("hil/recording", "row_writer"),
         *_below("hil/rows", "records side_rows"),
     ],
     "bus": [

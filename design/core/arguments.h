@@ -49,6 +49,14 @@ static inline bool doubles(PyObject *object, const double **values, Py_ssize_t *
     return true;
 }
 
+/* A whole number, of at most 63 bits where it is finite, as Python's. */
+static inline PyObject *whole(double value)
+{
+    if (value - value == 0.0)
+        return PyLong_FromLongLong((long long)value);
+    return PyErr_Format(PyExc_ValueError, "infinite or no number: a finite one expected");
+}
+
 static inline PyObject *nothing(void)
 {
     Py_IncRef(Py_None);

@@ -100,7 +100,7 @@ typedef struct PyModuleDef {
 #define PYTHON_ABI_VERSION 3
 #define PyMODINIT_FUNC __attribute__((visibility("default"))) PyObject *
 
-extern PyObject *PyExc_TypeError, *PyExc_ValueError, *PyExc_AttributeError;
+extern PyObject *PyExc_TypeError, *PyExc_ValueError, *PyExc_AttributeError, *PyExc_OSError;
 extern PyObject _Py_NoneStruct;
 #define Py_None (&_Py_NoneStruct)
 
@@ -122,6 +122,7 @@ void Py_DecRef(PyObject *);
 PyObject *PyErr_Occurred(void);
 PyObject *PyErr_Format(PyObject *, const char *, ...);
 PyObject *PyErr_NoMemory(void);
+PyObject *PyErr_SetFromErrno(PyObject *);
 void PyErr_SetObject(PyObject *, PyObject *);
 void PyErr_Fetch(PyObject **, PyObject **, PyObject **);
 void PyErr_Restore(PyObject *, PyObject *, PyObject *);

@@ -9,19 +9,20 @@
 
 The two counters lie on cache lines of their own. A row is stored before its count, so the
 reader never sees half a row, also when the writer is killed in between; the memory lives
-as long as either process holds its descriptor.
+as long as either process holds its descriptor. The writer's end is C (core/ring.c).
 """
 
 import mmap
 import os
-import platform
 import struct
 import threading
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hil.core.native import Ring
 
 _HEADER_BYTES: Final = 256
 _ROW_SIZE: Final = 0
@@ -29,11 +30,7 @@ _CAPACITY: Final = 1
 _WRITTEN: Final = 8
 _READ: Final = 16
 _REFUSED: Final = 24
-"""Places of the header's words, in units of 8 bytes."""
-
-
-_STORES_STAY_IN_ORDER: Final = platform.machine() in ("x86_64", "AMD64")
-"""On x86-64 other cores see the stores of a core in their order; the writer needs no fence there."""
+"""Places of the header's words, in units of 8 bytes; core/ring.h has them in bytes."""
 
 
 class _Fence:
@@ -57,63 +54,26 @@ def refuse() -> bool:
     return False
 
 
-class RingWriter:
+class RingWriter(Ring):
     """Makes the ring. ``push`` stores one row; it never waits unless ``on_full`` does."""
 
-    def __init__(self, row: struct.Struct, capacity: int, on_full: Callable[[], bool] = refuse) -> None:
+    descriptor: int
+
+    def __new__(cls, row: struct.Struct, capacity: int, on_full: Callable[[], bool] = refuse) -> Self:
         """``capacity``: rows, a power of two. ``on_full``: asked while full; True: look again."""
-        if capacity <= 0 or capacity & (capacity - 1):
-            raise ValueError(f"capacity {capacity} is no power of two")
-        size = _HEADER_BYTES + capacity * row.size
-        self.descriptor = os.memfd_create("servobench-ring", os.MFD_CLOEXEC)
-        os.ftruncate(self.descriptor, size)
-        # MAP_POPULATE: no page fault on the control thread later
-        self._memory = mmap.mmap(self.descriptor, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
-        self._words = memoryview(self._memory)[:_HEADER_BYTES].cast("Q")
-        self._words[_ROW_SIZE], self._words[_CAPACITY] = row.size, capacity
-        self._row_size, self._mask = row.size, capacity - 1
-        self._capacity, self._on_full = capacity, on_full
-        self._written = 0
-        self._limit = capacity
-        self._fence = None if _STORES_STAY_IN_ORDER else _Fence()
-
-    def push(self, row: bytes) -> bool:
-        """Store one row; IndexError for one of another size. False: the ring is full, it is refused."""
-        written = self._written
-        if written >= self._limit and not self._make_room():
-            return False
-        place = _HEADER_BYTES + (written & self._mask) * self._row_size
-        self._memory[place : place + self._row_size] = row
-        if self._fence is not None:
-            self._fence.pass_through()  # the row before its count
-        self._written = written + 1
-        self._words[_WRITTEN] = self._written
-        return True
-
-    @property
-    def refused(self) -> int:
-        """Rows that found the ring full."""
-        return self._words[_REFUSED]
-
-    @property
-    def taken(self) -> int:
-        """Rows whose room the reader has given back."""
-        return self._words[_READ]
+        descriptor = os.memfd_create("servobench-ring", os.MFD_CLOEXEC)
+        try:
+            self = super().__new__(cls, descriptor, row.size, capacity, on_full)
+        except BaseException:
+            os.close(descriptor)
+            raise
+        self.descriptor = descriptor
+        return self
 
     def close(self) -> None:
         """Give up the writer's hold; the reader keeps what is there."""
-        self._words.release()
-        self._memory.close()
+        super().close()
         os.close(self.descriptor)
-
-    def _make_room(self) -> bool:
-        while True:
-            self._limit = self._words[_READ] + self._capacity
-            if self._written < self._limit:
-                return True
-            if not self._on_full():
-                self._words[_REFUSED] += 1
-                return False
 
 
 class RingReader:

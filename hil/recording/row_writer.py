@@ -6,7 +6,6 @@ from drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
 from hil.loop.samples import CycleRecord
 from hil.recording.ring import RingWriter
 from hil.rows.records import row_of
-from hil.rows.side_rows import frame_row
 
 
 class RowWriter(FrameTap):
@@ -34,4 +33,4 @@ class RowWriter(FrameTap):
             can_id |= EXTENDED_FLAG
         if remote:
             can_id |= REMOTE_FLAG
-        self._frames.push(frame_row(at, can_id, self._sent if direction == "tx" else self._received, data))
+        self._frames.push_frame(at, can_id, self._sent if direction == "tx" else self._received, data)

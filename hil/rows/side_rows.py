@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from librt.strings import BytesWriter, write_i64_le
 from numpy.typing import NDArray
 
 from drivers.timebase import Instant
+from hil.core.native import frame_row as frame_row
 
 FRAME: Final = struct.Struct("<qIBBxx8s")
 FRAME_DTYPE: Final = np.dtype(
@@ -20,18 +20,7 @@ FRAME_DTYPE: Final = np.dtype(
     }
 )
 """``sent``: bit 0 is 1 for a frame that the bench sent, 0 for one that it received; the bits above it are the
-number of the segment, 0 for the first."""
-
-
-def frame_row(at: Instant, can_id: int, sent: int, data: bytes) -> bytes:
-    """A row of FRAME; ``can_id`` with its flags (:mod:`drivers.wire.identifiers`)."""
-    row = BytesWriter()
-    write_i64_le(row, at)
-    write_i64_le(row, can_id | len(data) << 32 | sent << 40)
-    row.write(data)
-    for _ in range(8 - len(data)):
-        row.append(0)
-    return row.getvalue()
+number of the segment, 0 for the first. ``frame_row`` (core/frame_row.c) packs one."""
 
 
 LEVELS: tuple[str, ...] = ("INFO", "WARN", "ERROR", "CRITICAL")

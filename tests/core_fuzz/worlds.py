@@ -2,11 +2,12 @@
 
 import gc
 import math
+import os
 import random
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
-from struct import pack
+from struct import Struct, pack
 from typing import Any, Final
 
 import can
@@ -15,6 +16,9 @@ import numpy as np
 from design.core import native
 from design.statespace import StateSpace
 from drivers.timebase import NS_PER_MS, Duration, Instant
+from hil.core.native import Ring, frame_row
+from hil.recording.ring import RingReader, RingWriter
+from hil.rows.side_rows import FRAME
 from tests.motors import AZAIZ, LING
 from virtual_bus.bus.host_port import HostPort
 from virtual_bus.bus.judge import Direction, Judge
@@ -29,7 +33,9 @@ from virtual_bus.core.native import (
     Segment,
     SimulatedClock,
     Timeline,
+    clipped,
     sine_cosine,
+    user_position,
     wire_bits,
 )
 from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
@@ -92,6 +98,7 @@ def drive(draw: random.Random) -> None:
         else:
             firmware.advance_to(Instant(now))
         assert firmware.tick_at <= now < firmware.tick_after(Instant(now + 1))
+        _tell(firmware.inner, draw)
         assert len(firmware.inner.state()) == len(InnerLoops().state())
 
 
@@ -99,6 +106,21 @@ def _controller(draw: random.Random, rate_hz: int) -> StateSpace:
     order = draw.randrange(9)
     a = np.diag([draw.uniform(-0.9, 0.9) for _ in range(order)])
     return StateSpace(a, np.ones((order, 1)), np.ones((1, order)), np.array([[1.0]]), 1.0 / rate_hz)
+
+
+def _tell(inner: InnerLoops, draw: random.Random) -> None:
+    """Any units; a state that is no number is refused."""
+    inner.origin, inner.counts_per_position = _number(draw), _number(draw)
+    inner.velocity_per_rad_s, inner.torque_unit_nm = _number(draw), _number(draw)
+    try:
+        position, velocity, torque, _ = inner.actual_values()
+        demand = inner.torque_told()
+    except ValueError:
+        return
+    assert max(position, velocity) < 1 << 31
+    assert min(position, velocity) >= -(1 << 31)
+    assert max(torque, demand) < 1 << 15
+    assert min(torque, demand) >= -(1 << 15)
 
 
 def _number(draw: random.Random) -> float:
@@ -234,6 +256,37 @@ def bus(draw: random.Random) -> None:
     assert gone() is None
 
 
+def ring(draw: random.Random) -> None:
+    """A ring whose reader comes at any time, or within the writer's wait, which may raise and close it."""
+    capacity, rows = 1 << draw.randrange(6), draw.choice([FRAME, Struct("<4s"), Struct("<37q")])
+
+    def on_full() -> bool:
+        chance = draw.random()
+        if chance < 0.02:
+            Ring.close(writer)
+        elif chance < 0.1:
+            raise _Refused(chance)
+        elif chance < 0.4:
+            reader.drain()
+        return chance < 0.8
+
+    writer = RingWriter(rows, capacity, on_full)
+    reader = RingReader(writer.descriptor, np.dtype(f"V{rows.size}"))
+    for _ in range(300):
+        try:
+            if draw.random() < 0.5:
+                writer.push(draw.randbytes(rows.size))
+            else:
+                writer.push_frame(
+                    draw.getrandbits(63), draw.getrandbits(33), draw.randrange(257), draw.randbytes(8)
+                )
+            assert 0 <= writer.taken <= reader.released + capacity
+        except (_Refused, ValueError):
+            continue
+        assert len(reader.look()) <= capacity
+    writer.close()
+
+
 def misuse(draw: random.Random) -> None:
     """Arguments of wrong number, type, size and range: an error of Python's, or taken."""
     inner = InnerLoops()
@@ -241,11 +294,14 @@ def misuse(draw: random.Random) -> None:
     timeline = Timeline()
     segment, held, place = Segment(timeline, 500_000), HeldFrames(), HostPlace(timeline)
     port = Port(segment, 1, "port", place)
-    calls: list[Callable[..., Any]] = [sine_cosine, wire_bits, native.random_runs]
-    calls += [BusLoad, HeldFrames, HostPlace, Port, Segment, SimulatedClock, Timeline]
+    calls: list[Callable[..., Any]] = [clipped, sine_cosine, user_position, wire_bits, native.random_runs]
+    descriptor = os.memfd_create("fuzz")
+    ring = Ring(descriptor, FRAME.size, 4, bool)
+    os.close(descriptor)
+    calls += [frame_row, Ring, BusLoad, HeldFrames, HostPlace, Port, Segment, SimulatedClock, Timeline]
     calls += [
         getattr(each, name)
-        for each in (inner, timeline, segment, held, place, port, BusLoad(), SimulatedClock(timeline))
+        for each in (inner, timeline, segment, held, place, port, BusLoad(), SimulatedClock(timeline), ring)
         for name in dir(each)
         if callable(getattr(each, name)) and name[0] != "_"
     ]
@@ -260,4 +316,4 @@ def misuse(draw: random.Random) -> None:
             continue
 
 
-WORLDS: Final = (frames, drive, random_runs, misuse, bus)
+WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring)

@@ -5,6 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "actual_values.h"
 #include "load_table.h"
 #include "motor.h"
 
@@ -75,6 +76,7 @@ typedef struct InnerLoops {
     LoopState state;
     Demand demand;
     TableLoad load;
+    UserScale scale;
     int64_t power_on_ns, rate_hz, ticks, motion_ticks;
     int asked; /* a demand was written since the last tick */
 } InnerLoops;

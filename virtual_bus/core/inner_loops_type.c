@@ -23,6 +23,7 @@ static PyObject *make(PyTypeObject *type, PyObject *arguments, PyObject *names)
     loops->loop.controller_d.order = loops->loop.controller_q.order = -1;
     loops->asked = 1;
     loops->rate_hz = loops->motion_ticks = 1; /* divided by */
+    loops->scale = (UserScale){0.0, 1.0, 1.0, 1.0};
     return self;
 }
 
@@ -73,6 +74,34 @@ static PyObject *call_torque_in_force(PyObject *self, PyObject *none)
 {
     (void)none;
     return PyFloat_FromDouble(torque_in_force(loops_of(self)));
+}
+
+/* 6064h, 606Ch and 6077h as of the last tick, and whether a set-point was cut then. */
+static PyObject *call_actual_values(PyObject *self, PyObject *none)
+{
+    (void)none;
+    const LoopState *state = &loops_of(self)->state;
+    const UserScale *scale = &loops_of(self)->scale;
+    PyObject *items[] = {whole(user_position(state->count - scale->origin, scale->counts_per_position)),
+                         whole(clipped(state->speed_measured_rad_s * scale->velocity_per_rad_s, 32)),
+                         whole(clipped(state->torque_measured_nm / scale->torque_unit_nm, 16)),
+                         PyBool_FromLong(state->limited != 0.0)};
+    PyObject *told = items[0] != NULL && items[1] != NULL && items[2] != NULL ? PyTuple_New(4) : NULL;
+    for (int place = 0; place < 4; place++) {
+        if (told != NULL)
+            PyTuple_SetItem(told, place, items[place]);
+        else if (items[place] != NULL)
+            Py_DecRef(items[place]);
+    }
+    return told;
+}
+
+/* 6074h: what is in force now. */
+static PyObject *call_torque_told(PyObject *self, PyObject *none)
+{
+    (void)none;
+    InnerLoops *loops = loops_of(self);
+    return whole(clipped(torque_in_force(loops) / loops->scale.torque_unit_nm, 16));
 }
 
 static PyObject *call_demand_torque(PyObject *self, PyObject *torque_nm)
@@ -180,6 +209,8 @@ static PyMethodDef methods[] = {
     {"tick_at", call_tick_at, METH_NOARGS, NULL},
     {"tick_after", call_tick_after, METH_O, NULL},
     {"torque_in_force", call_torque_in_force, METH_NOARGS, NULL},
+    {"actual_values", call_actual_values, METH_NOARGS, NULL},
+    {"torque_told", call_torque_told, METH_NOARGS, NULL},
     {"demand_torque", call_demand_torque, METH_O, NULL},
     {"ramp_to_speed", (PyCFunction)(void (*)(void))call_ramp_to_speed, METH_FASTCALL, NULL},
     {"bear", (PyCFunction)(void (*)(void))call_bear, METH_FASTCALL, NULL},
@@ -255,6 +286,10 @@ static PyMemberDef members[] = {
     PARAMETER(demand, current_max_a),
     PARAMETER(demand, speed_max_rad_s),
     PARAMETER(demand, load_nm),
+    PARAMETER(scale, origin),
+    PARAMETER(scale, counts_per_position),
+    PARAMETER(scale, velocity_per_rad_s),
+    PARAMETER(scale, torque_unit_nm),
     {"asked", T_INT, PLACE(asked), 0, NULL},
     {"power_on_ns", T_LONGLONG, PLACE(power_on_ns), 0, NULL},
     {"rate_hz", T_LONGLONG, PLACE(rate_hz), 0, NULL},

@@ -1,4 +1,5 @@
 /* The module virtual_bus.core.native; native.pyi says what it holds. */
+#include "actual_values.h"
 #include "arguments.h"
 #include "host_place.h"
 #include "rotation.h"
@@ -37,7 +38,30 @@ static PyObject *call_wire_bits(PyObject *module, PyObject *const *arguments, Py
     return PyLong_FromLongLong(wire_bits((uint64_t)field, (const unsigned char *)octets, (int)length));
 }
 
+static PyObject *call_clipped(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    (void)module;
+    double value;
+    int64_t bits;
+    if (!takes(count, 2, "clipped") || !number(arguments[0], &value) || !integer(arguments[1], &bits))
+        return NULL;
+    if (bits < 1 || bits > 32)
+        return PyErr_Format(PyExc_ValueError, "%lld bits: 1 to 32 expected", (long long)bits);
+    return whole(clipped(value, (int)bits));
+}
+
+static PyObject *call_user_position(PyObject *module, PyObject *const *arguments, Py_ssize_t count)
+{
+    (void)module;
+    double values[2];
+    if (!takes(count, 2, "user_position") || !numbers(arguments, values, 2))
+        return NULL;
+    return whole(user_position(values[0], values[1]));
+}
+
 static PyMethodDef functions[] = {
+    {"clipped", (PyCFunction)(void (*)(void))call_clipped, METH_FASTCALL, NULL},
+    {"user_position", (PyCFunction)(void (*)(void))call_user_position, METH_FASTCALL, NULL},
     {"sine_cosine", call_sine_cosine, METH_O, NULL},
     {"wire_bits", (PyCFunction)(void (*)(void))call_wire_bits, METH_FASTCALL, NULL},
     {0},

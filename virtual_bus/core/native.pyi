@@ -19,6 +19,13 @@ def wire_bits(field: int, data: bytes, /) -> int:
     ``data``: its octets. Error: ValueError for more than eight octets.
     """
 
+def clipped(value: float, bits: int, /) -> int:
+    """``value`` rounded into a signed integer of 1 to 32 bits. Error: ValueError for NaN."""
+
+def user_position(counts: float, counts_per_position: float, /) -> int:
+    """A difference of encoder counts in position units, as the INTEGER32 that wraps. Error: ValueError for
+    what is not finite."""
+
 class InnerLoops:
     """The motor, the mechanics and the drive's inner loops on their grid; all zero at first.
 
@@ -113,6 +120,13 @@ class InnerLoops:
     asked: int
     """1: a demand was written since the last tick."""
 
+    # ---- units of the master ----
+    origin: float
+    """Encoder count of its position 0."""
+    counts_per_position: float
+    velocity_per_rad_s: float
+    torque_unit_nm: float
+
     # ---- grid ----
     power_on_ns: int
     rate_hz: int
@@ -137,6 +151,13 @@ class InnerLoops:
 
     def torque_in_force(self) -> float:
         """The torque demand in force now, N m, inside its limits."""
+
+    def actual_values(self) -> tuple[int, int, int, bool]:
+        """6064h, 606Ch and 6077h as of the last tick, and whether a set-point was cut then. Error: ValueError
+        where the state is no finite number."""
+
+    def torque_told(self) -> int:
+        """6074h as it is in force now. Error: as :meth:`actual_values`."""
 
     def demand_torque(self, torque_nm: float, /) -> None:
         """Torque set-point; it is followed where ``wanted_control`` is torque."""

@@ -2,9 +2,10 @@
 are seldom asked for, which are computed when they are.
 """
 
-from typing import Final
+from typing import Any, Final
 
 from drivers.cia402.profile import Status
+from virtual_bus.core.native import clipped
 from virtual_bus.drive.axis import SimulatedAxis
 from virtual_bus.drive.firmware import Firmware, InnerControl
 from virtual_bus.drive.servo_objects import ServoObjects
@@ -12,9 +13,6 @@ from virtual_bus.drive.user_units import UserUnits, wrapped
 
 INTERNAL_LIMIT_ACTIVE: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
 _SPEED: Final = int(InnerControl.SPEED.value)
-_INT32_MAX: Final = 2147483647.0
-_round: Final = round
-"""As constants of this module: found without a look-up where it is compiled."""
 
 
 class ActualValues:
@@ -24,44 +22,28 @@ class ActualValues:
         self._inner = firmware.inner
         self._units = units
         self._objects = objects
-        self._torque_unit_nm = objects.torque_unit_nm
         self._statusword = objects.statusword
         self._position = objects.position
         self._velocity = objects.velocity
         self._torque = objects.torque
         for measured in (self._position, self._velocity, self._torque):
             measured.runs = True
-        self._plain = True
-        self._origin = 0
-        self._velocity_per_rad_s = 1.0
 
     def take_units(self) -> None:
-        """They have changed; the cyclic path asks for them thousands of times a second."""
-        units = self._units
-        self._origin = int(units.origin)
-        self._plain = units.plain and units.origin == self._origin
-        self._velocity_per_rad_s = units.velocity_per_rad_s
-        self._torque_unit_nm = self._objects.torque_unit_nm
+        """They have changed."""
+        inner, units = self._inner, self._units
+        inner.origin = units.origin
+        inner.counts_per_position = units.counts_per_position
+        inner.velocity_per_rad_s = units.velocity_per_rad_s
+        inner.torque_unit_nm = self._objects.torque_unit_nm
 
     def refresh(self, status: int) -> None:
         """``status``: the statusword but for what the inner loops add."""
-        inner = self._inner
-        if self._plain:
-            count = int(inner.count) - self._origin
-            self._position.value = (count + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
-        else:
-            self._position.value = self._units.position_of(inner.count)
-        speed = inner.speed_measured_rad_s * self._velocity_per_rad_s
-        self._velocity.value = _round(speed) if -_INT32_MAX < speed < _INT32_MAX else clipped(speed, 32)
-        self._torque.value = _int16(inner.torque_measured_nm / self._torque_unit_nm)
-        if inner.limited != 0.0:
-            status |= INTERNAL_LIMIT_ACTIVE
-        self._statusword.value = status
-
-
-def _int16(value: float) -> int:
-    """``value`` rounded into INTEGER16."""
-    return min(max(_round(value), -0x8000), 0x7FFF)
+        told: tuple[Any, ...] = self._inner.actual_values()
+        self._position.value = told[0]
+        self._velocity.value = told[1]
+        self._torque.value = told[2]
+        self._statusword.value = status | INTERNAL_LIMIT_ACTIVE if told[3] else status
 
 
 LOAD_NM: Final = 1e-3
@@ -74,7 +56,7 @@ def provide_slow_values(axis: SimulatedAxis) -> None:
     objects, motion, units, firmware = axis.objects, axis.motion, axis.units, axis.firmware
     inner = firmware.inner
     objects.position_internal.provider = lambda: wrapped(int(inner.count - units.origin))
-    objects.torque_demand.provider = lambda: clipped(firmware.torque_demand_nm / axis.torque_unit_nm, 16)
+    objects.torque_demand.provider = inner.torque_told
     objects.current.provider = lambda: clipped(inner.current_q_measured_a / objects.current_unit_a, 16)
     objects.current_d.provider = lambda: clipped(inner.current_d_measured_a / objects.current_unit_a, 16)
     objects.current_q.provider = lambda: clipped(inner.current_q_measured_a / objects.current_unit_a, 16)
@@ -98,9 +80,3 @@ def provide_slow_values(axis: SimulatedAxis) -> None:
     )
     motion.vl_velocity.provider = lambda: clipped(inner.speed_measured_rad_s / axis.rad_s_per_vl, 16)
     motion.following_error.provider = lambda: clipped(axis.following_error, 32)
-
-
-def clipped(value: float, bits: int) -> int:
-    """``value`` rounded into a signed integer."""
-    most = (1 << (bits - 1)) - 1
-    return round(min(max(value, -most - 1), most))

@@ -20,6 +20,7 @@ from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault
 from drivers.vendors.families import Quirk
+from virtual_bus.core.native import user_position
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
 from virtual_bus.device.sdo_abort import AbortCode
 
@@ -57,8 +58,6 @@ class UserUnits:
         self._counts_per_rad = counts_per_revolution / math.tau
         self.origin: float = 0.0
         """Encoder count of the master's position 0."""
-        self.plain = True
-        """A position unit is an encoder count, and no sign is turned."""
         self.counts_per_position = 1.0
         self.rad_s_per_velocity = 1.0
         self.velocity_per_rad_s = 1.0
@@ -80,7 +79,6 @@ class UserUnits:
         if abs(counts - 1.0) < _EQUAL:
             counts = 1.0
         self.counts_per_position = -counts if signs & POSITION_POLARITY else counts
-        self.plain = self.counts_per_position == 1.0
         self.rad_s_per_velocity = velocity_sign * scaling.velocity_rad_s
         self.velocity_per_rad_s = 1.0 / self.rad_s_per_velocity
         self.rad_s2_per_acceleration = scaling.acceleration_rad_s2
@@ -94,7 +92,7 @@ class UserUnits:
 
     def position_of(self, count: float) -> int:
         """User position of an encoder count, as the INTEGER32 that wraps."""
-        return wrapped(self.length_of(count - self.origin))
+        return user_position(count - self.origin, self.counts_per_position)
 
     def length_of(self, counts: float) -> int:
         """A difference of counts in position units, the nearest whole one."""
