@@ -112,9 +112,11 @@ class RegularStream:
         self._step, self._tolerance = step, tolerance
         self._repeats, self._same, self._half = repeats, same, period / 2.0
         self._noise = period / TOLERANCE
-        self._recent: deque[bytes] = deque()
+        self._recent: deque[bytes] = deque(maxlen=RECENT)
         self._times: dict[bytes, int] = {}
         """How often each of them is there: a look at each of 32 would cost more than all else."""
+        self._counted = True
+        """So it was when the last one came; where nobody asks, they are not counted."""
         self._usual = 0.0
         self._frame = _Frame(Instant(0), b"", 0, False)
         self._extras: list[_Frame] = []
@@ -159,8 +161,8 @@ class RegularStream:
         """Frames have come, one for each of ``places``, which follow the last; ``delay``: their mean."""
         self.last = places[-1]
         self.regular += len(places)
-        for data in frames:
-            self._remember(data)
+        self._recent.extend(frames)
+        self._counted = False
         self._usual += (delay - self._usual) * min(len(places) / LEARNT, 1.0)
         self._frame = _Frame(Instant(0), frames[-1], delay, False)
 
@@ -184,17 +186,23 @@ class RegularStream:
     def _remember(self, data: bytes) -> None:
         """As one of the last frames."""
         recent, times = self._recent, self._times
+        if self._counted:
+            if len(recent) == RECENT:
+                oldest = recent[0]
+                if times[oldest] == 1:
+                    del times[oldest]
+                else:
+                    times[oldest] -= 1
+            times[data] = times.get(data, 0) + 1
         recent.append(data)
-        times[data] = times.get(data, 0) + 1
-        if len(recent) > RECENT:
-            oldest = recent.popleft()
-            if times[oldest] == 1:
-                del times[oldest]
-            else:
-                times[oldest] -= 1
 
     def _is_known(self, data: bytes) -> bool:
         """Whether one of the last frames had it, be it in question or not."""
+        if not self._counted:
+            self._times = {}
+            for each in self._recent:
+                self._times[each] = self._times.get(each, 0) + 1
+            self._counted = True
         if data in self._times:
             return True
         for frame in self._extras:  # noqa: SIM110 - a generator costs more than all else here
@@ -341,13 +349,15 @@ class SyncedStream:
             return False
         if starts[0][1] != self._seen or stream.last != self._seen:
             return False
-        came = [at for _, at in frames]
-        begun = [at for at, _ in new]
-        if not all(map(int.__lt__, begun, came)) or not all(map(int.__lt__, came, begun[1:])):
-            return False
+        delays, before = 0, new[0][0] - 1
+        for place, (begun, _) in enumerate(new):
+            came = frames[place][1]
+            if begun <= before or came <= begun:
+                return False
+            delays += came - begun
+            before = came
         first, self._seen = self._seen + 1, new[-1][1]
-        delay = sum(map(int.__sub__, came, begun)) // len(new)
-        stream.pass_over(range(first, self._seen + 1), delay, [data for data, _ in frames])
+        stream.pass_over(range(first, self._seen + 1), delays // len(new), [data for data, _ in frames])
         return True
 
 

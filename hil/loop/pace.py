@@ -182,8 +182,9 @@ class OwnSync(Pace):
         return at
 
     def _note(self, sequence: int) -> None:
-        for syncs, at in zip(self._syncs, self._network.sync_handed_at, strict=True):
-            syncs.handed(sequence, at)
+        handed_at = self._network.sync_handed_at
+        for segment, syncs in enumerate(self._syncs):
+            syncs.handed(sequence, handed_at[segment])
 
     def _may_hand_over(self, due: Instant) -> bool:
         """Whether the last SYNC is out, and half a period ago; waits for that, up to half a period."""

@@ -165,7 +165,8 @@ class ReadbackTie:
         if behind is not None and not self.doubtful:
             places = self._places(slot, behind, self._placed_at(slot[0].readings + 1))
             if places is not None:
-                for readback, (first, last) in zip(slot, places, strict=True):
+                for place, readback in enumerate(slot):
+                    first, last = places[place]
                     tellings.append(self._telling(readback, first, last))
                 return
             self.doubt()

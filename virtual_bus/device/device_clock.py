@@ -17,13 +17,18 @@ class DeviceClock:
     """Starts somewhere, and does not run like the bench's; integers only."""
 
     __slots__ = (
+        "_at_arrival",
+        "_at_tick",
         "_drift_ppb",
         "_first_ns",
+        "_late_ns",
         "_offset_ns",
-        "_stamp",
+        "_resolution_ns",
+        "_runs",
         "_started_at",
         "_sync_at",
         "_tick_after",
+        "_unit_ns",
         "_wrap",
         "_written",
     )
@@ -37,7 +42,10 @@ class DeviceClock:
         self._offset_ns = offset_ns
         self._drift_ppb = drift_ppb
         self._started_at = self._sync_at = Instant(0)
-        self._stamp = stamp
+        # At every SYNC: fields of its own are compiled, those of a dataclass are looked up by name.
+        self._runs, self._unit_ns, self._resolution_ns = stamp.runs, stamp.unit_ns, stamp.resolution_ns
+        self._at_arrival, self._at_tick = stamp.latched == "arrival", stamp.latched == "tick"
+        self._late_ns = stamp.late_ns
         self._wrap = 1 << stamp.bits
         self._written = 0
         self._tick_after = tick_after
@@ -59,24 +67,23 @@ class DeviceClock:
 
     def stamp(self, now: Instant) -> int:
         """1013h, UNSIGNED32, as it is told at ``now``."""
-        how = self._stamp
-        if not how.runs:
+        if not self._runs:
             return self._written
         local_ns = self.local_ns(self._latched_at(now))
-        return local_ns // how.resolution_ns * how.resolution_ns // how.unit_ns % self._wrap
+        return local_ns // self._resolution_ns * self._resolution_ns // self._unit_ns % self._wrap
 
     def write(self, stamp: int, now: Instant) -> None:
         """1013h is written at ``now``: what was latched last counts as ``stamp``."""
         self._written = stamp
-        self._offset_ns += stamp * self._stamp.unit_ns - self.local_ns(self._latched_at(now))
+        self._offset_ns += stamp * self._unit_ns - self.local_ns(self._latched_at(now))
 
     def _latched_at(self, now: Instant) -> Instant:
-        how, at = self._stamp, now
-        if how.latched == "arrival":
+        at = now
+        if self._at_arrival:
             at = self._sync_at
-        elif how.latched == "tick":
+        elif self._at_tick:
             at = self._tick_after(now)
-        return Instant(at + how.late_ns)
+        return Instant(at + self._late_ns)
 
     def step(self, step_ns: int) -> None:
         """The clock jumps ahead by ``step_ns``, or back."""
