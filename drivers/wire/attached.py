@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from serial.tools import list_ports
 
 from drivers.wire.adapters import SOCKETCAN, BusSpec, socketcan_links
+from drivers.wire.error_frames import anew_command
 
 COMMAND = ("ip", "-json", "-details", "link", "show")
 _TIMEOUT_S = 5.0
@@ -48,7 +49,7 @@ class CanLink(NamedTuple):
     queue_length: int | None = None
     """Frames that its transmit queue holds (txqueuelen)."""
     restart_ms: int | None = None
-    """So long after bus-off it starts anew; 0: never by itself."""
+    """So long after bus-off it starts anew; 0: never by itself; None: unknown, or its driver cannot."""
     sample_point: float | None = None
     """Of a bit, from its beginning, 0 to 1."""
 
@@ -85,8 +86,10 @@ def _link(link: dict[str, Any]) -> CanLink:
     info = link.get("linkinfo") or {}
     data = info.get("info_data") or {}
     counters = data.get("berr_counter") or {}
-    # Drivers that know a few bit rates only, as that of serial adapters, tell no bit timing beside them.
+    # Drivers that know a few bit rates only, as that of serial adapters, tell no bit timing beside them. They
+    # have no restart: what sets restart-ms and the bit rate at once would leave the interface down.
     bit = data.get("bittiming") or {"bitrate": data.get("bittiming_bitrate")}
+    restarts = info.get("info_kind") == _ADAPTER and "bitrate_const" not in data
     return CanLink(
         str(link.get("ifname", "")),
         "UP" in link.get("flags", ()),
@@ -97,7 +100,7 @@ def _link(link: dict[str, Any]) -> CanLink:
         counters.get("rx"),
         "LISTEN-ONLY" in (data.get("ctrlmode") or ()),
         link.get("txqlen"),
-        data.get("restart_ms", 0) if info.get("info_kind") == _ADAPTER else None,
+        data.get("restart_ms", 0) if restarts else None,
         _real(bit.get("sample_point")),
     )
 
@@ -124,7 +127,7 @@ def link_advice(link: CanLink, bitrate_bit_s: int | None = None) -> list[str]:
     if link.listen_only:
         found.append(f"{name} only listens: {again} bitrate {rate} listen-only off")
     if link.state == _BUS_OFF:
-        found.append(f"{name} is bus-off: ip link set {name} type can restart")
+        found.append(f"{name} is bus-off: {anew_command(name)}")
     if link.restart_ms == 0:
         found.append(
             f"{name} stays bus-off once it is so (restart-ms 0): "

@@ -78,11 +78,19 @@ def controller_state_text(classes: int, data: bytes) -> str:
     return ""
 
 
+def anew_command(name: str) -> str:
+    """The command that starts the controller of the interface ``name`` anew."""
+    return f"ip link set {name} down; ip link set {name} up"
+
+
 def controller_cure(classes: int, data: bytes, name: str) -> str:
     """What mends the state that :func:`controller_state_text` tells of the interface ``name``; empty if it is
-    a sound one."""
+    a sound one.
+
+    ``ip link set can0 type can restart`` is refused where restart-ms is set, and by drivers that have none,
+    as that of serial adapters; down and up starts each of them anew.
+    """
     if classes & _BUS_OFF:
-        restart = f"ip link set {name} type can restart, where restart-ms does not do it"
-        return f"{_CHECK}, then {restart}"
+        return f"{_CHECK}, then {anew_command(name)}"
     faulty = classes & _CONTROLLER_CLASS and data[1] & _ERROR_PASSIVE
     return _CHECK if faulty or classes & _NO_ACKNOWLEDGEMENT else ""

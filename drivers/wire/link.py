@@ -211,7 +211,7 @@ class BusLink:
             if not self._takes(frame, now):
                 if waiting.stuck(now):
                     self._fail("send on", can.CanOperationError(_STUCK))
-                self.retry_at = Instant(now + RETRY_EVERY)
+                self.retry_at = waiting.retry_at(now)
                 return min(until, self.retry_at)
             waiting.went(now)
             took = True

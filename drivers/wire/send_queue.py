@@ -13,7 +13,7 @@ from typing import Final
 
 import can
 
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from drivers.wire.frame_port import WireFrame
 
 NO_ROOM: Final = frozenset({errno.ENOBUFS, errno.EAGAIN, errno.ENETDOWN})
@@ -21,6 +21,9 @@ NO_ROOM: Final = frozenset({errno.ENOBUFS, errno.EAGAIN, errno.ENETDOWN})
 interface is up."""
 RETRY_EVERY: Final = Duration(130 * NS_PER_US)
 """A frame of 8 bytes at 1 Mbit/s: no place becomes free faster for long."""
+RETRY_AT_MOST: Final = Duration(NS_PER_MS)
+"""After 4 ms without one. Drivers of serial adapters free their queue in a thread of the kernel, to which a
+bench with real-time priority on one processor must leave time: tried each 130 us, it never came there."""
 STUCK_AFTER: Final = Duration(NS_PER_S)
 """No queue of a sound bus stands still so long: that is ten thousand frames. Any drive that is watched stops
 by itself before."""
@@ -74,6 +77,10 @@ class SendQueue:
             if waiting:
                 return waiting[0]
         return None
+
+    def retry_at(self, now: Instant) -> Instant:
+        """When to offer again what the bus did not take now: the later, the longer it has taken nothing."""
+        return Instant(now + min(RETRY_AT_MOST, max(RETRY_EVERY, (now - self.blocked_since) // 4)))
 
     def went(self, now: Instant) -> None:
         """The bus took the first one."""

@@ -42,10 +42,13 @@ class Ended:
         return int(((self.rows["fate"] != MISSED) & (self.rows["fate"] != USED)).sum())
 
 
-def struck(far: str, folder: Path, strike: Callable[[Observer], None], *, passes: bool) -> Ended:
-    """A run of 6 s at 50 Hz that is struck; ``passes``: the drive is to turn on, else to come to rest."""
+def struck(
+    far: str, folder: Path, strike: Callable[[Observer], None], *, passes: bool, adapter: str = ADAPTER
+) -> Ended:
+    """A run of 6 s at 50 Hz on ``adapter`` that is struck; ``passes``: the drive is to turn on, else to come
+    to rest."""
     bench, record, rest_s = _bench(folder), folder / "run", None
-    command = ["run", str(bench), "--bus", f"socketcan:{ADAPTER}", "--record", str(record)]
+    command = ["run", str(bench), "--bus", f"socketcan:{adapter}", "--record", str(record)]
     process = in_background([*hil(), *command])
     with observer(far) as watching:
         watching.until_turning(TURNING_RAD_S)

@@ -16,12 +16,13 @@ import pytest
 
 from drivers.errors import BusDown
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from drivers.wire.attached import can_links, link_advice
 from drivers.wire.link import BusLink
 from drivers.wire.socketcan import StampedSocketcanBus
 from tests.contract.slcan_bench import RunningAdapter, running_adapter
-from tests.scenario.processes import changed_bench, simulated_drive
-from tests.vcan.adapter import run_tool
-from tests.vcan.struck_run import END_LIMIT_S
+from tests.scenario.processes import Observer, changed_bench, simulated_drive
+from tests.vcan.adapter import CHECK, run_tool
+from tests.vcan.struck_run import END_LIMIT_S, struck
 from tests.warm.start import hil
 
 CLOCK = MonotonicClock()
@@ -116,6 +117,33 @@ def test_what_the_driver_tells_of_its_controller_and_bus_off_without_restart(
         heard = peer.recv(PATIENCE_MS / 1000)
         assert heard is not None
         assert heard.arbitration_id == 0x202
+
+
+def test_bus_off_for_good_ends_a_run_and_what_it_says_brings_the_adapter_back(
+    channel: str, adapter: RunningAdapter, peer: can.BusABC, tmp_path: Path
+) -> None:
+    """The driver has no restart: the kernel refuses ``restart-ms`` and ``type can restart``."""
+    far = f"socketcan:{channel}"
+
+    def strike(_watching: Observer) -> None:
+        adapter.terminal.write(STATES[-1][0])
+
+    with driver_of(adapter) as name:
+        assert [link_advice(link, RATE) for link in can_links() if link.name == name] == [[]]
+        with simulated_drive(far):
+            ended = struck(far, tmp_path, strike, passes=False, adapter=name)
+        cure = f"ip link set {name} down; ip link set {name} up"
+        assert (ended.status, ended.rest_s is not None) == (3, True), ended
+        assert "is bus-off" in ended.events
+        assert f"{CHECK}, then {cure}" in ended.said
+        run_tool("sh", "-c", cure)
+        with bench_on(name) as (link, _):
+            _ids(peer)
+            link.send(0x202, b"\2")
+            heard = peer.recv(PATIENCE_MS / 1000)
+        assert heard is not None
+        assert heard.arbitration_id == 0x202
+        print(f"at rest after {ended.rest_s:.2f} s; {ended.missed} missed, {ended.lost} lost or late")
 
 
 def test_a_serial_adapter_that_is_pulled_out_is_an_end(adapter: RunningAdapter) -> None:

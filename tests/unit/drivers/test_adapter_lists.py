@@ -56,6 +56,7 @@ def test_a_driver_that_knows_a_few_bit_rates_tells_its_own_elsewhere() -> None:
     (link,) = parse_links(described)
     assert (link.bitrate_bit_s, link.sample_point) == (500_000, None)
     assert "can0 is set to 500000 bit/s, the bench to 1000000" in "\n".join(link_advice(link, 1_000_000))
+    assert link_advice(link, 500_000) == [], "the driver has no restart-ms"
 
 
 @pytest.mark.parametrize("text", ["", "  ", "Object is not there", "{}", "[3]", '[{"link_type": "ether"}]'])
@@ -114,7 +115,7 @@ SOUND = CanLink(
             "set to 500000 bit/s, the bench to 1000000 (bus.bitrate_bit_s): ip link set can0 down;",
         ),
         ({"listen_only": True}, None, "up type can bitrate 500000 listen-only off"),
-        ({"state": "BUS-OFF"}, None, "bus-off: ip link set can0 type can restart"),
+        ({"state": "BUS-OFF"}, None, "bus-off: ip link set can0 down; ip link set can0 up"),
         ({"restart_ms": 0}, None, "up type can bitrate 500000 restart-ms 100"),
         ({"queue_length": 9}, None, "a queue of 9 frames: ip link set can0 txqueuelen 10"),
         ({"sample_point": 0.8}, None, "at 80 %, CiA 301 has 85 to 90 %"),

@@ -25,6 +25,7 @@ class NarrowPort(FramePort):
         self.places, self.now = places, Instant(0)
         self.code = errno.ENOBUFS
         self.cut = False
+        self.offers = 0
         self.queued: list[WireFrame] = []
         self.wire: list[tuple[int, WireFrame]] = []
         self._free_at = 0
@@ -43,6 +44,7 @@ class NarrowPort(FramePort):
         return None
 
     def transmit(self, frame: WireFrame) -> None:
+        self.offers += 1
         self._carry()
         if len(self.queued) >= self.places:
             raise can.CanOperationError("full", self.code)
@@ -86,6 +88,21 @@ def test_a_burst_of_requests_goes_out_whole_and_in_order(made: tuple[NarrowPort,
     assert (link.sent_frames, link.unsent_frames, link.needs_watching) == (127, 0, False)
     last_at, _ = port.wire[-1]
     assert last_at <= 129 * FRAME_NS, "the wire never waited for the link"
+
+
+def test_a_bus_that_takes_nothing_is_offered_frames_ever_more_seldom(
+    made: tuple[NarrowPort, BusLink],
+) -> None:
+    """At most each millisecond, which leaves others time on the bench's processor."""
+    port, link = made
+    port.cut = True
+    for node in range(1, 21):
+        link.send(0x600 + node, bytes(8))
+    link.recv(Instant(900 * NS_PER_MS))
+    assert 900 <= port.offers < 950
+    port.cut = False
+    link.recv(Instant(905 * NS_PER_MS))
+    assert (link.sent_frames, link.needs_watching) == (20, False)
 
 
 def test_what_a_loop_sends_goes_before_what_somebody_asks(made: tuple[NarrowPort, BusLink]) -> None:

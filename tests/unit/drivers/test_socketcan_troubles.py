@@ -158,7 +158,7 @@ def test_a_controller_tells_its_state_once_however_many_errors_there_are(kernel:
             assert all(frame is not None and frame.can_id >= ERROR_FLAG for frame in frames)
         cures.append(port.cure)
     check = "check the cable, its terminations, the bit rates, and that another node is on"
-    restart = "ip link set can0 type can restart, where restart-ms does not do it"
+    restart = "ip link set can0 down; ip link set can0 up"
     assert cures == ["", check, f"{check}, then {restart}", "", ""]
     assert [" ".join(text.split()[:7]) for text in told(port)] == [
         "tells of its controller: transmit warning",
