@@ -12,6 +12,7 @@ reader never sees half a row, also when the writer is killed in between; the mem
 as long as either process holds its descriptor. The writer's end is C (core/ring.c).
 """
 
+import fcntl
 import mmap
 import os
 import struct
@@ -54,6 +55,19 @@ def refuse() -> bool:
     return False
 
 
+def _above_standard(descriptor: int) -> int:
+    """The same file under a number above those of the standard streams.
+
+    Code of the user's may have closed one of these, and the process that inherits a ring has pipes there.
+    """
+    if descriptor > 2:
+        return descriptor
+    try:
+        return fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 3)
+    finally:
+        os.close(descriptor)
+
+
 class RingWriter(Ring):
     """Makes the ring. ``push`` stores one row; it never waits unless ``on_full`` does."""
 
@@ -61,7 +75,7 @@ class RingWriter(Ring):
 
     def __new__(cls, row: struct.Struct, capacity: int, on_full: Callable[[], bool] = refuse) -> Self:
         """``capacity``: rows, a power of two. ``on_full``: asked while full; True: look again."""
-        descriptor = os.memfd_create("servobench-ring", os.MFD_CLOEXEC)
+        descriptor = _above_standard(os.memfd_create("servobench-ring", os.MFD_CLOEXEC))
         try:
             self = super().__new__(cls, descriptor, row.size, capacity, on_full)
         except BaseException:

@@ -182,6 +182,17 @@ def test_native_code_that_ends_a_worker_of_pytest_fails_its_test(tmp_path: Path)
     assert "1 failed, 1 passed" in done.stdout
 
 
+@pytest.mark.parametrize(("where", "way"), [("__init__", "os.close(0)"), ("output", "os.close(0)")])
+def test_a_standard_stream_that_is_closed_in_pytest_ends_no_test(
+    tmp_path: Path, where: str, way: str
+) -> None:
+    """Its number is free when the rings of the recording are made."""
+    bench = with_hooks(changed_bench(tmp_path), where, way)
+    (tmp_path / "test_user.py").write_text(IN_PYTEST.format(bench=str(bench)), encoding="utf-8")
+    done = run_command([sys.executable, "-m", "pytest", "-q", "-c", os.devnull, "test_user.py"], tmp_path)
+    assert (done.returncode, "2 passed" in done.stdout) == (0, True), done.stdout + done.stderr
+
+
 @pytest.mark.parametrize(
     ("where", "way", "said"),
     [
