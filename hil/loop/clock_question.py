@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 from drivers.timebase import Duration, Instant
 from hil.loop.drive_stamps import DriveStamps
-from hil.loop.residuals import Extremes
+from hil.loop.residuals import DelayExtremes
 from hil.loop.syncs import SURPLUS, SyncLog, SyncMark
 
 STEP_COST: Final = 3
@@ -72,7 +72,7 @@ class ClockQuestion:
         """``transit``: shortest time of a reading's frame. ``at_arrival``: see :meth:`unstamped_ns`."""
         self.stamps: dict[int, int] = {}
         """Of each SYNC answered, by its number: the stamp."""
-        self.delays = Extremes()
+        self.delays = DelayExtremes()
         """From a SYNC to its reading."""
         self.revoked: list[tuple[SyncMark, int]] = []
         """Placements just before the question that it touches, and their stamps."""

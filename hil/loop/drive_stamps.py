@@ -122,4 +122,4 @@ class DriveStamps:
         residuals = self.residuals
         self.clock.move_to(pairs, residuals.variance_ns2(self.unmapped_ns))
         if residuals.spread:  # from here on they lie about another line
-            residuals.learn(residuals_of(pairs), self.unmapped_ns)
+            residuals.learn(residuals_of(pairs), self.unmapped_ns, anew=False)

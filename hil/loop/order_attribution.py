@@ -7,7 +7,7 @@ from drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 from hil.loop.attribution import HELD_MAX, Health, Question, Tell
 from hil.loop.order_memory import Copies, Unanswered, Unconfirmed
 from hil.loop.order_question import OrderQuestion
-from hil.loop.residuals import Extremes
+from hil.loop.residuals import DelayExtremes
 from hil.loop.samples import Sample
 from hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 from hil.loop.usual_delays import FIRST, UsualDelays, middle_of
@@ -56,7 +56,7 @@ class OrderAttribution:
         self._tell = tell
         self._echo_error = syncs.error_ns
         self._echoes_late = syncs.basis in STAMPED_LATE
-        self._delays = Extremes()
+        self._delays = DelayExtremes()
         """Of readings whose place is certain, outliers too: bounds are made from them."""
         self._usual = UsualDelays(period, transit, syncs.error_ns, self._echoes_late)
         self._in_question = OrderQuestion(syncs, period, transit, self._usual)

@@ -20,7 +20,7 @@ from typing import Final
 from drivers.timebase import NS_PER_US, Duration, Instant
 from hil.loop.attribution import HELD_MAX, Tell
 from hil.loop.drive_stamps import DriveStamps
-from hil.loop.residuals import Extremes
+from hil.loop.residuals import DelayExtremes
 from hil.loop.syncs import SyncLog
 
 EXCLUDING: Final = 24.0
@@ -56,7 +56,7 @@ class Placing:
         """Begin with an offset."""
         self.offset_ns = offset_ns
         """By how much later than they are placed it has their samples: whole periods."""
-        self.delays = Extremes()
+        self.delays = DelayExtremes()
         self.delays_seen = 0
         self.at: Instant | None = None
         """Its SYNC of the last reading."""
@@ -116,7 +116,7 @@ class PeriodDoubt:
         """Whether more than one is left."""
         return len(self.ways) > 1
 
-    def put(self, steps: bool, others: list[tuple[int, bool]], delays: Extremes, since: int) -> None:
+    def put(self, steps: bool, others: list[tuple[int, bool]], delays: DelayExtremes, since: int) -> None:
         """Readings are placed in one way from now on, and others are as possible.
 
         ``steps``: whether the clock was set then. ``others``: by how much later they have the samples, and

@@ -10,6 +10,7 @@ the same from SYNC to SYNC is in none of them: it cannot be told from the offset
     early  <---------------|---------------> late            beyond what map and stamp err by
 """
 
+from bisect import insort
 from collections import deque
 from collections.abc import Sequence
 from itertools import pairwise
@@ -37,8 +38,13 @@ RARELY_LATE: Final = 8.0
 
 
 SLACKS: Final = 2
-"""Where delays alone bound a sample: the smallest is not eight mean gaps above the least possible one in one
-window of three thousand."""
+"""Where few delays alone bound a sample: the smallest is not eight mean gaps above the least possible one in
+one window of three thousand, if they are spread evenly."""
+LEAST: Final = 16
+"""Of more delays so many of the smallest tell how far below them others may lie. Delays of several parts, a
+SYNC that is late and a reading that is, are rare near their least: the smallest one lies further above it
+than mean gaps say, and so do the next ones above the smallest. It lies further above than those reach in one
+window of 30 000 if delays are spread evenly, in one of eighty if two parts alike are."""
 HIDDEN_PARTS: Final = 16
 """Three idle bits behind a SYNC hide how late it was to the drive: less than a part of 48 bits or more."""
 
@@ -75,6 +81,12 @@ class Extremes:
         """Whether they spread over so much or more."""
         return self.high - self.low >= over
 
+    def widen(self, reach: int) -> None:
+        """They reach over so much, and which way beyond the seen ones is not known."""
+        lacks = max(0, reach - (self.high - self.low))
+        self.low, self.high = self.low - lacks, self.high + lacks
+        self._low, self._high = self._low - lacks, self._high + lacks
+
     def distrust(self) -> None:
         """The next values may be others: the last few alone count."""
         self._seen = min(self._seen, FEW)
@@ -87,9 +99,40 @@ class Extremes:
         """
         return 4 * (self.high - self.low) // max(self._seen, 1)
 
+
+class DelayExtremes(Extremes):
+    """The last delays of one drive's readings, and how far they lie above the least possible one."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._least: list[int] = []
+        """The smallest of this half, in order, and of the one before."""
+        self._reach = -1
+        """From the smallest of them to the last of :data:`LEAST`; -1: to be found."""
+        self._least_before: list[int] = []
+
+    def add(self, value: int) -> None:
+        if self._count == 0:
+            self._least_before, self._least, self._reach = self._least, [], -1
+        least = self._least
+        if len(least) < LEAST or value < least[-1]:
+            self._reach = -1
+            insort(least, value)
+            if len(least) > LEAST:
+                least.pop()
+        super().add(value)
+
+    def begin(self, values: Sequence[int]) -> None:
+        self._least, self._least_before = [], []
+        super().begin(values)
+
     def unseen(self, transit: int) -> int:
         """How far below the smallest of these delays, of frames that take ``transit``, others may lie."""
-        return SLACKS * self.slack() + transit // HIDDEN_PARTS
+        if self._reach < 0:
+            least = sorted([*self._least_before, *self._least])[:LEAST]
+            self._reach = least[-1] - least[0] if least else 0
+        few = SLACKS * self.slack() if self._seen < 2 * LEAST else 0
+        return max(self._reach, few) + transit // HIDDEN_PARTS
 
     def late(self, delay: int, transit: int) -> int:
         """How much of ``delay`` may have passed before the drive sampled, if its frame takes ``transit`` or
@@ -161,11 +204,15 @@ class Residuals:
         extremes = self._extremes
         return min(extremes.high - extremes.low, GAPS // 4 * extremes.slack())
 
-    def learn(self, residuals: Sequence[int], unseen_ns: int) -> None:
-        """Take these for all that have been seen; see :meth:`add`."""
+    def learn(self, residuals: Sequence[int], unseen_ns: int, *, anew: bool = True) -> None:
+        """Take these for all that have been seen; see :meth:`add`. ``anew``: or else they lie about another
+        line, and reach as far as others did before."""
+        reached = 0 if anew else self._extremes.high - self._extremes.low
         self._extremes = Extremes()
         for residual in residuals:
             self.add(residual, unseen_ns)
+        self._extremes.widen(reached)
+        self._reach(unseen_ns)
         changes = [abs(later - earlier) for earlier, later in pairwise(residuals)]
         self.change_ns = max(self._expected, sum(changes) / max(1, len(changes)))
 
@@ -179,12 +226,16 @@ class Residuals:
         self._count += 1
         if self._count % (CLUSTERED // 4) == 0 and self.early + self.late:
             self._look_for_gap(unseen_ns)
-        self.early = max(0, -extremes.low - unseen_ns)
-        self.late = max(0, extremes.high - unseen_ns)
+        self._reach(unseen_ns)
         change = float(abs(residual - self._last))
         self._last = residual
         change = min(change, OUTLYING * self.change_ns + unseen_ns)
         self.change_ns = CHANGE_KEPT * self.change_ns + (1.0 - CHANGE_KEPT) * change
+
+    def _reach(self, unseen_ns: int) -> None:
+        extremes = self._extremes
+        self.early = max(0, -extremes.low - unseen_ns)
+        self.late = max(0, extremes.high - unseen_ns)
 
     def _look_for_gap(self, unseen_ns: int) -> None:
         """Residuals of stamps that wait for a tick lie a tick apart, with nothing between. A single late SYNC

@@ -11,8 +11,7 @@ The bench sends no SYNC within half a period of another; so a stamp within a qua
 that one's only. SYNCs that waited in front of a bus may come closer: a stamp that lies on two of them is
 uncertain. How far stamps lie from their SYNCs is measured (:mod:`hil.loop.residuals`), and with it what
 counts as lying on one, and the bound of each sample. *Lateness* is the stamp's instant minus that of the SYNC
-on the bus, less the smallest one: what the SYNC took behind its echo, or, on a bus without echoes, what it
-waited in front of the bus. A constant delay of the SYNC behind its echo is not told from the clock's offset.
+on the bus, less the smallest one: what the SYNC took behind its echo; without echoes, what it waited too.
 
 Where a stamp lies off all SYNCs, or on one that has another stamp, or where the delay leaves what it was by
 more than half a period, the drive's clock may have been set. While that is open, readings are marked
@@ -31,7 +30,7 @@ from hil.loop.clock_map import STAMP_RESOLUTION
 from hil.loop.clock_question import LOSS_COST_MAX, STEP_COST, ClockQuestion, Line, Suspect
 from hil.loop.drive_stamps import DriveStamps
 from hil.loop.period_doubt import PeriodDoubt, Placing
-from hil.loop.residuals import Extremes
+from hil.loop.residuals import DelayExtremes
 from hil.loop.samples import Sample
 from hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
@@ -154,11 +153,10 @@ class StampAttribution:
         return mark.number > self._case.since and not self._early and delay < 2 * self._half
 
     def _matched(self, reading: Reading, device_ns: int, mark: SyncMark, residual: int) -> Sample | None:
-        health, match_ns = self.health, self.stamps.match_ns
+        health, residuals, match_ns = self.health, self._residuals, self.stamps.match_ns
         on_bus_at = mark.on_bus_at
         assert on_bus_at is not None
         self._case.answer(mark, device_ns)
-        residuals = self._residuals
         lateness = max(0, residual - residuals.least) if residuals.spread else residual
         # A SYNC that was late by less than can be told moves the map by as much, so the bound is twice that.
         sampled_at, error_ns = on_bus_at, 2 * match_ns + residuals.slack
@@ -203,6 +201,7 @@ class StampAttribution:
             mark = self._syncs.nearest(at)
             if mark is not None and mark.on_bus_at is not None and self.stamps.fits(at - mark.on_bus_at):
                 placed.append((suspect, mark))
+        self._note_residuals()
         self._clear(self._exonerate(placed))
 
     def _clear(self, all_proved: bool) -> None:
@@ -230,10 +229,7 @@ class StampAttribution:
     def _acquit(self) -> None:
         """The clock is as it was: a second stamp for a SYNC has no explanation then."""
         for suspect in self._suspects:
-            if suspect.second:
-                self.health.two_stamps += 1
-            else:
-                self._note_residual(suspect)
+            self.health.two_stamps += suspect.second
         for mark, stamp in self._case.revoked:
             if self.doubt.open:
                 self.doubt.revoked.append(mark.sequence)
@@ -242,12 +238,14 @@ class StampAttribution:
             self._case.stamps.setdefault(mark.number, stamp)
         self._close()
 
-    def _note_residual(self, suspect: Suspect) -> None:
-        """It lies off its SYNC though the clock is as it was: others may too."""
-        at = self.clock.place(suspect.device_ns)
-        mark = self._syncs.nearest(at)
-        if mark is not None and mark.on_bus_at is not None and abs(at - mark.on_bus_at) <= self._half // 2:
-            self._residuals.add(at - mark.on_bus_at, self.stamps.match_ns)
+    def _note_residuals(self) -> None:
+        """Suspects lie off their SYNCs though the clock is as it was: others may too."""
+        for suspect in self._suspects:
+            at = self.clock.place(suspect.device_ns)
+            mark = None if suspect.second else self._syncs.nearest(at)
+            off = self._half if mark is None or mark.on_bus_at is None else at - mark.on_bus_at
+            if abs(off) <= self._half * 7 // 8:
+                self._residuals.add(off, self.stamps.match_ns)
 
     def _close(self) -> None:
         """The question is answered."""
@@ -320,6 +318,7 @@ class StampAttribution:
         if lines:
             self._take(sorted(lines, key=lambda line: (line.cost, line.steps, line.delay_change)), last)
         elif count > SUSPECTS_MAX:
+            self._note_residuals()
             self._acquit()
 
     def _tell_step(self, by_ns: int, readings: int) -> None:
@@ -345,7 +344,8 @@ class StampAttribution:
         if others and line.cost >= STEP_COST:
             self.doubt.put(steps, others, self._case.delays, self._case.since)
         if not steps:
-            self._case.delays = Extremes()
+            self._note_residuals()
+            self._case.delays = DelayExtremes()
         all_proved = self._exonerate(list(zip(last, line.marks, strict=True)))
         self._clear(all_proved and not (steps and self._case.revoked))
         if steps:
