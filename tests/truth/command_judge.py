@@ -7,7 +7,16 @@ import numpy as np
 
 from drivers.timebase import NS_PER_US, Duration, Instant
 from tests.truth.judge import EXAMPLES_MAX, NO_TIME
-from tests.truth.rows import ACTING, COMMAND_LOST, NO_INSTANT, NOT_IDENTIFIABLE, NOT_MEASURED, NOT_SENT, Told
+from tests.truth.rows import (
+    ACTING,
+    COMMAND_LOST,
+    NO_INSTANT,
+    NOT_IDENTIFIABLE,
+    NOT_MEASURED,
+    NOT_SENT,
+    Told,
+    each_row,
+)
 from tests.truth.truth import AxisTruth, CommandTruth
 
 INSTANT_TOLERANCE: Final = Duration(100 * NS_PER_US)
@@ -96,7 +105,7 @@ def judge_commands(
     result = CommandJudgement()
     newest = int(told["command_handed_at"].max()) if told.size else NO_INSTANT
     at_once = {at: iter(commands) for at, commands in truth.at_once.items()}
-    for row in told:
+    for row in each_row(told):
         handed_at, fate = int(row["command_handed_at"]), int(row["command_fate"])
         if handed_at == NO_INSTANT:
             continue

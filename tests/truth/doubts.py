@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from tests.truth.judge import Timing
-from tests.truth.rows import LOST, MISSED, NO_INSTANT, Told
+from tests.truth.rows import LOST, MISSED, NO_INSTANT, Told, each_row
 from tests.truth.truth import AxisTruth
 
 NEAR: Final = 64
@@ -41,7 +41,7 @@ def doubts(told: Told, truth: AxisTruth, timing: Timing, undecidable: set[int]) 
     found: Counter[tuple[str, bool]] = Counter()
     if told.size:
         look = _Look(truth, timing, int(told["sequence"][-1]))
-        for row in told[told["certain"] == 0]:
+        for row in each_row(told[told["certain"] == 0]):
             found[look.cause(row), int(row["sync_handed_at"]) in undecidable] += 1
     return found
 

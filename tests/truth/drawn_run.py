@@ -23,7 +23,7 @@ from tests.truth.other_ways import explained_otherwise
 from tests.truth.rows import READING_IS_A_SET, told_by
 from tests.truth.tapped_run import Surroundings, TappedRun, run_with_taps
 from tests.truth.taps import SYNC_ID
-from tests.truth.truth import axis_truth
+from tests.truth.truth import axis_truth, passages
 
 ROOT: Final = Path(__file__).parents[2]
 CYCLES: Final = 1500
@@ -95,8 +95,9 @@ def judged(plan: DrawnPlan, cycles: int = CYCLES) -> Verdict:
 def _judge(run: TappedRun, config: BenchConfig, verdict: Verdict) -> None:
     plan = verdict.plan
     timing = timing_of(plan, config)
+    seen = passages(run.log, plan.heard)
     for axis, name in enumerate(config.axes):
-        truth = axis_truth(run.log, config.drive[name].node, READING_IS_A_SET, plan.heard)
+        truth = axis_truth(run.log, config.drive[name].node, READING_IS_A_SET, plan.heard, seen)
         told = told_by(run.rows, axis, timing.period)
         verdict.readings.add(judge_axis(told, truth, timing))
         verdict.commands.add(judge_commands(told, truth, Duration(0), timing.stamp_error))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_US, Duration, Instant
-from tests.truth.rows import LATE, LOST, MISSED, NO_INSTANT, STALE, USED, Told
+from tests.truth.rows import LATE, LOST, MISSED, NO_INSTANT, STALE, USED, Told, each_row
 from tests.truth.taps import Heard, stamp_us
 from tests.truth.truth import SPEED, STAMP, AxisTruth, SyncTruth
 
@@ -131,7 +131,7 @@ class _Judge:
         result, told = self._result, self._told
         result.rows = told.size
         result.unaccounted = self._unaccounted()
-        for row in told:
+        for row in each_row(told):
             fate = int(row["fate"])
             result.fates[fate] += 1
             wrong = self._wrong(row, fate)

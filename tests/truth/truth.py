@@ -76,26 +76,55 @@ class AxisTruth:
         return self.syncs[first:last]
 
 
-def axis_truth(log: TapLog, node_id: int, reading_is_a_set: bool, syncs_heard: bool = False) -> AxisTruth:
+@dataclass(frozen=True, slots=True)
+class Passages:
+    """What the taps of a segment saw, put in order once for all its drives; frames by their identity."""
+
+    handed: list[Passed]
+    """SYNCs, in the order of their hand-over."""
+    places: dict[int, int]
+    """The place of each in ``handed``."""
+    on_bus: dict[int, Instant]
+    """When a frame was first on the bus."""
+    fetched: dict[int, tuple[int, Instant]]
+    """Its place among what the loop fetched, and its stamp there, of the first time."""
+
+
+def passages(log: TapLog, syncs_heard: bool = False) -> Passages:
+    """``syncs_heard``: the loop hands no SYNC over, so the stamp with which it was given one stands for the
+    hand-over, and what it was never given is none of its SYNCs."""
+    handed = [
+        passed
+        for passed in (log.fetched_syncs if syncs_heard else log.handed)
+        if passed.frame.can_id == SYNC_ID
+    ]
+    fetched: dict[int, tuple[int, Instant]] = {}
+    for order, (at, frame) in enumerate(log.fetched):
+        fetched.setdefault(id(frame), (order, at))
+    places = {id(passed.frame): place for place, passed in enumerate(handed)}
+    return Passages(handed, places, _first(log.on_bus), fetched)
+
+
+def axis_truth(
+    log: TapLog,
+    node_id: int,
+    reading_is_a_set: bool,
+    syncs_heard: bool = False,
+    seen: Passages | None = None,
+) -> AxisTruth:
     """What happened at the drive of ``node_id``.
 
     ``reading_is_a_set``: a reading has come with the last of the TPDOs of its SYNC, else with its speed.
-    ``syncs_heard``: the loop hands no SYNC over, so the stamp with which it was given one stands for the
-    hand-over, and what it was never given is none of its SYNCs.
+    ``syncs_heard``: see :func:`passages`. ``seen``: those of ``log``, for a segment of several drives.
     """
     drive = log.drives[node_id]
     layout = drive.layout
     if layout is None:
         raise ValueError(f"node {node_id} never answered a SYNC")
     awaited = frozenset(layout.each_sync) if reading_is_a_set else frozenset({layout.sent[SPEED].can_id})
-    handed = [
-        passed
-        for passed in (log.fetched_syncs if syncs_heard else log.handed)
-        if passed.frame.can_id == SYNC_ID
-    ]
-    places = {id(passed.frame): place for place, passed in enumerate(handed)}
-    on_bus = _first(log.on_bus)
-    fetched = {id(passed.frame): (order, passed.at) for order, passed in reversed([*enumerate(log.fetched)])}
+    if seen is None:
+        seen = passages(log, syncs_heard)
+    handed, places, on_bus, fetched = seen.handed, seen.places, seen.on_bus, seen.fetched
     readings: dict[int, list[Reading]] = defaultdict(list)
     answer_to: dict[int, tuple[int, Heard]] = {}
     for heard in drive.syncs:
@@ -110,8 +139,9 @@ def axis_truth(log: TapLog, node_id: int, reading_is_a_set: bool, syncs_heard: b
     first = {place: min(came, key=lambda reading: reading.order) for place, came in readings.items()}
     answered_at: dict[int, list[tuple[int, Heard]]] = defaultdict(list)
     for at, frame in log.fetched:
-        if id(frame) in answer_to:
-            answered_at[at].append(answer_to[id(frame)])
+        answer = answer_to.get(id(frame))
+        if answer is not None:
+            answered_at[at].append(answer)
     commands = _command_truths(log, node_id, on_bus)
     return AxisTruth(
         layout,
@@ -142,7 +172,10 @@ def spacings_below(instants: list[Instant], least: Duration) -> int:
 
 def _first(passed: list[Passed]) -> dict[int, Instant]:
     """By identity of the frame, when it first passed."""
-    return {id(frame): at for at, frame in reversed(passed)}
+    first: dict[int, Instant] = {}
+    for at, frame in passed:
+        first.setdefault(id(frame), at)
+    return first
 
 
 def _reading(heard: Heard, frames: list[Frame], fetched: dict[int, tuple[int, Instant]]) -> Reading | None:
