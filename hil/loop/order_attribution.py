@@ -200,8 +200,7 @@ class OrderAttribution:
             return mark
         self._settle(lag)
         answered = self._mark(mark.number - lag)
-        if lag:
-            self._answered = answered.number - 1
+        self._answered = answered.number - 1 if lag else self._answered
         return answered
 
     def _settle(self, lag: int) -> None:
@@ -318,23 +317,24 @@ class OrderAttribution:
     def _count_in(self, reading: Reading, mark: SyncMark, age: int) -> Sample | None:
         """It is that of the next SYNC, or of one that was passed over."""
         self._answered = mark.number
-        if self._sure:
-            return self._guess(reading, mark)
-        self._in_question.evidence.add(reading.received_at)
-        self._in_question.stray()
-        if not self._beyond:
+        if not self._sure:
+            self._in_question.evidence.add(reading.received_at)
+            self._in_question.stray()
+        if not (self._sure or self._beyond):
             self._unsure.add(mark.sequence, self._error_of(age), self._open.is_within(HELD_UP, mark))
         return self._guess(reading, mark)
 
     def _is_only_one(self, mark: SyncMark, copy: bool) -> bool:
-        """Whether all other SYNCs have their readings, and this is none of those again."""
-        if not self._sure or (self._untidy and copy) or mark.sequence == SURPLUS or not self._usual.apart:
+        """Whether all other SYNCs have their readings for certain, and this is none of those again."""
+        copied = self._untidy and (copy or self._copies.before)
+        if not self._sure or copied or mark.sequence == SURPLUS or not self._usual.apart:
             return False
-        return mark.number == self._answered + 1 and not self._open.is_within(OPEN_FOR, mark)
+        known = mark.number == self._answered + 1 == self._known + 1
+        return known and not self._open.is_within(OPEN_FOR, mark)
 
     def _comes_sooner(self, usual: SyncMark, received_at: Instant, copy: bool) -> bool:
         """Whether a reading is that of a SYNC after the ``usual`` one, as this and all before have theirs."""
-        if usual.number > self._answered or copy:
+        if usual.number > self._answered or copy or self._copies.before:
             return False
         later = self._syncs.newest_before(Instant(received_at - self._transit))
         return later is not None and self._is_only_one(later, copy)

@@ -61,10 +61,13 @@ class Copies:
     def __init__(self) -> None:
         self._speeds = [math.nan] * COPIES
         self._place = 0
+        self.before = self._held = False
+        """Whether the reading before the last one may have been a copy."""
 
     def holds(self, speed_rad_s: float) -> bool:
         """Whether one of the last readings told this speed; it is remembered."""
-        held = speed_rad_s in self._speeds
+        self.before = self._held
+        held = self._held = speed_rad_s in self._speeds
         self._speeds[self._place] = speed_rad_s
         self._place = (self._place + 1) % COPIES
         return held
