@@ -19,6 +19,7 @@ from drivers.cia402.state_control import FAULTY, StateControl
 from drivers.errors import DriveInFault, NoAnswer, PeerFault, PowerLost
 from drivers.timebase import NS_PER_MS, Duration, Instant
 
+_OPERATIONAL: Final = NmtState.OPERATIONAL
 _ENABLED_BITS: Final = 0x6F
 _ENABLED: Final = 0x27
 """OPERATION ENABLED, as :data:`drivers.cia402.profile.STATUS_PATTERNS` has it (CiA 402-2)."""
@@ -150,7 +151,7 @@ class DriveWatch:
                 f"{status.boot_ups - self._boot_ups} boot-up message",
                 seen_at=status.heartbeat_at,
             )
-        if self._beats and status.state is not NmtState.OPERATIONAL:
+        if self._beats and status.state is not _OPERATIONAL:
             self._end_and_stop()
             left = "an unknown NMT state" if status.state is None else status.state.name
             seen_at = status.heartbeat_at

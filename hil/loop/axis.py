@@ -197,10 +197,12 @@ class Axis:
     def collect(self, before: Instant = NEVER) -> None:
         """Take in what had arrived ``before``, but for readings whose SYNC's echo may be on its way yet, and
         for those that may answer a SYNC whose cycle is to begin."""
-        kept, syncs = self._kept, self.parts.syncs
-        kept.extend(self._drive.take_readings())
-        if kept:
-            before = min(before, syncs.end_of_first_after(self._begun))
+        kept, syncs, arrived = self._kept, self.parts.syncs, self._drive.take_readings()
+        if arrived:
+            kept.extend(arrived)
+        if not kept:
+            return
+        before = min(before, syncs.end_of_first_after(self._begun))
         while kept and kept[0].received_at < before and not syncs.awaits_echo(kept[0].received_at):
             self._take(kept.pop(0))
 

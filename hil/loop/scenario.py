@@ -162,6 +162,9 @@ class ReferenceProfile:
         self._segments = sorted(segments, key=lambda segment: segment.at_s)
         self._starts_s = [segment.at_s for segment in self._segments]
         self._start_levels = self._levels_at_starts()
+        self._begun = 0
+        """How many segments have begun at the time last asked for, and from when until when that is so."""
+        self._from_s = self._until_s = 0.0
 
     def count_from(self, position_rad: float) -> None:
         """Where the shaft is when the run begins, counted as in a reading; for the axis alone to call. Of
@@ -171,7 +174,7 @@ class ReferenceProfile:
 
     def value(self, time_s: float) -> float:
         """Reference ``time_s`` after the run began, in the unit of its quantity."""
-        number = bisect_right(self._starts_s, time_s)
+        number = self._begun_at(time_s)
         if number == 0:
             return self._origin
         segment = self._segments[number - 1]
@@ -179,11 +182,19 @@ class ReferenceProfile:
 
     def rate(self, time_s: float) -> float:
         """Its change per second at that time; of a position the speed. A jump has none."""
-        number = bisect_right(self._starts_s, time_s)
+        number = self._begun_at(time_s)
         if number == 0:
             return 0.0
         segment = self._segments[number - 1]
         return segment.rate(time_s - segment.at_s, self._start_levels[number - 1])
+
+    def _begun_at(self, time_s: float) -> int:
+        if not self._from_s <= time_s < self._until_s:
+            starts_s = self._starts_s
+            self._begun = begun = bisect_right(starts_s, time_s)
+            self._from_s = starts_s[begun - 1] if begun else -math.inf
+            self._until_s = starts_s[begun] if begun < len(starts_s) else math.inf
+        return self._begun
 
     def _levels_at_starts(self) -> list[float]:
         levels: list[float] = []

@@ -16,7 +16,7 @@ class RowWriter(FrameTap):
         self._received = 2 * segment
         self._sent = 2 * segment + 1
         self._rows = rows
-        self._frames = frames
+        self._push_frame = frames.push_frame
         self._keep_frames = keep_frames
 
     def record(self, record: CycleRecord) -> None:
@@ -33,4 +33,4 @@ class RowWriter(FrameTap):
             can_id |= EXTENDED_FLAG
         if remote:
             can_id |= REMOTE_FLAG
-        self._frames.push_frame(at, can_id, self._sent if direction == "tx" else self._received, data)
+        self._push_frame(at, can_id, self._sent if direction == "tx" else self._received, data)

@@ -3,9 +3,9 @@
 ISO 11898-1 (in Bosch's CAN 2.0, part B: 3.2.1 frames, 3.2.5 intermission); core/wire_bits.c counts them.
 """
 
-from typing import Final
-
 from drivers.timebase import NS_PER_S, Duration
+from virtual_bus.core.native import INTERMISSION_BITS as INTERMISSION_BITS
+from virtual_bus.core.native import LONGEST_FRAME_BITS as LONGEST_FRAME_BITS
 from virtual_bus.core.native import wire_bits
 from virtual_bus.frame import Frame
 
@@ -22,12 +22,6 @@ def arbitration_key(frame: Frame) -> int:
     if frame.extended:
         return (can_id >> 18) << 21 | 3 << 19 | (can_id & 0x3FFFF) << 1 | remote
     return can_id << 21 | remote << 20
-
-
-INTERMISSION_BITS: Final = 3
-"""Recessive bits between the end of a frame and the next start of frame."""
-LONGEST_FRAME_BITS: Final = 157
-"""Extended, eight data bytes, as many stuff bits as there can be: 118 + 29 + 10."""
 
 
 def frame_bits(frame: Frame) -> int:

@@ -28,6 +28,7 @@ class HostPort(FramePort):
         self.held_out = self.received.held_out
         self.port: Port = segment.attach(name, self.received)
         self.received.take_port(self.port)
+        self._receive, self._transmit = self.received.receive, self.received.transmit
 
     @property
     def overruns(self) -> int:
@@ -47,7 +48,7 @@ class HostPort(FramePort):
 
         Time passes no further than to that frame, or to ``until``.
         """
-        received = self.received.receive(until)
+        received = self._receive(until)
         if received is None:
             return None
         frame, self.came_at, self.came_own = received
@@ -55,7 +56,7 @@ class HostPort(FramePort):
 
     def transmit(self, frame: Frame) -> None:
         """Queue ``frame`` now. Raises can.CanOperationError if the transmit queue is full."""
-        self.received.transmit(frame)
+        self._transmit(frame)
 
     def flush(self) -> None:
         """Forget what is held for sending."""

@@ -80,6 +80,8 @@ typedef struct ShownNumber {
 } ShownNumber;
 
 static const ShownNumber shown_numbers[] = {
+    {"LONGEST_FRAME_BITS", LONGEST_FRAME_BITS},
+    {"INTERMISSION_BITS", INTERMISSION_BITS},
     {"TRANSMIT_QUEUE_MAX", TRANSMIT_QUEUE_MAX},
     {"RECEIVE_QUEUE_MAX", RECEIVE_QUEUE_MAX},
     {"HELD_MAX", HELD_MAX},

@@ -152,9 +152,10 @@ class InnerLoops:
     def torque_in_force(self) -> float:
         """The torque demand in force now, N m, inside its limits."""
 
-    def actual_values(self) -> tuple[int, int, int, bool]:
-        """6064h, 606Ch and 6077h as of the last tick, and whether a set-point was cut then. Error: ValueError
-        where the state is no finite number."""
+    def actual_values(self) -> Any:
+        """A tuple: 6064h, 606Ch and 6077h as of the last tick, and whether a set-point was cut then. Not said
+        to mypyc, which would take three integers apart and make them anew. Error: ValueError where the state
+        is no finite number."""
 
     def torque_told(self) -> int:
         """6074h as it is in force now. Error: as :meth:`actual_values`."""
@@ -238,6 +239,10 @@ class SimulatedClock:
     def sleep_until(self, when: Instant, /) -> None:
         """Run the timeline up to ``when``; at once if it has passed."""
 
+LONGEST_FRAME_BITS: int
+"""Extended, eight data bytes, as many stuff bits as there can be."""
+INTERMISSION_BITS: int
+"""Recessive bits between the end of a frame and the next start of frame."""
 TRANSMIT_QUEUE_MAX: int
 RECEIVE_QUEUE_MAX: int
 HELD_MAX: int

@@ -162,7 +162,7 @@ static bool tell(PyObject *callable, PyObject *frame, PyObject *at)
     return went_well(PyObject_Vectorcall(callable, arguments + 1, 2 | PY_VECTORCALL_ARGUMENTS_OFFSET, NULL));
 }
 
-/* A frame on its way to everybody, and the objects that tell of it. */
+/* A frame on its way to everybody, and the objects that tell of it; its identifier's only if a port filters. */
 typedef struct Delivery {
     const WireFrame *frame;
     int64_t now;
@@ -170,18 +170,20 @@ typedef struct Delivery {
 } Delivery;
 
 /* Whether a port's listener wants the frame: 1 or 0, -1 for an error. Remote frames are always handed on. */
-static int is_wanted(const PortObject *port, const Delivery *delivery)
+static int is_wanted(const PortObject *port, Delivery *delivery)
 {
     if (!is_there(port->heard) || delivery->frame->remote)
         return 1;
     if (delivery->frame->extended)
         return 0;
+    if (delivery->can_id == NULL && (delivery->can_id = PyLong_FromLongLong(delivery->frame->can_id)) == NULL)
+        return -1;
     if (PyDict_GetItemWithError(port->heard, delivery->can_id) != NULL)
         return 1;
     return PyErr_Occurred() ? -1 : 0;
 }
 
-static bool hand_to(PortObject *port, const Delivery *delivery)
+static bool hand_to(PortObject *port, Delivery *delivery)
 {
     static PyObject *name;
     PyObject *listener = port->listener;
@@ -200,7 +202,7 @@ static bool hand_to(PortObject *port, const Delivery *delivery)
     return well;
 }
 
-static bool hand_to_all(PyObject *monitors, PyObject *ports, PortObject *sender, const Delivery *delivery)
+static bool hand_to_all(PyObject *monitors, PyObject *ports, PortObject *sender, Delivery *delivery)
 {
     for (Py_ssize_t place = 0; place < PyTuple_Size(monitors); place++) {
         if (!tell(PyTuple_GetItem(monitors, place), delivery->frame->object, delivery->at))
@@ -222,9 +224,9 @@ static bool hand_to_all(PyObject *monitors, PyObject *ports, PortObject *sender,
 /* To the monitors, to every port but its sender's, and to its sender. */
 static bool hand_out(SegmentObject *self, PortObject *sender, const WireFrame *frame, int64_t now)
 {
-    Delivery delivery = {frame, now, PyLong_FromLongLong(now), PyLong_FromLongLong(frame->can_id)};
+    Delivery delivery = {frame, now, PyLong_FromLongLong(now), NULL};
     PyObject *monitors = another(self->monitors), *ports = another(self->ports);
-    bool well = delivery.at != NULL && delivery.can_id != NULL && hand_to_all(monitors, ports, sender, &delivery);
+    bool well = delivery.at != NULL && hand_to_all(monitors, ports, sender, &delivery);
     Py_DecRef(ports);
     Py_DecRef(monitors);
     forget(&delivery.at);

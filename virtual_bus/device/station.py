@@ -54,12 +54,18 @@ class Timers:
 
     def refresh(self) -> None:
         """Find the next deadline anew."""
-        self.next = min((timer.due for timer in self._timers), default=NEVER)
+        self.next = NEVER
+        for timer in self._timers:
+            if timer.due < self.next:
+                self.next = timer.due
 
     def run(self, now: Instant) -> None:
         """Run what is due, the earliest first; a callback may restart its timer only after ``now``."""
         while self.next <= now:
-            timer = min(self._timers, key=lambda candidate: candidate.due)
+            timer = self._timers[0]
+            for candidate in self._timers:
+                if candidate.due < timer.due:
+                    timer = candidate
             timer.due = NEVER
             self.refresh()
             timer.callback(now)

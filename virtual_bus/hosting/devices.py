@@ -52,6 +52,7 @@ class AttachedDevice(Listener):
         self._canopen = device if isinstance(device, CanopenDevice) else None
         self.port = segment.attach(name, self)
         """Its place on the segment: to unplug, to take off the bus, to ask for error counters."""
+        self._queue = self.port.send
         self.port.on_error_state = self._on_error_state
         self._off = False
         self._attached = True
@@ -93,7 +94,7 @@ class AttachedDevice(Listener):
     def _send(self, frames: Sequence[Frame]) -> None:
         for frame in frames:
             try:
-                self.port.send(frame)
+                self._queue(frame)
             except can.CanOperationError:
                 self.frames_lost += 1
 
