@@ -217,7 +217,9 @@ class ReadbackTie:
     def _telling(self, readback: Readback, first: int, last: int) -> Telling:
         known = self._last
         self._last = max(known, last)
-        if first < last:
+        placed = self._by_sync[last % REMEMBERED]
+        alone = placed is None or placed.mark.number != last or not self._may_hide_another(placed, readback)
+        if first < last or not alone:
             self.inexact += 1
             return Telling(readback, self._since(first), self._until(last, readback), None)
         self.exact += 1
@@ -237,9 +239,17 @@ class ReadbackTie:
     def _until(self, number: int, readback: Readback) -> Instant:
         """No drive sampled at this SYNC later, if ``readback`` is of it or of one before."""
         placed = self._by_sync[number % REMEMBERED]
-        if placed is not None and placed.mark.number == number:
-            return placed.until
-        return readback.received_at
+        if placed is None or placed.mark.number != number or self._may_hide_another(placed, readback):
+            return readback.received_at
+        return placed.until
+
+    def _may_hide_another(self, placed: _Placed, readback: Readback) -> bool:
+        """Whether a demand that came behind a reading may be of a later SYNC: another node's, which this host
+        may not have heard."""
+        on_bus_at = placed.mark.on_bus_at
+        if not self._syncs.of_another or readback.received_at - placed.received_at <= self._period // 2:
+            return False
+        return on_bus_at is None or readback.received_at - on_bus_at > self._period // 2
 
     def _mark(self, number: int) -> SyncMark:
         marks = self._syncs.marks

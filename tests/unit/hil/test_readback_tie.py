@@ -19,6 +19,25 @@ def at(number: int) -> Instant:
     return Instant(number * PERIOD)
 
 
+@pytest.mark.parametrize(("late", "hidden"), [(0, False), (NS_PER_MS, True)])
+def test_a_demand_long_behind_its_reading_may_be_of_anothers_sync_that_was_not_heard(
+    late: int, hidden: bool
+) -> None:
+    """Of SYNC 2, lost on the way to the host, the reading answers nothing that is known."""
+    syncs = SyncLog(Duration(0), PERIOD, EchoBasis.BUS)
+    tie = ReadbackTie(syncs, PERIOD, 20)
+    syncs.heard(1, at(1))
+    received_at = Instant(at(1) + READING_AFTER)
+    tie.reading(Sample(1, reading_at(received_at), at(1), 0, True), received_at, False)
+    tie.doubt()
+    if hidden:
+        tie.reading(None, Instant(at(2) + READING_AFTER), False)
+    told_at = Instant(at(1) + DEMAND_AFTER + late)
+    (telling,) = tie.take([Readback(7, told_at, 1 + hidden)], at_end=False)
+    assert telling.sync is None
+    assert telling.until == (told_at if hidden else at(1))
+
+
 @pytest.mark.parametrize("unsent", [False, True])
 def test_a_demand_behind_a_sync_that_was_not_heard_may_be_of_it(unsent: bool) -> None:
     """Of SYNC 2 echo and reading were dropped by the host, and of SYNC 1 the demand; or SYNC 2 was not sent,
