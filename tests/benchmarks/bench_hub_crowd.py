@@ -40,6 +40,8 @@ BENCH: Final = {"period_us": 1000, "decide_after_us": 700, "deadline_us": 900}
 PATIENT: Final = {"dropouts_consecutive_max": 5000, "dropouts_percent_max": 100.0}
 """A busy machine is to end no run."""
 BLOCKS: Final = 40
+SECONDS: Final = 100.0
+"""After so many no block begins: a crowded machine takes a while to start a run, and more for each block."""
 TURN_NS: Final = NS_PER_S
 SETTLING_NS: Final = NS_PER_S // 5
 """Of each turn, before it counts: a crowd comes, or the last one's sockets are closed."""
@@ -58,12 +60,13 @@ def main() -> None:
     """Print two tables."""
     parser = argparse.ArgumentParser(prog=f"python -m {__spec__.name}", description=__doc__)
     parser.add_argument("--blocks", type=int, default=BLOCKS)
+    parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--crowd", help="be the crowd at the door of this hub")
     given = parser.parse_args()
     if given.crowd is not None:
         crowd(given.crowd)
         return
-    turns = measured(given.blocks)
+    turns = measured(given.blocks, given.seconds)
     print(f"{'us':10} {'SYNCs':>7} {'p50':>7} {'p99':>7} {'p99.9':>8} {'max':>8}")
     for kind in KINDS:
         found = np.concatenate(turns[kind])
@@ -90,8 +93,9 @@ def ratio(
     return float(np.median(ratios)), float(low), float(high)
 
 
-def measured(blocks: int) -> Turns:
-    """One run, so many blocks of turns in it."""
+def measured(blocks: int, seconds: float) -> Turns:
+    """One run, so many blocks of turns in it, or those that begin within ``seconds``."""
+    ends_at = CLOCK.now() + seconds * NS_PER_S
     draw, turns = Random(1), Turns((kind, []) for kind in KINDS)
     bus = hub_name("crowd")
     name = bus.removeprefix("hub:")
@@ -108,7 +112,9 @@ def measured(blocks: int) -> Turns:
         with HubBus(name, batches=True) as listener:
             while (frame := listener.recv(10.0)) is None or frame.arbitration_id != SYNC:
                 pass
-            for _ in range(blocks):
+            for block in range(blocks):
+                if block and CLOCK.now() >= ends_at:
+                    break
                 for kind in draw.sample(KINDS, len(KINDS)):
                     there = {"elsewhere": elsewhere, "crowded": crowded}.get(kind)
                     turns[kind].append(turn(listener, there))

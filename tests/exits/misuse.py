@@ -32,7 +32,10 @@ from tests.scenario.processes import BENCH
 CYCLES: Final = 60
 LIMIT_S: Final = 30.0
 """Two seconds for threads that are left, and what shared cores take."""
-HOOKS: Final = ("__init__", "channels", "reset", "output", "update", "telemetry", "import")
+HOOKS: Final = (
+    *("__init__", "channels", "observer", "reset", "output", "update", "telemetry", "import"),
+    *("observer.reset", "receive", "sent", "estimate"),
+)
 
 HARMLESS: Final = (
     "pass",

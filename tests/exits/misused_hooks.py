@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from hil import Context, Controller, SetPoint, Setup, TorqueSetPoint
+from hil import Compensator, Context, Controller, Sample, SetPoint, Setup, StateEstimate, TorqueSetPoint
 
 _write = os.write
 """What the way to end puts in its place is not to spoil the count of cycles."""
@@ -81,6 +81,34 @@ def stopped() -> None:
     os.kill(process, signal.SIGSTOP)
 
 
+FIRST = ("__init__", "channels", "observer", "reset", "observer.reset")
+"""Hooks that are called before the first cycle."""
+
+
+class Observing(Compensator):
+    """Of :class:`Hooks`; its hooks are of the same kind."""
+
+    HOOKS = ("observer.reset", "receive", "sent", "estimate")
+
+    def __init__(self, act: Callable[[str], None]) -> None:
+        self._act = act
+        self._sequence = 0
+
+    def reset(self) -> None:
+        self._act("observer.reset")
+
+    def receive(self, sample: Sample) -> None:
+        self._sequence = sample.sequence
+        self._act("receive")
+
+    def sent(self, _command: object) -> None:
+        self._act("sent")
+
+    def estimate(self, context: Context) -> StateEstimate:
+        self._act("estimate")
+        return StateEstimate(0.0, 0.0, 0.0, context.acts_at, self._sequence)
+
+
 class Hooks(Controller):
     """Does ``way``, a Python statement, in the hook ``where`` of its 20th cycle."""
 
@@ -89,31 +117,36 @@ class Hooks(Controller):
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
         self._tally = os.open(tally, flags) if tally else None  # which may be 0, where that was closed
         self._cycles = 0
-        self._act("__init__")
+        self.act("__init__")
 
-    def _act(self, where: str) -> None:
-        if where == self._where and (self._cycles == 20 or where in ("__init__", "channels", "reset")):
+    def act(self, where: str) -> None:
+        """Do ``way`` if this is the hook and the cycle."""
+        if where == self._where and (self._cycles == 20 or where in FIRST):
             exec(self._way, globals())
 
     def channels(self) -> Sequence[str]:
-        self._act("channels")
+        self.act("channels")
         return ()
 
+    def observer(self) -> Compensator | None:
+        self.act("observer")
+        return Observing(self.act) if self._where in Observing.HOOKS else None
+
     def reset(self) -> None:
-        self._act("reset")
+        self.act("reset")
 
     def output(self, _context: Context) -> SetPoint:
         self._cycles += 1
-        self._act("output")
+        self.act("output")
         return TorqueSetPoint(0.0)
 
     def update(self, _context: Context, _command: object) -> None:
-        self._act("update")
+        self.act("update")
         if self._tally is not None:
             _write(self._tally, b".")
 
     def telemetry(self) -> Sequence[float]:
-        self._act("telemetry")
+        self.act("telemetry")
         return ()
 
 
