@@ -126,11 +126,11 @@ def measured(blocks: int, seconds: float) -> Turns:
 def turn(listener: HubBus, there: subprocess.Popen[str] | None) -> NDArray[np.float64]:
     """Differences of one turn, us, with the crowd of ``there``."""
     if there is not None:
-        _say(there)
+        _say(there, listener)
     begins = CLOCK.now() + SETTLING_NS
     stamps = list(_syncs(listener, begins, begins + TURN_NS))
     if there is not None:
-        _say(there)
+        _say(there, listener)
     return np.abs(np.diff(np.array(stamps, dtype=np.int64)) - PERIOD_NS) / NS_PER_US
 
 
@@ -146,12 +146,15 @@ def _syncs(listener: HubBus, begins: int, ends: int) -> Iterator[Instant]:
     raise RuntimeError(f"no SYNC for {PATIENCE_NS / NS_PER_S:.0f} s: the run has ended")
 
 
-def _say(crowd: subprocess.Popen[str]) -> None:
-    """That it is to come, or to go; returns when it has heard."""
+def _say(crowd: subprocess.Popen[str], listener: HubBus) -> None:
+    """That it is to come, or to go; returns when it has heard. A listener that meanwhile takes no frames is
+    dropped by the hub."""
     assert crowd.stdin is not None
     assert crowd.stdout is not None
     crowd.stdin.write("\n")
     crowd.stdin.flush()
+    while not select.select([crowd.stdout], [], [], 0.0)[0]:
+        listener.frame_port.receive(Instant(CLOCK.now() + LOOK_EVERY_NS))
     crowd.stdout.readline()
 
 
