@@ -157,12 +157,13 @@ def _become(command: Sequence[str], said: Path) -> None:
         cli.main()
     except SystemExit as leaving:
         status = leaving.code or 0
-    except BaseException:  # noqa: BLE001 - top of the process
-        traceback.print_exc()
-    for each in (sys.stdout, sys.stderr):
-        with suppress(OSError):
-            each.flush()
-    os._exit(status if isinstance(status, int) else 70)
+    finally:
+        if sys.exc_info()[0] is not None:
+            traceback.print_exc()
+        for each in (sys.stdout, sys.stderr):
+            with suppress(OSError):
+                each.flush()
+        os._exit(status if isinstance(status, int) else 70)
 
 
 def _most_memory_kb() -> int:
