@@ -306,7 +306,7 @@ BENCH_RULE: Final = (
     'interpolated position (`"ip"`) or velocity mode (`"vl"`); a drive with none of them can be '
     "commissioned, not run"
 )
-"""In one set of words for every command and for the README."""
+"""In one set of words for every command and for docs/limits.md."""
 
 
 def run_words(modes: Collection[Mode]) -> str:

@@ -329,14 +329,17 @@ def test_an_axis_needs_a_plain_name() -> None:
     assert "letters" in error.expected
 
 
-def test_the_bench_file_of_the_readme_loads() -> None:
-    (block,) = re.findall(r"```toml\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert bench_from(tomllib.loads(block), "README.md", ROOT).axes == ("axis1",)
+PAGE = ROOT / "docs" / "bench-file.md"
 
 
-def test_the_message_of_the_readme_is_the_real_one() -> None:
+def test_the_bench_file_of_the_page_on_them_loads() -> None:
+    (block,) = re.findall(r"```toml\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    assert bench_from(tomllib.loads(block), PAGE.name, ROOT).axes == ("axis1",)
+
+
+def test_the_message_on_that_page_is_the_real_one() -> None:
     error = only_error_of(edited("loop", value={"period_ms": 1}))
-    assert error_text(error) in (ROOT / "README.md").read_text()
+    assert error_text(error) in PAGE.read_text()
 
 
 def test_two_drives_on_one_node() -> None:

@@ -11,7 +11,7 @@ from drivers.cia402.profile import BENCH_RULE
 from hil.cli import app
 from tests.unit.drivers.eds_maker import four_pdos, sheet_text
 
-README = Path(__file__).parents[3] / "README.md"
+LIMITS = Path(__file__).parents[3] / "docs" / "limits.md"
 
 
 def run(*arguments: str) -> tuple[int, str]:
@@ -66,13 +66,13 @@ def test_a_drive_without_the_mode_of_hil_run_says_so(tmp_path: Path) -> None:
     assert 'best in cyclic synchronous velocity; `hil run` can use it with mode = "csv".' in text
 
 
-def test_a_drive_that_hil_run_cannot_use_is_told_in_the_words_of_the_readme(tmp_path: Path) -> None:
+def test_a_drive_that_hil_run_cannot_use_is_told_in_the_words_of_the_docs(tmp_path: Path) -> None:
     path = tmp_path / "profile.eds"
     path.write_text(sheet_text(four_pdos(), modes="0x4"))
     status, text = run(str(path))
     assert status == 0
     assert f"best in profile velocity; {BENCH_RULE}." in text
-    assert BENCH_RULE in README.read_text()
+    assert BENCH_RULE in LIMITS.read_text()
 
 
 def test_a_device_that_does_not_says_why(bad: str) -> None:
