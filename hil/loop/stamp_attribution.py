@@ -144,13 +144,17 @@ class StampAttribution:
         """Whether a reading on a free SYNC raises no question, and answers the one that may be open."""
         if delay < self._transit and self.spread and delay < self._transit - self.stamps.near_ns:
             return False
-        bearable = self._half + self._case.delays.slack()
-        if not self._case.delays.low - bearable <= delay <= self._case.delays.high + bearable:
+        low, high, slack = self._case.delays.low, self._case.delays.high, self._case.delays.slack()
+        bearable = self._half + slack
+        if not low - bearable <= delay <= high + bearable:
             return False
         if not self._suspects:
             return True
-        # A clock set back makes every delay longer by what it was set, at least a period.
-        return mark.number > self._case.since and not self._early and delay < 2 * self._half
+        # A clock set back makes every delay longer by what it was set, at least a period; one set forward as
+        # much shorter. Neither may make this delay of one that was usual.
+        period = 2 * self._half
+        certain = high - period + slack < delay < max(period, low + period - slack)
+        return mark.number > self._case.since and not self._early and certain
 
     def _matched(self, reading: Reading, device_ns: int, mark: SyncMark, residual: int) -> Sample | None:
         health, residuals, match_ns = self.health, self._residuals, self.stamps.match_ns
