@@ -38,10 +38,10 @@ RARELY_LATE: Final = 8.0
 
 
 SLACKS: Final = 2
-"""Where few delays alone bound a sample: the smallest is not eight mean gaps above the least possible one in
-one window of three thousand, if they are spread evenly."""
+"""Where delays alone bound a sample: the smallest is not eight mean gaps above the least possible one in one
+window of three thousand, if they are spread evenly."""
 LEAST: Final = 16
-"""Of more delays so many of the smallest tell how far below them others may lie. Delays of several parts, a
+"""How far so many of the smallest reach tells it too. Delays of several parts, a
 SYNC that is late and a reading that is, are rare near their least: the smallest one lies further above it
 than mean gaps say, and so do the next ones above the smallest. It lies further above than those reach in one
 window of 30 000 if delays are spread evenly, in one of eighty if two parts alike are."""
@@ -131,8 +131,7 @@ class DelayExtremes(Extremes):
         if self._reach < 0:
             least = sorted([*self._least_before, *self._least])[:LEAST]
             self._reach = least[-1] - least[0] if least else 0
-        few = SLACKS * self.slack() if self._seen < 2 * LEAST else 0
-        return max(self._reach, few) + transit // HIDDEN_PARTS
+        return max(self._reach, SLACKS * self.slack()) + transit // HIDDEN_PARTS
 
     def late(self, delay: int, transit: int) -> int:
         """How much of ``delay`` may have passed before the drive sampled, if its frame takes ``transit`` or

@@ -125,8 +125,8 @@ def test_a_usual_delay_places_no_reading_where_all_before_have_theirs_or_others_
 
 
 def test_a_short_delay_is_no_proof_that_a_clock_was_not_set_forward() -> None:
-    """By 1016 us, a period and what SYNCs jitter by: each reading lay on the next SYNC, and the first whose
-    delay seemed usual, where delays spread over more than a period, ended the question. 50 rows were wrong."""
+    """By 1016 us, a period and the SYNC's jitter: each reading lay on the next SYNC, and the first whose
+    delay seemed usual, where delays spread over more than a period, ended it: 50 rows were wrong."""
     verdict = judged(drawn_plan(140019), 640)
     assert verdict.readings.wrong == 0, verdict.examples
 
