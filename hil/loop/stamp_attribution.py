@@ -248,7 +248,7 @@ class StampAttribution:
             at = self.clock.place(suspect.device_ns)
             mark = None if suspect.second else self._syncs.nearest(at)
             off = self._half if mark is None or mark.on_bus_at is None else at - mark.on_bus_at
-            if abs(off) <= self._half * 7 // 8:
+            if abs(off) <= self._half // 2:
                 self._residuals.add(off, self.stamps.match_ns)
 
     def _close(self) -> None:
