@@ -145,16 +145,14 @@ class StampAttribution:
         if delay < self._transit and self.spread and delay < self._transit - self.stamps.near_ns:
             return False
         low, high, slack = self._case.delays.low, self._case.delays.high, self._case.delays.slack()
-        bearable = self._half + slack
-        if not low - bearable <= delay <= high + bearable:
+        if not low - self._half - slack <= delay <= high + self._half + slack:
             return False
         if not self._suspects:
             return True
-        # A clock set back makes every delay longer by what it was set, at least a period; one set forward as
-        # much shorter. Neither may make this delay of one that was usual.
+        # A clock set back by a period or more makes every delay longer, set forward shorter: not this one.
         period = 2 * self._half
-        certain = high - period + slack < delay < max(period, low + period - slack)
-        return mark.number > self._case.since and not self._early and certain
+        telling = high - period + slack < delay < max(period, low + period - slack)
+        return telling and mark.number > self._case.since and not self._early
 
     def _matched(self, reading: Reading, device_ns: int, mark: SyncMark, residual: int) -> Sample | None:
         health, residuals, match_ns = self.health, self._residuals, self.stamps.match_ns
@@ -186,6 +184,8 @@ class StampAttribution:
         unstamped_ns = self._case.unstamped_ns(delay)
         if self.doubt.open:
             self.doubt.rows.append((mark.sequence, error_ns + unstamped_ns))
+            return Sample(mark.sequence, reading, sampled_at, self.doubtful_error_ns, False)
+        if match_ns < lateness and self._half < error_ns and not self._echoes_late:  # one SYNC, not the run's
             return Sample(mark.sequence, reading, sampled_at, self.doubtful_error_ns, False)
         health.judge(delay, self._transit, error_ns, unstamped_ns)
         return Sample(mark.sequence, reading, sampled_at, error_ns + unstamped_ns, True)
@@ -248,7 +248,7 @@ class StampAttribution:
             at = self.clock.place(suspect.device_ns)
             mark = None if suspect.second else self._syncs.nearest(at)
             off = self._half if mark is None or mark.on_bus_at is None else at - mark.on_bus_at
-            if abs(off) <= self._half // 2:
+            if abs(off) <= self._half * 7 // 8:
                 self._residuals.add(off, self.stamps.match_ns)
 
     def _close(self) -> None:
@@ -299,9 +299,8 @@ class StampAttribution:
 
     def _guess(self, reading: Reading, free: SyncMark | None) -> Sample | None:
         """A reading's most likely place, marked uncertain."""
-        free_marks = self._case.free_marks(Instant(reading.received_at - self._transit))
-        last = free_marks[-1] if free_marks else None
-        return self._uncertain(reading, free if free in free_marks else last)
+        marks = self._case.free_marks(Instant(reading.received_at - self._transit))
+        return self._uncertain(reading, free if free in marks else marks[-1] if marks else None)
 
     def _uncertain(self, reading: Reading, mark: SyncMark | None) -> Sample | None:
         """It answers the SYNC of ``mark``, or another."""
@@ -352,10 +351,7 @@ class StampAttribution:
             self._case.delays = DelayExtremes()
         all_proved = self._exonerate(list(zip(last, line.marks, strict=True)))
         self._clear(all_proved and not (steps and self._case.revoked))
-        if steps:
-            self._close()
-        else:
-            self._acquit()
+        (self._close if steps else self._acquit)()
         self._case.twice = 0
         for suspect, mark in zip(last, line.marks, strict=True):
             self._case.answer(mark, suspect.device_ns)
