@@ -49,6 +49,11 @@ HIDDEN_PARTS: Final = 16
 """Three idle bits behind a SYNC hide how late it was to the drive: less than a part of 48 bits or more."""
 
 
+NEARER: Final = 7 / 16
+"""Of a period: a stamp so far off its SYNC lies further from every other, by an eighth, as they jitter by.
+Up to a quarter alone, a clock that was set again and again left certain rows wrong."""
+
+
 class Extremes:
     """Smallest and largest of the last values."""
 
@@ -230,6 +235,11 @@ class Residuals:
         self._last = residual
         change = min(change, OUTLYING * self.change_ns + unseen_ns)
         self.change_ns = CHANGE_KEPT * self.change_ns + (1.0 - CHANGE_KEPT) * change
+
+    def add_questioned(self, residual: int, unseen_ns: int, period: int) -> None:
+        """That of a stamp that has put a question, if it is not as near to another SYNC."""
+        if abs(residual) <= period * NEARER:
+            self.add(residual, unseen_ns)
 
     def _reach(self, unseen_ns: int) -> None:
         extremes = self._extremes

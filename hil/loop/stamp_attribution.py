@@ -247,9 +247,8 @@ class StampAttribution:
         for suspect in self._suspects:
             at = self.clock.place(suspect.device_ns)
             mark = None if suspect.second else self._syncs.nearest(at)
-            off = self._half if mark is None or mark.on_bus_at is None else at - mark.on_bus_at
-            if abs(off) <= self._half * 7 // 8:
-                self._residuals.add(off, self.stamps.match_ns)
+            if mark is not None and mark.on_bus_at is not None:
+                self._residuals.add_questioned(at - mark.on_bus_at, self.stamps.match_ns, 2 * self._half)
 
     def _close(self) -> None:
         """The question is answered."""
@@ -351,7 +350,8 @@ class StampAttribution:
             self._case.delays = DelayExtremes()
         all_proved = self._exonerate(list(zip(last, line.marks, strict=True)))
         self._clear(all_proved and not (steps and self._case.revoked))
-        (self._close if steps else self._acquit)()
+        end = self._close if steps else self._acquit
+        end()
         self._case.twice = 0
         for suspect, mark in zip(last, line.marks, strict=True):
             self._case.answer(mark, suspect.device_ns)

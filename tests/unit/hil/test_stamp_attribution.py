@@ -234,3 +234,20 @@ def test_stamps_of_syncs_that_are_forgotten_are_dropped(beyond: int, kept: int) 
     stamps = rig.stamped._case.stamps
     assert sorted(stamps) == list(range(last - kept + 1, last + 1))
     assert stamps[last] == last * PERIOD + OFFSET
+
+
+@pytest.mark.parametrize(("since", "certain"), [(1, False), (100, True)])
+def test_where_a_sync_may_be_late_by_more_than_half_a_period_readings_are_in_doubt_and_no_alarm(
+    since: int, certain: bool
+) -> None:
+    """One that reached the drive 0.4 of a period early has shown it; ``since``: readings that have not."""
+    rig = Rig()
+    rig.sync(FIRST)
+    assert rig.place(FIRST, round(-0.4 * PERIOD)) is not None
+    for number in range(FIRST + 1, FIRST + 1 + since):
+        rig.sync(number)
+        sample = rig.place(number)
+    assert sample is not None
+    assert (sample.sequence, sample.certain) == (FIRST + since, certain)
+    assert not rig.stamped.question.open
+    assert rig.stamped.health.stamp_error_ns_max <= PERIOD // 2
