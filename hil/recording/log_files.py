@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from drivers.timebase import Duration
 from hil.configuration.network_file import NETWORK_FILE, network_text
 from hil.recording.append_file import AppendFile
-from hil.recording.candump import candump_lines, direction_lines
 from hil.recording.faults_file import FaultEntries
+from hil.recording.frame_files import FrameFiles
 from hil.recording.run_metadata import run_metadata
 from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
 from hil.recording.telemetry import Telemetry
@@ -26,7 +26,7 @@ from hil.rows.frame_order import FrameOrder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
 from hil.rows.records_file import RecordsWriter
-from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE, RECORDS_FILE, RERUN_FILE
+from hil.rows.run_files import EVENTS_FILE, FRAMES_FILE, LOAD_FILE, RECORDS_FILE, RERUN_FILE
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import (
     FRAME_DTYPE,
@@ -143,7 +143,7 @@ class RecordsKeeper(Keeper):
 
 
 class FramesKeeper(Keeper):
-    """frames.log, and beside it the direction of each frame.
+    """frames.log, and what stands beside it of each frame.
 
     In simulated time the stamps count from the first cycle, so the frames before it wait until that is known.
     """
@@ -155,9 +155,7 @@ class FramesKeeper(Keeper):
     ) -> None:
         """``zero``: the first cycle, if it is known; not ``fresh``: the files go on behind what they have."""
         self._plan = plan
-        self._frames = AppendFile(folder / FRAMES_FILE, fresh=fresh)
-        self._directions = AppendFile(folder / DIRECTIONS_FILE, fresh=fresh)
-        self._written = 0
+        self._files = FrameFiles(plan, folder, fresh=fresh)
         self._tail = Tail(folder / FRAMES_TAIL_FILE, FRAME_DTYPE) if fresh else None
         self._order = FrameOrder(1 + len(plan.segments))
         self._zero = zero or RunZero(plan.started_at)
@@ -167,7 +165,7 @@ class FramesKeeper(Keeper):
         self._zero.look(events)
         ready = np.concatenate((self._early, self._order.take(frames)))
         if self._tail is not None:
-            self._tail.restart(self._written, np.concatenate((ready, self._order.held)))
+            self._tail.restart(self._files.written, np.concatenate((ready, self._order.held)))
         if self._plan.wall_offset is None and not self._zero.told:
             self._early = ready
         else:
@@ -179,21 +177,15 @@ class FramesKeeper(Keeper):
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
         self.write_rest()
-        self._frames.close()
-        self._directions.close()
+        self._files.close()
         if self._tail is not None:
             self._tail.remove()
         if self._order.late:
             raise OSError(f"{self._order.late} frames came too late to be put in their place of time")
 
     def _write(self, frames: NDArray[np.void]) -> None:
-        plan = self._plan
         self._early = frames[:0]
-        # Its direction first: no frame is there without one, wherever the two are cut off.
-        self._directions.write(direction_lines(frames))
-        interface = plan.bus.rpartition(":")[2]
-        self._frames.write(candump_lines(frames, interface, plan.stamp_offset(self._zero.at), plan.segments))
-        self._written += frames.size
+        self._files.write(frames, self._zero.at)
 
 
 class EventsKeeper(Keeper):

@@ -35,6 +35,7 @@ from hil.rows.run_files import (
     DIRECTIONS_FILE,
     EVENTS_FILE,
     FRAMES_FILE,
+    INDEX_FILE,
     LOAD_FILE,
     RECORDS_FILE,
     SEAL_FILE,
@@ -53,7 +54,9 @@ _DRAIN_PERIOD_S = 0.1
 _FLUSH_PERIOD_NS = NS_PER_S
 _BUSY_ROWS = 2_000
 """A drain that finds more than this is followed by the next one at once: simulated time is fast."""
-_GROWING = (BENCH_FILE, RECORDS_FILE, EVENTS_FILE, DIRECTIONS_FILE, FRAMES_FILE, FAULTS_FILE, LOAD_FILE)
+_GROWING = (
+    BENCH_FILE, RECORDS_FILE, EVENTS_FILE, DIRECTIONS_FILE, FRAMES_FILE, INDEX_FILE, FAULTS_FILE, LOAD_FILE,
+)  # fmt: skip
 """Files that are sealed while they grow; the others are written at the end."""
 _WRITER_DIED = RunOutcome(completed=False, reason="the process of the loop died")
 

@@ -21,6 +21,8 @@ DIRECTIONS_FILE = "frames.directions"
 """A line for each of frames.log: T was sent by the bench, R was received by it."""
 DIRECTION_BYTES = 2
 """Of such a line."""
+INDEX_FILE = "frames.index"
+"""Where in frames.log the lines stand on which others rest, see :mod:`hil.rows.frames_index`."""
 EVENTS_FILE = "events.jsonl"
 RECORDS_FILE = "records.arrow"
 """The rows of the cycles."""

@@ -14,6 +14,7 @@ that files are those that were recorded together; who makes all of them anew can
 
 import json
 import re
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from hashlib import blake2b
 from pathlib import Path
@@ -27,6 +28,7 @@ from hil.rows.run_files import (
     EVENTS_FILE,
     FORMAT,
     FRAMES_FILE,
+    INDEX_FILE,
     LOAD_FILE,
     RECORDS_FILE,
     RERUN_FILE,
@@ -42,8 +44,8 @@ SEALED: Final = "sealed"
 NOT_CHECKED: Final = "unsealed: asked for by --unsealed"
 READ: Final = frozenset(
     {
-        BENCH_FILE, RECORDS_FILE, EVENTS_FILE, FRAMES_FILE, DIRECTIONS_FILE, FAULTS_FILE, LOAD_FILE,
-        RERUN_FILE, SUMMARY_FILE,
+        BENCH_FILE, RECORDS_FILE, EVENTS_FILE, FRAMES_FILE, DIRECTIONS_FILE, INDEX_FILE, FAULTS_FILE,
+        LOAD_FILE, RERUN_FILE, SUMMARY_FILE,
     }
 )  # fmt: skip
 """What is read of a recording: none of them is there without a piece of the seal."""
@@ -51,6 +53,8 @@ ENDED: Final = "ended"
 RECOVERED: Final = "recovered"
 _DIGEST_BYTES: Final = 16
 _BLOCK_BYTES: Final = 1 << 20
+_SMALL_BYTES: Final = 1 << 22
+"""Of a file that costs nothing to check: 5 ms."""
 _LINE: Final = re.compile(r'(\{.*), "chain": "([0-9a-f]{32})"\}\n')
 _SHOWN: Final = "--unsealed shows what can be read of it"
 
@@ -130,9 +134,14 @@ def seal_of(folder: Path, *, unsealed: bool) -> str:
 
     Empty for a folder that holds no recording of a run. Raises BadInput.
     """
-    if not any((folder / name).exists() for name in (BENCH_FILE, RECORDS_FILE, SEAL_FILE)):
+    if not is_recording(folder):
         return ""
     return NOT_CHECKED if unsealed else check_seal(folder)
+
+
+def is_recording(folder: Path) -> bool:
+    """Whether the folder holds the recording of a run, so that it has to have a seal."""
+    return any((folder / name).exists() for name in (BENCH_FILE, RECORDS_FILE, SEAL_FILE))
 
 
 def check_seal(folder: Path) -> str:
@@ -140,46 +149,96 @@ def check_seal(folder: Path) -> str:
 
     Raises BadInput, naming file and place, for what is not as it was recorded.
     """
-    if not (folder / SEAL_FILE).is_file():
-        from hil.rows.records_file import read_metadata  # pyarrow, which no loop needs
-
-        records = folder / RECORDS_FILE  # who reads it refuses a later format
-        if records.is_file() and read_metadata(records).get("format") != FORMAT:
-            return OLDER
-        raise BadInput(str(folder), "", f"no file {SEAL_FILE}", "a recording with its seal", _SHOWN)
-    pieces: dict[str, list[Piece]] = {}
-    ended, seal, rows = False, SEALED, 0
-    for piece, _ in read_seal(folder):
-        ended = piece == ENDED
-        if isinstance(piece, Piece):
-            pieces.setdefault(piece.file, []).append(piece)
-            rows = piece.rows or rows
-        elif piece == RECOVERED:
-            seal = f"{SEALED} up to row {rows} of {RECORDS_FILE}; the rest was found by hil recover"
-    if not ended:
-        remedy = f"hil recover ends it; {_SHOWN}"
-        raise BadInput(str(folder / SEAL_FILE), "", "no last line", "the end of the recording", remedy)
-    for name in sorted(READ - pieces.keys()):
-        if (folder / name).exists():
-            raise BadInput(str(folder / name), "", "a file", "none: the recording had none", _SHOWN)
-    for name, parts in pieces.items():
-        _check_file(folder / name, parts)
-    return seal
+    sealed = SealedFiles(folder)
+    sealed.check_all()
+    return sealed.told
 
 
-def _check_file(path: Path, pieces: list[Piece]) -> None:
-    if not path.is_file():
-        raise BadInput(str(path), "", "no file", "one as it was recorded", _SHOWN)
-    with path.open("rb") as file:
-        rows = 0
-        for piece in pieces:
-            if (now := digest_of(file, piece.begin, piece.end)) != piece.digest:
-                counted = piece.rows is not None and piece.rows > rows
-                place = (
-                    f"rows {rows + 1} to {piece.rows}" if counted else f"bytes {piece.begin} to {piece.end}"
-                )
-                raise BadInput(str(path), place, f"BLAKE2b {now}", f"{piece.digest}, as recorded", _SHOWN)
-            rows = piece.rows or rows
-        if more := file.seek(0, 2) - pieces[-1].end:
-            expected = f"its end at byte {pieces[-1].end}"
-            raise BadInput(str(path), "", f"{more} bytes more", expected, _SHOWN)
+class SealedFiles:
+    """The files of a recording, held against its seal piece by piece: all, or what is read of them.
+
+    Every method raises BadInput, naming file and place, for what is not as it was recorded.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Check the seal itself, and that each file is there."""
+        self._folder = folder
+        self._pieces: dict[str, list[Piece]] = {}
+        self._checked: set[Piece] = set()
+        self.told = SEALED
+        """Or up to where, or :data:`OLDER`, which has nothing that could be held against it."""
+        if not (folder / SEAL_FILE).is_file():
+            from hil.rows.records_file import read_metadata  # pyarrow, which no loop needs
+
+            records = folder / RECORDS_FILE  # who reads it refuses a later format
+            if records.is_file() and read_metadata(records).get("format") != FORMAT:
+                self.told = OLDER
+                return
+            raise BadInput(str(folder), "", f"no file {SEAL_FILE}", "a recording with its seal", _SHOWN)
+        ended, rows = False, 0
+        for piece, _ in read_seal(folder):
+            ended = piece == ENDED
+            if isinstance(piece, Piece):
+                self._pieces.setdefault(piece.file, []).append(piece)
+                rows = piece.rows or rows
+            elif piece == RECOVERED:
+                self.told = f"{SEALED} up to row {rows} of {RECORDS_FILE}; the rest was found by hil recover"
+        if not ended:
+            remedy = f"hil recover ends it; {_SHOWN}"
+            raise BadInput(str(folder / SEAL_FILE), "", "no last line", "the end of the recording", remedy)
+        for name in sorted(READ - self._pieces.keys()):
+            if (folder / name).exists():
+                raise BadInput(str(folder / name), "", "a file", "none: the recording had none", _SHOWN)
+        for name in self._pieces:
+            if not (folder / name).is_file():
+                raise BadInput(str(folder / name), "", "no file", "one as it was recorded", _SHOWN)
+
+    def check_all(self) -> None:
+        """Each file to its end."""
+        for name, pieces in self._pieces.items():
+            self._check(name, pieces)
+            self._check_length(name)
+
+    def check_small(self) -> None:
+        """The small files; of each longer one its length, as the rest of it is checked where it is read."""
+        for name, pieces in self._pieces.items():
+            if pieces[-1].end <= _SMALL_BYTES:
+                self.check(name)
+            self._check_length(name)
+
+    def check_ends(self, name: str) -> None:
+        """The first piece of a file and the last, in which an Arrow file says what it is."""
+        if pieces := self._pieces.get(name):
+            self.check(name, 0, 1)
+            self.check(name, pieces[-1].begin)
+
+    def check(self, name: str, begin: int = 0, end: int | None = None) -> None:
+        """The pieces of a file in which bytes ``begin`` to ``end`` lie; to its end if ``end`` is None."""
+        pieces = self._pieces.get(name, [])
+        first = bisect_right(pieces, begin, key=lambda piece: piece.end)
+        last = len(pieces) if end is None else bisect_left(pieces, end, key=lambda piece: piece.begin)
+        fresh = [piece for piece in pieces[first:last] if piece not in self._checked]
+        if fresh:
+            self._check(name, fresh, pieces[first - 1].rows if first else 0)
+            self._checked.update(fresh)
+
+    def _check(self, name: str, pieces: list[Piece], rows: int | None = 0) -> None:
+        rows = rows or 0
+        with (self._folder / name).open("rb") as file:
+            for piece in pieces:
+                if (now := digest_of(file, piece.begin, piece.end)) != piece.digest:
+                    counted = piece.rows is not None and piece.rows > rows
+                    place = (
+                        f"rows {rows + 1} to {piece.rows}"
+                        if counted
+                        else f"bytes {piece.begin} to {piece.end}"
+                    )
+                    path, expected = str(self._folder / name), f"{piece.digest}, as recorded"
+                    raise BadInput(path, place, f"BLAKE2b {now}", expected, _SHOWN)
+                rows = piece.rows or rows
+
+    def _check_length(self, name: str) -> None:
+        path, end = self._folder / name, self._pieces[name][-1].end
+        if more := path.stat().st_size - end:
+            told = f"{abs(more)} bytes {'more' if more > 0 else 'less'}"
+            raise BadInput(str(path), "", told, f"its end at byte {end}", _SHOWN)

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from itertools import chain
 from pathlib import Path
@@ -18,6 +18,8 @@ from hil.terminal.supervision import is_read
 
 if TYPE_CHECKING:
     from hil.reviewing.trace.known_nodes import SheetFile
+    from hil.reviewing.trace.log_frame import LogFrame
+    from hil.reviewing.trace.run_trace import RecordedBus
     from hil.reviewing.trace.trace_entry import TraceEntry, TraceSelection
 
 
@@ -63,29 +65,22 @@ def trace(
     elif source is None or bus is not None:
         raise BadInput("hil trace", "", str(bus or ""), "a RUN or LOG, or --live --bus SPEC")
     else:
-        if source.is_dir():
-            from hil.rows.seal import seal_of
-
-            note_seal(source, seal_of(source, unsealed=unsealed))
-        _read(source, differences, sheets, selection, as_json)
+        _read(source, differences, sheets, selection, unsealed, as_json)
 
 
 def _read(
-    source: Path, differences: bool, sheets: "list[SheetFile]", selection: "TraceSelection", as_json: bool
-) -> None:
+    source: Path, differences: bool, sheets: "list[SheetFile]", selection: "TraceSelection",
+    unsealed: bool, as_json: bool,
+) -> None:  # fmt: skip
     from hil.reviewing.trace.bus_log import KINDS, BusLog
     from hil.reviewing.trace.decoder import decode
     from hil.reviewing.trace.known_nodes import KnownNodes
     from hil.reviewing.trace.log_window import EVER_NS
-    from hil.reviewing.trace.run_trace import RecordedBus
 
-    window = None
+    end_ns = EVER_NS
     if source.is_dir():
-        run = RecordedBus(source)
-        known, zero_ns = run.known(sheets), run.zero_ns
-        window = None if zero_ns is None else selection.window(zero_ns)
-        frames = iter(run) if window is None else run.of_window(window)
-        log = run.log
+        run, frames, end_ns = _recorded(source, selection, unsealed)
+        log, zero_ns, known = run.log, run.zero_ns, run.known(sheets)
         for note in run.notes:
             say(f"hil: note: {note}")
     else:
@@ -93,12 +88,34 @@ def _read(
         known, frames, zero_ns = KnownNodes(sheets), iter(log), None
     if (first := next(frames, None)) is not None:
         zero_ns = first.at_ns if zero_ns is None else zero_ns
-        entries = decode(chain((first,), frames), known, EVER_NS if window is None else window.end_ns)
+        entries = decode(chain((first,), frames), known, end_ns)
         _print(selection, entries, zero_ns or 0, as_json)
     elif not source.is_dir():
         raise BadInput(str(source), "", log.first_malformed or log.damage or "no frame", KINDS)
     for note in log.notes():
         say(f"hil: note: {source}: {note}")
+
+
+def _recorded(
+    folder: Path, selection: "TraceSelection", unsealed: bool
+) -> "tuple[RecordedBus, Iterator[LogFrame], int]":
+    """The bus of a recording, the frames that are asked for, and when the last of them comes."""
+    from hil.reviewing.trace.log_window import EVER_NS
+    from hil.reviewing.trace.run_trace import RecordedBus
+    from hil.rows.run_files import RECORDS_FILE
+    from hil.rows.seal import SealedFiles, is_recording
+
+    sealed = None if unsealed or not is_recording(folder) else SealedFiles(folder)
+    if sealed is not None:
+        note_seal(folder, sealed.told)
+        sealed.check_small()
+        sealed.check_ends(RECORDS_FILE)
+    run = RecordedBus(folder)
+    if run.zero_ns is not None and (window := selection.window(run.zero_ns)) is not None:
+        return run, run.of_window(window, sealed), window.end_ns
+    if sealed is not None:
+        sealed.check_all()
+    return run, iter(run), EVER_NS
 
 
 def _follow(

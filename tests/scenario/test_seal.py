@@ -64,7 +64,8 @@ def names(run: Path) -> list[str]:
 def test_each_byte_of_each_file_counts(run: Path, tmp_path: Path) -> None:
     copy, draw = copied(run, tmp_path), random.Random(36)
     recorded = {"records.arrow", "events.jsonl", "frames.log", "frames.directions", "run.rrd", "summary.json"}
-    assert {"bench.toml", "faults.jsonl", "network.toml", "seal", *recorded} == set(names(run))
+    recorded |= {"bench.toml", "faults.jsonl", "frames.index", "network.toml", "seal"}
+    assert recorded == set(names(run))
     for name in names(run):
         whole = (copy / name).read_bytes()
         at, bit = draw.randrange(len(whole)), 1 << draw.randrange(8)
@@ -108,6 +109,31 @@ def test_who_reads_a_recording_without_a_seal_says_so(run: Path, tmp_path: Path,
     with pytest.warns(UserWarning, match=told_as):
         assert hil.Run(load_bench(copy / "bench.toml"), copy).summary.cycles
     assert told_as not in read(name, run)[1]
+
+
+def test_a_window_of_a_trace_asks_the_seal_for_what_it_reads(tmp_path: Path) -> None:
+    """Of a longer recording the rest is not read, and so not held against it; of each file the length is."""
+    run = tmp_path / "run"
+    done = hil.run(BENCH, {"bench.duration_s": 25.0, "load": {}}, record=run)
+    log = (run / "frames.log").read_bytes()
+    assert done.summary.cycles == 25_000
+    assert len(log) > 1 << 22, "a smaller one is held against it as a whole"
+
+    def window(begin_s: float) -> tuple[int, str]:
+        ended = CliRunner().invoke(
+            app, ["trace", str(run), "--from", f"{begin_s}", "--to", f"{begin_s + 0.003}"]
+        )
+        return ended.exit_code, ended.output
+
+    places = {begin_s: log.index(b"(%d." % (10**9 + begin_s)) for begin_s in (1, 10, 19)}
+    for begin_s, place in places.items():
+        (run / "frames.log").write_bytes(log[: place + 40] + bytes([log[place + 40] ^ 1]) + log[place + 41 :])
+        status, told = window(begin_s)
+        assert (status, "frames.log: bytes " in told) == (2, True), told
+    (run / "frames.log").write_bytes(log)
+    assert [window(begin_s)[0] for begin_s in places] == [0, 0, 0]
+    (run / "frames.log").write_bytes(log + b"\n")
+    assert "frames.log: found '1 bytes more'" in window(10)[1]
 
 
 def test_a_file_that_the_run_had_not_is_told(run: Path, tmp_path: Path) -> None:

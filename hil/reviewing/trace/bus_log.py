@@ -25,7 +25,7 @@ from hil.reviewing.trace.capture_file import (
     capture_packets,
 )
 from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.log_window import LogWindow, lines_of_window
+from hil.reviewing.trace.log_window import Hold, LogWindow, lines_of_window
 from hil.reviewing.trace.other_logs import SUFFIXES, BrokenLog, kind_of, other_frames
 
 STDIN: Final = Path("-")
@@ -41,13 +41,22 @@ _SHOWN_MAX: Final = 60
 class BusLog:
     """The frames of a log, and what in it was none."""
 
-    def __init__(self, path: Path, differences: bool = False, *, window: LogWindow | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        differences: bool = False,
+        *,
+        window: LogWindow | None = None,
+        hold: Hold = lambda _file, _begin, _end: None,
+    ) -> None:
         """``differences``: each stamp counts from the frame before (candump -t d).
 
-        ``window``: of a log in order of time only the frames in there, and what they rest on, are read.
+        ``window``: of a log in order of time only the frames in there, and what they rest on, are read;
+        ``hold``: told of its bytes before they are.
         """
         self._path = path
         self._window = window
+        self._hold = hold
         self._differences = differences
         self.frames = 0
         """Read so far."""
@@ -103,14 +112,18 @@ class BusLog:
             if kind_of(self._path):
                 yield from other_frames(self._path)
                 return
-            lines = _lines(file) if self._window is None else lines_of_window(self._path, self._window)
-            for number, line in lines:
+            for number, line in self._lines(file):
                 if (frame := self._listed(number, line)) is not None:
                     yield frame
         except (BrokenCapture, BrokenLog) as error:
             self.damage = str(error)
         except (EOFError, OSError, zlib.error) as error:
             self.damage = str(error) or type(error).__name__
+
+    def _lines(self, file: io.BufferedReader) -> Iterator[tuple[int, bytes]]:
+        if self._window is None:
+            return _lines(file)
+        return lines_of_window(self._path, self._window, self._hold)
 
     def _captured(self, file: io.BufferedReader) -> Iterator[LogFrame]:
         for packet in capture_packets(cast(BinaryIO, file)):

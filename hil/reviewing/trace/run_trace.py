@@ -16,7 +16,7 @@ from hil.configuration.bench_file import load_bench
 from hil.reviewing.trace.bus_log import BusLog
 from hil.reviewing.trace.known_nodes import KnownNodes, NodeKey, SheetFile
 from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.log_window import LogWindow
+from hil.reviewing.trace.log_window import Hold, LogWindow
 from hil.rows.records_file import read_metadata, refuse_later_format
 from hil.rows.run_files import (
     BENCH_FILE,
@@ -24,8 +24,10 @@ from hil.rows.run_files import (
     DIRECTIONS_FILE,
     FIRST_CYCLE_EPOCH,
     FRAMES_FILE,
+    INDEX_FILE,
     RECORDS_FILE,
 )
+from hil.rows.seal import SealedFiles
 from hil.rows.side_rows import FRAME_DTYPE, frame_row
 
 _CHUNK: Final = 1 << 16
@@ -55,12 +57,19 @@ class RecordedBus:
         """Each frame with T or R."""
         return self._told(self.log)
 
-    def of_window(self, window: LogWindow) -> Iterator[LogFrame]:
-        """The same of the frames in a window, as frames.log counts, and of those that say what they mean."""
-        self.log = BusLog(self._folder / FRAMES_FILE, window=window)
-        return self._told(self.log)
+    def of_window(self, window: LogWindow, sealed: SealedFiles | None = None) -> Iterator[LogFrame]:
+        """The same of the frames in a window, as frames.log counts, and of those that say what they mean.
 
-    def _told(self, log: BusLog) -> Iterator[LogFrame]:
+        ``sealed``: what is read is held against the seal first, which raises BadInput.
+        """
+        if sealed is None:
+            self.log = BusLog(self._folder / FRAMES_FILE, window=window)
+            return self._told(self.log)
+        sealed.check(INDEX_FILE)
+        self.log = BusLog(self._folder / FRAMES_FILE, window=window, hold=sealed.check)
+        return self._told(self.log, sealed.check)
+
+    def _told(self, log: BusLog, hold: Hold = lambda _file, _begin, _end: None) -> Iterator[LogFrame]:
         path = self._folder / DIRECTIONS_FILE
         if not path.exists() or not path.stat().st_size:
             yield from log
@@ -68,6 +77,7 @@ class RecordedBus:
         with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as letters:
             for frame in log:
                 place = (frame.number - 1) * DIRECTION_BYTES
+                hold(DIRECTIONS_FILE, place, place + 1)
                 yield frame._replace(sent=letters[place : place + 1].decode("latin-1"))
 
     def arrays(self, segments: Sequence[str]) -> Iterator[NDArray[np.void]]:

@@ -72,7 +72,7 @@ def test_the_folder_holds_the_run(run: tuple[Path, Summary]) -> None:
     folder, summary = run
     found = {path.name for path in folder.iterdir()}
     expected = {"run.rrd", "frames.log", "records.arrow", "bench.toml", "summary.json", "events.jsonl"}
-    assert found == expected | {"frames.directions", "logger.log", "seal"}
+    assert found == expected | {"frames.directions", "frames.index", "logger.log", "seal"}
     assert (folder / "logger.log").read_text() == ""
     assert (folder / "bench.toml").read_text() == "# resolved\n"
     assert from_plain(Summary, json.loads((folder / "summary.json").read_text())) == summary

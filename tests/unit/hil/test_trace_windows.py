@@ -7,14 +7,23 @@ by anything, node guarding, mappings changed in between, two segments, frames of
 import json
 import random
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from drivers.timebase import Duration, Instant
+from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from hil.cli import app
-from hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE
+from hil.recording.frame_files import FrameFiles
+from hil.reviewing.trace.bus_log import BusLog
+from hil.rows.frames_index import INDEX_DTYPE, read_index
+from hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE, INDEX_FILE
+from hil.rows.side_rows import FRAME_DTYPE, frame_row
+from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_run_trace import recorded
 
 FRAMES: Final = 600
@@ -89,10 +98,37 @@ def drawn_log(folder: Path, seed: int) -> None:
     (folder / DIRECTIONS_FILE).write_text("".join(f"{dice.choice('TR')}\n" for _ in lines))
 
 
+def written_by_a_recorder(folder: Path, seed: int) -> None:
+    """The same log as the files of a run's frames, in blocks; of every second one the index was cut off."""
+    dice, frames = random.Random(seed), list(BusLog(folder / FRAMES_FILE))
+    channels = list(dict.fromkeys(frame.channel for frame in frames))
+    directions = (folder / DIRECTIONS_FILE).read_text()[::2]
+    plan = replace(plan_for(folder), bus=f"simulated:{channels[0]}", segments=tuple(channels[1:]))
+    files, rows = FrameFiles(replace(plan, wall_offset=Duration(0)), folder), list[bytes]()
+    for frame, way in zip(frames, directions, strict=True):
+        flags = EXTENDED_FLAG if frame.extended else EXTENDED_FLAG | ERROR_FLAG if frame.error else 0
+        flags |= REMOTE_FLAG if frame.remote else 0
+        sent = channels.index(frame.channel) << 1 | (way == "T")
+        rows.append(frame_row(Instant(frame.at_ns or 0), frame.can_id | flags, sent, frame.data))
+    while rows:
+        count = dice.randrange(1, 60)
+        files.write(np.frombuffer(b"".join(rows[:count]), FRAME_DTYPE), Instant(0))
+        del rows[:count]
+    files.close()
+    assert list(BusLog(folder / FRAMES_FILE)) == frames
+    index = (folder / INDEX_FILE).read_bytes()
+    assert len(read_index(folder, (folder / FRAMES_FILE).stat().st_size)) * INDEX_DTYPE.itemsize == len(index)
+    if seed % 2:
+        (folder / INDEX_FILE).write_bytes(index[: dice.randrange(len(index))])
+
+
+@pytest.mark.parametrize("indexed", [False, True])
 @pytest.mark.parametrize("seed", range(15))
-def test_a_window_has_the_lines_of_the_whole(tmp_path: Path, seed: int) -> None:
+def test_a_window_has_the_lines_of_the_whole(tmp_path: Path, seed: int, indexed: bool) -> None:
     recorded(tmp_path, format="4", first_cycle_epoch_ns="100000000000")
     drawn_log(tmp_path, seed)
+    if indexed:
+        written_by_a_recorder(tmp_path, seed)
     whole, dice = hil_trace(str(tmp_path)), random.Random(-seed)
     times = [entry["at_s"] for entry in whole]
     for _ in range(4):
