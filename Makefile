@@ -168,7 +168,7 @@ truth: $(TOOLS) compile
 	@$(BIN)/python -m tests.truth --seconds $(SECONDS)
 
 swarm: $(TOOLS) compile
-	@$(BIN)/python -m hil.cli campaign tests/swarm/swarm.toml --seconds $(SECONDS) \
+	@$(BIN)/python -m servobench.hil.cli campaign tests/swarm/swarm.toml --seconds $(SECONDS) \
 	  --resume --out $(or $(OUT),$$(mktemp -d))
 	@$(BIN)/python -m tests.swarm --seconds $(SECONDS)
 	@$(BIN)/python -m tests.mutants --seconds $(SECONDS)

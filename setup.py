@@ -25,10 +25,12 @@ from setuptools.errors import BaseError, CCompilerError
 ROOT = Path(__file__).resolve().parent
 sys.path.insert(0, str(ROOT))  # pip imports this file from elsewhere
 
-from design.core import build as core  # noqa: E402
-from drivers.compiled import MANIFEST, PURE, ROOMS, SUFFIX, digest_of, look  # noqa: E402
+from servobench.design.core import build as core  # noqa: E402
+from servobench.drivers.compiled import MANIFEST, PACKAGE, PURE, ROOMS, SUFFIX, digest_of, look  # noqa: E402
 
 REQUIRED = bool(os.environ.get("SERVOBENCH_COMPILE"))
+ROOMS_BELOW = ROOT / PACKAGE
+"""The rooms: links to the folders beside this file, or in an sdist the folders themselves."""
 MYPY = ["--cache-dir=/dev/null", "--follow-imports=silent"]
 """No cache: mypyc 2.4.1 fails at attributes of classes that it takes from one. Silent: a module that is not
 compiled may use a package that the build under pip has not."""
@@ -102,10 +104,10 @@ def remove_compiled(keep: Iterable[str] = ()) -> None:
 
     The manifest goes first: without it nothing of what is left is used.
     """
-    (ROOT / MANIFEST).unlink(missing_ok=True)
+    (ROOMS_BELOW / MANIFEST).unlink(missing_ok=True)
     kept = frozenset(keep)
     for room in ROOMS:
-        for path in (ROOT / room).rglob("*.so"):
+        for path in (ROOMS_BELOW / room).rglob("*.so"):
             if path.name != core.LIBRARY and path.relative_to(ROOT).as_posix() not in kept:
                 path.unlink()
 
@@ -113,15 +115,18 @@ def remove_compiled(keep: Iterable[str] = ()) -> None:
 def library_of(group: str) -> str:
     """The name that the library of a group is imported by."""
     room, _, _ = GROUPS[group][0].partition("/")
-    return f"{room}.compiled_{group}__mypyc"
+    return f"{PACKAGE}.{room}.compiled_{group}__mypyc"
 
 
 def extensions() -> list[Extension]:
     """For each group a library, and for each module a stub that takes it from there."""
     from mypyc.build import mypycify
 
-    paths = [path for group in GROUPS.values() for path in group]
-    separate = [(group, library_of(name).removesuffix("__mypyc")) for name, group in GROUPS.items()]
+    paths = [f"{PACKAGE}/{path}" for group in GROUPS.values() for path in group]
+    separate = [
+        ([f"{PACKAGE}/{path}" for path in group], library_of(name).removesuffix("__mypyc"))
+        for name, group in GROUPS.items()
+    ]
     with redirect_stdout(sys.stderr):  # its remarks belong to the log, like the compiler's
         made = mypycify([*MYPY, *paths], opt_level="3", debug_level="0", separate=separate)
     # A fused multiply-add, where the processor has it, would change the last bit of a result.
@@ -157,7 +162,7 @@ def manifest_of(made: Iterable[Extension]) -> dict[str, Any]:
         "suffix": SUFFIX,
         "groups": {
             group: {
-                "sources": {path: digest_of(ROOT / path) for path in paths},
+                "sources": {path: digest_of(ROOMS_BELOW / path) for path in paths},
                 "against": [
                     other
                     for other in GROUPS
@@ -176,7 +181,7 @@ class BuildGroups(build_ext):
         manifest = manifest_of(self.extensions)
         self.force = True  # what has not changed is found by its digest, not by the ages of files
         self.parallel = len(os.sched_getaffinity(0))
-        target = ROOT / MANIFEST if self.inplace else Path(self.build_lib, MANIFEST)
+        target = ROOMS_BELOW / MANIFEST if self.inplace else Path(self.build_lib, PACKAGE, MANIFEST)
         if self.inplace:
             manifest["built"] = self._leave_out_what_is_built()
         try:
@@ -192,7 +197,7 @@ class BuildGroups(build_ext):
     def _leave_out_what_is_built(self) -> dict[str, str]:
         """Extension -> digest, of all; those that lie beside their sources already are not compiled."""
         digests = {extension.name: digest_of_extension(extension) for extension in self.extensions}
-        manifest = ROOT / MANIFEST
+        manifest = ROOMS_BELOW / MANIFEST
         before = json.loads(manifest.read_text()).get("built", {}) if manifest.exists() else {}
         files = {name: name.replace(".", "/") + SUFFIX for name in digests}
         kept = [
@@ -212,9 +217,8 @@ class WithExamples(build_py):
     def run(self) -> None:
         super().run()
         unwanted = shutil.ignore_patterns("__pycache__", ".*")
-        shutil.copytree(
-            ROOT / "examples", Path(self.build_lib, "hil", "examples"), ignore=unwanted, dirs_exist_ok=True
-        )
+        target = Path(self.build_lib, PACKAGE, "hil", "examples")
+        shutil.copytree(ROOT / "examples", target, ignore=unwanted, dirs_exist_ok=True)
 
 
 class WithCore(Distribution):
@@ -231,7 +235,7 @@ class NoteLack(WithExamples):
 
     def run(self) -> None:
         super().run()
-        Path(self.build_lib, MANIFEST).write_text(json.dumps({"lack": self.lack}))
+        Path(self.build_lib, PACKAGE, MANIFEST).write_text(json.dumps({"lack": self.lack}))
 
 
 def compile_in_place() -> None:
@@ -240,7 +244,9 @@ def compile_in_place() -> None:
     if lack is not None:
         remove_compiled()
         print(f"Not compiled: {lack}. Everything works, interpreted and slower.")
-    elif (build := look(ROOT)).why or build.sources != {path for group in GROUPS.values() for path in group}:
+    elif (build := look(ROOMS_BELOW)).why or build.sources != {
+        path for group in GROUPS.values() for path in group
+    }:
         setup(ext_modules=extensions(), cmdclass={"build_ext": BuildGroups})
 
 

@@ -1,15 +1,15 @@
 """A motor's data sheet turned into dq parameters, each figure in its maker's own convention.
 
-Its figures are held against each other by :mod:`design.sheet_figures`, and a contradiction is told with the
-convention in which they would agree.
+Its figures are held against each other by :mod:`servobench.design.sheet_figures`, and a contradiction is told
+with the convention in which they would agree.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 
-from design.errors import DesignError
-from design.motor import PmsmParameters, Transform
-from design.sheet_figures import Contradiction, SheetFigures
+from servobench.design.errors import DesignError
+from servobench.design.motor import PmsmParameters, Transform
+from servobench.design.sheet_figures import Contradiction, SheetFigures
 
 COPPER_C = 235.0
 """R is proportional to this plus the winding's temperature in degrees C: copper, IEC 60034-1."""

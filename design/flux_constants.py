@@ -13,7 +13,7 @@ back-EMF:
 import math
 from collections.abc import Mapping
 
-from design.motor import RAD_S_PER_KRPM
+from servobench.design.motor import RAD_S_PER_KRPM
 
 AGREEING = 0.12
 """Share by which two figures of one sheet may differ. Makers allow their figures 10 %, and give torque per

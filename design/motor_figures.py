@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from design.motor import RAD_S_PER_KRPM, PmsmParameters, Transform
+from servobench.design.motor import RAD_S_PER_KRPM, PmsmParameters, Transform
 
 Array = NDArray[np.float64]
 

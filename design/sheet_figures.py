@@ -11,7 +11,14 @@ from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Final, NamedTuple
 
-from design.flux_constants import AGREEING, CONVENTIONS, agree_within, emf_constant, explained, figure
+from servobench.design.flux_constants import (
+    AGREEING,
+    CONVENTIONS,
+    agree_within,
+    emf_constant,
+    explained,
+    figure,
+)
 
 AGREEING_WELL = 0.05
 """Within which a ratio of two time constants is taken for a convention's: two figures' rounding."""

@@ -7,8 +7,8 @@ from dataclasses import replace
 from itertools import combinations
 from typing import Any, Final, NamedTuple
 
-from design.flux_constants import CONVENTIONS, kind_of
-from design.sheet_figures import FIELDS, SheetFigures
+from servobench.design.flux_constants import CONVENTIONS, kind_of
+from servobench.design.sheet_figures import FIELDS, SheetFigures
 
 
 class Misreading(NamedTuple):

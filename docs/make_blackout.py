@@ -13,8 +13,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from hil import run
-from hil.recorded.viewer import headless_viewer
+from servobench import run
+from servobench.hil.recorded.viewer import headless_viewer
 
 ROOT = Path(__file__).resolve().parents[1]
 BENCH = ROOT / "examples" / "blackout.toml"
@@ -47,7 +47,9 @@ def main() -> None:
         for each, changes in CONTROLLERS.items():
             run(BENCH, changes, record=folder / each, allow_uncertified=True)
         words = ["compare", *(str(folder / each) for each in CONTROLLERS), "--rrd", str(folder / "both.rrd")]
-        subprocess.run([sys.executable, "-m", "hil.cli", *words], stdout=subprocess.DEVNULL, check=True)
+        subprocess.run(
+            [sys.executable, "-m", "servobench.hil.cli", *words], stdout=subprocess.DEVNULL, check=True
+        )
         frames = []
         with headless_viewer() as viewer:
             viewer.show(folder / "both.rrd")

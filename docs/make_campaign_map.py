@@ -14,8 +14,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from hil.campaign import Campaign
-from hil.campaign.figures import PEAK
+from servobench import Campaign
+from servobench.hil.campaign.figures import PEAK
 
 
 def main() -> None:

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from drivers.canopen.write_list import ListedWrite
-from hil.write_lists import COMMANDS
+from servobench.drivers.canopen.write_list import ListedWrite
+from servobench.hil.write_lists import COMMANDS
 
 PAGE = Path(__file__).with_name("writes.md")
 _HEAD = """\

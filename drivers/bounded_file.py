@@ -16,8 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, NoReturn
 
-from drivers.errors import MISSING, BadInput
-from drivers.printable import printable
+from servobench.drivers.errors import MISSING, BadInput
+from servobench.drivers.printable import printable
 
 SIZE_MAX_BYTES = 1_000_000
 """Far beyond any bench file; the parser takes less than a second for as much."""

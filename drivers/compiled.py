@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = "servobench"
 ROOMS = ("design", "drivers", "virtual_bus", "hil")
 MANIFEST = "drivers/compiled.json"
 """Below the root; written when a build is complete: ``suffix`` of its files, and for each group ``sources``
@@ -87,15 +88,15 @@ def _compare(root: Path, groups: dict[str, dict[str, Any]]) -> Build:
 
 
 class SourcesOf:
-    """A finder that takes modules of the rooms from their sources, unless their compiled form is fresh."""
+    """A finder that takes modules of ours from their sources, unless their compiled form is fresh."""
 
     def __init__(self, build: Build) -> None:
-        self._compiled = frozenset(file.removesuffix(".py").replace("/", ".") for file in build.sources)
+        files = (file.removesuffix(".py").replace("/", ".") for file in build.sources)
+        self._compiled = frozenset(f"{PACKAGE}.{file}" for file in files)
 
     def find_spec(self, name: str, path: Sequence[str] | None, _target: Any = None) -> ModuleSpec | None:
         """As importlib asks for it; None leaves the module to the next finder."""
-        room, _, _ = name.partition(".")
-        if room not in ROOMS or path is None or name in self._compiled:
+        if not name.startswith(f"{PACKAGE}.") or path is None or name in self._compiled:
             return None
         source = Path(path[0], f"{name.rpartition('.')[2]}.py")
         return spec_from_file_location(name, source) if source.exists() else None

@@ -9,8 +9,8 @@ A failure carries its evidence, and its message says what to do next.
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.printable import printable
-from drivers.timebase import Instant
+from servobench.drivers.printable import printable
+from servobench.drivers.timebase import Instant
 
 PART_SHOWN_MAX = 400
 """Characters of each part of a message: a file may hold keys and names as long as itself."""

@@ -6,8 +6,8 @@ from typing import Final
 
 from mypy_extensions import mypyc_attr
 
-from drivers.record import Record
-from drivers.timebase import Instant
+from servobench.drivers.record import Record
+from servobench.drivers.timebase import Instant
 
 
 class Reading(Record):

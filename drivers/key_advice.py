@@ -4,8 +4,8 @@ import difflib
 from collections.abc import Collection, Iterable
 from typing import Any
 
-from drivers.errors import BadInput
-from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
+from servobench.drivers.errors import BadInput
+from servobench.drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
 
 _UNITS_OF: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},

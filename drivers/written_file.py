@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from drivers.errors import BadInput, BenchError
+from servobench.drivers.errors import BadInput, BenchError
 
 _DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _NOT_THE_PLACE: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)

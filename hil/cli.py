@@ -3,8 +3,8 @@
 What a command needs is imported inside it, so that ``hil --help`` answers at once.
 """
 
-from hil.terminal.options import JsonOption, SeedOption, bus_option, flag, valued
-from hil.terminal.start_conditions import refuse_to_begin
+from servobench.hil.terminal.options import JsonOption, SeedOption, bus_option, flag, valued
+from servobench.hil.terminal.start_conditions import refuse_to_begin
 
 refuse_to_begin()  # before the first import from a package that a folder of the user's could hide
 
@@ -21,43 +21,43 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from drivers.compiled import notice, use_fresh
-from drivers.errors import BadInput
-from hil.machine.parent_process import messages, tell_parent
-from hil.terminal import analyse_speed, design_speed
-from hil.terminal.adapter import adapter
-from hil.terminal.campaign import campaign
-from hil.terminal.commands import add_commands, as_command
-from hil.terminal.commission import commission, rehearse, restore
-from hil.terminal.compare import compare
-from hil.terminal.design_current import current
-from hil.terminal.design_hinf import hinf
-from hil.terminal.design_pid import pid
-from hil.terminal.eds import eds
-from hil.terminal.exit_status import reported_errors
-from hil.terminal.export import export
-from hil.terminal.fault import fault
-from hil.terminal.init import init
-from hil.terminal.measure import measure
-from hil.terminal.motor import motor
-from hil.terminal.output import say
-from hil.terminal.picture import picture
-from hil.terminal.recover import recover
-from hil.terminal.reproduce import azaiz2007, ling2012
-from hil.terminal.review import review
-from hil.terminal.run_object import RunCommand, RunObject, read_back
-from hil.terminal.runs import runs
-from hil.terminal.scan import scan
-from hil.terminal.simulate import simulate
-from hil.terminal.stop import stop
-from hil.terminal.supervision import is_supervised, supervised, unsupervised
-from hil.terminal.trace import trace
-from hil.terminal.view import missing_display, view
+from servobench.drivers.compiled import notice, use_fresh
+from servobench.drivers.errors import BadInput
+from servobench.hil.machine.parent_process import messages, tell_parent
+from servobench.hil.terminal import analyse_speed, design_speed
+from servobench.hil.terminal.adapter import adapter
+from servobench.hil.terminal.campaign import campaign
+from servobench.hil.terminal.commands import add_commands, as_command
+from servobench.hil.terminal.commission import commission, rehearse, restore
+from servobench.hil.terminal.compare import compare
+from servobench.hil.terminal.design_current import current
+from servobench.hil.terminal.design_hinf import hinf
+from servobench.hil.terminal.design_pid import pid
+from servobench.hil.terminal.eds import eds
+from servobench.hil.terminal.exit_status import reported_errors
+from servobench.hil.terminal.export import export
+from servobench.hil.terminal.fault import fault
+from servobench.hil.terminal.init import init
+from servobench.hil.terminal.measure import measure
+from servobench.hil.terminal.motor import motor
+from servobench.hil.terminal.output import say
+from servobench.hil.terminal.picture import picture
+from servobench.hil.terminal.recover import recover
+from servobench.hil.terminal.reproduce import azaiz2007, ling2012
+from servobench.hil.terminal.review import review
+from servobench.hil.terminal.run_object import RunCommand, RunObject, read_back
+from servobench.hil.terminal.runs import runs
+from servobench.hil.terminal.scan import scan
+from servobench.hil.terminal.simulate import simulate
+from servobench.hil.terminal.stop import stop
+from servobench.hil.terminal.supervision import is_supervised, supervised, unsupervised
+from servobench.hil.terminal.trace import trace
+from servobench.hil.terminal.view import missing_display, view
 
 if TYPE_CHECKING:
-    from hil.configuration.config import BenchConfig
-    from hil.recording.run_recorder import RunRecorder
-    from hil.rows.recording_plan import RecordingPlan
+    from servobench.hil.configuration.config import BenchConfig
+    from servobench.hil.recording.run_recorder import RunRecorder
+    from servobench.hil.rows.recording_plan import RecordingPlan
 
 app = typer.Typer(
     name="hil",
@@ -164,15 +164,15 @@ def run(asked: RunOptions) -> None:
             say("hil: note: --view: no display here; the recording is kept, see hil view")
         config = _bench_to_run(asked)
 
-        from hil.configuration.quantities import odd_values
-        from hil.execution.network_guard import Certificates
+        from servobench.hil.configuration.quantities import odd_values
+        from servobench.hil.execution.network_guard import Certificates
 
         doubts = Certificates(config.as_run(asked.bus or config.bus.spec, asked.seed)).doubts()
         for note in (*odd_values(config), *doubts):
             say(f"hil: note: {note}")
 
-        from hil.execution.bench import run_bench
-        from hil.machine.progress import TerminalProgress
+        from servobench.hil.execution.bench import run_bench
+        from servobench.hil.machine.progress import TerminalProgress
 
         nodes = [drive.node for drive in config.drive.values()]
         tell_parent(bus=asked.bus or config.bus.spec, bitrate=config.bus.bitrate_bit_s, nodes=nodes)
@@ -199,14 +199,14 @@ def run(asked: RunOptions) -> None:
         summary = read_back(summary)
         run_object.print(summary)
         if not asked.as_json:
-            from hil.terminal.report import print_run
+            from servobench.hil.terminal.report import print_run
 
             print_run(config, summary, bus_spec=asked.bus)
         raise typer.Exit(summary.verdict.exit_status)
 
 
 def _recorder(plan: "RecordingPlan") -> "RunRecorder":
-    from hil.recording.recorder import Recorder, recorder_of
+    from servobench.hil.recording.recorder import Recorder, recorder_of
 
     recorder = recorder_of(plan)
     if plan.folder is not None and isinstance(recorder, Recorder):
@@ -216,8 +216,8 @@ def _recorder(plan: "RecordingPlan") -> "RunRecorder":
 
 def _bench_to_run(asked: RunOptions) -> "BenchConfig":
     """The bench file with what the command line puts in place of its parts."""
-    from drivers.bounded_file import NamedBy
-    from hil.configuration.bench_file import load_bench, load_faults, with_controllers
+    from servobench.drivers.bounded_file import NamedBy
+    from servobench.hil.configuration.bench_file import load_bench, load_faults, with_controllers
 
     config = with_controllers(load_bench(asked.bench), asked.controller or ())
     if asked.replay_faults is None:
@@ -228,7 +228,7 @@ def _bench_to_run(asked: RunOptions) -> "BenchConfig":
 
 def doctor(as_json: JsonOption = False) -> None:
     """Say what this machine can do, and the exact command that mends each lack."""
-    from hil.machine.doctor import print_checks, run_checks
+    from servobench.hil.machine.doctor import print_checks, run_checks
 
     checks = run_checks()
     if as_json:

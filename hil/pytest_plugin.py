@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 import pytest
 
 if TYPE_CHECKING:
-    from hil.testing.bench_runs import BenchRunner
-    from hil.testing.campaign_runs import CampaignRunner
-    from hil.testing.drive_rig import DriveRig
-    from hil.testing.hosted import DriveHost, DriveProcess
+    from servobench.hil.testing.bench_runs import BenchRunner
+    from servobench.hil.testing.campaign_runs import CampaignRunner
+    from servobench.hil.testing.drive_rig import DriveRig
+    from servobench.hil.testing.hosted import DriveHost, DriveProcess
 
 BUS_OPTION = "--servo-bus"
 DRIVES_OPTION = "--servo-drives"
@@ -34,7 +34,7 @@ class MakeDrive(Protocol):
     """The fixture ``servo_drive``."""
 
     def __call__(self, **wish: Any) -> "DriveRig":
-        """A drive; ``wish``: fields of :class:`hil.testing.hosted.DriveWish`."""
+        """A drive; ``wish``: fields of :class:`servobench.hil.testing.hosted.DriveWish`."""
         ...
 
 
@@ -42,7 +42,7 @@ class StartDrive(Protocol):
     """The fixture ``servo_process``."""
 
     def __call__(self, *nodes: int, **wish: Any) -> "DriveProcess":
-        """Drives in one process; ``wish``: fields of :class:`hil.testing.hosted.DriveWish`."""
+        """Drives in one process; ``wish``: fields of :class:`servobench.hil.testing.hosted.DriveWish`."""
         ...
 
 
@@ -94,8 +94,8 @@ def _bus_spec(name: str) -> str:
 
 def _down(spec: str) -> str | None:
     """Of a SocketCAN interface that is not up, that it is not, and the command that mends it."""
-    from drivers.errors import BusDown
-    from drivers.wire.adapters import SOCKETCAN, link_up_command, socketcan_links
+    from servobench.drivers.errors import BusDown
+    from servobench.drivers.wire.adapters import SOCKETCAN, link_up_command, socketcan_links
 
     interface, _, channel = spec.partition(":")
     if interface != SOCKETCAN or any(each.spec == spec and each.usable for each in socketcan_links()):
@@ -111,12 +111,8 @@ def _uses_present(config: pytest.Config) -> bool:
 def servo_bus(request: pytest.FixtureRequest) -> str:
     """SPEC of the bus that the test is on; a SocketCAN interface that is not up skips the test.
 
-    It fails the test if the bus was asked for on the command line, or a folder hides a package of servobench.
+    It fails the test if the bus was asked for on the command line.
     """
-    from hil.terminal.hidden_rooms import hidden_room
-
-    if (trouble := hidden_room()) is not None:
-        pytest.fail(trouble, pytrace=False)
     named = request.config.getoption(BUS_OPTION)
     if _uses_present(request.config):
         if getattr(request, "param", None) is not None:
@@ -136,7 +132,7 @@ def servo_host(
     servo_bus: str, tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
 ) -> Iterator["DriveHost"]:
     """The drive processes of the test; they end with it."""
-    from hil.testing.hosted import DriveHost
+    from servobench.hil.testing.hosted import DriveHost
 
     host = DriveHost(servo_bus, tmp_path_factory.mktemp("servo"), _uses_present(request.config))
     try:
@@ -163,7 +159,7 @@ def servo_process(servo_bus: str, servo_host: "DriveHost") -> StartDrive:
         pytest.skip(f"it makes drives of its own, and {DRIVES_OPTION} is {PRESENT}")
 
     def start(*nodes: int, **wish: Any) -> "DriveProcess":
-        from hil.testing.hosted import DriveWish
+        from servobench.hil.testing.hosted import DriveWish
 
         wished = DriveWish(**wish)
         return servo_host.start(nodes or (wished.node,), wished)
@@ -177,8 +173,8 @@ def servo_drive(servo_bus: str, servo_host: "DriveHost") -> Iterator[MakeDrive]:
 
     ``rig = servo_drive(node=1, motor="motor.toml", eds="vendor.eds", faults={"loss": [...]}, seed=1)``
     """
-    from hil.testing.drive_rig import drive_rig
-    from hil.testing.hosted import DriveWish
+    from servobench.hil.testing.drive_rig import drive_rig
+    from servobench.hil.testing.hosted import DriveWish
 
     def make(**wish: Any) -> "DriveRig":
         for name in ONLY_SIMULATED:
@@ -216,7 +212,7 @@ def servo_bench(
 
     Where the runs are recorded is a property of the test in a JUnit report.
     """
-    from hil.testing.bench_runs import BenchRunner
+    from servobench.hil.testing.bench_runs import BenchRunner
 
     recordings = _recordings(request, tmp_path_factory)
     yield BenchRunner(servo_bus, servo_host, recordings, Path(request.path).parent)
@@ -229,6 +225,6 @@ def servo_campaign(
     tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
 ) -> "CampaignRunner":
     """Run a sweep in simulated time: ``servo_campaign("sweep.toml").assert_pass_rate(at_least=0.99)``."""
-    from hil.testing.campaign_runs import CampaignRunner
+    from servobench.hil.testing.campaign_runs import CampaignRunner
 
     return CampaignRunner(tmp_path_factory.mktemp("campaign"), Path(request.path).parent)

@@ -1,18 +1,18 @@
 """The objects that each command may write to a drive by SDO: what is not on its list is refused unsent.
 
 ``docs/writes.md`` shows them; ``python docs/make_writes.py`` renews it. The reason for each object stands
-beside it, here and in :mod:`drivers.cia402.written_objects`.
+beside it, here and in :mod:`servobench.drivers.cia402.written_objects`.
 """
 
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from drivers.canopen.objects301 import Cia301
-from drivers.canopen.write_list import NOTHING, ListedWrite, WriteList
-from drivers.cia402.objects402 import Object
-from drivers.cia402.written_objects import CONTROL, MOTION, SET_UP, listed
-from virtual_bus.drive.load_object import (
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.write_list import NOTHING, ListedWrite, WriteList
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.written_objects import CONTROL, MOTION, SET_UP, listed
+from servobench.virtual_bus.drive.load_object import (
     LOAD_COURSE_SUB,
     LOAD_DELAY_SUB,
     LOAD_MACHINE,

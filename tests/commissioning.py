@@ -8,28 +8,28 @@ from typing import Any, cast
 
 import numpy as np
 
-from drivers.timebase import NS_PER_S, Duration, Instant
-from drivers.wire.adapters import parse_bus_spec
-from hil.commissioning.commission import commission
-from hil.commissioning.dialog import Dialog, EmergencyStop
-from hil.commissioning.outcome import StepOutcome
-from hil.commissioning.report import Commissioned
-from hil.commissioning.request import CommissionRequest, Nameplate
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
-from hil.commissioning.steps import all_steps
-from hil.configuration.bench_file import faults_from
-from hil.execution.world import WorldPlan, open_world
-from hil.write_lists import COMMISSION
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.commissioning.commission import commission
+from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
+from servobench.hil.commissioning.outcome import StepOutcome
+from servobench.hil.commissioning.report import Commissioned
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.configuration.bench_file import faults_from
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.hil.write_lists import COMMISSION
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.drive.data_sheet import only_modes
+from servobench.virtual_bus.drive.lacks import take_away
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.drive.unknown_drive import Truth, unknown_drive
+from servobench.virtual_bus.frame import Frame
 from tests.scenario.foreign_node import put_on_the_bus
 from tests.sdo_writes import SdoWrites
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.drive.data_sheet import only_modes
-from virtual_bus.drive.lacks import take_away
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.drive.unknown_drive import Truth, unknown_drive
-from virtual_bus.frame import Frame
 
 LOSS = {
     "loss": [

@@ -2,8 +2,8 @@
 
 from typing import Any, NamedTuple
 
-from drivers.timebase import Duration, Instant
-from virtual_bus.bus.judge import LOST, Direction, Judge
+from servobench.drivers.timebase import Duration, Instant
+from servobench.virtual_bus.bus.judge import LOST, Direction, Judge
 
 
 class FrameFate(NamedTuple):

@@ -10,16 +10,21 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from design.delay.speed_loop import peak_floor_rad_s, speed_model
-from design.motor import PmsmParameters
-from design.speed.conditioned import Conditioned
-from design.speed.predictor_design import PredictorRequest
-from design.speed.speed_design import least_gain
-from design.speed.speed_pid import first_order_current_loop, pid_by_rule
-from drivers.rotation import RAD_S_PER_RPM
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config import BenchConfig
-from hil.studies.speed.dynamic import PredictorResult, design_speed_hinf, design_speed_predictor, request_of
+from servobench.design.delay.speed_loop import peak_floor_rad_s, speed_model
+from servobench.design.motor import PmsmParameters
+from servobench.design.speed.conditioned import Conditioned
+from servobench.design.speed.predictor_design import PredictorRequest
+from servobench.design.speed.speed_design import least_gain
+from servobench.design.speed.speed_pid import first_order_current_loop, pid_by_rule
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.studies.speed.dynamic import (
+    PredictorResult,
+    design_speed_hinf,
+    design_speed_predictor,
+    request_of,
+)
 from tests.shaft_run import ShaftRun, run_watched
 
 PERIOD_S = 1e-3

@@ -1,8 +1,8 @@
 """A function at a port of a simulated segment."""
 
-from drivers.timebase import Instant
-from virtual_bus.bus.port import Listener, OnFrame
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.bus.port import Listener, OnFrame
+from servobench.virtual_bus.frame import Frame
 
 
 class Hearing(Listener):

@@ -2,7 +2,7 @@
 
 import math
 
-from design.motor import PmsmParameters, Transform
+from servobench.design.motor import PmsmParameters, Transform
 
 LING = PmsmParameters(
     name="[Ling2012] Table 1",

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from rerun.chunk import RrdReader
 
-from drivers.timebase import NS_PER_S
+from servobench.drivers.timebase import NS_PER_S
 
 TIMELINE: Final = "run_time"
 _LEFT_OUT: Final = {

@@ -1,8 +1,8 @@
 """The motor of the simulated drive without its firmware, for tests that drive it by voltages."""
 
-from design.motor import PmsmParameters
-from virtual_bus.core.native import InnerLoops
-from virtual_bus.drive.firmware import fill_machine
+from servobench.design.motor import PmsmParameters
+from servobench.virtual_bus.core.native import InnerLoops
+from servobench.virtual_bus.drive.firmware import fill_machine
 
 
 class Plant:

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from drivers.timebase import Instant
-from drivers.wire.frame_port import FramePort, WireFrame
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import FramePort, WireFrame
 
 
 def fetched(bus: Any, until: Instant) -> tuple[WireFrame, Instant] | None:

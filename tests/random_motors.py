@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from design.delay.speed_loop import speed_model
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.speed.speed_design import least_gain
-from design.speed.speed_robustness import noise_gain
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config import BenchConfig
-from hil.configuration.motor_file import LING2012
-from hil.execution.bench import run_bench
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import Rows
-from virtual_bus.drive.firmware import FirmwareParameters
+from servobench.design.delay.speed_loop import speed_model
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from servobench.design.speed.speed_design import least_gain
+from servobench.design.speed.speed_robustness import noise_gain
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import Rows
+from servobench.virtual_bus.drive.firmware import FirmwareParameters
 
 PERIOD_S = 0.001
 NETWORK = SampledNetwork(Strategy.ARRIVAL, PERIOD_S, 0, PERIOD_S, 0.0)

@@ -6,9 +6,9 @@ Source: CiA 301 7.2.4.3, the requests of the SDO protocols.
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.canopen.write_list import WriteList
-from drivers.timebase import Instant
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.write_list import WriteList
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.frame import Frame
 
 REQUESTS: Final = range(0x601, 0x680)
 OF_MAKERS: Final = range(0x2000, 0x6000)

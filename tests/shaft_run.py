@@ -9,16 +9,16 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_S, Instant
-from hil.configuration.config import BenchConfig
-from hil.execution import bench, world
-from hil.execution.bench import run_bench
-from hil.execution.world import World, WorldPlan
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import Rows
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.timeline import Timeline
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution import bench, world
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.execution.world import World, WorldPlan
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import Rows
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.timeline import Timeline
 
 Array = NDArray[np.float64]
 

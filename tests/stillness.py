@@ -10,7 +10,7 @@ import subprocess
 import sys
 from typing import Final
 
-from drivers.timebase import NS_PER_MS, MonotonicClock
+from servobench.drivers.timebase import NS_PER_MS, MonotonicClock
 
 EVERY_S: Final = 0.002
 EXCUSED_MS: Final = 10

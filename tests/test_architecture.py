@@ -8,9 +8,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 FLOORS = {
-    contract["containers"][0]: [set(layer.split(" | ")) for layer in contract["layers"]]
+    contract["containers"][0].rpartition(".")[2]: [set(layer.split(" | ")) for layer in contract["layers"]]
     for contract in tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
-    if "containers" in contract
+    if "exhaustive" in contract
 }
 
 

@@ -16,7 +16,7 @@ OTHER_MEANING = {
     "--node": "several nodes, or the node-ID for $NODEID of a data sheet",
     "--out": "a folder, or a measured network",
 }
-"""Options of hil.terminal.options whose name another command has for something else."""
+"""Options of servobench.hil.terminal.options whose name another command has for something else."""
 
 
 def product() -> dict[str, str]:

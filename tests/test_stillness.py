@@ -10,7 +10,7 @@ from textwrap import dedent
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from tests.conftest import LEFT_OUT_MAX
 from tests.stillness import EXCUSED_MS, STOOD_STILL_MS, Witness
 

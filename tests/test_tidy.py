@@ -113,7 +113,11 @@ def test_set_up_names_no_package_index() -> None:
         (tidy.too_long, "def f():\n" + "    x = 1\n" * 69, "def f():\n" + "    x = 1\n" * 68),
         (imports_time, "def f():\n    import time\n", "import timeit\n"),
         (imports_time, "from time import sleep\n", "from .time import sleep\n"),
-        (loop_imports, "from virtual_bus.bus.hub import HubBus\n", "from drivers.exchange import Reading\n"),
+        (
+            loop_imports,
+            "from servobench.virtual_bus.bus.hub import HubBus\n",
+            "from servobench.drivers.exchange import Reading\n",
+        ),
         (loop_imports, "import can.interfaces\n", "import canopen\n"),
         (
             tidy.broad_excepts,

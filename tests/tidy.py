@@ -39,7 +39,7 @@ def imports_of(source: str, forbidden: frozenset[str]) -> Iterator[str]:
         else:
             continue
         for name in names:
-            if name.partition(".")[0] in forbidden:
+            if name.removeprefix("servobench.").partition(".")[0] in forbidden:
                 yield f"line {node.lineno}: imports {name}"
 
 

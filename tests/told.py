@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import pytest
 
-from drivers.errors import BenchError
+from servobench.drivers.errors import BenchError
 
 ROOT: Final = Path(__file__).parents[1]
 ANEW: Final = "SERVOBENCH_TELL_ANEW"

@@ -1,5 +1,5 @@
 """The simulated world: bus, faults, devices, drives."""
 
-from drivers.compiled import use_fresh
+from servobench.drivers.compiled import use_fresh
 
 use_fresh()

@@ -5,8 +5,8 @@ import sys
 import sysconfig
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-"""The folder that holds the rooms."""
+ROOT = Path(str(sys.modules["servobench"].__file__)).resolve().parents[1]
+"""The folder that holds the package."""
 
 
 def python_command(module: str, *arguments: str) -> list[str]:
@@ -17,7 +17,7 @@ def python_command(module: str, *arguments: str) -> list[str]:
 def python_environment(**added: str) -> dict[str, str]:
     """This process's environment for :func:`python_command`, and ``added``.
 
-    The child finds the rooms where this process has found them: in a checkout that is not installed too. An
+    The child finds the package where this process has found them: in a checkout that is not installed too. An
     empty entry of PYTHONPATH means the current folder, and so does a colon too many.
     """
     here = os.getcwd()

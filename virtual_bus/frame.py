@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from drivers.timebase import Instant
-from drivers.wire.frame_port import WireFrame
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import WireFrame
 
 Frame = WireFrame
 """One class on both sides of the wire."""

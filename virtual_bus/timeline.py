@@ -9,10 +9,10 @@ on nothing but its input.
 from collections.abc import Callable, Sized
 from typing import Final
 
-from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
-from virtual_bus.core.native import Event as Event
-from virtual_bus.core.native import SimulatedClock as SimulatedClock
-from virtual_bus.core.native import Timeline as Timeline
+from servobench.drivers.timebase import NS_PER_MS, Clock, Duration, Instant
+from servobench.virtual_bus.core.native import Event as Event
+from servobench.virtual_bus.core.native import SimulatedClock as SimulatedClock
+from servobench.virtual_bus.core.native import Timeline as Timeline
 
 Callback = Callable[[Instant], object]
 

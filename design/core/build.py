@@ -110,7 +110,7 @@ def check_built(room: str, refused: Callable[[str, str], Exception]) -> None:
     checkout = bool(sources(room))
     remedy = "make core" if checkout else "install servobench again"
     try:
-        built = import_module(f"{room}.core.native").SOURCES_DIGEST
+        built = import_module(f"servobench.{room}.core.native").SOURCES_DIGEST
     except ImportError as error:
         raise refused(str(error), f"one that is built: {remedy}") from error
     if checkout and digest(room) != built:

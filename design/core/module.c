@@ -1,4 +1,4 @@
-/* The module design.core.native; native.pyi says what it holds. */
+/* The module servobench.design.core.native; native.pyi says what it holds. */
 #include <string.h>
 
 #include "arguments.h"

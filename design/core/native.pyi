@@ -1,7 +1,7 @@
 """What design computes in C; the sources beside this file say how."""
 
 SOURCES_DIGEST: str
-"""Of the C that the library was built from (design.core.build)."""
+"""Of the C that the library was built from (servobench.design.core.build)."""
 
 def random_runs(
     seed: int,

@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* The order of design.speed.monte_carlo. */
+/* The order of servobench.design.speed.monte_carlo. */
 enum { ON_ARRIVAL, BY_STAMP, BY_HISTORY };
 
 typedef struct Figures {

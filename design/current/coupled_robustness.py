@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from design.hinf.robustness import axis_real_mu
-from design.motor import PmsmParameters
-from design.statespace import Array, ComplexArray, StateSpace, append, balanced
+from servobench.design.hinf.robustness import axis_real_mu
+from servobench.design.motor import PmsmParameters
+from servobench.design.statespace import Array, ComplexArray, StateSpace, append, balanced
 
 NDBool = NDArray[np.bool_]
 

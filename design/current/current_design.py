@@ -4,15 +4,15 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from design.errors import InfeasibleDesign, NoSolution, SingularPlant
-from design.hinf.margins import Margins, margins
-from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
-from design.hinf.reduction import Method, hankel_singular_values, reduce
-from design.hinf.step_response import StepFigures, step_figures
-from design.hinf.synthesis import gamma_min, synthesise, verified_norm
-from design.hinf.weights import Weight, Weights, error_weight, slope_weight
-from design.motor import PmsmParameters
-from design.statespace import ComplexArray, StateSpace, Zpk, connect, series, zpk
+from servobench.design.errors import InfeasibleDesign, NoSolution, SingularPlant
+from servobench.design.hinf.margins import Margins, margins
+from servobench.design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
+from servobench.design.hinf.reduction import Method, hankel_singular_values, reduce
+from servobench.design.hinf.step_response import StepFigures, step_figures
+from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
+from servobench.design.hinf.weights import Weight, Weights, error_weight, slope_weight
+from servobench.design.motor import PmsmParameters
+from servobench.design.statespace import ComplexArray, StateSpace, Zpk, connect, series, zpk
 
 _PAPER_RESISTANCE_OHM = 0.6
 _PAPER_RATE = {"q": _PAPER_RESISTANCE_OHM / 2.8e-3, "d": _PAPER_RESISTANCE_OHM / 1.4e-3}

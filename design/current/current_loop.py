@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from design.errors import InfeasibleDesign
-from design.hinf.bilinear import from_bilinear, to_bilinear, tustin
-from design.hinf.margins import Margins, margins
-from design.hinf.mixed_sensitivity import mixed_sensitivity
-from design.hinf.plant import GeneralisedPlant
-from design.hinf.synthesis import gamma_min, synthesise, verified_norm
-from design.hinf.weights import Weights
-from design.statespace import StateSpace, balanced, connect, series, state_space
+from servobench.design.errors import InfeasibleDesign
+from servobench.design.hinf.bilinear import from_bilinear, to_bilinear, tustin
+from servobench.design.hinf.margins import Margins, margins
+from servobench.design.hinf.mixed_sensitivity import mixed_sensitivity
+from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
+from servobench.design.hinf.weights import Weights
+from servobench.design.statespace import StateSpace, balanced, connect, series, state_space
 
 RATE_MAX_HZ = 1_000_000.0
 """From where a search goes down: no drive samples its currents as fast. From 10 kHz or 1 GHz on it ends at

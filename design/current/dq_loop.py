@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from design.current.current_loop import lowest_rate
-from design.hinf.bilinear import tustin
-from design.motor import PmsmParameters
-from design.statespace import Array, StateSpace, append
+from servobench.design.current.current_loop import lowest_rate
+from servobench.design.hinf.bilinear import tustin
+from servobench.design.motor import PmsmParameters
+from servobench.design.statespace import Array, StateSpace, append
 
 _J = np.array([[0.0, -1.0], [1.0, 0.0]])
 

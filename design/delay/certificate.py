@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from design.delay.delay_lmi import gain_problem, ordinary_gain_problem, scaled, stability_problem
-from design.delay.delay_loop import Array, DelayLoop
-from design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s, rough_norm
-from design.delay.lmi import LmiProblem, rounding_of, smallest_eigenvalues, solve
-from design.delay.speed_loop import SpeedModel
-from design.errors import NoSolution
+from servobench.design.delay.delay_lmi import gain_problem, ordinary_gain_problem, scaled, stability_problem
+from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s, rough_norm
+from servobench.design.delay.lmi import LmiProblem, rounding_of, smallest_eigenvalues, solve
+from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.errors import NoSolution
 
 ORDER_MAX = 6
 """0.99 of the largest stable delay needs order 3 for CLOSE_ENOUGH, 0.999 order 4; above that the solver takes

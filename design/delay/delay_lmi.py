@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.delay.delay_loop import Array, DelayLoop
-from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns
+from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.lmi import LmiProblem, MatrixInequality, Unknowns
 
 STRICT = 1e-8
 """Margin I demanded of every inequality, in the scaled problem, so that the check has something to find."""

@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from design.delay.delay_loop import Array, DelayLoop, LoopFunction, QuasiPolynomial, loop_function
-from design.statespace import Peak
+from servobench.design.delay.delay_loop import Array, DelayLoop, LoopFunction, QuasiPolynomial, loop_function
+from servobench.design.statespace import Peak
 
 NORM_TOLERANCE = 1e-8
 """Relative: no frequency has a gain beyond the norm that is returned times one plus this."""

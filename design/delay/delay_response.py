@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.delay.delay_loop import Array, DelayLoop
-from design.delay.delay_norm import is_stable
+from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_norm import is_stable
 
 _POINTS = 8
 """Order 15: on a piece of the length below an error of 3e-11 of the peak, beside 1e-8 with six points."""

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from design.delay.delay_loop import Array
-from design.errors import NoSolution
+from servobench.design.delay.delay_loop import Array
+from servobench.design.errors import NoSolution
 
 SOLVER = "Clarabel"
 SOLVED = "Solved"

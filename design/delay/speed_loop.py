@@ -16,8 +16,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from design.delay.delay_loop import Array, DelayLoop
-from design.motor import PmsmParameters
+from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.motor import PmsmParameters
 
 RAD_S_PER_RPM = math.tau / 60.0
 

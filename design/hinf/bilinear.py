@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from design.statespace import StateSpace, balanced
+from servobench.design.statespace import StateSpace, balanced
 
 
 def tustin(system: StateSpace, rate_hz: float, exact_at_rad_s: float = 0.0) -> StateSpace:

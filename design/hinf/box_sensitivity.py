@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
-from design.hinf.weights import Weight
-from design.statespace import Array, ComplexArray, StateSpace, Zpk, zpk
+from servobench.design.hinf.weights import Weight
+from servobench.design.statespace import Array, ComplexArray, StateSpace, Zpk, zpk
 
 RELATIVE = 5e-4
 """How near the bound comes to what is reached."""

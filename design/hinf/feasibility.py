@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.hinf.plant import NormalPlant
-from design.hinf.riccati import LongArray, NoRiccatiSolution, RiccatiSolution, stabilising_solution
-from design.statespace import Array
+from servobench.design.hinf.plant import NormalPlant
+from servobench.design.hinf.riccati import LongArray, NoRiccatiSolution, RiccatiSolution, stabilising_solution
+from servobench.design.statespace import Array
 
 DIRECT_GAIN = "condition (a): the direct gain from w to z"
 COUPLING = "condition (b): the spectral radius of X Y"

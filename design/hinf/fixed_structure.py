@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 import scipy.optimize
 
-from design.errors import InfeasibleDesign
-from design.hinf.mixed_sensitivity import mixed_sensitivity
-from design.hinf.synthesis import closed_loop
-from design.hinf.system_norm import hinf_norm
-from design.hinf.weights import Weights
-from design.statespace import Array, ComplexArray, StateSpace, from_zpk
+from servobench.design.errors import InfeasibleDesign
+from servobench.design.hinf.mixed_sensitivity import mixed_sensitivity
+from servobench.design.hinf.synthesis import closed_loop
+from servobench.design.hinf.system_norm import hinf_norm
+from servobench.design.hinf.weights import Weights
+from servobench.design.statespace import Array, ComplexArray, StateSpace, from_zpk
 
 _BAD = 1e3
 """A norm beyond it is no optimum but a start that ran away: no controller could be made of it. Norms of

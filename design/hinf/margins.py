@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
-from design.statespace import Array, ComplexArray, StateSpace, zeros
+from servobench.design.statespace import Array, ComplexArray, StateSpace, zeros
 
 Response = Callable[[Array], ComplexArray]
 """(k,) frequencies, rad/s, to (k,) values of L."""

@@ -5,9 +5,9 @@
 
 import numpy as np
 
-from design.hinf.plant import GeneralisedPlant
-from design.hinf.weights import Weights
-from design.statespace import Array, StateSpace, append, connect, state_space
+from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.hinf.weights import Weights
+from servobench.design.statespace import Array, StateSpace, append, connect, state_space
 
 
 def axis_plant(resistance_ohm: float, inductance_h: float) -> StateSpace:

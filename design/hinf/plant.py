@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lapack
 
-from design.errors import SingularPlant
-from design.statespace import Array, ComplexArray, StateSpace, balanced
+from servobench.design.errors import SingularPlant
+from servobench.design.statespace import Array, ComplexArray, StateSpace, balanced
 
 _RANK = 1e-11
 """A singular value below this part of the largest one counts as zero."""

@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 import scipy.linalg
 
-from design.statespace import Array, StateSpace, Zpk, balanced, from_zpk, zpk
+from servobench.design.statespace import Array, StateSpace, Zpk, balanced, from_zpk, zpk
 
 
 class Method(Enum):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from design.statespace import Array, ComplexArray, balancing_scales
+from servobench.design.statespace import Array, ComplexArray, balancing_scales
 
 LongArray = NDArray[np.longdouble]
 

@@ -1,8 +1,9 @@
 """What is left when r_s, L_d and L_q lie within a box about their nominal values.
 
 Two questions, answered apart: does every motor of the box give a stable loop, and how large does the
-weighted sensitivity get. For one axis both have exact answers (:mod:`design.hinf.box_sensitivity`); the
-coupled axes are in :mod:`design.current.coupled_robustness`.
+weighted sensitivity get. For one axis both have exact answers
+(:mod:`servobench.design.hinf.box_sensitivity`); the coupled axes are in
+:mod:`servobench.design.current.coupled_robustness`.
 """
 
 import math
@@ -10,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.hinf.box_sensitivity import AxisBox, Worst, worst_over_box
-from design.hinf.margins import highest
-from design.hinf.mixed_sensitivity import axis_plant
-from design.hinf.weights import Weights
-from design.statespace import Array, StateSpace, connect, series
+from servobench.design.hinf.box_sensitivity import AxisBox, Worst, worst_over_box
+from servobench.design.hinf.margins import highest
+from servobench.design.hinf.mixed_sensitivity import axis_plant
+from servobench.design.hinf.weights import Weights
+from servobench.design.statespace import Array, StateSpace, connect, series
 
 
 @dataclass(frozen=True, slots=True)

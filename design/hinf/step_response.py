@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
-from design.statespace import Array, StateSpace, balanced
+from servobench.design.statespace import Array, StateSpace, balanced
 
 _POINTS = 20_001
 """For the overshoot: right to 0.1 % of the step with a damping ratio of 0.01, where 2001 leave 1 %. The times

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.errors import DesignError, InfeasibleDesign, NoSolution, SingularPlant
-from design.hinf.feasibility import (
+from servobench.design.errors import DesignError, InfeasibleDesign, NoSolution, SingularPlant
+from servobench.design.hinf.feasibility import (
     COUPLING,
     DIRECT_GAIN,
     Fails,
@@ -24,9 +24,9 @@ from design.hinf.feasibility import (
     inverse,
     problem_of,
 )
-from design.hinf.plant import GeneralisedPlant, NormalPlant, normal_form
-from design.hinf.system_norm import hinf_norm, norm_is_below
-from design.statespace import Array, ComplexArray, StateSpace, connect, lower_lft
+from servobench.design.hinf.plant import GeneralisedPlant, NormalPlant, normal_form
+from servobench.design.hinf.system_norm import hinf_norm, norm_is_below
+from servobench.design.statespace import Array, ComplexArray, StateSpace, connect, lower_lft
 
 GAMMA_MIN_RELATIVE = 1e-10
 """How far apart, relative, the last feasible and the last infeasible gamma of the search are."""

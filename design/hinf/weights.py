@@ -10,7 +10,7 @@ gain at low frequency, the gain at high frequency, and the frequency at which |w
 import math
 from dataclasses import dataclass
 
-from design.statespace import StateSpace, first_order
+from servobench.design.statespace import StateSpace, first_order
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 import scipy.integrate
 
-from design.current.current_design import (
+from servobench.design.current.current_design import (
     AxisDesign,
     axis_inductance_h,
     describe,
@@ -23,11 +23,11 @@ from design.current.current_design import (
     reduced_design,
     rule_weights,
 )
-from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
-from design.hinf.reduction import Method
-from design.hinf.synthesis import gamma_min
-from design.motor import PmsmParameters, Transform
-from design.statespace import Array, StateSpace, balanced, from_zpk
+from servobench.design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
+from servobench.design.hinf.reduction import Method
+from servobench.design.hinf.synthesis import gamma_min
+from servobench.design.motor import PmsmParameters, Transform
+from servobench.design.statespace import Array, StateSpace, balanced, from_zpk
 
 _Value = TypeVar("_Value", float, Array)
 

@@ -10,11 +10,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from design.delay.certificate import certified_delay_s, certified_gain
-from design.delay.delay_loop import Array, DelayLoop
-from design.delay.delay_norm import hinf_norm, largest_stable_delay_s
-from design.delay.delay_response import DelayResponse, respond, step_peak
-from design.delay.speed_loop import (
+from servobench.design.delay.certificate import certified_delay_s, certified_gain
+from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_norm import hinf_norm, largest_stable_delay_s
+from servobench.design.delay.delay_response import DelayResponse, respond, step_peak
+from servobench.design.delay.speed_loop import (
     RAD_S_PER_RPM,
     Feedback,
     SpeedModel,
@@ -23,15 +23,15 @@ from design.delay.speed_loop import (
     peak_floor_rad_s,
     speed_model,
 )
-from design.errors import DesignError
-from design.motor import PmsmParameters, Transform
-from design.papers.as_printed import theorem_3_3
-from design.sampled.admissible_steps import Delivery
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.sampled.loss_patterns import repeated
-from design.speed.cone_complementarity import largest_ccl_delay
-from design.speed.lmi_design import certified_delay_within, largest_certified_delay, starts_between
-from design.speed.speed_design import delay_within, largest_delay
+from servobench.design.errors import DesignError
+from servobench.design.motor import PmsmParameters, Transform
+from servobench.design.papers.as_printed import theorem_3_3
+from servobench.design.sampled.admissible_steps import Delivery
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from servobench.design.sampled.loss_patterns import repeated
+from servobench.design.speed.cone_complementarity import largest_ccl_delay
+from servobench.design.speed.lmi_design import certified_delay_within, largest_certified_delay, starts_between
+from servobench.design.speed.speed_design import delay_within, largest_delay
 
 _Found = TypeVar("_Found")
 

@@ -16,7 +16,7 @@ import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from design.sampled.held_loop import PeriodStep, SampledNetwork, Strategy, Switch, periods_of
+from servobench.design.sampled.held_loop import PeriodStep, SampledNetwork, Strategy, Switch, periods_of
 
 
 @dataclass(frozen=True, slots=True)

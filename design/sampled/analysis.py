@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from design.delay.delay_loop import Array
-from design.delay.speed_loop import SpeedModel
-from design.errors import NoSolution
-from design.sampled.admissible_steps import Delivery
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy, SwitchedLoop
-from design.sampled.loss_patterns import (
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.errors import NoSolution
+from servobench.design.sampled.admissible_steps import Delivery
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy, SwitchedLoop
+from servobench.design.sampled.loss_patterns import (
     Pattern,
     WorstGain,
     pattern_gains,
@@ -25,9 +25,9 @@ from design.sampled.loss_patterns import (
     slowest_pattern,
     worst_gain,
 )
-from design.sampled.peak_certificate import certify_peak
-from design.sampled.sequence_certificate import SequenceCertificate, certify_decay, certify_gain
-from design.sampled.worst_peak import worst_peak
+from servobench.design.sampled.peak_certificate import certify_peak
+from servobench.design.sampled.sequence_certificate import SequenceCertificate, certify_decay, certify_gain
+from servobench.design.sampled.worst_peak import worst_peak
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,22 +1,23 @@
 """For which bandwidths of the drive's current loop the certificates of a speed loop hold.
 
 From the bandwidth of the design the range grows slice by slice, downwards and upwards. Each slice has
-certificates of its own, for every bandwidth in it (of the sampled loop :mod:`design.sampled.step_maps`, of
-the one with a constant delay :mod:`design.delay.delay_norm`); a slice that would raise the certified gain too
-far, or cannot be certified, ends the range on its side.
+certificates of its own, for every bandwidth in it (of the sampled loop
+:mod:`servobench.design.sampled.step_maps`, of the one with a constant delay
+:mod:`servobench.design.delay.delay_norm`); a slice that would raise the certified gain too far, or cannot be
+certified, ends the range on its side.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from design.delay.delay_loop import Array
-from design.delay.delay_norm import norm_between
-from design.delay.speed_loop import SpeedModel
-from design.errors import NoSolution
-from design.sampled.held_loop import HeldLoop, SampledNetwork
-from design.sampled.loss_patterns import Pattern, pattern_gains, pattern_of
-from design.sampled.sequence_certificate import certify_decay, certify_gain
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.delay_norm import norm_between
+from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.errors import NoSolution
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork
+from servobench.design.sampled.loss_patterns import Pattern, pattern_gains, pattern_of
+from servobench.design.sampled.sequence_certificate import certify_decay, certify_gain
 
 _SLICE = 1.08
 """Upper over lower end of a slice."""

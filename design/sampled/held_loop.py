@@ -25,9 +25,9 @@ from enum import Enum
 import numpy as np
 from scipy.linalg import expm
 
-from design.delay.delay_loop import Array
-from design.delay.speed_loop import SpeedModel
-from design.errors import UnsuitableNetwork
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.errors import UnsuitableNetwork
 
 _WHOLE = 1e-9
 """Part of a period by which a delay may miss a multiple of it and still count as one."""
@@ -130,7 +130,8 @@ class Switch:
 
 @dataclass(frozen=True, slots=True)
 class PeriodStep:
-    """What the network does from one sample to the next; nodes: :mod:`design.sampled.admissible_steps`."""
+    """What the network does from one sample to the next; nodes:
+    :mod:`servobench.design.sampled.admissible_steps`."""
 
     source: int
     target: int

@@ -4,8 +4,8 @@ Over one period of the loop's pattern the disturbance and the output are functio
 one to the other and xi to xi. On each piece between two switchings all is analytic, so d and z are
 represented there by their values at Gauss-Legendre nodes, weighted so that sums of squares are
 integrals of squares, and the flow by the collocation method on the same nodes (order 2 x nodes).
-What remains is an ordinary discrete-time system; its norm (:mod:`design.hinf.system_norm`) is the sampled
-loop's gain, up to an error that falls geometrically with the number of nodes.
+What remains is an ordinary discrete-time system; its norm (:mod:`servobench.design.hinf.system_norm`) is the
+sampled loop's gain, up to an error that falls geometrically with the number of nodes.
 (Lifting: Chen and Francis, Optimal Sampled-Data Control Systems, 1995, ch. 10.)
 """
 
@@ -14,11 +14,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from design.delay.delay_loop import Array
-from design.delay.delay_response import integrals_to
-from design.hinf.system_norm import hinf_norm
-from design.sampled.held_loop import HeldInput, Jump, Operation
-from design.statespace import StateSpace
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.delay_response import integrals_to
+from servobench.design.hinf.system_norm import hinf_norm
+from servobench.design.sampled.held_loop import HeldInput, Jump, Operation
+from servobench.design.statespace import StateSpace
 
 NODES = 5
 """Three leave 3e-9 of the gain, four 1e-12, five rounding errors."""

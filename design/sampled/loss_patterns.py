@@ -1,8 +1,8 @@
 """Periodic patterns of a network, and the worst of them that a search finds.
 
-A pattern is a closed walk of :mod:`design.sampled.admissible_steps`, repeated for ever. Its decay is a
-spectral radius, its gain the largest at which the value map of its repetitions stays finite. The search puts
-patterns together from deliveries, each after as many losses as may be and at the ends of its delays:
+A pattern is a closed walk of :mod:`servobench.design.sampled.admissible_steps`, repeated for ever. Its decay
+is a spectral radius, its gain the largest at which the value map of its repetitions stays finite. The search
+puts patterns together from deliveries, each after as many losses as may be and at the ends of its delays:
 all short ones and all that alternate between two habits, a beam of longer ones, and then changes of
 single deliveries in the worst. What it finds is admissible: no certificate can be better.
 """
@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from design.delay.delay_loop import Array
-from design.sampled.admissible_steps import Delivery, Family, families, steps_of
-from design.sampled.held_loop import Operation, PeriodStep, SwitchedLoop, decay_of
-from design.sampled.pattern_chains import (
+from servobench.design.delay.delay_loop import Array
+from servobench.design.sampled.admissible_steps import Delivery, Family, families, steps_of
+from servobench.design.sampled.held_loop import Operation, PeriodStep, SwitchedLoop, decay_of
+from servobench.design.sampled.pattern_chains import (
     Chain,
     Entries,
     Letter,
@@ -31,8 +31,8 @@ from design.sampled.pattern_chains import (
     root_of,
     top_of,
 )
-from design.sampled.step_maps import step_maps
-from design.sampled.value_map import ValueMap, largest_product, nothing, stacked
+from servobench.design.sampled.step_maps import step_maps
+from servobench.design.sampled.value_map import ValueMap, largest_product, nothing, stacked
 
 _BEAM = 40
 """Partial patterns kept at each length of the search for the gain."""

@@ -14,9 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.delay.delay_loop import Array
-from design.delay.speed_loop import SpeedModel
-from design.sampled.held_loop import Jump, Operation, PeriodStep, SampledNetwork, Strategy, SwitchedLoop
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.sampled.held_loop import (
+    Jump,
+    Operation,
+    PeriodStep,
+    SampledNetwork,
+    Strategy,
+    SwitchedLoop,
+)
 
 Period = tuple[Operation, ...]
 

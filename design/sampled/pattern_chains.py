@@ -14,8 +14,8 @@ from typing import Any, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from design.delay.delay_loop import Array
-from design.sampled.held_loop import PeriodStep
+from servobench.design.delay.delay_loop import Array
+from servobench.design.sampled.held_loop import PeriodStep
 
 _OFTEN = (1, 2, 3, 4, 6, 8, 12)
 _SELDOM = (1, 2, 3)

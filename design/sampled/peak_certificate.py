@@ -24,12 +24,12 @@ import numpy as np
 from scipy.linalg import cholesky
 from scipy.optimize import nnls
 
-from design.delay.delay_loop import Array
-from design.delay.lmi import LmiProblem, MatrixInequality
-from design.sampled.admissible_steps import node_count
-from design.sampled.held_loop import HeldLoop
-from design.sampled.loss_patterns import Pattern
-from design.sampled.peak_steps import (
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.lmi import LmiProblem, MatrixInequality
+from servobench.design.sampled.admissible_steps import node_count
+from servobench.design.sampled.held_loop import HeldLoop
+from servobench.design.sampled.loss_patterns import Pattern
+from servobench.design.sampled.peak_steps import (
     LoadedSteps,
     between_instants,
     instants_for,
@@ -38,16 +38,16 @@ from design.sampled.peak_steps import (
     rest_under_load,
     start_curvature,
 )
-from design.sampled.sequence_certificate import ways_of
-from design.sampled.sequence_graph import Edge, edges_of
-from design.sampled.sequence_inequalities import (
+from servobench.design.sampled.sequence_certificate import ways_of
+from servobench.design.sampled.sequence_graph import Edge, edges_of
+from servobench.design.sampled.sequence_inequalities import (
     Inequalities,
     coordinates,
     corner_inequalities,
     exchanged,
     node_unknowns,
 )
-from design.sampled.step_maps import corners_of
+from servobench.design.sampled.step_maps import corners_of
 
 _UNITS_AT = 1.2
 """Times the largest gain: where the value functions are taken that give the units."""
@@ -93,7 +93,7 @@ def certify_peak(
 ) -> PeakBound | None:
     """The least bound that is found; None if no quadratic functions are.
 
-    ``patterns``, ``gain``: as for :func:`design.sampled.sequence_certificate.certify_decay`;
+    ``patterns``, ``gain``: as for :func:`servobench.design.sampled.sequence_certificate.certify_decay`;
     ``decay_per_s``: what it certified; ``found``: the largest error known, rad/s per N m.
     """
     L = coordinates(loop, patterns, _UNITS_AT * gain)
@@ -172,7 +172,8 @@ def _starts(loop: HeldLoop, parts: int) -> Array:
 def _loaded(
     loop: HeldLoop, L: Array, edges: Sequence[Edge], target: float, instants: int
 ) -> list[LoadedSteps]:
-    """The steps of each edge, their corners so dense as :func:`design.sampled.step_maps.corners_of` says."""
+    """The steps of each edge, their corners so dense as
+    :func:`servobench.design.sampled.step_maps.corners_of` says."""
     corners = {id(edge.corners): corners_of(loop, edge.corners.family, L, target) for edge in edges}
     return [
         loaded_steps(loop, edge.source, edge.target, corners[id(edge.corners)], instants) for edge in edges

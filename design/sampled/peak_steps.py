@@ -1,8 +1,8 @@
 """The steps of a sampled loop under a load of 1 N m: from sample to sample, and the error in between.
 
-A state is xi of :mod:`design.sampled.held_loop`, its step xi+ = M xi + m, and the error at an instant t of
-the period c xi + e. With the moments of switching between those of the corners
-(:mod:`design.sampled.step_maps`) both lie in the hull of what the corners make of them, but for
+A state is xi of :mod:`servobench.design.sampled.held_loop`, its step xi+ = M xi + m, and the error at an
+instant t of the period c xi + e. With the moments of switching between those of the corners
+(:mod:`servobench.design.sampled.step_maps`) both lie in the hull of what the corners make of them, but for
 
     |R_s| |Delta_s xi|   of each state,   Z_s |Delta_s xi|   of the error at any instant
 
@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from design.delay.delay_loop import Array
-from design.errors import NoSolution
-from design.sampled.held_loop import HeldLoop
-from design.sampled.step_maps import Corners
+from servobench.design.delay.delay_loop import Array
+from servobench.design.errors import NoSolution
+from servobench.design.sampled.held_loop import HeldLoop
+from servobench.design.sampled.step_maps import Corners
 
 _INSTANTS_MIN, _INSTANTS_MAX = 8, 400
 

@@ -1,8 +1,8 @@
 """Certificates of a sampled loop for every admissible sequence of losses and delays.
 
-The sequences are the walks of a graph (:mod:`design.sampled.admissible_steps`), each edge with the corners of
-all that it may mean and the bounds of what lies between (:mod:`design.sampled.step_maps`). Quadratic
-functions
+The sequences are the walks of a graph (:mod:`servobench.design.sampled.admissible_steps`), each edge with the
+corners of all that it may mean and the bounds of what lies between
+(:mod:`servobench.design.sampled.step_maps`). Quadratic functions
 xi' P_i xi, one for each node, with
 
     value of any stretch from i to j of P_j  <=  P_i         the gain is proved
@@ -23,14 +23,14 @@ from functools import partial
 
 import numpy as np
 
-from design.delay.delay_loop import Array
-from design.delay.lmi import LmiProblem, MatrixInequality
-from design.errors import NoSolution
-from design.sampled.admissible_steps import delivery_node_count, node_count
-from design.sampled.held_loop import SwitchedLoop
-from design.sampled.loss_patterns import Pattern
-from design.sampled.sequence_graph import Edge, between_deliveries, edges_of
-from design.sampled.sequence_inequalities import (
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.lmi import LmiProblem, MatrixInequality
+from servobench.design.errors import NoSolution
+from servobench.design.sampled.admissible_steps import delivery_node_count, node_count
+from servobench.design.sampled.held_loop import SwitchedLoop
+from servobench.design.sampled.loss_patterns import Pattern
+from servobench.design.sampled.sequence_graph import Edge, between_deliveries, edges_of
+from servobench.design.sampled.sequence_inequalities import (
     MARGIN,
     Inequalities,
     coordinates,

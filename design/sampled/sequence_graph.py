@@ -8,13 +8,14 @@ proves no less, with fewer unknowns.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from design.delay.delay_loop import Array
-from design.sampled.admissible_steps import families, node_count
-from design.sampled.held_loop import PeriodStep, SwitchedLoop
-from design.sampled.step_maps import Corners, corners_of
+from servobench.design.delay.delay_loop import Array
+from servobench.design.sampled.admissible_steps import families, node_count
+from servobench.design.sampled.held_loop import PeriodStep, SwitchedLoop
+from servobench.design.sampled.step_maps import Corners, corners_of
 
 _EPSILON = 2e-5
-"""epsilon of :mod:`design.sampled.step_maps`: what a certificate gives away, each period, between corners."""
+"""epsilon of :mod:`servobench.design.sampled.step_maps`: what a certificate gives away, each period, between
+corners."""
 _BEND = 0.7 * _EPSILON
 """Bound of a bend where P is of size 1; its square over epsilon is of the order of epsilon."""
 _EPSILON_OF_RATES = 5e-4
@@ -30,7 +31,8 @@ class Edge:
     corners: Corners
     loop: SwitchedLoop
     epsilon: float
-    """Of :mod:`design.sampled.step_maps`; nothing lies between the corners where no window is open."""
+    """Of :mod:`servobench.design.sampled.step_maps`; nothing lies between the corners where no window is
+    open."""
     before: tuple[PeriodStep, ...] = ()
     """Periods without a delivery, which come before that of the corners."""
 

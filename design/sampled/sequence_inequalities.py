@@ -2,7 +2,7 @@
 
 They are solved for a few of the corners of the edges, then all are looked at, and those that do not hold
 are added. What is given out has been put into all of them in numpy
-(:mod:`design.sampled.sequence_certificate`).
+(:mod:`servobench.design.sampled.sequence_certificate`).
 """
 
 import math
@@ -12,14 +12,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import cholesky
 
-from design.delay.delay_loop import Array
-from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, last_answer
-from design.sampled.admissible_steps import Delivery
-from design.sampled.held_loop import SwitchedLoop
-from design.sampled.loss_patterns import Pattern, repeated
-from design.sampled.sequence_graph import Edge
-from design.sampled.step_maps import step_maps, value_maps
-from design.sampled.value_map import ValueMap, nothing
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, last_answer
+from servobench.design.sampled.admissible_steps import Delivery
+from servobench.design.sampled.held_loop import SwitchedLoop
+from servobench.design.sampled.loss_patterns import Pattern, repeated
+from servobench.design.sampled.sequence_graph import Edge
+from servobench.design.sampled.step_maps import step_maps, value_maps
+from servobench.design.sampled.value_map import ValueMap, nothing
 
 MARGIN = 1e-9
 """Smallest eigenvalue that counts as proof."""

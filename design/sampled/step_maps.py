@@ -26,11 +26,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
-from design.delay.delay_loop import Array
-from design.errors import NoSolution
-from design.sampled.admissible_steps import Family, Window
-from design.sampled.held_loop import Flow, HeldLoop, Jump, Operation, PeriodStep, SwitchedLoop
-from design.sampled.value_map import ValueMap, flows, stacked
+from servobench.design.delay.delay_loop import Array
+from servobench.design.errors import NoSolution
+from servobench.design.sampled.admissible_steps import Family, Window
+from servobench.design.sampled.held_loop import Flow, HeldLoop, Jump, Operation, PeriodStep, SwitchedLoop
+from servobench.design.sampled.value_map import ValueMap, flows, stacked
 
 _SUBCELL_TURN = 0.2
 """Norm of |A| times the width of the part of a cell on which |F''| is bounded from its value at one end."""

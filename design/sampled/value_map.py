@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
-from design.delay.delay_loop import Array
-from design.statespace import balancing_scales
+from servobench.design.delay.delay_loop import Array
+from servobench.design.statespace import balancing_scales
 
 _PARTS = ("Phi", "W", "Q", "bounded")
 _TURN = 0.5

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from design.delay.delay_loop import Array
-from design.sampled.admissible_steps import families
-from design.sampled.held_loop import HeldLoop, PeriodStep
+from servobench.design.delay.delay_loop import Array
+from servobench.design.sampled.admissible_steps import families
+from servobench.design.sampled.held_loop import HeldLoop, PeriodStep
 
 _BEAM = 150
 """Sequences kept for each node and each of the two orders."""

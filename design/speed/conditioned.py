@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from design.delay.delay_loop import Array
-from design.statespace import StateSpace
+from servobench.design.delay.delay_loop import Array
+from servobench.design.statespace import StateSpace
 
 _MODES_APART = 1e8
 """Condition of the eigenvectors, beyond which the states stay as they are."""

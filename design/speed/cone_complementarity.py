@@ -21,14 +21,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.delay.certificate import certified_gain
-from design.delay.delay_lmi import STRICT
-from design.delay.delay_loop import Array
-from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, solve
-from design.delay.speed_loop import SpeedModel
-from design.errors import NoSolution
-from design.speed.lmi_design import certified_delay_within, certified_gain_or_inf
-from design.speed.speed_design import SpeedDesign
+from servobench.design.delay.certificate import certified_gain
+from servobench.design.delay.delay_lmi import STRICT
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, solve
+from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.errors import NoSolution
+from servobench.design.speed.lmi_design import certified_delay_within, certified_gain_or_inf
+from servobench.design.speed.speed_design import SpeedDesign
 
 ITERATIONS_MAX = 30
 """k_max of Step 4."""

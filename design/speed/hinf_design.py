@@ -30,19 +30,24 @@ from functools import cached_property
 import numpy as np
 import scipy.optimize
 
-from design.delay.delay_loop import Array
-from design.errors import DesignError
-from design.hinf.bilinear import from_bilinear, to_bilinear
-from design.hinf.plant import GeneralisedPlant
-from design.hinf.synthesis import gamma_min, synthesise, verified_norm
-from design.hinf.weights import crossing_weight
-from design.speed.conditioned import Conditioned, conditioned, truncated
-from design.speed.hinf_loop import HinfLoop
-from design.speed.loop_robustness import CHANGES, LoopRobustness, peaks_over_floor, stable_bandwidths
-from design.speed.plant_loop import SHAFT, later_s, split
-from design.speed.predictor_design import PHASES, WORST, PredictorRequest, peak_cost
-from design.speed.predictor_plant import FILTERED, LOAD
-from design.statespace import StateSpace, balanced, series, state_space
+from servobench.design.delay.delay_loop import Array
+from servobench.design.errors import DesignError
+from servobench.design.hinf.bilinear import from_bilinear, to_bilinear
+from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
+from servobench.design.hinf.weights import crossing_weight
+from servobench.design.speed.conditioned import Conditioned, conditioned, truncated
+from servobench.design.speed.hinf_loop import HinfLoop
+from servobench.design.speed.loop_robustness import (
+    CHANGES,
+    LoopRobustness,
+    peaks_over_floor,
+    stable_bandwidths,
+)
+from servobench.design.speed.plant_loop import SHAFT, later_s, split
+from servobench.design.speed.predictor_design import PHASES, WORST, PredictorRequest, peak_cost
+from servobench.design.speed.predictor_plant import FILTERED, LOAD
+from servobench.design.statespace import StateSpace, balanced, series, state_space
 
 _INERTIA_LEAST = 0.7
 """The least of the three for which the peak is made small."""

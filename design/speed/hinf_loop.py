@@ -11,13 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from design.delay.delay_loop import Array
-from design.hinf.margins import Margins
-from design.sampled.held_loop import Operation
-from design.speed.conditioned import Conditioned
-from design.speed.plant_loop import INPUT, PlantLoop, split
-from design.speed.predictor_plant import FILTERED, LOAD, SPEED, PredictorPlant
-from design.speed.predictor_trial import WITHIN
+from servobench.design.delay.delay_loop import Array
+from servobench.design.hinf.margins import Margins
+from servobench.design.sampled.held_loop import Operation
+from servobench.design.speed.conditioned import Conditioned
+from servobench.design.speed.plant_loop import INPUT, PlantLoop, split
+from servobench.design.speed.predictor_plant import FILTERED, LOAD, SPEED, PredictorPlant
+from servobench.design.speed.predictor_trial import WITHIN
 
 _BUFFER = INPUT + 1
 

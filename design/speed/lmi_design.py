@@ -18,14 +18,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from design.delay.certificate import certified_gain
-from design.delay.delay_lmi import gain_problem, scaled
-from design.delay.delay_loop import Array, DelayLoop
-from design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s
-from design.delay.lmi import solve
-from design.delay.speed_loop import Feedback, SpeedModel
-from design.errors import NoSolution
-from design.speed.speed_design import GainWalk, SpeedDesign, largest_delay, least_gain
+from servobench.design.delay.certificate import certified_gain
+from servobench.design.delay.delay_lmi import gain_problem, scaled
+from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s
+from servobench.design.delay.lmi import solve
+from servobench.design.delay.speed_loop import Feedback, SpeedModel
+from servobench.design.errors import NoSolution
+from servobench.design.speed.speed_design import GainWalk, SpeedDesign, largest_delay, least_gain
 
 _ROUNDS = 6
 """At most: from the paper's gains the first reaches the largest delay."""

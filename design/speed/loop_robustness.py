@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from design.hinf.margins import Margins
+from servobench.design.hinf.margins import Margins
 
 LOST: Final = 5
 """Samples in a row that a trial loses before the first that tells of the step."""

@@ -13,17 +13,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from design.delay.delay_loop import Array
-from design.sampled.analysis import SampledAnalysis, analyse_loop
-from design.sampled.held_loop import Jump, Operation
-from design.sampled.loss_patterns import Pattern
-from design.sampled.lossy_loop import LossyLoop, LossyPeriods, Period, with_entry
-from design.speed.hinf_design import HinfDesign
-from design.speed.hinf_loop import HinfLoop
-from design.speed.predictor_design import PredictorDesign, losses_gain
-from design.speed.predictor_gains import GainBoxes
-from design.speed.predictor_loop import PredictorLoop
-from design.speed.predictor_plant import FILTERED, of_state
+from servobench.design.delay.delay_loop import Array
+from servobench.design.sampled.analysis import SampledAnalysis, analyse_loop
+from servobench.design.sampled.held_loop import Jump, Operation
+from servobench.design.sampled.loss_patterns import Pattern
+from servobench.design.sampled.lossy_loop import LossyLoop, LossyPeriods, Period, with_entry
+from servobench.design.speed.hinf_design import HinfDesign
+from servobench.design.speed.hinf_loop import HinfLoop
+from servobench.design.speed.predictor_design import PredictorDesign, losses_gain
+from servobench.design.speed.predictor_gains import GainBoxes
+from servobench.design.speed.predictor_loop import PredictorLoop
+from servobench.design.speed.predictor_plant import FILTERED, of_state
 
 Attempt = Callable[[int], SampledAnalysis]
 

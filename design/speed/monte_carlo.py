@@ -16,13 +16,13 @@ from typing import Final
 import numpy as np
 from scipy.special import ndtri
 
-from design.confidence import CONFIDENCE, clopper_pearson
-from design.core.build import check_built
-from design.delay.delay_loop import Array
-from design.delay.speed_loop import current_rate_rad_s, speed_model
-from design.errors import CoreNotBuilt, UnsuitableNetwork
-from design.motor import PmsmParameters
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from servobench.design.confidence import CONFIDENCE, clopper_pearson
+from servobench.design.core.build import check_built
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.speed_loop import current_rate_rad_s, speed_model
+from servobench.design.errors import CoreNotBuilt, UnsuitableNetwork
+from servobench.design.motor import PmsmParameters
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 
 _DIVERGED = 1e3
 """A run whose error exceeds the free-running error of the load by this factor has diverged."""
@@ -45,7 +45,8 @@ class Chance:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure with the limits of its confidence interval of :data:`design.confidence.CONFIDENCE`."""
+    """A figure with the limits of its confidence interval of
+    :data:`servobench.design.confidence.CONFIDENCE`."""
 
     value: float
     low: float
@@ -81,11 +82,11 @@ def run_many(
 ) -> Array:
     """(runs,) largest |e| of each, rad/s, inf where it diverged; on all processors that the process may use.
 
-    ``current_bandwidth_hz``: as of :func:`design.delay.speed_loop.speed_model`; the uncertainties of R and L
-    make its.
+    ``current_bandwidth_hz``: as of :func:`servobench.design.delay.speed_loop.speed_model`; the uncertainties
+    of R and L make its.
     """
     check_built("design", CoreNotBuilt)
-    from design.core.native import random_runs
+    from servobench.design.core.native import random_runs
 
     if network.strategy is Strategy.ARRIVAL and network.delay_max_s > network.period_s * (1.0 + 1e-9):
         raise UnsuitableNetwork(

@@ -12,13 +12,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import scipy.linalg
 
-from design.delay.delay_loop import Array
-from design.delay.speed_loop import SpeedModel
-from design.hinf.margins import Margins, margins_of
-from design.sampled.held_loop import Flow, HeldInput, Jump, Operation
-from design.sampled.lifting import lifted_gain
-from design.speed.predictor_plant import FILTERED, LOAD, PredictorPlant
-from design.statespace import ComplexArray, StateSpace
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.speed_loop import SpeedModel
+from servobench.design.hinf.margins import Margins, margins_of
+from servobench.design.sampled.held_loop import Flow, HeldInput, Jump, Operation
+from servobench.design.sampled.lifting import lifted_gain
+from servobench.design.speed.predictor_plant import FILTERED, LOAD, PredictorPlant
+from servobench.design.statespace import ComplexArray, StateSpace
 
 SHAFT = 3
 """States of the plant: T, omega, w."""

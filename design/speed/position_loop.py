@@ -5,15 +5,16 @@
 in error coordinates: theta is the error of the position, v that of the speed; omega_s is the
 bandwidth of the drive's closed speed loop, of first order. Positions are sampled every h, and tau passes
 from a sample until its set-point acts; it need be no whole number of periods. In the form of
-:mod:`design.delay.speed_loop`, x = [v, theta], so :mod:`design.sampled` certifies it as it does a speed loop.
+:mod:`servobench.design.delay.speed_loop`, x = [v, theta], so :mod:`servobench.design.sampled` certifies it as
+it does a speed loop.
 """
 
 import math
 
 import numpy as np
 
-from design.delay.delay_loop import Array
-from design.delay.speed_loop import SpeedModel
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.speed_loop import SpeedModel
 
 SENSITIVITY_PEAK = 1.4
 """Of |S|, by which the gain is chosen: within it gain margins are at least 1.4 / 0.4 = 3.5 and phase margins

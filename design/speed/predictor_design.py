@@ -15,15 +15,26 @@ from functools import cache
 import numpy as np
 import scipy.optimize
 
-from design.delay.delay_loop import Array
-from design.delay.speed_loop import peak_floor_rad_s
-from design.errors import InfeasibleDesign
-from design.motor import PmsmParameters
-from design.sampled.held_loop import Operation
-from design.speed.loop_robustness import CHANGES, LoopRobustness, peaks_over_floor, stable_bandwidths
-from design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
-from design.speed.predictor_plant import KalmanModel, PredictorPlant, kalman_model, of_state, plant_of
-from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.speed_loop import peak_floor_rad_s
+from servobench.design.errors import InfeasibleDesign
+from servobench.design.motor import PmsmParameters
+from servobench.design.sampled.held_loop import Operation
+from servobench.design.speed.loop_robustness import (
+    CHANGES,
+    LoopRobustness,
+    peaks_over_floor,
+    stable_bandwidths,
+)
+from servobench.design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
+from servobench.design.speed.predictor_plant import (
+    KalmanModel,
+    PredictorPlant,
+    kalman_model,
+    of_state,
+    plant_of,
+)
+from servobench.design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
 
 _INERTIAS = (1.0, 0.7, 1.3)
 """The motor's own, and +-30 %: what the load on a shaft may add or lack."""

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.delay.delay_loop import Array
-from design.hinf.margins import Margins
-from design.sampled.held_loop import Jump, Operation
-from design.speed.plant_loop import INPUT, PlantLoop, later_s, split
-from design.speed.predictor_plant import FILTERED, STATES, PredictorPlant
-from design.statespace import StateSpace
+from servobench.design.delay.delay_loop import Array
+from servobench.design.hinf.margins import Margins
+from servobench.design.sampled.held_loop import Jump, Operation
+from servobench.design.speed.plant_loop import INPUT, PlantLoop, later_s, split
+from servobench.design.speed.predictor_plant import FILTERED, STATES, PredictorPlant
+from servobench.design.statespace import StateSpace
 
 _OBSERVER = INPUT + 1
 _BUFFER = _OBSERVER + STATES

@@ -14,8 +14,8 @@ from functools import cache
 import numpy as np
 import scipy  # loads scipy.linalg when it is used first: a third of a second that a run does without
 
-from design.delay.delay_loop import Array
-from design.motor import PmsmParameters
+from servobench.design.delay.delay_loop import Array
+from servobench.design.motor import PmsmParameters
 
 STATES = 4
 TORQUE, SPEED, FILTERED, LOAD = range(STATES)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.delay.delay_loop import Array
-from design.speed.plant_loop import split
-from design.speed.predictor_loop import Prediction
-from design.speed.predictor_plant import (
+from servobench.design.delay.delay_loop import Array
+from servobench.design.speed.plant_loop import split
+from servobench.design.speed.predictor_loop import Prediction
+from servobench.design.speed.predictor_plant import (
     FILTERED,
     LOAD,
     READ,

@@ -13,13 +13,19 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import minimize
 
-from design.delay.delay_loop import Array
-from design.delay.speed_loop import Feedback, SpeedModel
-from design.errors import NoSolution
-from design.sampled.analysis import regular_patterns
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.sampled.loss_patterns import Pattern, pattern_gains, pattern_of, slowest_pattern, worst_gain
-from design.speed.speed_design import SpeedDesign, least_gain
+from servobench.design.delay.delay_loop import Array
+from servobench.design.delay.speed_loop import Feedback, SpeedModel
+from servobench.design.errors import NoSolution
+from servobench.design.sampled.analysis import regular_patterns
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from servobench.design.sampled.loss_patterns import (
+    Pattern,
+    pattern_gains,
+    pattern_of,
+    slowest_pattern,
+    worst_gain,
+)
+from servobench.design.speed.speed_design import SpeedDesign, least_gain
 
 _TOLERANCE = 1e-3
 """Relative, of the gains on the way."""

@@ -9,7 +9,7 @@ Both are semi-infinite programmes: smooth in K and delay at each frequency, but 
 frequency, of which a few are active at the optimum (the gain at rest meets one or two resonances).
 They are solved by exchange: a smooth programme over a finite set of frequencies (SLSQP), to which
 the peaks of its answer are added until none of them breaks the bound. Each start ends in a local optimum;
-the best of several is returned, and its norm is the proven one of :mod:`design.delay.delay_norm`.
+the best of several is returned, and its norm is the proven one of :mod:`servobench.design.delay.delay_norm`.
 """
 
 import math
@@ -19,10 +19,16 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from design.delay.delay_loop import Array, DelayLoop, loop_function
-from design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s, peaks, sampled_norm
-from design.delay.speed_loop import Feedback, SpeedModel
-from design.errors import NoSolution
+from servobench.design.delay.delay_loop import Array, DelayLoop, loop_function
+from servobench.design.delay.delay_norm import (
+    hinf_norm,
+    is_stable,
+    largest_stable_delay_s,
+    peaks,
+    sampled_norm,
+)
+from servobench.design.delay.speed_loop import Feedback, SpeedModel
+from servobench.design.errors import NoSolution
 
 _EXCHANGES = 30
 """Of 40 searches 35 end within 19, two are ended here."""

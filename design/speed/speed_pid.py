@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
-from design.errors import InfeasibleDesign
-from design.hinf.margins import Margins, margins_of
-from design.motor import PmsmParameters
-from design.statespace import Array, ComplexArray, StateSpace
+from servobench.design.errors import InfeasibleDesign
+from servobench.design.hinf.margins import Margins, margins_of
+from servobench.design.motor import PmsmParameters
+from servobench.design.statespace import Array, ComplexArray, StateSpace
 
 _LOWEST_RAD_S = 1e-2
 """Below every crossover of a speed loop: for delays of 1 to 60 ms any start up to 10 rad/s gives the same

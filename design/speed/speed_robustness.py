@@ -12,17 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
-from design.delay.delay_loop import Array, DelayLoop
-from design.delay.delay_norm import hinf_norm, largest_stable_delay_s
-from design.delay.delay_response import step_peak
-from design.delay.speed_loop import SpeedModel, peak_floor_rad_s
-from design.hinf.margins import Margins, margins_of
-from design.motor import PmsmParameters
-from design.sampled.admissible_steps import Delivery
-from design.sampled.held_loop import HeldLoop
-from design.sampled.loss_patterns import Pattern, chain_of, pattern_gains, pattern_of, repeated
-from design.speed.loop_robustness import CHANGES
-from design.statespace import ComplexArray
+from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_norm import hinf_norm, largest_stable_delay_s
+from servobench.design.delay.delay_response import step_peak
+from servobench.design.delay.speed_loop import SpeedModel, peak_floor_rad_s
+from servobench.design.hinf.margins import Margins, margins_of
+from servobench.design.motor import PmsmParameters
+from servobench.design.sampled.admissible_steps import Delivery
+from servobench.design.sampled.held_loop import HeldLoop
+from servobench.design.sampled.loss_patterns import Pattern, chain_of, pattern_gains, pattern_of, repeated
+from servobench.design.speed.loop_robustness import CHANGES
+from servobench.design.statespace import ComplexArray
 
 _DECADES = 1e4
 """Around the loop's rates, either way: where crossings are looked for."""

@@ -12,9 +12,9 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).resolve().parents[2]
 API = """# Python
 
-What `from hil import ...` has. Everything else may change from one version to the next.
+What `from servobench import ...` has. Everything else may change from one version to the next.
 
-::: hil
+::: servobench
     options:
       show_root_heading: false
       show_root_toc_entry: false

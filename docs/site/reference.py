@@ -15,10 +15,10 @@ import typer
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from hil.cli import app
-from hil.configuration.config import BenchConfig
-from hil.configuration.motor_file import MotorFile
-from virtual_bus.faults.register import TABLES
+from servobench.hil.cli import app
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.motor_file import MotorFile
+from servobench.virtual_bus.faults.register import TABLES
 
 _FILES = (
     "The tables `motor`, `commissioned`, `controller` and `current_control.controller` and the lists "

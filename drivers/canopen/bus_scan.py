@@ -9,12 +9,12 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Final
 
-from drivers.canopen.cob_ids import BROADCASTS, RPDOS, SDO_ANSWER, SERVICES, TPDOS
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.objects301 import Cia301
-from drivers.errors import NoAnswer, TransferAborted
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.canopen.cob_ids import BROADCASTS, RPDOS, SDO_ANSWER, SERVICES, TPDOS
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.errors import NoAnswer, TransferAborted
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 NODES: Final = range(1, 128)
 KNOCK_EVERY_NS: Final = Duration(2 * NS_PER_MS)

@@ -5,7 +5,7 @@ from enum import IntFlag
 from importlib.resources import files
 from typing import Final
 
-from drivers.vendors.families import codes_of
+from servobench.drivers.vendors.families import codes_of
 
 _TABLES = tomllib.loads(files(__package__).joinpath("error_codes.toml").read_text("utf-8"))
 ERROR_TEXTS: dict[int, str] = {int(code, 16): text for code, text in _TABLES["codes"].items()}

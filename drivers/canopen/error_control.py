@@ -8,11 +8,11 @@ node guarding   for a node that lacks one of the two: the host asks for its NMT 
 
 from typing import Final, NamedTuple
 
-from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.canopen.objects301 import Cia301
-from drivers.canopen.sdo import object_name
-from drivers.errors import TransferAborted
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.errors import TransferAborted
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 _REQUESTS: Final = 5
 """Of node guarding within a time-out. A lost answer costs two: its own, and the next, whose toggle bit then

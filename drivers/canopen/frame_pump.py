@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from functools import partial
 
-from drivers.canopen.cob_ids import SYNC
-from drivers.exchange import Master
-from drivers.timebase import NEVER, Clock, Instant
-from drivers.wire.link import BusLink
+from servobench.drivers.canopen.cob_ids import SYNC
+from servobench.drivers.exchange import Master
+from servobench.drivers.timebase import NEVER, Clock, Instant
+from servobench.drivers.wire.link import BusLink
 
 Handler = Callable[[bytes, Instant], None]
 """Takes the data of a frame and its instant."""

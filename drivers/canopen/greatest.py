@@ -3,9 +3,9 @@
 import math
 from typing import Final, NamedTuple
 
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.sdo import object_name
-from drivers.errors import TransferAborted
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.errors import TransferAborted
 
 _TOO_LOW: Final = 0x06090032
 _TOO_GREAT: Final = frozenset({0x06090030, 0x06090031})

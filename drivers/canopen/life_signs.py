@@ -2,9 +2,9 @@
 
 from typing import Final
 
-from drivers.canopen.cob_ids import ERROR_CONTROL
-from drivers.timebase import NEVER, Clock, Duration, Instant
-from drivers.wire.link import BusLink
+from servobench.drivers.canopen.cob_ids import ERROR_CONTROL
+from servobench.drivers.timebase import NEVER, Clock, Duration, Instant
+from servobench.drivers.wire.link import BusLink
 
 _OPERATIONAL: Final = b"\x05"
 _ANSWER_BYTES: Final = 1

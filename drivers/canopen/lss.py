@@ -14,10 +14,10 @@ from collections.abc import Iterator
 from struct import Struct
 from typing import Final, NamedTuple
 
-from drivers.canopen.cob_ids import LSS_ANSWER, LSS_REQUEST
-from drivers.canopen.network import CanopenNetwork
-from drivers.errors import NoAnswer, PeerFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.canopen.cob_ids import LSS_ANSWER, LSS_REQUEST
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.errors import NoAnswer, PeerFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 ANSWER_NS = Duration(20 * NS_PER_MS)
 """Wait for an answer of a fast scan; half of the 128 steps wait for all of it."""

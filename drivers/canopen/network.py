@@ -12,13 +12,13 @@ from typing import Any
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
-from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST
-from drivers.canopen.frame_pump import FramePump, Handler
-from drivers.canopen.life_signs import LifeSigns
-from drivers.canopen.nmt import EMERGENCIES_KEPT, Emergency, NodeStatus, parse_emergency
-from drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand, NmtState
-from drivers.canopen.polls import ObjectPoll, ObjectPolls, Polled
-from drivers.canopen.sdo import (
+from servobench.drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST
+from servobench.drivers.canopen.frame_pump import FramePump, Handler
+from servobench.drivers.canopen.life_signs import LifeSigns
+from servobench.drivers.canopen.nmt import EMERGENCIES_KEPT, Emergency, NodeStatus, parse_emergency
+from servobench.drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand, NmtState
+from servobench.drivers.canopen.polls import ObjectPoll, ObjectPolls, Polled
+from servobench.drivers.canopen.sdo import (
     SDO_ATTEMPTS,
     AnswerQueue,
     BrokenOff,
@@ -30,10 +30,10 @@ from drivers.canopen.sdo import (
     object_name,
     written_object,
 )
-from drivers.canopen.write_list import NOTHING, WriteGate, WriteList
-from drivers.errors import AnswersTwice, NoAnswer, TransferAborted
-from drivers.timebase import NEVER, NS_PER_S, Clock, Duration, Instant
-from drivers.wire.link import BusLink
+from servobench.drivers.canopen.write_list import NOTHING, WriteGate, WriteList
+from servobench.drivers.errors import AnswersTwice, NoAnswer, TransferAborted
+from servobench.drivers.timebase import NEVER, NS_PER_S, Clock, Duration, Instant
+from servobench.drivers.wire.link import BusLink
 
 CHANGE_LIMIT = Duration(NS_PER_S)
 """Time for a change of state, two heartbeats apart."""

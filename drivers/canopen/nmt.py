@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from struct import Struct
 from typing import NamedTuple
 
-from drivers.canopen.error_codes import error_text, fault_text, register_text
-from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import Duration, Instant
+from servobench.drivers.canopen.error_codes import error_text, fault_text, register_text
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.timebase import Duration, Instant
 
 _EMERGENCY = Struct("<HB5s")
 EMERGENCIES_KEPT = 10_000

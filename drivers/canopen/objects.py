@@ -3,10 +3,10 @@
 from struct import Struct
 from struct import error as struct_error
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.sdo import object_name
-from drivers.errors import PeerFault, TransferAborted
-from drivers.printable import printable
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.errors import PeerFault, TransferAborted
+from servobench.drivers.printable import printable
 
 _STRUCTS = {code: Struct(f"<{code}") for code in "bBhHiIqQ"}
 

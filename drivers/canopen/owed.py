@@ -3,7 +3,7 @@
 from collections import deque
 from typing import Final
 
-from drivers.timebase import NS_PER_S, Duration, Instant
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant
 
 ANSWER_LATE_MAX: Final = Duration(5 * NS_PER_S)
 """A node that stores its parameters, or is simulated on a busy machine, answers a second or two late."""

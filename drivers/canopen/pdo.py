@@ -11,12 +11,17 @@ from enum import Enum
 from struct import Struct, calcsize
 from typing import NamedTuple
 
-from drivers.canopen.cob_ids import CAN_ID, NO_RTR, NOT_VALID, RPDOS, TPDOS
-from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION, mapping_word
-from drivers.canopen.sdo import object_name
-from drivers.errors import TransferAborted
-from drivers.timebase import NS_PER_MS, Duration
+from servobench.drivers.canopen.cob_ids import CAN_ID, NO_RTR, NOT_VALID, RPDOS, TPDOS
+from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
+from servobench.drivers.canopen.objects301 import (
+    MAPPING_OFFSET,
+    RPDO_COMMUNICATION,
+    TPDO_COMMUNICATION,
+    mapping_word,
+)
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.errors import TransferAborted
+from servobench.drivers.timebase import NS_PER_MS, Duration
 
 BITS_MAX = 64
 """Of a PDO: the eight octets of a classical frame."""

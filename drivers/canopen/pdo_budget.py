@@ -3,9 +3,9 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from drivers.canopen.cob_ids import SYNC
-from drivers.canopen.pdo import PdoMap, PdoPlan, mapping_text
-from drivers.timebase import NS_PER_S, Duration
+from servobench.drivers.canopen.cob_ids import SYNC
+from servobench.drivers.canopen.pdo import PdoMap, PdoPlan, mapping_text
+from servobench.drivers.timebase import NS_PER_S, Duration
 
 LOAD_LIMIT_PERCENT = 80.0
 """Above it heartbeats, EMCYs and SDOs wait too long: with 20 % left one SDO transfer fits in two cycles."""

@@ -7,11 +7,11 @@ only, may have identifiers or transmission types that cannot be changed, and few
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from drivers.canopen.cob_ids import CAN_ID, NOT_VALID
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.objects301 import PDO_ENTRIES_MAX, mapping_word
-from drivers.canopen.pdo import Key, PdoDirection, PdoEntry, key_of
-from drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.cob_ids import CAN_ID, NOT_VALID
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.objects301 import PDO_ENTRIES_MAX, mapping_word
+from servobench.drivers.canopen.pdo import Key, PdoDirection, PdoEntry, key_of
+from servobench.drivers.canopen.sdo import object_name
 
 
 @dataclass(frozen=True, slots=True)

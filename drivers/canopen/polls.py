@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.canopen.sdo import PostedUpload, PumpedSdoClient, TransferPost
-from drivers.timebase import NEVER, Duration, Instant
+from servobench.drivers.canopen.sdo import PostedUpload, PumpedSdoClient, TransferPost
+from servobench.drivers.timebase import NEVER, Duration, Instant
 
 
 @dataclass(frozen=True, slots=True)

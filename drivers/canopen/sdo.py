@@ -17,10 +17,10 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
-from drivers.canopen.owed import OwedAnswers
-from drivers.errors import NoAnswer, PeerFault, TransferAborted
-from drivers.timebase import Duration, Instant, duration_s
+from servobench.drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
+from servobench.drivers.canopen.owed import OwedAnswers
+from servobench.drivers.errors import NoAnswer, PeerFault, TransferAborted
+from servobench.drivers.timebase import Duration, Instant, duration_s
 
 # canopen logs each repeated request as a warning. Whoever wants to read that sets up logging for it.
 logging.getLogger("canopen").addHandler(logging.NullHandler())

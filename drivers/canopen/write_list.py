@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from drivers.canopen.objects301 import MANUFACTURER
-from drivers.canopen.sdo import object_name
-from drivers.errors import BadInput
+from servobench.drivers.canopen.objects301 import MANUFACTURER
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.errors import BadInput
 
 
 class UnlistedWrite(BadInput):

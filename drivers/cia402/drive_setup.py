@@ -8,18 +8,18 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import NamedTuple
 
-from drivers.canopen.error_control import WatchTimes
-from drivers.canopen.greatest import write_greatest
-from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.canopen.objects301 import Cia301
-from drivers.canopen.pdo import PdoDirection, PdoPlan, write_plan
-from drivers.canopen.pdo_capability import PdoCapability, capability_of_drive
-from drivers.canopen.sdo import object_name
-from drivers.canopen.write_list import Product
-from drivers.cia402.objects402 import Object
-from drivers.cia402.observed import NOTHING, Observed
-from drivers.cia402.pdo_planner import PlanImpossible, mode_plan, plan_pdos
-from drivers.cia402.pdo_plans import (
+from servobench.drivers.canopen.error_control import WatchTimes
+from servobench.drivers.canopen.greatest import write_greatest
+from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.pdo import PdoDirection, PdoPlan, write_plan
+from servobench.drivers.canopen.pdo_capability import PdoCapability, capability_of_drive
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.write_list import Product
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.observed import NOTHING, Observed
+from servobench.drivers.cia402.pdo_planner import PlanImpossible, mode_plan, plan_pdos
+from servobench.drivers.cia402.pdo_plans import (
     DEMAND,
     MODE,
     TORQUE,
@@ -29,7 +29,7 @@ from drivers.cia402.pdo_plans import (
     standard,
     status_timer_ms,
 )
-from drivers.cia402.profile import (
+from servobench.drivers.cia402.profile import (
     AbortConnectionOption,
     DisableOperationOption,
     FaultReactionOption,
@@ -38,13 +38,13 @@ from drivers.cia402.profile import (
     ShutdownOption,
     no_drive,
 )
-from drivers.cia402.quirky_units import apply_quirks
-from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
-from drivers.errors import PeerFault, TransferAborted
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
-from drivers.vendors.families import quirks_for, stamp_for
-from drivers.vendors.stamps import STANDARD_STAMP, StampProfile
+from servobench.drivers.cia402.quirky_units import apply_quirks
+from servobench.drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
+from servobench.drivers.errors import PeerFault, TransferAborted
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from servobench.drivers.vendors.families import quirks_for, stamp_for
+from servobench.drivers.vendors.stamps import STANDARD_STAMP, StampProfile
 
 NO_CHANGE_OF_NMT_STATE = 1
 """1029h:01. In PRE-OPERATIONAL, the default, or STOPPED a drive would still come to rest by 6007h, but its
@@ -82,7 +82,7 @@ class DriveSettings:
 
     sync_period_ns: Duration
     plan: PdoPlan | None = None
-    """None: one for :attr:`capability`, else :func:`drivers.cia402.pdo_planner.mode_plan`."""
+    """None: one for :attr:`capability`, else :func:`servobench.drivers.cia402.pdo_planner.mode_plan`."""
     capability: PdoCapability | None = None
     """What the drive's dictionary says of its PDOs; None if there is no dictionary."""
     mode: Mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
@@ -90,9 +90,9 @@ class DriveSettings:
     synchronous_command: bool = False
     """The drive applies the set-point at the next SYNC, not on arrival. Without effect beside ``plan``."""
     position_every_cycles: int = 1
-    """As in :class:`drivers.cia402.pdo_plans.PlanWish`. Without effect beside ``plan``."""
+    """As in :class:`servobench.drivers.cia402.pdo_plans.PlanWish`. Without effect beside ``plan``."""
     coherent: bool = False
-    """As in :func:`drivers.cia402.pdo_plans.layout`. Without effect beside ``plan``."""
+    """As in :func:`servobench.drivers.cia402.pdo_plans.layout`. Without effect beside ``plan``."""
     command_timeout_ms: int | None = None
     """A drive that hears no command for so long is to stop; None: nobody looks to it. Acts from
     ``supervise_commands`` on."""

@@ -5,24 +5,24 @@ from contextlib import suppress
 from functools import partial
 from typing import Final
 
-from drivers.canopen.nmt import NodeStatus
-from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.pdo import PdoMap, PdoPlan
-from drivers.canopen.polls import ObjectPoll, Polled
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.follow_watch import FollowWatch, Lapse
-from drivers.cia402.objects402 import INTERLOCK, Object
-from drivers.cia402.pdo_plans import MODE
-from drivers.cia402.profile import DriveCommand, state_of
-from drivers.cia402.readings import LastStatusword
-from drivers.cia402.state_control import FAULTY, StateControl
-from drivers.errors import DriveInFault, NoAnswer, PeerFault, PowerLost
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.canopen.nmt import NodeStatus
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.pdo import PdoMap, PdoPlan
+from servobench.drivers.canopen.polls import ObjectPoll, Polled
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.follow_watch import FollowWatch, Lapse
+from servobench.drivers.cia402.objects402 import INTERLOCK, Object
+from servobench.drivers.cia402.pdo_plans import MODE
+from servobench.drivers.cia402.profile import DriveCommand, state_of
+from servobench.drivers.cia402.readings import LastStatusword
+from servobench.drivers.cia402.state_control import FAULTY, StateControl
+from servobench.drivers.errors import DriveInFault, NoAnswer, PeerFault, PowerLost
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 _OPERATIONAL: Final = NmtState.OPERATIONAL
 _ENABLED_BITS: Final = 0x6F
 _ENABLED: Final = 0x27
-"""OPERATION ENABLED, as :data:`drivers.cia402.profile.STATUS_PATTERNS` has it (CiA 402-2)."""
+"""OPERATION ENABLED, as :data:`servobench.drivers.cia402.profile.STATUS_PATTERNS` has it (CiA 402-2)."""
 _VOLTAGE: Final = 0x10
 """Bit 4 of the statusword, voltage enabled."""
 MODE_EVERY: Final = Duration(50 * NS_PER_MS)

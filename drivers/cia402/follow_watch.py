@@ -12,8 +12,8 @@ from when it first showed the mode of the commands, or shows another one again a
 from collections.abc import Callable
 from typing import Final
 
-from drivers.cia402.profile import STATE_BITS, STATUS_PATTERNS, Mode, State, Status
-from drivers.timebase import NS_PER_S, Instant
+from servobench.drivers.cia402.profile import STATE_BITS, STATUS_PATTERNS, Mode, State, Status
+from servobench.drivers.timebase import NS_PER_S, Instant
 
 FOLLOWS_BIT: Final[dict[Mode, int]] = {
     Mode.CYCLIC_SYNCHRONOUS_POSITION: Status.FOLLOWS_COMMAND,

@@ -12,16 +12,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from drivers.canopen.error_control import watch_lack
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.objects301 import Cia301
-from drivers.canopen.pdo import Key
-from drivers.canopen.pdo_capability import PdoCapability
-from drivers.canopen.sdo import object_name
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
-from drivers.cia402.pdo_plans import NEEDED_OBJECTS, STAMP, STANDARD, PlanWish
-from drivers.cia402.profile import Mode, no_drive, offers_mode, tells_modes
+from servobench.drivers.canopen.error_control import watch_lack
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.pdo import Key
+from servobench.drivers.canopen.pdo_capability import PdoCapability
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
+from servobench.drivers.cia402.pdo_plans import NEEDED_OBJECTS, STAMP, STANDARD, PlanWish
+from servobench.drivers.cia402.profile import Mode, no_drive, offers_mode, tells_modes
 
 _UNWATCHED: Final = "it is refused unless --unwatched (unwatched = true)"
 

@@ -1,9 +1,9 @@
 """Whether a drive that was left alone for a while is still set up as it was."""
 
-from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.pdo import differences
-from drivers.cia402.servo import ServoDrive
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.pdo import differences
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 
 def lapses(drive: ServoDrive, heartbeat_ms: int) -> list[str]:

@@ -6,11 +6,11 @@ drive neither jumps nor turns by an old value. A mode that follows only with som
 the drive is enabled in it.
 """
 
-from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.cia402.follow_watch import FollowWatch
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_plans import TARGETS
-from drivers.cia402.profile import (
+from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
+from servobench.drivers.cia402.follow_watch import FollowWatch
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_plans import TARGETS
+from servobench.drivers.cia402.profile import (
     CHANGE_AT_ONCE,
     FOLLOW_BITS,
     NEW_SET_POINT,
@@ -22,11 +22,11 @@ from drivers.cia402.profile import (
     run_words,
     tells_modes,
 )
-from drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
-from drivers.cia402.velocity_mode import velocity_mode_unit
-from drivers.errors import TransferAborted
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import Instant
+from servobench.drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
+from servobench.drivers.cia402.velocity_mode import velocity_mode_unit
+from servobench.drivers.errors import TransferAborted
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import Instant
 
 
 class ModeRefused(SettingRefused):

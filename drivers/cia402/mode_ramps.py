@@ -3,13 +3,13 @@
 import math
 from typing import Final
 
-from drivers.canopen.greatest import write_greatest
-from drivers.canopen.objects import RemoteObjects
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.cia402.scaling import Scaling
-from drivers.cia402.velocity_mode import write_velocity_mode_ramps
+from servobench.drivers.canopen.greatest import write_greatest
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.scaling import Scaling
+from servobench.drivers.cia402.velocity_mode import write_velocity_mode_ramps
 
 _PROFILE: Final = (Object.PROFILE_ACCELERATION, Object.PROFILE_DECELERATION)
 _BOUNDS: Final = (Object.MAX_ACCELERATION, Object.MAX_DECELERATION)

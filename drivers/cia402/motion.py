@@ -11,11 +11,11 @@ controlword and bits 12 (set-point acknowledge) and 10 of the statusword:
 
 from dataclasses import dataclass
 
-from drivers.canopen.objects import SettingRefused
-from drivers.cia402.drive_setup import write_optional
-from drivers.cia402.mode_control import ModeControl
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import (
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.cia402.drive_setup import write_optional
+from servobench.drivers.cia402.mode_control import ModeControl
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import (
     CHANGE_AT_ONCE,
     NEW_SET_POINT,
     RELATIVE,
@@ -25,10 +25,10 @@ from drivers.cia402.profile import (
     Status,
     state_of,
 )
-from drivers.cia402.scaling import Scaling
-from drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
-from drivers.errors import DriveInFault
-from drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.cia402.scaling import Scaling
+from servobench.drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
+from servobench.drivers.errors import DriveInFault
+from servobench.drivers.timebase import NS_PER_MS, Instant
 
 CONFIRM_NS = 5 * NS_PER_MS
 """A bit that is set already when a move begins counts only if it stays for so long: it may be an old one."""

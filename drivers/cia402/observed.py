@@ -4,10 +4,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.canopen.pdo import BITS_MAX, PdoDirection, PdoEntry, PdoMap, PdoPlan, write_plan
-from drivers.canopen.sdo import object_name
-from drivers.errors import PeerFault, TransferAborted
+from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
+from servobench.drivers.canopen.pdo import BITS_MAX, PdoDirection, PdoEntry, PdoMap, PdoPlan, write_plan
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.errors import PeerFault, TransferAborted
 
 NUMBERS = range(1, 5)
 """TPDOs with an identifier of their own by the predefined connection set."""

@@ -13,7 +13,7 @@ set-point of a mode. PDOs that fit no layout tell all of it with every SYNC.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from drivers.canopen.pdo import (
+from servobench.drivers.canopen.pdo import (
     BITS_MAX,
     EVENT_DRIVEN,
     EVERY_SYNC,
@@ -25,9 +25,9 @@ from drivers.canopen.pdo import (
     PdoPlan,
     key_of,
 )
-from drivers.canopen.pdo_capability import MappedObject, PdoCapability, PdoSlot
-from drivers.canopen.sdo import object_name
-from drivers.cia402.pdo_plans import (
+from servobench.drivers.canopen.pdo_capability import MappedObject, PdoCapability, PdoSlot
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.cia402.pdo_plans import (
     CONTROL,
     CURRENT,
     DEMAND,
@@ -47,8 +47,8 @@ from drivers.cia402.pdo_plans import (
     limits_of,
     standard,
 )
-from drivers.cia402.profile import Mode
-from drivers.errors import PeerFault
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.errors import PeerFault
 
 
 class PlanImpossible(PeerFault):
@@ -80,8 +80,8 @@ class _Bin:
 def mode_plan(node_id: int, wish: PlanWish, *, demand_changes: bool = False) -> PdoPlan:
     """The plan for one mode, for a drive that can map what is asked for.
 
-    TPDO1 to TPDO3 as :mod:`drivers.cia402.pdo_plans` lays them out by ``wish``; RPDO1: controlword and the
-    set-point of the mode. ``demand_changes``: a TPDO4 tells with 6074h and 1013h when a command began to act.
+    TPDO1 to TPDO3 as :mod:`servobench.drivers.cia402.pdo_plans` lays them out by ``wish``; RPDO1: controlword
+    and the set-point of the mode. ``demand_changes``: a TPDO4 tells by 6074h and 1013h when a command acted.
     """
     plan = plan_pdos(standard(wish.stamp), node_id, wish).plan
     if not demand_changes:

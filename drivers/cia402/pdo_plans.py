@@ -17,8 +17,8 @@ its own else, on change, if the drive has one left.
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-from drivers.canopen.objects301 import PDO_ENTRIES_MAX, Cia301
-from drivers.canopen.pdo import (
+from servobench.drivers.canopen.objects301 import PDO_ENTRIES_MAX, Cia301
+from servobench.drivers.canopen.pdo import (
     EVENT_DRIVEN,
     EVERY_SYNC,
     SYNCHRONOUS_MAX,
@@ -27,9 +27,9 @@ from drivers.canopen.pdo import (
     PdoEntry,
     PdoPlan,
 )
-from drivers.canopen.pdo_capability import PdoCapability, PdoSlot, objects_of
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
+from servobench.drivers.canopen.pdo_capability import PdoCapability, PdoSlot, objects_of
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
 
 STATUS: Final[Key] = (Object.STATUSWORD, 0)
 VELOCITY: Final[Key] = (Object.VELOCITY_ACTUAL_VALUE, 0)

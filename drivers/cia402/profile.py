@@ -2,7 +2,8 @@
 
 Shared by the drive client and by the simulated drive, so that both read one table.
 Source: CiA 402-2 (operation modes and application data), also published as IEC 61800-7-201.
-Object indices are in :mod:`drivers.cia402.objects402`, error codes in :mod:`drivers.canopen.error_codes`.
+Object indices are in :mod:`servobench.drivers.cia402.objects402`, error codes in
+:mod:`servobench.drivers.canopen.error_codes`.
 
     power on --0--> NOT_READY --1--> SWITCH_ON_DISABLED <--15-- FAULT <--14-- FAULT_REACTION <--13-- any
     SWITCH_ON_DISABLED --2--> READY --3--> SWITCHED_ON --4--> OPERATION_ENABLED --11--> QUICK_STOP

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.scaling import ScaleOverride, increment_of
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.vendors.families import Quirk
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.scaling import ScaleOverride, increment_of
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.vendors.families import Quirk
 
 Values = dict[tuple[int, int], int | None]
 

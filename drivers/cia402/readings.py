@@ -2,16 +2,16 @@
 
 from typing import Final
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.pdo import PdoMap, PdoPlan
-from drivers.cia402.command_watch import CommandWatch
-from drivers.cia402.follow_watch import FollowWatch
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Status
-from drivers.cia402.scaling import Scaling
-from drivers.exchange import DemandChange, Readback, Reading
-from drivers.timebase import NS_PER_US, Duration, Instant
-from drivers.vendors.stamps import STANDARD_STAMP, StampProfile
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.pdo import PdoMap, PdoPlan
+from servobench.drivers.cia402.command_watch import CommandWatch
+from servobench.drivers.cia402.follow_watch import FollowWatch
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Status
+from servobench.drivers.cia402.scaling import Scaling
+from servobench.drivers.exchange import DemandChange, Readback, Reading
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.drivers.vendors.stamps import STANDARD_STAMP, StampProfile
 
 _WORD: Final = 1 << 32
 _HALF_WORD: Final = 1 << 31

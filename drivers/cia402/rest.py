@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from typing import Final
 
-from drivers.canopen.objects import RemoteObjects
-from drivers.cia402.objects402 import Object
-from drivers.cia402.readings import ReadingAssembler
-from drivers.cia402.state_control import StateControl
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.readings import ReadingAssembler
+from servobench.drivers.cia402.state_control import StateControl
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 REST_RAD_S: Final = 1.0
 """A shaft that turns slower counts as slow."""

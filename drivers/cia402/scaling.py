@@ -21,9 +21,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from drivers.cia402.objects402 import Object, Unit, unit_parts
-from drivers.errors import PeerFault
-from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
+from servobench.drivers.cia402.objects402 import Object, Unit, unit_parts
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
 
 
 @dataclass(eq=False)

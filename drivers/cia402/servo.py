@@ -3,13 +3,13 @@
 from dataclasses import replace
 from typing import Final
 
-from drivers.canopen.error_control import ErrorControl
-from drivers.canopen.network import CHANGE_LIMIT, CanopenNetwork
-from drivers.canopen.nmt_states import NmtCommand, NmtState
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.objects301 import Cia301
-from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.drive_setup import (
+from servobench.drivers.canopen.error_control import ErrorControl
+from servobench.drivers.canopen.network import CHANGE_LIMIT, CanopenNetwork
+from servobench.drivers.canopen.nmt_states import NmtCommand, NmtState
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.cia402.drive_setup import (
     DriveSettings,
     Identity,
     map_pdos,
@@ -18,21 +18,21 @@ from drivers.cia402.drive_setup import (
     write_limits,
     write_reactions,
 )
-from drivers.cia402.drive_watch import DriveWatch
-from drivers.cia402.follow_watch import FollowWatch
-from drivers.cia402.mode_control import MODE_BITS, ModeControl
-from drivers.cia402.mode_ramps import write_ramps
-from drivers.cia402.motion import KEEP_HOMING, KEEP_PROFILE, HomingSetup, Motion, MoveProfile
-from drivers.cia402.objects402 import Object
-from drivers.cia402.observed import map_observed
-from drivers.cia402.profile import DriveCommand, Mode, State, state_of
-from drivers.cia402.readings import LastStatusword, ReadingAssembler
-from drivers.cia402.rest import calms, resting_since
-from drivers.cia402.setpoint import SetPointFrames
-from drivers.cia402.state_control import FAULTY, StateControl
-from drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
-from drivers.errors import BusDown, NoAnswer, PeerFault
-from drivers.exchange import (
+from servobench.drivers.cia402.drive_watch import DriveWatch
+from servobench.drivers.cia402.follow_watch import FollowWatch
+from servobench.drivers.cia402.mode_control import MODE_BITS, ModeControl
+from servobench.drivers.cia402.mode_ramps import write_ramps
+from servobench.drivers.cia402.motion import KEEP_HOMING, KEEP_PROFILE, HomingSetup, Motion, MoveProfile
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.observed import map_observed
+from servobench.drivers.cia402.profile import DriveCommand, Mode, State, state_of
+from servobench.drivers.cia402.readings import LastStatusword, ReadingAssembler
+from servobench.drivers.cia402.rest import calms, resting_since
+from servobench.drivers.cia402.setpoint import SetPointFrames
+from servobench.drivers.cia402.state_control import FAULTY, StateControl
+from servobench.drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
+from servobench.drivers.errors import BusDown, NoAnswer, PeerFault
+from servobench.drivers.exchange import (
     Command,
     DemandChange,
     Drive,
@@ -42,7 +42,7 @@ from drivers.exchange import (
     SentCommand,
     SpeedCommand,
 )
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
 """For a ramp of nearly so long. A drive that turns on after it is left to its own watch over the host."""
@@ -312,7 +312,7 @@ class ServoDrive(Drive):
     # ---- modes ----------------------------------------------------------------------------------------
 
     def change_mode(self, mode: Mode, deadline: Instant) -> None:
-        """As :meth:`drivers.cia402.mode_control.ModeControl.change`."""
+        """As :meth:`servobench.drivers.cia402.mode_control.ModeControl.change`."""
         self._configured()
         self.modes.change(mode, deadline)
 

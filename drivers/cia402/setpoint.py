@@ -4,17 +4,17 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, Final
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.pdo import Key, PdoMap, PdoPlan
-from drivers.canopen.sdo import object_name
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.cia402.scaling import Scaling
-from drivers.exchange import SentCommand
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import Instant
-from drivers.wire.frame_port import UNTOLD
-from drivers.wire.link import BusLink
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.pdo import Key, PdoMap, PdoPlan
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.scaling import Scaling
+from servobench.drivers.exchange import SentCommand
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import UNTOLD
+from servobench.drivers.wire.link import BusLink
 
 _TORQUE_RAW_MAX: Final = 0x7FFF
 _VELOCITY_RAW_MAX: Final = 0x7FFF_FFFF

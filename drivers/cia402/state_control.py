@@ -4,15 +4,15 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from drivers.canopen.error_codes import fault_text, register_text
-from drivers.canopen.nmt import Emergency, condensed
-from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.canopen.objects301 import FIRST_OBJECT, Cia301
-from drivers.canopen.pdo import PdoPlan
-from drivers.canopen.sdo import object_name
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_plans import TARGETS
-from drivers.cia402.profile import (
+from servobench.drivers.canopen.error_codes import fault_text, register_text
+from servobench.drivers.canopen.nmt import Emergency, condensed
+from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_plans import TARGETS
+from servobench.drivers.cia402.profile import (
     CONTROLWORDS,
     DriveCommand,
     Mode,
@@ -20,10 +20,10 @@ from drivers.cia402.profile import (
     command_path,
     state_of,
 )
-from drivers.cia402.readings import NEVER_TOLD, LastStatusword
-from drivers.cia402.setpoint import SetPointFrames
-from drivers.errors import DriveInFault, PeerFault, TransferAborted
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.cia402.readings import NEVER_TOLD, LastStatusword
+from servobench.drivers.cia402.setpoint import SetPointFrames
+from servobench.drivers.errors import DriveInFault, PeerFault, TransferAborted
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 NONE_SENT = -1
 """In the place of a controlword, which is an UNSIGNED16."""

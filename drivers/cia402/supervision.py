@@ -10,19 +10,24 @@ import math
 from contextlib import suppress
 from typing import Final, NamedTuple
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.canopen.pdo import PdoEntry, PdoPlan
-from drivers.canopen.polls import ObjectPoll, Polled
-from drivers.cia402.command_watch import ACTUAL_MARGIN_RAW, ACTUAL_SHARE, DEMAND_MARGIN_RAW, CommandWatch
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_plans import TARGETS, features_of
-from drivers.cia402.profile import Mode, State
-from drivers.cia402.readings import ReadingAssembler
-from drivers.cia402.velocity_mode import velocity_mode_ramp, velocity_mode_unit
-from drivers.errors import BusDown, PeerFault, TransferAborted
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
+from servobench.drivers.canopen.pdo import PdoEntry, PdoPlan
+from servobench.drivers.canopen.polls import ObjectPoll, Polled
+from servobench.drivers.cia402.command_watch import (
+    ACTUAL_MARGIN_RAW,
+    ACTUAL_SHARE,
+    DEMAND_MARGIN_RAW,
+    CommandWatch,
+)
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_plans import TARGETS, features_of
+from servobench.drivers.cia402.profile import Mode, State
+from servobench.drivers.cia402.readings import ReadingAssembler
+from servobench.drivers.cia402.velocity_mode import velocity_mode_ramp, velocity_mode_unit
+from servobench.drivers.errors import BusDown, PeerFault, TransferAborted
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 LATER: Final = 10
 """A drive with a timer of its own is to stop by itself, and to say so; the host waits a tenth longer."""

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.sdo import object_name
-from drivers.errors import TransferAborted
-from drivers.vendors.families import motor_objects_for
-from drivers.vendors.motor_objects import QUANTITIES, MotorObject, MotorObjects, NotTold
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.errors import TransferAborted
+from servobench.drivers.vendors.families import motor_objects_for
+from servobench.drivers.vendors.motor_objects import QUANTITIES, MotorObject, MotorObjects, NotTold
 
 _PHRASES: Final = {
     "phase": "of a phase",
@@ -24,7 +24,7 @@ class ToldFigure:
     """One quantity of the motor."""
 
     quantity: str
-    """Key of :data:`drivers.vendors.motor_objects.QUANTITIES`."""
+    """Key of :data:`servobench.drivers.vendors.motor_objects.QUANTITIES`."""
     value: float
     """SI, per phase of the star; A rms, or the drive's own ampere."""
     raw: int

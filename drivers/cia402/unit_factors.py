@@ -4,7 +4,7 @@ import math
 from itertools import product
 from typing import Final, NamedTuple
 
-from drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.rotation import RAD_S_PER_RPM
 
 _TOLERANCE: Final = 0.005
 """Relative. Wider, and half of all factors would be some product of slips and powers of ten."""

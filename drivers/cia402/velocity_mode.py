@@ -9,12 +9,12 @@ becomes a note.
 
 import math
 
-from drivers.canopen.greatest import write_greatest
-from drivers.canopen.objects import RemoteObjects
-from drivers.cia402.drive_setup import DriveSettings, write_optional
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.canopen.greatest import write_greatest
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.cia402.drive_setup import DriveSettings, write_optional
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.rotation import RAD_S_PER_RPM
 
 _FINE = 100
 """Units by which a ramp's speed changes at least: rounded to a whole unit it is right to 0.5 %."""

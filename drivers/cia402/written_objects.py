@@ -6,8 +6,8 @@ Whoever has the client write a further object adds a line here; docs/make_writes
 from collections.abc import Iterable
 from typing import Final
 
-from drivers.canopen.nmt_states import NODE_ID_MAX
-from drivers.canopen.objects301 import (
+from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
+from servobench.drivers.canopen.objects301 import (
     PDO_ENTRIES_MAX,
     PDOS_MAX,
     RPDO_COMMUNICATION,
@@ -16,8 +16,8 @@ from drivers.canopen.objects301 import (
     TPDO_MAPPING,
     Cia301,
 )
-from drivers.canopen.write_list import ListedWrite, WriteList
-from drivers.cia402.objects402 import Object
+from servobench.drivers.canopen.write_list import ListedWrite, WriteList
+from servobench.drivers.cia402.objects402 import Object
 
 _SET_UP: Final = "set-up"
 _SET_UP_AND_END: Final = "set-up; cleared at the end"
@@ -126,7 +126,7 @@ SET_UP = CONTROL | WriteList(
         ),
     ),
 )
-"""Everything that :class:`drivers.cia402.servo.ServoDrive` writes, moves and homing apart."""
+"""Everything that :class:`servobench.drivers.cia402.servo.ServoDrive` writes, moves and homing apart."""
 
 MOTION = WriteList(
     "profile moves and homing",
@@ -141,4 +141,4 @@ MOTION = WriteList(
         listed(Object.HOMING_ACCELERATION, "ramp of homing", _MOTION),
     ),
 )
-"""What a caller asks of :mod:`drivers.cia402.motion`, beside the set-up."""
+"""What a caller asks of :mod:`servobench.drivers.cia402.motion`, beside the set-up."""

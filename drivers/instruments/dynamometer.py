@@ -16,10 +16,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from drivers.errors import NoAnswer, PeerFault
-from drivers.instruments.magtrol import Dialect
-from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
-from drivers.wire.serial_line import BITS_A_BYTE, ByteLine, LineFull
+from servobench.drivers.errors import NoAnswer, PeerFault
+from servobench.drivers.instruments.magtrol import Dialect
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
+from servobench.drivers.wire.serial_line import BITS_A_BYTE, ByteLine, LineFull
 
 BAUD = 9600
 ANSWER_TIMEOUT = Duration(NS_PER_S)

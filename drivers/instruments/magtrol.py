@@ -10,7 +10,7 @@ There is no checksum: a digit that became another digit passes for a reading.
 import re
 from typing import NamedTuple
 
-from drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.rotation import RAD_S_PER_RPM
 
 TORQUE_UNITS_NM = {
     "N.m": 1.0,

@@ -5,11 +5,11 @@ from typing import Any
 
 import canopen.objectdictionary as od
 
-from drivers.canopen.data_types import BITS, REAL_BITS, STRUCT_CODES
-from drivers.canopen.objects301 import FIRST_OBJECT, PDO_ENTRIES_MAX
-from drivers.canopen.pdo import PdoDirection
-from drivers.canopen.pdo_capability import MappedObject, PdoCapability, PdoSlot
-from drivers.sheets.dictionary import LoadedDictionary, held_by
+from servobench.drivers.canopen.data_types import BITS, REAL_BITS, STRUCT_CODES
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT, PDO_ENTRIES_MAX
+from servobench.drivers.canopen.pdo import PdoDirection
+from servobench.drivers.canopen.pdo_capability import MappedObject, PdoCapability, PdoSlot
+from servobench.drivers.sheets.dictionary import LoadedDictionary, held_by
 
 _PDOS_MAX = 64
 """Those of the first axis: 512 are there for eight. The largest of six makers' data sheets has 8."""

@@ -1,6 +1,6 @@
 """EDS and DCF files (CiA 306-1), XDD and XDC (CiA 311), as object dictionaries, tolerant of vendors' faults.
 
-How a file is read stands in :mod:`drivers.sheets.eds`. Each thing that was mended on the way is a
+How a file is read stands in :mod:`servobench.drivers.sheets.eds`. Each thing that was mended on the way is a
 :class:`Repair`; nothing is mended silently.
 """
 
@@ -11,10 +11,10 @@ from typing import Any
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
-from drivers.bounded_file import read_bytes
-from drivers.errors import BadInput
-from drivers.sheets.eds.connection_set import add_compact_pdos, free_of_node
-from drivers.sheets.eds.information import (
+from servobench.drivers.bounded_file import read_bytes
+from servobench.drivers.errors import BadInput
+from servobench.drivers.sheets.eds.connection_set import add_compact_pdos, free_of_node
+from servobench.drivers.sheets.eds.information import (
     Commissioning,
     DeviceInformation,
     FileInformation,
@@ -24,13 +24,13 @@ from drivers.sheets.eds.information import (
     read_dummies,
     read_file_information,
 )
-from drivers.sheets.eds.model import to_canopen
-from drivers.sheets.eds.objects import EdsObject, build_objects
-from drivers.sheets.eds.repairs import NoDataSheet, RepairLog
-from drivers.sheets.eds.repairs import Repair as Repair
-from drivers.sheets.eds.sections import Sections, object_of, read_sections
-from drivers.sheets.eds.text import lines_of
-from drivers.sheets.eds.xml_sections import NoXmlSheet, read_xml_sections
+from servobench.drivers.sheets.eds.model import to_canopen
+from servobench.drivers.sheets.eds.objects import EdsObject, build_objects
+from servobench.drivers.sheets.eds.repairs import NoDataSheet, RepairLog
+from servobench.drivers.sheets.eds.repairs import Repair as Repair
+from servobench.drivers.sheets.eds.sections import Sections, object_of, read_sections
+from servobench.drivers.sheets.eds.text import lines_of
+from servobench.drivers.sheets.eds.xml_sections import NoXmlSheet, read_xml_sections
 
 _WHAT = "EDS or DCF file (CiA 306-1), or XDD or XDC file (CiA 311)"
 _KINDS = {(False, False): "EDS", (False, True): "DCF", (True, False): "XDD", (True, True): "XDC"}

@@ -10,18 +10,18 @@ from typing import Any, NamedTuple
 
 import canopen.objectdictionary as od
 
-from drivers.canopen.objects301 import FIRST_OBJECT, Cia301, is_mapping
-from drivers.canopen.pdo import BITS_MAX, key_of, mapping_text
-from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
-from drivers.cia402.judgement import Judgement, ModeFitness, ToldDrive, judge, offered
-from drivers.cia402.mode_ramps import RAMPS, SPEEDS
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, run_words
-from drivers.sheets.capability import capability_of
-from drivers.sheets.dictionary import LoadedDictionary, held, held_by, held_number
-from drivers.sheets.identity import told_identity
-from drivers.vendors.families import stamp_for
-from drivers.vendors.stamps import StampProfile
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301, is_mapping
+from servobench.drivers.canopen.pdo import BITS_MAX, key_of, mapping_text
+from servobench.drivers.canopen.pdo_capability import PdoCapability, PdoSlot
+from servobench.drivers.cia402.judgement import Judgement, ModeFitness, ToldDrive, judge, offered
+from servobench.drivers.cia402.mode_ramps import RAMPS, SPEEDS
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, run_words
+from servobench.drivers.sheets.capability import capability_of
+from servobench.drivers.sheets.dictionary import LoadedDictionary, held, held_by, held_number
+from servobench.drivers.sheets.identity import told_identity
+from servobench.drivers.vendors.families import stamp_for
+from servobench.drivers.vendors.stamps import StampProfile
 
 _NAMED_MAX = 4
 """Contradictions of a kind that are named one by one; the others are counted."""

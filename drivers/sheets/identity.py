@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import canopen.objectdictionary as od
 
-from drivers.canopen.objects301 import Cia301
-from drivers.sheets.dictionary import held_number
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.sheets.dictionary import held_number
 
 _PARTS = ("vendor", "product", "revision")
 

@@ -4,7 +4,8 @@ One TOML file a family: ``vendor`` (1018h:1), optionally ``products`` (1018h:2) 
 begins). ``[codes]`` has the maker's texts for error codes or ranges of them, ``[numbers]`` what it puts into
 the upper octet of 1003h, both from the file's ``source``. An ``[[entry]]`` tells where an object means
 something else than CiA 402 says, with a ``source`` of its own; what the user says goes first. ``[motor]``
-and ``[stamp]``: see :mod:`drivers.vendors.motor_objects` and :mod:`drivers.vendors.stamps`.
+and ``[stamp]``: see :mod:`servobench.drivers.vendors.motor_objects` and
+:mod:`servobench.drivers.vendors.stamps`.
 """
 
 import tomllib
@@ -14,9 +15,14 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from drivers.errors import BadInput
-from drivers.vendors.motor_objects import MotorObjects, one_line, read_motor_objects, refuse_unknown
-from drivers.vendors.stamps import STANDARD_STAMP, StampProfile, read_stamp
+from servobench.drivers.errors import BadInput
+from servobench.drivers.vendors.motor_objects import (
+    MotorObjects,
+    one_line,
+    read_motor_objects,
+    refuse_unknown,
+)
+from servobench.drivers.vendors.stamps import STANDARD_STAMP, StampProfile, read_stamp
 
 _KEYS = {"vendor", "products", "device_name", "source", "codes", "numbers", "entry", "motor", "stamp"}
 

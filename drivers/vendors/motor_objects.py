@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
-from drivers.errors import BadInput
+from servobench.drivers.errors import BadInput
 
 
 class MotorQuantity(NamedTuple):

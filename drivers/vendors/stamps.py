@@ -18,9 +18,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration
-from drivers.vendors.motor_objects import one_line, refuse_unknown
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from servobench.drivers.vendors.motor_objects import one_line, refuse_unknown
 
 _KEYS: Final = {
     "source", "index", "sub", "unit_us", "resolution_us", "resolution", "bits", "latched",

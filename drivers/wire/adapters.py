@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 import can
 from can.interfaces import BACKENDS
 
-from drivers.errors import MISSING, BadInput, BenchError, BusDown
-from drivers.wire.link import StampSource
-from drivers.wire.slcan import LINE_BAUD, SlcanBus
-from drivers.wire.socketcan import StampedSocketcanBus
+from servobench.drivers.errors import MISSING, BadInput, BenchError, BusDown
+from servobench.drivers.wire.link import StampSource
+from servobench.drivers.wire.slcan import LINE_BAUD, SlcanBus
+from servobench.drivers.wire.socketcan import StampedSocketcanBus
 
 # python-can warns of every vendor driver that it looks for and does not find.
 logging.getLogger("can").addHandler(logging.NullHandler())
@@ -143,8 +143,8 @@ def shared_bus(
 def open_bus(spec: BusSpec, bitrate_bit_s: int, *, for_link: bool = True) -> OpenBus:
     """Open a real-time bus. Raises BusDown with the remedy, or BadInput for what can never be opened.
 
-    ``for_link``: a :class:`~drivers.wire.link.BusLink` uses it, so own frames come back where they bear the
-    instant at which they were on the bus, and several frames may come at once; not for one who reads
+    ``for_link``: a :class:`~servobench.drivers.wire.link.BusLink` uses it, so own frames come back where they
+    bear the instant at which they were on the bus, and several frames may come at once; not for one who reads
     python-can's messages or waits on ``fileno``.
 
     ``simulated`` needs its segment and is opened by who owns that.

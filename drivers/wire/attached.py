@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from serial.tools import list_ports
 
-from drivers.wire.adapters import SOCKETCAN, BusSpec, socketcan_links
-from drivers.wire.error_frames import anew_command
+from servobench.drivers.wire.adapters import SOCKETCAN, BusSpec, socketcan_links
+from servobench.drivers.wire.error_frames import anew_command
 
 COMMAND = ("ip", "-json", "-details", "link", "show")
 _TIMEOUT_S = 5.0

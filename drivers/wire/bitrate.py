@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import can
 
-from drivers.errors import BadInput, BusDown
-from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
-from drivers.wire.adapters import SLCAN, BusSpec
-from drivers.wire.slcan import LINE_BAUD, SlcanBus
-from drivers.wire.slcan_protocol import SlcanStatus
+from servobench.drivers.errors import BadInput, BusDown
+from servobench.drivers.timebase import NS_PER_MS, Clock, Duration, Instant
+from servobench.drivers.wire.adapters import SLCAN, BusSpec
+from servobench.drivers.wire.slcan import LINE_BAUD, SlcanBus
+from servobench.drivers.wire.slcan_protocol import SlcanStatus
 
 CANDIDATES_BIT_S = (1_000_000, 500_000, 250_000, 125_000, 800_000, 100_000, 50_000, 20_000, 10_000)
 """In the order in which CANopen devices are usually set."""

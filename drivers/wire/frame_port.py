@@ -11,8 +11,8 @@ from typing import Final, Literal, NamedTuple
 from can.typechecking import CanFilters
 from mypy_extensions import mypyc_attr
 
-from drivers.record import Record
-from drivers.timebase import Instant
+from servobench.drivers.record import Record
+from servobench.drivers.timebase import Instant
 
 Direction = Literal["tx", "rx"]
 Tap = Callable[[Direction, int, bytes, bool, bool, Instant], None]

@@ -5,15 +5,15 @@ from typing import Final, NoReturn
 
 import can
 
-from drivers.errors import BusDown
-from drivers.timebase import NEVER, Clock, Duration, Instant
-from drivers.wire.frame_port import UNTOLD, CallbackTap, EchoBasis, FramePort, FrameTap, WireFrame
-from drivers.wire.frame_port import Direction as Direction
-from drivers.wire.frame_port import Tap as Tap
-from drivers.wire.identifiers import ERROR_FLAG
-from drivers.wire.message_port import MessagePort
-from drivers.wire.message_port import StampSource as StampSource
-from drivers.wire.send_queue import NO_ROOM, RETRY_EVERY, SendQueue
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NEVER, Clock, Duration, Instant
+from servobench.drivers.wire.frame_port import UNTOLD, CallbackTap, EchoBasis, FramePort, FrameTap, WireFrame
+from servobench.drivers.wire.frame_port import Direction as Direction
+from servobench.drivers.wire.frame_port import Tap as Tap
+from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.message_port import MessagePort
+from servobench.drivers.wire.message_port import StampSource as StampSource
+from servobench.drivers.wire.send_queue import NO_ROOM, RETRY_EVERY, SendQueue
 
 Received = tuple[int, bytes, Instant]
 """Identifier, data, and the bus's stamp of the frame."""
@@ -29,8 +29,8 @@ class BusLink:
     A frame sent here that has been on the bus comes back as an *echo* where the bus has them (``echoes``).
     Echoes reach no tap and are not counted as received.
 
-    A frame that the bus has no room for waits here (:mod:`drivers.wire.send_queue`) and goes out while
-    somebody receives. The tap sees it when the bus takes it.
+    A frame that the bus has no room for waits here (:mod:`servobench.drivers.wire.send_queue`) and goes out
+    while somebody receives. The tap sees it when the bus takes it.
     """
 
     def __init__(

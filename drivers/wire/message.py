@@ -2,9 +2,9 @@
 
 import can
 
-from drivers.timebase import Instant
-from drivers.wire.frame_port import WireFrame
-from drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import WireFrame
+from servobench.drivers.wire.identifiers import ERROR_FLAG
 
 
 def frame_of(message: can.Message) -> WireFrame:

@@ -13,8 +13,8 @@ from typing import Final
 
 import can
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from drivers.wire.frame_port import WireFrame
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.drivers.wire.frame_port import WireFrame
 
 NO_ROOM: Final = frozenset({errno.ENOBUFS, errno.EAGAIN, errno.ENETDOWN})
 """Errors of a bus that may take the same frame later. ENETDOWN: a SocketCAN socket works again once its

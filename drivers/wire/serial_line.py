@@ -13,8 +13,8 @@ from typing import Final, Protocol
 
 import serial
 
-from drivers.errors import BusDown
-from drivers.timebase import NS_PER_S, Clock, Instant
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NS_PER_S, Clock, Instant
 
 BITS_A_BYTE: Final = 10
 """A start bit, eight of data, a stop bit."""

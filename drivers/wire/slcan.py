@@ -15,11 +15,19 @@ from typing import NoReturn
 import can
 from can.typechecking import CanFilters
 
-from drivers.timebase import NEVER, NS_PER_MS, Clock, Duration, Instant, MonotonicClock, instant_after
-from drivers.wire.frame_port import FramePort, WireFrame, accepts
-from drivers.wire.message import frame_of, message_of
-from drivers.wire.serial_line import LineFull, LineGone, SerialLine
-from drivers.wire.slcan_protocol import (
+from servobench.drivers.timebase import (
+    NEVER,
+    NS_PER_MS,
+    Clock,
+    Duration,
+    Instant,
+    MonotonicClock,
+    instant_after,
+)
+from servobench.drivers.wire.frame_port import FramePort, WireFrame, accepts
+from servobench.drivers.wire.message import frame_of, message_of
+from servobench.drivers.wire.serial_line import LineFull, LineGone, SerialLine
+from servobench.drivers.wire.slcan_protocol import (
     BITRATE_CODES,
     LineSplitter,
     SlcanLine,

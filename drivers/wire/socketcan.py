@@ -10,11 +10,17 @@ from typing import Any
 import can
 from can.interfaces.socketcan import SocketcanBus
 
-from drivers.timebase import NS_PER_S, Clock, Instant, MonotonicClock, wall_between
-from drivers.wire.error_frames import controller_cure, controller_state_text
-from drivers.wire.frame_port import EchoBasis, FramePort, Trouble, WireFrame
-from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG, STANDARD_ID_MAX
-from drivers.wire.socketcan_stamps import (
+from servobench.drivers.timebase import NS_PER_S, Clock, Instant, MonotonicClock, wall_between
+from servobench.drivers.wire.error_frames import controller_cure, controller_state_text
+from servobench.drivers.wire.frame_port import EchoBasis, FramePort, Trouble, WireFrame
+from servobench.drivers.wire.identifiers import (
+    ERROR_FLAG,
+    EXTENDED_FLAG,
+    EXTENDED_ID_MAX,
+    REMOTE_FLAG,
+    STANDARD_ID_MAX,
+)
+from servobench.drivers.wire.socketcan_stamps import (
     ANCILLARY_BYTES,
     HARDWARE_STAMPS,
     SO_RXQ_OVFL,

@@ -14,7 +14,7 @@ from itertools import pairwise
 from struct import Struct
 from typing import Final, NamedTuple
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 
 SO_TIMESTAMPNS: Final = 35
 SO_TIMESTAMPING: Final = 37

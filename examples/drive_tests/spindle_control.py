@@ -1,6 +1,6 @@
 """The product of this project: a speed controller for a spindle."""
 
-from hil import Command, Context, Controller, SetPoint, TorqueSetPoint
+from servobench import Command, Context, Controller, SetPoint, TorqueSetPoint
 
 
 class SpindleController(Controller):

@@ -1,6 +1,6 @@
 """A speed controller: PI, with the gains from one bandwidth and the motor's inertia."""
 
-from hil import Command, Context, Controller, Setup, TorqueSetPoint
+from servobench import Command, Context, Controller, Setup, TorqueSetPoint
 
 
 class SpeedController(Controller):

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from drivers.errors import BenchError
+from servobench import BenchError
 
 BENCH = Path(__file__).parent / "bench.toml"
 

@@ -10,7 +10,7 @@ import numpy as np
 import osqp
 from scipy import sparse
 
-from hil import Command, Context, Controller, Setup, TorqueSetPoint
+from servobench import Command, Context, Controller, Setup, TorqueSetPoint
 
 
 class Mpc(Controller):

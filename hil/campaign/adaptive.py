@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr, ndtri
 
-from hil.campaign.sweep_file import Adaptive
+from servobench.hil.campaign.sweep_file import Adaptive
 
 Floats = NDArray[np.float64]
 

@@ -13,18 +13,18 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from drivers.errors import BadInput, BenchError
-from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.campaign.on_dask import dask_client, rows_on_dask
-from hil.campaign.plan import CampaignPlan, GridAxis
-from hil.campaign.pool import RowSource, rows_of
-from hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson, weighted_rate
-from hil.campaign.store import RunStore, open_campaign, plan_in, schema_of, stored_runs
-from hil.campaign.worker import Finished, NotTheSame, Row, Workshop
-from hil.machine.stopping import StopRequest, stop_signals
-from hil.reviewing.certificate_meter import CertificateState
-from hil.verdict.claim import claim
-from hil.verdict.verdict import ExitStatus
+from servobench.drivers.errors import BadInput, BenchError
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.hil.campaign.on_dask import dask_client, rows_on_dask
+from servobench.hil.campaign.plan import CampaignPlan, GridAxis
+from servobench.hil.campaign.pool import RowSource, rows_of
+from servobench.hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson, weighted_rate
+from servobench.hil.campaign.store import RunStore, open_campaign, plan_in, schema_of, stored_runs
+from servobench.hil.campaign.worker import Finished, NotTheSame, Row, Workshop
+from servobench.hil.machine.stopping import StopRequest, stop_signals
+from servobench.hil.reviewing.certificate_meter import CertificateState
+from servobench.hil.verdict.claim import claim
+from servobench.hil.verdict.verdict import ExitStatus
 
 STORED_EVERY_NS: Final = 5 * NS_PER_S
 """So much work at most is done again after a kill."""

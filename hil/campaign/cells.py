@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from hil.campaign.campaign import Campaign
-from hil.campaign.figures import PEAK, worst_first
-from hil.campaign.plan import GridAxis
+from servobench.hil.campaign.campaign import Campaign
+from servobench.hil.campaign.figures import PEAK, worst_first
+from servobench.hil.campaign.plan import GridAxis
 
 Floats = NDArray[np.float64]
 

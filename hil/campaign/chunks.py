@@ -7,10 +7,10 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
-from drivers.errors import BenchError
-from drivers.timebase import NS_PER_S
-from hil.campaign.plan import CampaignPlan
-from hil.campaign.worker import Row
+from servobench.drivers.errors import BenchError
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.worker import Row
 
 CHUNK_NS: Final = NS_PER_S // 2
 """What a chunk is to take: a thousand times its handing over, and little to lose with a worker."""
@@ -67,7 +67,7 @@ class Chunks:
         return [self._fresh.popleft() for _ in range(min(size, known, len(self._fresh)))] or None
 
     def drawn(self, chunk: Iterable[int]) -> list[Any]:
-        """A chunk as a worker takes it, see :meth:`hil.campaign.worker.Workshop.answers`."""
+        """A chunk as a worker takes it, see :meth:`servobench.hil.campaign.worker.Workshop.answers`."""
         return [[number, self._plan.drawn(number)] for number in chunk]
 
     def put_back(self, chunks: Iterable[list[int]]) -> None:

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.campaign.campaign import Campaign, counted
-from hil.campaign.plan import GridAxis
-from hil.campaign.statistics import ConfidenceInterval, Sensitivity, paired, quantile, sensitivity
-from hil.campaign.worker import FIGURES
-from hil.reviewing.certificate_meter import CertificateState
+from servobench.hil.campaign.campaign import Campaign, counted
+from servobench.hil.campaign.plan import GridAxis
+from servobench.hil.campaign.statistics import ConfidenceInterval, Sensitivity, paired, quantile, sensitivity
+from servobench.hil.campaign.worker import FIGURES
+from servobench.hil.reviewing.certificate_meter import CertificateState
 
 PEAK = "speed_error_peak_percent"
 """The figure of heat maps and worst cases."""

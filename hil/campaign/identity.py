@@ -19,9 +19,9 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.errors import BadInput
-from hil.campaign.opened_files import ABSENT, DIGEST_BYTES, ROOMS, ROOT, digest_of, opened_files
-from hil.recording.run_metadata import source_commit
+from servobench.drivers.errors import BadInput
+from servobench.hil.campaign.opened_files import ABSENT, DIGEST_BYTES, ROOMS, ROOT, digest_of, opened_files
+from servobench.hil.recording.run_metadata import source_commit
 
 Identity = dict[str, Any]
 """Plain values, as above."""

@@ -18,13 +18,13 @@ from contextlib import contextmanager
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from drivers.errors import BadInput, BenchError
-from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.campaign.chunks import EACH_HOLDS, Chunks, WorkerDied
-from hil.campaign.plan import CampaignPlan
-from hil.campaign.pool import RowSource
-from hil.campaign.worker import Answer, NotTheSame, Workshop, refusal
-from hil.machine.stopping import StopRequest
+from servobench.drivers.errors import BadInput, BenchError
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.hil.campaign.chunks import EACH_HOLDS, Chunks, WorkerDied
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.pool import RowSource
+from servobench.hil.campaign.worker import Answer, NotTheSame, Workshop, refusal
+from servobench.hil.machine.stopping import StopRequest
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -56,7 +56,7 @@ class Order(NamedTuple):
     """A name of this campaign alone: none goes on with what a worker has read for another."""
     sweep: str
     identity: str
-    """JSON of :data:`hil.campaign.identity.Identity`."""
+    """JSON of :data:`servobench.hil.campaign.identity.Identity`."""
     witness: str
     """JSON of the number of a run, what it draws, and its row as it came out here."""
 
@@ -154,7 +154,8 @@ def _outcome(client: "Client", task: "DaskFuture[list[Answer]]") -> Flying:
 
 
 def order_of(client: "Client", plan: CampaignPlan, number: int, stop: StopRequest) -> Order:
-    """With run ``number`` as it comes out here. Raises as :meth:`hil.campaign.worker.Workshop.row`."""
+    """With run ``number`` as it comes out here. Raises as
+    :meth:`servobench.hil.campaign.worker.Workshop.row`."""
     drawn = plan.drawn(number)
     row = Workshop(plan, stop).row(number, drawn)
     witness, identity = json.dumps([number, drawn, row]), json.dumps(plan.identity)
@@ -221,7 +222,7 @@ _one_at_a_time = threading.Lock()
 
 
 def run_chunk(order: Order, chunk: list[Any]) -> list[Answer]:
-    """On a worker: the answers of :meth:`hil.campaign.worker.Workshop.answers`."""
+    """On a worker: the answers of :meth:`servobench.hil.campaign.worker.Workshop.answers`."""
     with _one_at_a_time:
         try:
             return list(_workshop(order).answers(chunk))

@@ -7,10 +7,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from drivers.errors import BadInput, BenchError
-from hil.campaign.sweep_file import Own
-from hil.control.own_code import OwnCodeFailed, object_of, source_of
-from hil.machine.held_process import FAILURES, OWN_FILES, held_process, told
+from servobench.drivers.errors import BadInput, BenchError
+from servobench.hil.campaign.sweep_file import Own
+from servobench.hil.control.own_code import OwnCodeFailed, object_of, source_of
+from servobench.hil.machine.held_process import FAILURES, OWN_FILES, held_process, told
 
 EXPECTED: Final = "a function, as MODULE:NAME or FILE.py:NAME beside the sweep file"
 T = TypeVar("T")

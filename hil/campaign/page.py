@@ -9,11 +9,11 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from hil.campaign.campaign import Campaign
-from hil.campaign.cells import CellMap, cell_maps
-from hil.campaign.figures import PEAK, figures_of
-from hil.campaign.plan import GridAxis
-from hil.recording.rerun_page import framed, plot, stream_into
+from servobench.hil.campaign.campaign import Campaign
+from servobench.hil.campaign.cells import CellMap, cell_maps
+from servobench.hil.campaign.figures import PEAK, figures_of
+from servobench.hil.campaign.plan import GridAxis
+from servobench.hil.recording.rerun_page import framed, plot, stream_into
 
 TIMELINE: Final = "run"
 """Runs by their number: a sequence, no time."""

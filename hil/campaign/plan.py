@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
-from drivers.bounded_file import NamedBy, read_toml
-from drivers.errors import BadInput
-from hil.campaign.adaptive import Drawn, Rounds
-from hil.campaign.identity import Identity, SourceFiles, program
-from hil.campaign.own_functions import OwnFunctions
-from hil.campaign.sweep_file import RUNS_MAX, Draw, SweepFile, Vary, sweep_from
-from hil.configuration.bench_tables import Bench
-from hil.configuration.config import BenchConfig
+from servobench.drivers.bounded_file import NamedBy, read_toml
+from servobench.drivers.errors import BadInput
+from servobench.hil.campaign.adaptive import Drawn, Rounds
+from servobench.hil.campaign.identity import Identity, SourceFiles, program
+from servobench.hil.campaign.own_functions import OwnFunctions
+from servobench.hil.campaign.sweep_file import RUNS_MAX, Draw, SweepFile, Vary, sweep_from
+from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.configuration.config import BenchConfig
 
 Changes = dict[str, Any]
 

@@ -12,11 +12,11 @@ from collections import deque
 from collections.abc import Generator
 from typing import Any, Final
 
-from hil.campaign.chunks import EACH_HOLDS, Chunks, WorkerDied
-from hil.campaign.plan import CampaignPlan
-from hil.campaign.worker import Row, Workshop
-from hil.machine.stopping import StopRequest
-from virtual_bus.child_python import python_command, python_environment
+from servobench.hil.campaign.chunks import EACH_HOLDS, Chunks, WorkerDied
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.worker import Row, Workshop
+from servobench.hil.machine.stopping import StopRequest
+from servobench.virtual_bus.child_python import python_command, python_environment
 
 DEATHS_MAX: Final = 3
 """A run during which so many workers died is the cause; so many that died in a row before they were ready are
@@ -33,7 +33,7 @@ class Worker:
 
     def __init__(self, plan: CampaignPlan) -> None:
         self.process = subprocess.Popen(
-            python_command("hil.campaign.worker"),
+            python_command("servobench.hil.campaign.worker"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=python_environment(OPENBLAS_NUM_THREADS="1"),

@@ -11,10 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from hil.campaign.campaign import Campaign
-from hil.campaign.cells import CellMap, cell_maps
-from hil.campaign.figures import PEAK, failure_line, figures_of, worst_runs
-from hil.campaign.plan import GridAxis
+from servobench.hil.campaign.campaign import Campaign
+from servobench.hil.campaign.cells import CellMap, cell_maps
+from servobench.hil.campaign.figures import PEAK, failure_line, figures_of, worst_runs
+from servobench.hil.campaign.plan import GridAxis
 
 CELLS_NAMED_MAX = 200
 """Beyond that the numbers in the cells of a heat map do not fit them."""

@@ -24,7 +24,7 @@ from scipy.special import betaln
 from scipy.stats import binomtest, bootstrap, spearmanr
 from scipy.stats import t as student
 
-from design.confidence import clopper_pearson as confidence_limits
+from servobench.design.confidence import clopper_pearson as confidence_limits
 
 Floats = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 Each file holds the next runs in order of their number, is written beside its place, synced, and put there by
 one rename: whatever is killed when, what is there is whole, and goes from run 0 on without a gap. A seal has
-the digest of each (:mod:`hil.campaign.store_seal`), which is checked whenever it is read.
+the digest of each (:mod:`servobench.hil.campaign.store_seal`), which is checked whenever it is read.
 """
 
 import fcntl
@@ -18,15 +18,15 @@ from typing import Any, Final, Self
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from drivers.bounded_file import parse_json, read_text
-from drivers.errors import BadInput
-from drivers.written_file import writing
-from hil.campaign.identity import Identity, require_program
-from hil.campaign.plan import CampaignPlan
-from hil.campaign.store_seal import SUFFIX, StoreSeal, sealed_files
-from hil.campaign.worker import FIGURES, Row
-from hil.machine.on_disk import is_locked
-from hil.rows.run_files import SEAL_FILE
+from servobench.drivers.bounded_file import parse_json, read_text
+from servobench.drivers.errors import BadInput
+from servobench.drivers.written_file import writing
+from servobench.hil.campaign.identity import Identity, require_program
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.store_seal import SUFFIX, StoreSeal, sealed_files
+from servobench.hil.campaign.worker import FIGURES, Row
+from servobench.hil.machine.on_disk import is_locked
+from servobench.hil.rows.run_files import SEAL_FILE
 
 FORMAT: Final = "3"
 PLAN_FILE: Final = "campaign.json"

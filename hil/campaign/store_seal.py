@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.errors import BadInput
-from hil.machine.on_disk import sync_folder, write_synced
-from hil.recording.append_file import AppendFile
-from hil.rows.run_files import SEAL_FILE
-from hil.rows.seal import ENDED, FIRST_CHAIN, Piece, digest_of, read_seal, sealed_line
+from servobench.drivers.errors import BadInput
+from servobench.hil.machine.on_disk import sync_folder, write_synced
+from servobench.hil.recording.append_file import AppendFile
+from servobench.hil.rows.run_files import SEAL_FILE
+from servobench.hil.rows.seal import ENDED, FIRST_CHAIN, Piece, digest_of, read_seal, sealed_line
 
 SUFFIX: Final = ".writing"
 _RESTORE: Final = "restore it, or begin a campaign in a folder of its own with --out"

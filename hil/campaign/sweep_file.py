@@ -4,9 +4,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from drivers.errors import BadInput
-from hil.configuration.config_files import Section, validated
-from hil.control.own_code import OBJECT_PATTERN
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.config_files import Section, validated
+from servobench.hil.control.own_code import OBJECT_PATTERN
 
 RUNS_MAX = 10_000_000
 """More is a slip of the pen: at 20 runs a second and core it takes 100 cores more than an hour."""
@@ -117,7 +117,7 @@ class Adaptive(Section):
 
 
 class Own(Section):
-    """``[own]``: functions of one's own, see :class:`hil.campaign.own_functions.OwnFunctions`."""
+    """``[own]``: functions of one's own, see :class:`servobench.hil.campaign.own_functions.OwnFunctions`."""
 
     changes: str | None = Field(default=None, pattern=OBJECT_PATTERN)
     """Of the bench, by the seed of a run."""

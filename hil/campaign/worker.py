@@ -1,6 +1,7 @@
 """Runs of a campaign back to back in one process, without logger, disk or viewer.
 
-``python -m hil.campaign.worker`` is a process that does nothing else; see :mod:`hil.campaign.pool`.
+``python -m servobench.hil.campaign.worker`` is a process that does nothing else; see
+:mod:`servobench.hil.campaign.pool`.
 """
 
 import gc
@@ -12,25 +13,25 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from drivers.errors import BadInput, BenchError
-from drivers.timebase import MonotonicClock
-from hil.campaign.adaptive import Drawn
-from hil.campaign.identity import Identity, require_program
-from hil.campaign.plan import CampaignPlan, PlannedRun, refuse_real_time
-from hil.configuration.config import BenchConfig
-from hil.configuration.config_errors import BadInputs
-from hil.control.own_code import OwnCodeFailed, object_of
-from hil.execution.bench import run_bench
-from hil.machine.refusals import explained
-from hil.machine.replaced import watch_for_replacements
-from hil.machine.stopping import Interrupted, StopRequest
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.recording.recorder import recorder_of
-from hil.recording.run_recorder import RunRecorder
-from hil.reviewing.certificate_meter import CertificateState
-from hil.rows.recording_plan import RecordingPlan
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.errors import BadInput, BenchError
+from servobench.drivers.timebase import MonotonicClock
+from servobench.hil.campaign.adaptive import Drawn
+from servobench.hil.campaign.identity import Identity, require_program
+from servobench.hil.campaign.plan import CampaignPlan, PlannedRun, refuse_real_time
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.config_errors import BadInputs
+from servobench.hil.control.own_code import OwnCodeFailed, object_of
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.machine.refusals import explained
+from servobench.hil.machine.replaced import watch_for_replacements
+from servobench.hil.machine.stopping import Interrupted, StopRequest
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.recording.recorder import recorder_of
+from servobench.hil.recording.run_recorder import RunRecorder
+from servobench.hil.reviewing.certificate_meter import CertificateState
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import VerdictKind
 
 COLLECTED_EVERY: Final = 50
 """Runs between two collections of garbage: a run leaves some hundred kB in circles, a collection takes some
@@ -195,7 +196,7 @@ class Workshop:
 
             recording = in_memory if record is None else recorder_of
             ended.append(self._run(config, planned, record, recording))
-            run_class = object_of("hil:Run")  # above this floor: found as code of one's own finds it
+            run_class = object_of("servobench:Run")  # above this floor: found as code of one's own finds it
             return run_class(config, record or memory[0], summary=ended[-1])
 
         findings = self._plan.own.findings(planned.seed, run)
@@ -264,7 +265,7 @@ def row_of_run(planned: PlannedRun, done: Finished) -> Row:
 
 
 def main() -> int:
-    """A worker of :mod:`hil.campaign.pool`: run what is asked for until nothing more comes."""
+    """A worker of :mod:`servobench.hil.campaign.pool`: run what is asked for until nothing more comes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     said = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what code of one's own prints is no answer

@@ -2,12 +2,12 @@
 
 from typing import Final, NamedTuple
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_S, Instant
-from hil.commissioning.frequency import StepLag
-from hil.commissioning.session import Session
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.commissioning.frequency import StepLag
+from servobench.hil.commissioning.session import Session
 
 _SWITCHES: Final = 500
 """At 1 kHz 2 s: each age is met to a five-hundredth of the interval, and noise averages out."""

@@ -7,33 +7,33 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.objects301 import Cia301
-from drivers.cia402.drive_setup import read_identity
-from drivers.errors import BadInput, BenchError, PeerFault
-from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
-from drivers.wire.adapters import parse_bus_spec
-from drivers.written_file import DiskFull, writing
-from hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
-from hil.commissioning.drive_left import DriveLeft
-from hil.commissioning.files import set_objects, write_files
-from hil.commissioning.recording import SessionLog
-from hil.commissioning.rehearsal import rehearsed_drive
-from hil.commissioning.rehearsed_files import ways_to_run
-from hil.commissioning.report import Commissioned, as_json, summary_of, write_report
-from hil.commissioning.request import CommissionRequest, Nameplate, Rehearsal
-from hil.commissioning.sequence import Step, run_sequence
-from hil.commissioning.session import Session
-from hil.commissioning.steps import all_steps
-from hil.execution.world import World, WorldPlan, drive_network, open_world
-from hil.machine.realtime import timing_conditions
-from hil.machine.stopping import stop_signals
-from hil.restoring.journal import DriveMark, JournaledNetwork, append_restored, read_journal
-from hil.restoring.restore import DISABLED, await_answer, restore
-from hil.rows.run_files import BENCH_FILE, COMMISSIONING_RECORDING
-from hil.write_lists import COMMISSION, RESTORE
-from virtual_bus.device.canopen_device import CanopenDevice
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.cia402.drive_setup import read_identity
+from servobench.drivers.errors import BadInput, BenchError, PeerFault
+from servobench.drivers.sheets.dictionary import LoadedDictionary, load_dictionary
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.written_file import DiskFull, writing
+from servobench.hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
+from servobench.hil.commissioning.drive_left import DriveLeft
+from servobench.hil.commissioning.files import set_objects, write_files
+from servobench.hil.commissioning.recording import SessionLog
+from servobench.hil.commissioning.rehearsal import rehearsed_drive
+from servobench.hil.commissioning.rehearsed_files import ways_to_run
+from servobench.hil.commissioning.report import Commissioned, as_json, summary_of, write_report
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate, Rehearsal
+from servobench.hil.commissioning.sequence import Step, run_sequence
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.execution.world import World, WorldPlan, drive_network, open_world
+from servobench.hil.machine.realtime import timing_conditions
+from servobench.hil.machine.stopping import stop_signals
+from servobench.hil.restoring.journal import DriveMark, JournaledNetwork, append_restored, read_journal
+from servobench.hil.restoring.restore import DISABLED, await_answer, restore
+from servobench.hil.rows.run_files import BENCH_FILE, COMMISSIONING_RECORDING
+from servobench.hil.write_lists import COMMISSION, RESTORE
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
 
 SAVE: bytes = b"save"
 """Signature that 1010h wants (CiA 301 7.5.2.13)."""

@@ -12,8 +12,8 @@ from contextlib import contextmanager, suppress
 from enum import Enum
 from typing import IO, Any
 
-from hil.machine.parent_process import messages
-from hil.machine.stopping import StopRequest
+from servobench.hil.machine.parent_process import messages
+from servobench.hil.machine.stopping import StopRequest
 
 Idle = Callable[[], None]
 """Lets a little time pass on the bus; may raise."""

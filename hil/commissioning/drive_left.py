@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-from hil.commissioning.request import CommissionRequest
-from hil.restoring.restore import Restoration
+from servobench.hil.commissioning.request import CommissionRequest
+from servobench.hil.restoring.restore import Restoration
 
 
 @dataclass(slots=True)

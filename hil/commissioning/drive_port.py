@@ -11,13 +11,13 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from drivers.canopen.pdo import EVERY_SYNC
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.cia402.readings import NEVER_TOLD
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import PeerFault
-from drivers.exchange import (
+from servobench.drivers.canopen.pdo import EVERY_SYNC
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.readings import NEVER_TOLD
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.exchange import (
     Command,
     DemandChange,
     Drive,
@@ -27,8 +27,8 @@ from drivers.exchange import (
     SentCommand,
     SpeedCommand,
 )
-from drivers.timebase import NS_PER_S, Instant
-from hil.loop.scenario import Quantity
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.loop.scenario import Quantity
 
 QUANTITY_OF_MODE: Final = {
     Mode.CYCLIC_SYNCHRONOUS_TORQUE: Quantity.TORQUE,

@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from drivers.exchange import Command
-from hil.commissioning.identify import Array, Mechanics
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
+from servobench.drivers.exchange import Command
+from servobench.hil.commissioning.identify import Array, Mechanics
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
 
 GUIDE_RAD_S: Final = 40.0
 """Of the speed loop that only guides an exercise: slow enough for any delay that a bench has."""

@@ -7,27 +7,27 @@ from typing import Final
 
 import numpy as np
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.errors import LimitExceeded
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
-from hil.commissioning.drive_port import DrivePort
-from hil.commissioning.excitation import SpeedReference, TimedTorque
-from hil.commissioning.identify import Array
-from hil.commissioning.request import MotionLimits
-from hil.control.compensation import Arrival
-from hil.execution.bus_guard import BusGuard
-from hil.execution.segments import sync_log
-from hil.loop.axis import Axis, AxisParts
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, SetPoint
-from hil.loop.loop import Loop, LoopTiming
-from hil.loop.pace import OwnSync
-from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
-from hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
-from hil.loop.scenario import Quantity, ReferenceProfile, Segment
-from hil.loop.syncs import SyncLog
-from hil.reviewing.network_meter import runs_of
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.errors import LimitExceeded
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant, duration_s
+from servobench.hil.commissioning.drive_port import DrivePort
+from servobench.hil.commissioning.excitation import SpeedReference, TimedTorque
+from servobench.hil.commissioning.identify import Array
+from servobench.hil.commissioning.request import MotionLimits
+from servobench.hil.control.compensation import Arrival
+from servobench.hil.execution.bus_guard import BusGuard
+from servobench.hil.execution.segments import sync_log
+from servobench.hil.loop.axis import Axis, AxisParts
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, SetPoint
+from servobench.hil.loop.loop import Loop, LoopTiming
+from servobench.hil.loop.pace import OwnSync
+from servobench.hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
+from servobench.hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
+from servobench.hil.loop.scenario import Quantity, ReferenceProfile, Segment
+from servobench.hil.loop.syncs import SyncLog
+from servobench.hil.reviewing.network_meter import runs_of
 
 BLIND_MAX_S: Final = 0.1
 """Without a reading for longer the exercise ends."""

@@ -7,23 +7,28 @@ from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
-from drivers.canopen.data_types import SIGNED_BITS, DataType
-from drivers.canopen.objects301 import MANDATORY, MANUFACTURER
-from drivers.cia402.drive_setup import Identity
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import BENCH_MODES, Mode, QuickStopOption, run_words
-from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
-from hil.commissioning.findings import Findings
-from hil.commissioning.outcome import LOSSES_MAX
-from hil.commissioning.rehearsed_files import copied_files, sheet_name, simulation_table, ways_to_run
-from hil.commissioning.session import Session
-from hil.commissioning.steps_design import rounded, suggested_limits
-from hil.commissioning.torque_scale import torque_scale
-from hil.configuration.network_file import NETWORK_FILE, network_text
-from hil.configuration.toml_text import toml_text
-from hil.restoring.journal import SET_POINTS, ObjectKey
-from hil.restoring.restore import pdo_of
-from hil.rows.run_files import BENCH_FILE, COMMISSIONED_FILE
+from servobench.drivers.canopen.data_types import SIGNED_BITS, DataType
+from servobench.drivers.canopen.objects301 import MANDATORY, MANUFACTURER
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import BENCH_MODES, Mode, QuickStopOption, run_words
+from servobench.drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
+from servobench.hil.commissioning.findings import Findings
+from servobench.hil.commissioning.outcome import LOSSES_MAX
+from servobench.hil.commissioning.rehearsed_files import (
+    copied_files,
+    sheet_name,
+    simulation_table,
+    ways_to_run,
+)
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_design import rounded, suggested_limits
+from servobench.hil.commissioning.torque_scale import torque_scale
+from servobench.hil.configuration.network_file import NETWORK_FILE, network_text
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.restoring.journal import SET_POINTS, ObjectKey
+from servobench.hil.restoring.restore import pdo_of
+from servobench.hil.rows.run_files import BENCH_FILE, COMMISSIONED_FILE
 
 MOTOR_FILE: Final = "motor.toml"
 DCF_FILE: Final = "drive.dcf"

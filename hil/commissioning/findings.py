@@ -3,17 +3,17 @@
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.drive_setup import Identity
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, QuickStopOption
-from drivers.cia402.scaling import ScaleOverride, Scaling
-from drivers.cia402.told_motor import ToldMotor
-from drivers.timebase import NS_PER_MS, Duration
-from hil.commissioning.identify import Mechanics, SpeedRatio
-from hil.commissioning.request import MotionLimits
-from hil.configuration.network_file import Network
-from hil.restoring.journal import ObjectKey
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, QuickStopOption
+from servobench.drivers.cia402.scaling import ScaleOverride, Scaling
+from servobench.drivers.cia402.told_motor import ToldMotor
+from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.commissioning.identify import Mechanics, SpeedRatio
+from servobench.hil.commissioning.request import MotionLimits
+from servobench.hil.configuration.network_file import Network
+from servobench.hil.restoring.journal import ObjectKey
 
 MILLISECOND: Final = Duration(NS_PER_MS)
 

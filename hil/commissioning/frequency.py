@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.commissioning.identify import Array
+from servobench.hil.commissioning.identify import Array
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 

@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.errors import PeerFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 
 
 class HostStoodStill(PeerFault):

@@ -6,11 +6,11 @@ from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
-from drivers.canopen.data_types import DataType
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects301 import FIRST_OBJECT
-from drivers.cia402.objects402 import Object
-from drivers.errors import TransferAborted
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.errors import TransferAborted
 
 Dump = dict[tuple[int, int], bytes]
 

@@ -2,11 +2,11 @@
 
 from typing import Final
 
-from drivers.canopen.greatest import write_greatest
-from drivers.canopen.objects import RemoteObjects
-from drivers.cia402.objects402 import Object
-from drivers.cia402.scaling import Scaling
-from hil.commissioning.request import MotionLimits
+from servobench.drivers.canopen.greatest import write_greatest
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.scaling import Scaling
+from servobench.hil.commissioning.request import MotionLimits
 
 MOVE_RUN_UP_S: Final = 0.5
 """From rest to the limit of speed. A drive that is given set-points one after the other speeds up and brakes

@@ -9,17 +9,22 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from design.flux_constants import figure
-from design.sheet_figures import Contradiction
-from drivers.cia402.objects402 import Object
-from drivers.cia402.told_motor import ToldFigure, ToldMotor, read_told_motor
-from drivers.cia402.unit_factors import WINDING_SLIPS, likely_slip
-from drivers.vendors.families import motor_objects_for
-from drivers.vendors.motor_objects import POLE_PAIRS_MAX, QUANTITIES
-from hil.commissioning.findings import BY_NAMEPLATE, Stated
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.request import ImpossiblePlate, Nameplate, in_which_they_agree, refuse_impossible
-from hil.commissioning.session import Session
+from servobench.design.flux_constants import figure
+from servobench.design.sheet_figures import Contradiction
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.told_motor import ToldFigure, ToldMotor, read_told_motor
+from servobench.drivers.cia402.unit_factors import WINDING_SLIPS, likely_slip
+from servobench.drivers.vendors.families import motor_objects_for
+from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX, QUANTITIES
+from servobench.hil.commissioning.findings import BY_NAMEPLATE, Stated
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.request import (
+    ImpossiblePlate,
+    Nameplate,
+    in_which_they_agree,
+    refuse_impossible,
+)
+from servobench.hil.commissioning.session import Session
 
 _RATING_TOLERANCE: Final = 0.03
 """Plates are printed with three digits, and 6075h and 6076h hold whole mA and mN m."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Final
 
-from drivers.errors import PeerFault
+from servobench.drivers.errors import PeerFault
 
 LOSSES_MAX: Final = 0.1
 """Part of a step's readings that may be lost. A bus in order loses none, a bad one a hundredth; where a tenth

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from drivers.rotation import RPM_PER_RAD_S
-from hil.commissioning.exercise import Recording
-from hil.commissioning.frequency import ComplexArray, FrequencyResponse, StepLag
-from hil.commissioning.identify import Array, Mechanics
-from hil.commissioning.ripple import TorqueByAngle
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.frequency import ComplexArray, FrequencyResponse, StepLag
+from servobench.hil.commissioning.identify import Array, Mechanics
+from servobench.hil.commissioning.ripple import TorqueByAngle
 
 _BLUE, _RED, _GREY = "#1f5fa8", "#c8442c", "#8a8f98"
 

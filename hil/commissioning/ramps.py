@@ -16,16 +16,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from drivers.canopen.greatest import write_greatest
-from drivers.canopen.objects import RemoteObjects
-from drivers.cia402.mode_ramps import RAMPS, SPEEDS, VL_RAMPS
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.cia402.velocity_mode import velocity_mode_ramp
-from hil.commissioning.findings import DriveRamp, Findings
-from hil.commissioning.moves import CATCH_UP, MOVE_RUN_UP_S
-from hil.commissioning.outcome import StepFailed
-from hil.commissioning.request import MotionLimits
+from servobench.drivers.canopen.greatest import write_greatest
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.cia402.mode_ramps import RAMPS, SPEEDS, VL_RAMPS
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.velocity_mode import velocity_mode_ramp
+from servobench.hil.commissioning.findings import DriveRamp, Findings
+from servobench.hil.commissioning.moves import CATCH_UP, MOVE_RUN_UP_S
+from servobench.hil.commissioning.outcome import StepFailed
+from servobench.hil.commissioning.request import MotionLimits
 
 _HIDDEN_S: Final = 1e-3
 """The rated torque in so long: 6087h then hides no command, whose switches are a tenth of it; how fast a

@@ -10,15 +10,15 @@ from typing import Final
 
 import numpy as np
 
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
-from drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
-from hil.execution.world import World
-from hil.recording.append_file import AppendFile
-from hil.recording.candump import candump_lines, direction_lines
-from hil.rows.event_lines import event_json
-from hil.rows.recording_plan import SIMULATED_EPOCH
-from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE
-from hil.rows.side_rows import FRAME_DTYPE, StateEvent, TextEvent, frame_row
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
+from servobench.hil.execution.world import World
+from servobench.hil.recording.append_file import AppendFile
+from servobench.hil.recording.candump import candump_lines, direction_lines
+from servobench.hil.rows.event_lines import event_json
+from servobench.hil.rows.recording_plan import SIMULATED_EPOCH
+from servobench.hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE
+from servobench.hil.rows.side_rows import FRAME_DTYPE, StateEvent, TextEvent, frame_row
 
 _TRACK: Final = "step"
 

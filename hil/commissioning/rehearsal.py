@@ -9,18 +9,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from drivers.cia402.scaling import ENCODER_COUNTS_MIN
-from drivers.wire.adapters import shared_bus
-from drivers.written_file import write_file
-from hil.commissioning.request import Rehearsal
-from hil.configuration.toml_text import toml_text
-from hil.execution.device_files import DeviceFiles
-from hil.execution.simulated_drives import host_drives, servo_of
-from hil.execution.world import WorldPlan
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.drive.unknown_drive import Truth, nameplate_of, unknown_drive
-from virtual_bus.hosting.injection import Faults
+from servobench.drivers.cia402.scaling import ENCODER_COUNTS_MIN
+from servobench.drivers.wire.adapters import shared_bus
+from servobench.drivers.written_file import write_file
+from servobench.hil.commissioning.request import Rehearsal
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.execution.device_files import DeviceFiles
+from servobench.hil.execution.simulated_drives import host_drives, servo_of
+from servobench.hil.execution.world import WorldPlan
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.drive.unknown_drive import Truth, nameplate_of, unknown_drive
+from servobench.virtual_bus.hosting.injection import Faults
 
 
 def rehearsed_drive(

@@ -4,9 +4,9 @@ import shutil
 from pathlib import Path
 from typing import Any, Final
 
-from hil.commissioning.request import CommissionRequest
-from hil.configuration.toml_text import toml_text
-from hil.rows.run_files import BENCH_FILE
+from servobench.hil.commissioning.request import CommissionRequest
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.rows.run_files import BENCH_FILE
 
 _SHEET: Final = "data-sheet"
 """The drive's, with the suffix that it had."""

@@ -10,16 +10,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.cia402.objects402 import Object
-from drivers.errors import BenchError
-from drivers.vendors.motor_objects import QUANTITIES
-from hil.commissioning.drive_left import DriveLeft
-from hil.commissioning.findings import BY_NAMEPLATE, Findings
-from hil.commissioning.outcome import StatedFigure, StepRecord, StepVerdict
-from hil.commissioning.request import CommissionRequest
-from hil.commissioning.torque_scale import TorqueScale, is_proportional, torque_scale
-from hil.rows.run_files import COMMISSIONING_FIGURES
-from hil.verdict.verdict import ExitStatus
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.errors import BenchError
+from servobench.drivers.vendors.motor_objects import QUANTITIES
+from servobench.hil.commissioning.drive_left import DriveLeft
+from servobench.hil.commissioning.findings import BY_NAMEPLATE, Findings
+from servobench.hil.commissioning.outcome import StatedFigure, StepRecord, StepVerdict
+from servobench.hil.commissioning.request import CommissionRequest
+from servobench.hil.commissioning.torque_scale import TorqueScale, is_proportional, torque_scale
+from servobench.hil.rows.run_files import COMMISSIONING_FIGURES
+from servobench.hil.verdict.verdict import ExitStatus
 
 REPORT_FILE = "report.md"
 HTML_FILE = "report.html"

@@ -7,27 +7,36 @@ from typing import Final
 
 from pydantic import Field
 
-from design.flux_constants import CONVENTIONS
-from design.sheet_figures import Contradiction, SheetFigures
-from design.sheet_readings import readings
-from drivers.bounded_file import NamedBy
-from drivers.canopen.objects301 import FIRST_OBJECT
-from drivers.errors import BadInput
-from drivers.printable import printable
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.vendors.motor_objects import POLE_PAIRS_MAX
-from hil.configuration.config import Foreign, Guard
-from hil.configuration.config_files import Section, load_file
-from hil.configuration.motor_file import LING2012, MotorFile
-from hil.configuration.quantities import Current, Inductance, Inertia, Resistance, Speed, Torque, Voltage
-from hil.restoring.journal import restore_command
+from servobench.design.flux_constants import CONVENTIONS
+from servobench.design.sheet_figures import Contradiction, SheetFigures
+from servobench.design.sheet_readings import readings
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT
+from servobench.drivers.errors import BadInput
+from servobench.drivers.printable import printable
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
+from servobench.hil.configuration.config import Foreign, Guard
+from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.configuration.motor_file import LING2012, MotorFile
+from servobench.hil.configuration.quantities import (
+    Current,
+    Inductance,
+    Inertia,
+    Resistance,
+    Speed,
+    Torque,
+    Voltage,
+)
+from servobench.hil.restoring.journal import restore_command
 
 
 class PlateMotor(Section):
     """``[motor]``: what is known of the motor itself; all optional.
 
     Resistance and inductances are of one phase of a star. The constants of the flux are named as in
-    :data:`design.flux_constants.CONVENTIONS`; with one of them the torque has a witness beside the ratings.
+    :data:`servobench.design.flux_constants.CONVENTIONS`; with one of them the torque has a witness beside the
+    ratings.
     """
 
     name: str = "motor"

@@ -5,8 +5,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from hil.commissioning.exercise import Recording, smooth_speed
-from hil.commissioning.identify import Array, Mechanics
+from servobench.hil.commissioning.exercise import Recording, smooth_speed
+from servobench.hil.commissioning.identify import Array, Mechanics
 
 _BINS: Final = 72
 """Of 5 degrees: twelve for a period of the sixth harmonic."""

@@ -4,11 +4,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
-from drivers.errors import BadInput, BusDown, PeerFault
-from hil.commissioning.dialog import Choice
-from hil.commissioning.outcome import ReadingsLost, StepFailed, StepOutcome, StepRecord, StepVerdict
-from hil.commissioning.session import Session
-from hil.machine.stopping import Interrupted
+from servobench.drivers.errors import BadInput, BusDown, PeerFault
+from servobench.hil.commissioning.dialog import Choice
+from servobench.hil.commissioning.outcome import (
+    ReadingsLost,
+    StepFailed,
+    StepOutcome,
+    StepRecord,
+    StepVerdict,
+)
+from servobench.hil.commissioning.session import Session
+from servobench.hil.machine.stopping import Interrupted
 
 
 class Step(ABC):

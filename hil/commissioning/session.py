@@ -10,40 +10,40 @@ from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 from canopen.objectdictionary import ObjectDictionary
 
-from drivers.canopen.error_codes import HEARTBEAT_ERROR
-from drivers.canopen.pdo import PdoPlan
-from drivers.canopen.pdo_budget import budget_of
-from drivers.cia402.drive_setup import DriveSettings, read_scaling
-from drivers.cia402.lapses import lapses
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import PlanWish
-from drivers.cia402.profile import Mode
-from drivers.cia402.scaling import Scaling
-from drivers.cia402.servo import ServoDrive
-from drivers.cia402.state_control import FAULTY
-from drivers.errors import BusDown, PeerFault
-from drivers.sheets.dictionary import LoadedDictionary
-from drivers.sheets.fitness import told_by_sheet
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, duration_s
-from hil.commissioning.dialog import Dialog, EmergencyStop
-from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort
-from hil.commissioning.exercise import EnergyMeter, Exerciser
-from hil.commissioning.findings import Findings
-from hil.commissioning.host_gaps import HostGaps
-from hil.commissioning.identify import Mechanics
-from hil.commissioning.moves import write_moves
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.ramps import set_ramps, within_ramps
-from hil.commissioning.recording import SessionLog
-from hil.commissioning.request import CommissionRequest, MotionLimits, cautious
-from hil.configuration.config import Guard
-from hil.execution.bus_guard import BusGuard
-from hil.execution.segments import timing_without_bench
-from hil.execution.world import World
-from hil.loop.loop import LoopTiming
-from hil.loop.scenario import Quantity
-from hil.machine.stopping import Interrupted
-from hil.restoring.journal import JournaledNetwork
+from servobench.drivers.canopen.error_codes import HEARTBEAT_ERROR
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.canopen.pdo_budget import budget_of
+from servobench.drivers.cia402.drive_setup import DriveSettings, read_scaling
+from servobench.drivers.cia402.lapses import lapses
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.scaling import Scaling
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.cia402.state_control import FAULTY
+from servobench.drivers.errors import BusDown, PeerFault
+from servobench.drivers.sheets.dictionary import LoadedDictionary
+from servobench.drivers.sheets.fitness import told_by_sheet
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, duration_s
+from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
+from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort
+from servobench.hil.commissioning.exercise import EnergyMeter, Exerciser
+from servobench.hil.commissioning.findings import Findings
+from servobench.hil.commissioning.host_gaps import HostGaps
+from servobench.hil.commissioning.identify import Mechanics
+from servobench.hil.commissioning.moves import write_moves
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.ramps import set_ramps, within_ramps
+from servobench.hil.commissioning.recording import SessionLog
+from servobench.hil.commissioning.request import CommissionRequest, MotionLimits, cautious
+from servobench.hil.configuration.config import Guard
+from servobench.hil.execution.bus_guard import BusGuard
+from servobench.hil.execution.segments import timing_without_bench
+from servobench.hil.execution.world import World
+from servobench.hil.loop.loop import LoopTiming
+from servobench.hil.loop.scenario import Quantity
+from servobench.hil.machine.stopping import Interrupted
+from servobench.hil.restoring.journal import JournaledNetwork
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -6,24 +6,24 @@ from typing import Final
 
 import numpy as np
 
-from drivers.canopen.objects import SettingRefused
-from drivers.canopen.objects301 import Cia301
-from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan
-from drivers.canopen.pdo_budget import budget_of
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import Features, PlanWish
-from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
-from drivers.errors import TransferAborted
-from drivers.timebase import Instant
-from hil.commissioning.excitation import TimedTorque
-from hil.commissioning.identify import COVERAGE_FACTOR, Array, slope_error
-from hil.commissioning.nameplate import CONSTANT_TOLERANCE, compare_constant, rated_current
-from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
-from hil.commissioning.plots import draw_current
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
-from hil.commissioning.steps_mechanics import guide_mechanics, tells_torque
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan
+from servobench.drivers.canopen.pdo_budget import budget_of
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import Features, PlanWish
+from servobench.drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
+from servobench.drivers.errors import TransferAborted
+from servobench.drivers.timebase import Instant
+from servobench.hil.commissioning.excitation import TimedTorque
+from servobench.hil.commissioning.identify import COVERAGE_FACTOR, Array, slope_error
+from servobench.hil.commissioning.nameplate import CONSTANT_TOLERANCE, compare_constant, rated_current
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
+from servobench.hil.commissioning.plots import draw_current
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_mechanics import guide_mechanics, tells_torque
 
 _SLOWEST_RAD_S: Final = 2.0 * math.tau
 """Of the swing: three of them in its time."""

@@ -5,20 +5,20 @@ from typing import Final
 
 import numpy as np
 
-from design.delay.speed_loop import Feedback, speed_model
-from design.errors import DesignError
-from design.motor import PmsmParameters, Transform
-from design.speed.speed_design import least_gain
-from drivers.canopen.pdo_budget import budget_of
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_US, Duration
-from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
-from hil.commissioning.plots import draw_verification
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import PERIODS_US, Session
-from hil.commissioning.steps_dynamics import total_delay_s
-from hil.control.controllers import Pid, PidGains
-from hil.loop.scenario import Ramp, ReferenceProfile, Segment
+from servobench.design.delay.speed_loop import Feedback, speed_model
+from servobench.design.errors import DesignError
+from servobench.design.motor import PmsmParameters, Transform
+from servobench.design.speed.speed_design import least_gain
+from servobench.drivers.canopen.pdo_budget import budget_of
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_US, Duration
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
+from servobench.hil.commissioning.plots import draw_verification
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import PERIODS_US, Session
+from servobench.hil.commissioning.steps_dynamics import total_delay_s
+from servobench.hil.control.controllers import Pid, PidGains
+from servobench.hil.loop.scenario import Ramp, ReferenceProfile, Segment
 
 _MARGIN: Final = 1.6
 """The controller is designed for so many times the measured delay."""

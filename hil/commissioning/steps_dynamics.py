@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration
-from hil.commissioning.command_probe import CommandProbe, switches
-from hil.commissioning.excitation import SpeedGuide, multisine
-from hil.commissioning.frequency import (
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from servobench.hil.commissioning.command_probe import CommandProbe, switches
+from servobench.hil.commissioning.excitation import SpeedGuide, multisine
+from servobench.hil.commissioning.frequency import (
     ComplexArray,
     FrequencyResponse,
     StepLag,
@@ -18,17 +18,17 @@ from hil.commissioning.frequency import (
     lines_hz,
     step_lag,
 )
-from hil.commissioning.identify import Array
-from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
-from hil.commissioning.plots import draw_delays, draw_response
-from hil.commissioning.ramps import ramps_told
-from hil.commissioning.request import MotionLimits
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
-from hil.commissioning.steps_mechanics import ramp_time, tells_torque
-from hil.configuration.network_file import DelayFigures, Network
-from hil.loop.scenario import Ramp
-from hil.reviewing.network_meter import runs_of
+from servobench.hil.commissioning.identify import Array
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
+from servobench.hil.commissioning.plots import draw_delays, draw_response
+from servobench.hil.commissioning.ramps import ramps_told
+from servobench.hil.commissioning.request import MotionLimits
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_mechanics import ramp_time, tells_torque
+from servobench.hil.configuration.network_file import DelayFigures, Network
+from servobench.hil.loop.scenario import Ramp
+from servobench.hil.reviewing.network_meter import runs_of
 
 _BLOCK_S: Final = 1.0
 """A period of the multisine: its lines are whole multiples of 1 Hz."""

@@ -7,22 +7,27 @@ from typing import Any, Final
 
 import numpy as np
 
-from drivers.canopen.greatest import write_greatest
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_S
-from hil.commissioning.excitation import GUIDE_RAD_S, SpeedGuide
-from hil.commissioning.exercise import Exerciser, Recording
-from hil.commissioning.identify import COVERAGE_FACTOR, Mechanics, NotIdentifiable, identify_mechanics
-from hil.commissioning.nameplate import compare_inertia
-from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
-from hil.commissioning.plots import draw_angle, draw_mechanics
-from hil.commissioning.ripple import torque_by_angle
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
-from hil.commissioning.torque_scale import torque_scale
-from hil.loop.scenario import LevelStep, Quantity, Ramp, Segment
+from servobench.drivers.canopen.greatest import write_greatest
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.commissioning.excitation import GUIDE_RAD_S, SpeedGuide
+from servobench.hil.commissioning.exercise import Exerciser, Recording
+from servobench.hil.commissioning.identify import (
+    COVERAGE_FACTOR,
+    Mechanics,
+    NotIdentifiable,
+    identify_mechanics,
+)
+from servobench.hil.commissioning.nameplate import compare_inertia
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
+from servobench.hil.commissioning.plots import draw_angle, draw_mechanics
+from servobench.hil.commissioning.ripple import torque_by_angle
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.torque_scale import torque_scale
+from servobench.hil.loop.scenario import LevelStep, Quantity, Ramp, Segment
 
 _SPEED_SHARE: Final = 0.9
 """Of the speed limit: the rest is room for the overshoot of a guide that knows the shaft only roughly."""

@@ -3,20 +3,20 @@
 import math
 from typing import Final
 
-from drivers.canopen.greatest import write_greatest
-from drivers.canopen.pdo_budget import budget_of
-from drivers.cia402.drive_setup import write_optional
-from drivers.cia402.mode_control import ModeRefused
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import PlanImpossible
-from drivers.cia402.profile import HaltOption, Mode, State, state_of
-from drivers.errors import PeerFault
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_MS, Instant
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.ramps import RampTooSlow, ramps_told
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
+from servobench.drivers.canopen.greatest import write_greatest
+from servobench.drivers.canopen.pdo_budget import budget_of
+from servobench.drivers.cia402.drive_setup import write_optional
+from servobench.drivers.cia402.mode_control import ModeRefused
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_planner import PlanImpossible
+from servobench.drivers.cia402.profile import HaltOption, Mode, State, state_of
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.ramps import RampTooSlow, ramps_told
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
 
 _PATIENCE: Final = 4.0
 """So many time-outs are waited for the drive to react."""

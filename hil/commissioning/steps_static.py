@@ -5,22 +5,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.canopen.objects301 import Cia301
-from drivers.cia402.drive_setup import read_scaling
-from drivers.cia402.judgement import judge, told_by_drive
-from drivers.cia402.objects402 import Object
-from drivers.cia402.scaling import ScaleOverride, Scaling, UnitNotTold
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.sheets.identity import told_identity
-from hil.commissioning.drive_port import QUANTITY_OF_MODE
-from hil.commissioning.known_objects import differing, dump, missing
-from hil.commissioning.nameplate import compare_ratings, doubt_plate, keeps_motor, read_motor, settle_winding
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.request import motion_limits
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
-from hil.restoring.journal import Journal
-from hil.restoring.restore import head_of
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.cia402.drive_setup import read_scaling
+from servobench.drivers.cia402.judgement import judge, told_by_drive
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.scaling import ScaleOverride, Scaling, UnitNotTold
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.sheets.identity import told_identity
+from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
+from servobench.hil.commissioning.known_objects import differing, dump, missing
+from servobench.hil.commissioning.nameplate import (
+    compare_ratings,
+    doubt_plate,
+    keeps_motor,
+    read_motor,
+    settle_winding,
+)
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.request import motion_limits
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.restoring.journal import Journal
+from servobench.hil.restoring.restore import head_of
 
 CONNECT_LIMIT_S = 5.0
 """A drive that was just switched on boots in a second or two."""

@@ -3,20 +3,20 @@
 import math
 from typing import Final, NamedTuple
 
-from drivers.canopen.greatest import write_greatest
-from drivers.cia402.drive_setup import write_optional
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, QuickStopOption, State, state_of
-from drivers.cia402.velocity_mode import velocity_mode_ramp
-from drivers.exchange import Reading
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_S, Instant
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.ramps import ramps_told
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
-from hil.commissioning.steps_mechanics import follow, ramp_time
-from hil.loop.scenario import Ramp
+from servobench.drivers.canopen.greatest import write_greatest
+from servobench.drivers.cia402.drive_setup import write_optional
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, QuickStopOption, State, state_of
+from servobench.drivers.cia402.velocity_mode import velocity_mode_ramp
+from servobench.drivers.exchange import Reading
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.ramps import ramps_told
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_mechanics import follow, ramp_time
+from servobench.hil.loop.scenario import Ramp
 
 _STOP_MAX_S: Final = 2.0
 """From the limit of speed: whoever brings a drive to rest waits for 3 s at least."""

@@ -6,22 +6,22 @@ from typing import Final
 
 import numpy as np
 
-from drivers.cia402.drive_setup import write_optional
-from drivers.cia402.objects402 import Object
-from drivers.cia402.scaling import Scaling
-from drivers.cia402.unit_factors import likely_slip
-from drivers.timebase import NS_PER_S
-from hil.commissioning.excitation import Pulse
-from hil.commissioning.exercise import Exerciser, Recording
-from hil.commissioning.identify import SpeedRatio, plain_ratio, ratio_of
-from hil.commissioning.nameplate import nameplate_wins
-from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
-from hil.commissioning.ramps import ramps_told, steepen
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
-from hil.commissioning.steps_mechanics import identified
-from hil.commissioning.turn import can_home, hand_turn, index_turn
-from hil.loop.scenario import Quantity, Ramp, Segment
+from servobench.drivers.cia402.drive_setup import write_optional
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.scaling import Scaling
+from servobench.drivers.cia402.unit_factors import likely_slip
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.commissioning.excitation import Pulse
+from servobench.hil.commissioning.exercise import Exerciser, Recording
+from servobench.hil.commissioning.identify import SpeedRatio, plain_ratio, ratio_of
+from servobench.hil.commissioning.nameplate import nameplate_wins
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
+from servobench.hil.commissioning.ramps import ramps_told, steepen
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_mechanics import identified
+from servobench.hil.commissioning.turn import can_home, hand_turn, index_turn
+from servobench.hil.loop.scenario import Quantity, Ramp, Segment
 
 POSITION_BIT: Final = 0x80
 VELOCITY_BIT: Final = 0x40

@@ -15,19 +15,19 @@ from typing import Final
 
 import numpy as np
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_S
-from hil.commissioning.exercise import Recording
-from hil.commissioning.nameplate import CONSTANT_QUANTITY
-from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
-from hil.commissioning.torque_scale import TORQUE_PER_VOLTAGE
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, SetPoint, TorqueSetPoint
-from hil.loop.samples import StateEstimate
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.nameplate import CONSTANT_QUANTITY
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.torque_scale import TORQUE_PER_VOLTAGE
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.hil.loop.samples import StateEstimate
 
 _SPEED_SHARE: Final = 0.95
 """Of the speed limit."""

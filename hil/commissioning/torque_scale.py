@@ -9,10 +9,10 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from design.flux_constants import AGREEING
-from hil.commissioning.findings import Findings
-from hil.commissioning.nameplate import CONSTANT_QUANTITY
-from hil.commissioning.request import Nameplate
+from servobench.design.flux_constants import AGREEING
+from servobench.hil.commissioning.findings import Findings
+from servobench.hil.commissioning.nameplate import CONSTANT_QUANTITY
+from servobench.hil.commissioning.request import Nameplate
 
 TORQUE_PER_VOLTAGE: Final = 1.5 * math.sqrt(2.0)
 """N m per A rms over V s/rad (a phase's peak), of three phases."""

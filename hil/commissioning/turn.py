@@ -12,14 +12,14 @@ one turn is worth.
 import math
 from typing import Final, NamedTuple
 
-from drivers.cia402.drive_setup import write_optional
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, State, Status, state_of, supported_mode_bit
-from drivers.errors import PeerFault
-from drivers.exchange import Reading
-from drivers.timebase import NS_PER_S, Instant
-from hil.commissioning.session import Session
-from hil.machine.stopping import Interrupted
+from servobench.drivers.cia402.drive_setup import write_optional
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, State, Status, state_of, supported_mode_bit
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.exchange import Reading
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.commissioning.session import Session
+from servobench.hil.machine.stopping import Interrupted
 
 INDEX_POSITIVE: Final = 34
 """Homing method: the next index pulse in the positive direction."""

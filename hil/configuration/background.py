@@ -5,10 +5,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from drivers.bounded_file import NamedBy
-from drivers.timebase import NS_PER_US, Duration
-from hil.configuration.config_files import Section, load_file
-from virtual_bus.device.background import Stream
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.timebase import NS_PER_US, Duration
+from servobench.hil.configuration.config_files import Section, load_file
+from servobench.virtual_bus.device.background import Stream
 
 
 class Background(Section):

@@ -8,20 +8,24 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from drivers.bounded_file import NamedBy, read_toml
-from drivers.errors import BadInput, BenchError
-from hil.configuration.config import BenchConfig
-from hil.configuration.config_checks import cross_faults
-from hil.configuration.config_errors import bad_inputs_of, raise_all, shown, translate
-from hil.configuration.config_files import validated
-from hil.configuration.controller_kinds import ControllerFile, ControllerSection, StateFeedbackController
-from hil.configuration.current_controller_file import load_current_controller
-from hil.configuration.drive_file import load_drive_file
-from hil.configuration.motor_file import load_motor
-from hil.configuration.signal_file import load_signal
-from virtual_bus.faults.fault_plan import FaultPlan, read_fault_plan
-from virtual_bus.faults.replay import read_recorded
-from virtual_bus.hosting.injection import Faults
+from servobench.drivers.bounded_file import NamedBy, read_toml
+from servobench.drivers.errors import BadInput, BenchError
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.config_checks import cross_faults
+from servobench.hil.configuration.config_errors import bad_inputs_of, raise_all, shown, translate
+from servobench.hil.configuration.config_files import validated
+from servobench.hil.configuration.controller_kinds import (
+    ControllerFile,
+    ControllerSection,
+    StateFeedbackController,
+)
+from servobench.hil.configuration.current_controller_file import load_current_controller
+from servobench.hil.configuration.drive_file import load_drive_file
+from servobench.hil.configuration.motor_file import load_motor
+from servobench.hil.configuration.signal_file import load_signal
+from servobench.virtual_bus.faults.fault_plan import FaultPlan, read_fault_plan
+from servobench.virtual_bus.faults.replay import read_recorded
+from servobench.virtual_bus.hosting.injection import Faults
 
 ENTRY_POINTS = "servobench.controllers"
 """Group of the entry points by which installed packages bring kinds of controllers and compensators."""

@@ -7,11 +7,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from drivers.bounded_file import NamedBy, read_toml
-from drivers.errors import BadInput
-from hil.configuration.bench_file import bench_from, own_code_at
-from hil.configuration.config import BenchConfig
-from virtual_bus.faults.fault_plan import load_fault_plan
+from servobench.drivers.bounded_file import NamedBy, read_toml
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.bench_file import bench_from, own_code_at
+from servobench.hil.configuration.config import BenchConfig
+from servobench.virtual_bus.faults.fault_plan import load_fault_plan
 
 PathLike = str | os.PathLike[str]
 

@@ -10,22 +10,22 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
-from drivers.instruments.dynamometer import BAUD, DynamometerSettings
-from drivers.instruments.magtrol import Dialect, dialect
-from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
-from drivers.wire.adapters import SIMULATED
-from hil.configuration.background import BackgroundTables
-from hil.configuration.config_axis import DriveConfig
-from hil.configuration.config_files import Section
-from hil.configuration.network_file import stamp_resolutions_us
-from hil.configuration.quantities import HeartbeatTimeout, Torque
-from hil.configuration.references import Load, Reference
-from hil.configuration.toml_text import toml_text
-from hil.loop.syncs import HORIZON_MAX
-from hil.verdict.verdict import VerdictLimits
-from virtual_bus.faults.fault_log import FAULTS_FILE
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.hosting.injection import Faults
+from servobench.drivers.instruments.dynamometer import BAUD, DynamometerSettings
+from servobench.drivers.instruments.magtrol import Dialect, dialect
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from servobench.drivers.wire.adapters import SIMULATED
+from servobench.hil.configuration.background import BackgroundTables
+from servobench.hil.configuration.config_axis import DriveConfig
+from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.network_file import stamp_resolutions_us
+from servobench.hil.configuration.quantities import HeartbeatTimeout, Torque
+from servobench.hil.configuration.references import Load, Reference
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.loop.syncs import HORIZON_MAX
+from servobench.hil.verdict.verdict import VerdictLimits
+from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.hosting.injection import Faults
 
 BitRate = Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000]
 """The bit rates of CiA 301 5.1, and 100 kbit/s, which is common."""

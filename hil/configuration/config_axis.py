@@ -5,26 +5,30 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from drivers.canopen.pdo import SYNCHRONOUS_MAX
-from drivers.cia402.observed import Observed
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_US, Duration
-from hil.configuration.config_files import Section
-from hil.configuration.controller_kinds import ArrivalCompensator, CompensatorSection, ControllerSection
-from hil.configuration.current_controller_file import CurrentControl
-from hil.configuration.drive_file import DriveFile
-from hil.configuration.motor_file import MotorFile
-from hil.configuration.observed_objects import Observe
-from hil.configuration.quantities import (
+from servobench.drivers.canopen.pdo import SYNCHRONOUS_MAX
+from servobench.drivers.cia402.observed import Observed
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_US, Duration
+from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.controller_kinds import (
+    ArrivalCompensator,
+    CompensatorSection,
+    ControllerSection,
+)
+from servobench.hil.configuration.current_controller_file import CurrentControl
+from servobench.hil.configuration.drive_file import DriveFile
+from servobench.hil.configuration.motor_file import MotorFile
+from servobench.hil.configuration.observed_objects import Observe
+from servobench.hil.configuration.quantities import (
     DropoutsInARow,
     HeartbeatTimeout,
     SlewRate,
     Speed,
     Torque,
 )
-from virtual_bus.device.device_options import STAMP_BITS, STAMP_LATE_MAX_NS, StampLatch
-from virtual_bus.drive.current_bandwidth import current_bandwidth_hz
-from virtual_bus.drive.lacks import PATTERN
+from servobench.virtual_bus.device.device_options import STAMP_BITS, STAMP_LATE_MAX_NS, StampLatch
+from servobench.virtual_bus.drive.current_bandwidth import current_bandwidth_hz
+from servobench.virtual_bus.drive.lacks import PATTERN
 
 
 def _lack(text: str) -> str:

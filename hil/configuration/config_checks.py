@@ -3,25 +3,25 @@
 import math
 from collections.abc import Iterator, Sequence
 
-from drivers.canopen.cob_ids import BROADCASTS, EMERGENCY, NODE_BITS, SYNC
-from drivers.canopen.pdo import PdoPlan
-from drivers.canopen.pdo_budget import budget_of
-from drivers.cia402.observed import NUMBERS, with_observed
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import PlanWish
-from drivers.cia402.profile import BENCH_MODES
-from drivers.errors import MISSING, BadInput
-from drivers.key_advice import nearest
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration
-from drivers.wire.adapters import parse_bus_spec
-from hil.configuration.config import BenchConfig, Bus, BusSegment, Host
-from hil.configuration.config_axis import DriveConfig
-from hil.configuration.controller_kinds import StampCompensator
-from hil.configuration.mode_checks import Fault, mode_faults, reference_faults
-from hil.configuration.motor_file import speed_max_rpm
-from hil.configuration.observed_objects import observed_faults
-from hil.configuration.references import Load, LoadStep, SignalFile, SineReference
-from hil.loop.scenario import Quantity
+from servobench.drivers.canopen.cob_ids import BROADCASTS, EMERGENCY, NODE_BITS, SYNC
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.canopen.pdo_budget import budget_of
+from servobench.drivers.cia402.observed import NUMBERS, with_observed
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.cia402.profile import BENCH_MODES
+from servobench.drivers.errors import MISSING, BadInput
+from servobench.drivers.key_advice import nearest
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.configuration.config import BenchConfig, Bus, BusSegment, Host
+from servobench.hil.configuration.config_axis import DriveConfig
+from servobench.hil.configuration.controller_kinds import StampCompensator
+from servobench.hil.configuration.mode_checks import Fault, mode_faults, reference_faults
+from servobench.hil.configuration.motor_file import speed_max_rpm
+from servobench.hil.configuration.observed_objects import observed_faults
+from servobench.hil.configuration.references import Load, LoadStep, SignalFile, SineReference
+from servobench.hil.loop.scenario import Quantity
 
 LOAD_DELAY_MAX_S = (1 << 32) * NS_PER_US // NS_PER_S
 """Of 2100h:5, 32 bits of microseconds."""

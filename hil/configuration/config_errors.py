@@ -1,6 +1,6 @@
 """From what a validator says about a TOML file to errors that a user can act on.
 
-Every fault of a file is reported at once: one :class:`drivers.errors.BadInput` each,
+Every fault of a file is reported at once: one :class:`servobench.drivers.errors.BadInput` each,
 with the file, the dotted key, the value found and what was expected.
 """
 
@@ -10,9 +10,9 @@ from typing import Any, Final, NoReturn
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from drivers.errors import MISSING, BadInput, BenchError
-from drivers.key_advice import UnknownKey, unknown_key
-from hil.configuration.toml_text import key_text
+from servobench.drivers.errors import MISSING, BadInput, BenchError
+from servobench.drivers.key_advice import UnknownKey, unknown_key
+from servobench.hil.configuration.toml_text import key_text
 
 Location = tuple[int | str, ...]
 

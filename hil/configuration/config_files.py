@@ -6,8 +6,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from drivers.bounded_file import NamedBy, read_toml
-from hil.configuration.config_errors import raise_all, translate
+from servobench.drivers.bounded_file import NamedBy, read_toml
+from servobench.hil.configuration.config_errors import raise_all, translate
 
 
 class Section(BaseModel):

@@ -8,22 +8,22 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field
 
-from design.speed.position_loop import design_position
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration
-from hil.configuration.config_files import Section
-from hil.configuration.controller_section import AxisController
-from hil.configuration.drive_file import LoopOfDrive
-from hil.configuration.hinf_section import HinfSection
-from hil.configuration.predictor_section import PredictorController
-from hil.configuration.quantities import Gain, PositiveGain, SignedTorque, TimeConstant
-from hil.configuration.speed_controller_file import Certificate, MadeFor
-from hil.control.compensation import Arrival, Stamp
-from hil.control.controllers import Pid, PidGains, StateFeedback
-from hil.control.own_code import OBJECT_PATTERN, guarded_compensator, guarded_controller
-from hil.control.positions import PositionLoop, SetPointStream
-from hil.control.setup import Setup
-from hil.loop.axis_roles import Compensator, Controller
-from hil.loop.scenario import Quantity
+from servobench.design.speed.position_loop import design_position
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.controller_section import AxisController
+from servobench.hil.configuration.drive_file import LoopOfDrive
+from servobench.hil.configuration.hinf_section import HinfSection
+from servobench.hil.configuration.predictor_section import PredictorController
+from servobench.hil.configuration.quantities import Gain, PositiveGain, SignedTorque, TimeConstant
+from servobench.hil.configuration.speed_controller_file import Certificate, MadeFor
+from servobench.hil.control.compensation import Arrival, Stamp
+from servobench.hil.control.controllers import Pid, PidGains, StateFeedback
+from servobench.hil.control.own_code import OBJECT_PATTERN, guarded_compensator, guarded_controller
+from servobench.hil.control.positions import PositionLoop, SetPointStream
+from servobench.hil.control.setup import Setup
+from servobench.hil.loop.axis_roles import Compensator, Controller
+from servobench.hil.loop.scenario import Quantity
 
 
 class ArrivalCompensator(Section):
@@ -125,7 +125,7 @@ class PositionController(AxisController):
 
     kind: Literal["position"]
     gain_per_s: float | None = Field(default=None, gt=0, le=1e5, description="K, 1/s")
-    """If absent: designed for ``made_for`` (:mod:`design.speed.position_loop`)."""
+    """If absent: designed for ``made_for`` (:mod:`servobench.design.speed.position_loop`)."""
     feedforward: float = Field(default=1.0, ge=0, le=2)
     """F: of the reference's own speed."""
     made_for: SpeedLoopOfDrive = Field(description="a table with delay_us and speed_bandwidth_hz")

@@ -2,8 +2,8 @@
 
 from typing import ClassVar
 
-from hil.configuration.config_files import Section
-from hil.loop.scenario import Quantity
+from servobench.hil.configuration.config_files import Section
+from servobench.hil.loop.scenario import Quantity
 
 
 class AxisController(Section):

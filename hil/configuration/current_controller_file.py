@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from design.statespace import StateSpace, from_zpk
-from drivers.bounded_file import NamedBy
-from drivers.errors import BadInput
-from hil.configuration.config_files import Section, load_file
-from hil.configuration.quantities import Coefficient
+from servobench.design.statespace import StateSpace, from_zpk
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.configuration.quantities import Coefficient
 
 ORDER_MAX = 64
 """Roots; a drive runs three or four of them 16 000 times a second."""
@@ -30,7 +30,7 @@ class ContinuousController(Section):
 
     def at_rate(self, rate_hz: int) -> StateSpace:
         """The sampled controller. Error: ValueError for roots without their conjugate or too low a rate."""
-        from design.hinf.bilinear import tustin  # with scipy: a third of a second, for who has one
+        from servobench.design.hinf.bilinear import tustin  # with scipy: a third of a second, for who has one
 
         return tustin(self.continuous(), rate_hz, self.prewarp_rad_s)
 
@@ -57,7 +57,7 @@ class SampledController(Section):
 
     def continuous(self) -> StateSpace:
         """What Tustin's rule takes to this controller."""
-        from design.hinf.bilinear import to_bilinear
+        from servobench.design.hinf.bilinear import to_bilinear
 
         return to_bilinear(self.at_rate(self.sample_rate_hz))
 

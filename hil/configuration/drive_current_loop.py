@@ -8,13 +8,13 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from design.motor import PmsmParameters
-from design.statespace import StateSpace
-from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import DriveConfig
-from hil.configuration.controller_kinds import PidController
-from hil.configuration.current_controller_file import CurrentController
-from hil.configuration.speed_controller_file import CurrentLoop, MadeFor
+from servobench.design.motor import PmsmParameters
+from servobench.design.statespace import StateSpace
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.config_axis import DriveConfig
+from servobench.hil.configuration.controller_kinds import PidController
+from servobench.hil.configuration.current_controller_file import CurrentController
+from servobench.hil.configuration.speed_controller_file import CurrentLoop, MadeFor
 
 _PHASE_LOST_DEG: Final = 5.0
 """Of a margin of 50 degrees, the rule's: from here on the answer to a load step is visibly another."""
@@ -63,12 +63,12 @@ def _simulated(drive: DriveConfig, key: str) -> KnownLoop:
 
 def closed_loop(motor: PmsmParameters, controller: CurrentController) -> tuple[StateSpace, float]:
     """The closed loop of i_q with ``controller``, demand to current, and where it crosses over, rad/s."""
-    from design.current.current_design import (
+    from servobench.design.current.current_design import (
         complementary,  # with scipy: for the bench that has such a controller
     )
-    from design.hinf.margins import margins
-    from design.hinf.mixed_sensitivity import axis_plant
-    from design.statespace import series
+    from servobench.design.hinf.margins import margins
+    from servobench.design.hinf.mixed_sensitivity import axis_plant
+    from servobench.design.statespace import series
 
     plant, designed = axis_plant(motor.resistance_ohm, motor.inductance_q_h), controller.continuous()
     return complementary(plant, designed), margins(series(plant, designed)).phase_margin_rad_s

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from drivers.bounded_file import NamedBy
-from drivers.canopen.objects301 import FIRST_OBJECT
-from drivers.cia402.scaling import ScaleOverride
-from hil.configuration.config_files import Section, load_file
-from hil.write_lists import RUN
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.write_lists import RUN
 
 Sign = Literal[-1, 1]
 

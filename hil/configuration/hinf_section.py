@@ -4,14 +4,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_US
-from hil.configuration.controller_section import AxisController
-from hil.configuration.quantities import Gain, Inertia, ViscousFriction
-from hil.configuration.speed_controller_file import LoopFigures, LossCertificate, MadeFor, Rows
-from hil.control.hinf import HinfFeedback
-from hil.control.setup import Setup
-from hil.loop.axis_roles import Controller
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_US
+from servobench.hil.configuration.controller_section import AxisController
+from servobench.hil.configuration.quantities import Gain, Inertia, ViscousFriction
+from servobench.hil.configuration.speed_controller_file import LoopFigures, LossCertificate, MadeFor, Rows
+from servobench.hil.control.hinf import HinfFeedback
+from servobench.hil.control.setup import Setup
+from servobench.hil.loop.axis_roles import Controller
 
 _ORDER_MAX = 64
 """States, or entries of a row; a design for a delay of 1.1 ms at 1 kHz has four."""

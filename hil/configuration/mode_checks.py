@@ -3,14 +3,14 @@
 from collections.abc import Iterator
 from typing import Final
 
-from drivers.errors import MISSING
-from drivers.rotation import RAD_S_PER_RPM
-from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import DriveConfig
-from hil.configuration.controller_kinds import controllers_giving
-from hil.configuration.references import Reference, peak_level, peak_rate
-from hil.loop.quantity_by_mode import QUANTITY_BY_MODE
-from hil.loop.scenario import Quantity
+from servobench.drivers.errors import MISSING
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.config_axis import DriveConfig
+from servobench.hil.configuration.controller_kinds import controllers_giving
+from servobench.hil.configuration.references import Reference, peak_level, peak_rate
+from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
+from servobench.hil.loop.scenario import Quantity
 
 Fault = tuple[str, object, str, str]
 """key, value found, what was expected, remedy."""

@@ -1,16 +1,17 @@
-"""Motor files: the parameters of a PMSM in TOML, turned into :class:`design.motor.PmsmParameters`."""
+"""Motor files: the parameters of a PMSM in TOML, turned into
+:class:`servobench.design.motor.PmsmParameters`."""
 
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
 
-from design.motor import PmsmParameters, Transform
-from drivers.bounded_file import NamedBy
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.vendors.motor_objects import POLE_PAIRS_MAX
-from hil.configuration.config_files import Section, load_file
-from hil.configuration.quantities import (
+from servobench.design.motor import PmsmParameters, Transform
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
+from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.configuration.quantities import (
     CoulombFriction,
     Current,
     FluxLinkage,

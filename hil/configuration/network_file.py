@@ -10,10 +10,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from drivers.bounded_file import NamedBy, read_toml
-from drivers.errors import BadInput
-from hil.configuration.config_files import Section, validated
-from hil.configuration.toml_text import toml_text
+from servobench.drivers.bounded_file import NamedBy, read_toml
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.config_files import Section, validated
+from servobench.hil.configuration.toml_text import toml_text
 
 NETWORK_FILE = "network.toml"
 

@@ -7,13 +7,13 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from drivers.canopen.data_types import STRUCT_CODES, DataType
-from drivers.canopen.pdo import PdoEntry
-from drivers.canopen.sdo import object_name
-from drivers.cia402.objects402 import Object
-from drivers.cia402.observed import NUMBERS
-from drivers.sheets.eds.types import standard_type, type_by_name
-from hil.configuration.config_files import Section
+from servobench.drivers.canopen.data_types import STRUCT_CODES, DataType
+from servobench.drivers.canopen.pdo import PdoEntry
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.observed import NUMBERS
+from servobench.drivers.sheets.eds.types import standard_type, type_by_name
+from servobench.hil.configuration.config_files import Section
 
 _OBJECT: Final = re.compile(r"([0-9A-Fa-f]{4})(?::([0-9]{1,3}))?")
 _OF_THE_LOOP: Final = frozenset(

@@ -5,12 +5,12 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from design.hinf.plant import GeneralisedPlant
-from design.statespace import state_space
-from drivers.bounded_file import NamedBy, parse_json, read_text, read_toml
-from drivers.errors import BadInput
-from hil.configuration.config_files import Section, validated
-from hil.configuration.quantities import Coefficient
+from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.statespace import state_space
+from servobench.drivers.bounded_file import NamedBy, parse_json, read_text, read_toml
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.config_files import Section, validated
+from servobench.hil.configuration.quantities import Coefficient
 
 ORDER_MAX = 100
 """Rows or columns; the cost of a synthesis grows with their cube, and plants of the field have ten."""

@@ -5,15 +5,15 @@ from typing import Literal
 
 from pydantic import Field
 
-from design.speed.predictor_plant import PredictorPlant
-from drivers.timebase import NS_PER_US, Duration
-from hil.configuration.controller_section import AxisController
-from hil.configuration.quantities import Gain, Inertia, ViscousFriction
-from hil.configuration.speed_controller_file import LoopFigures, LossCertificate, MadeFor
-from hil.control.load_filter import FilterNoise
-from hil.control.predictor import LoadCancelling, Predictor
-from hil.control.setup import Setup
-from hil.loop.axis_roles import Controller
+from servobench.design.speed.predictor_plant import PredictorPlant
+from servobench.drivers.timebase import NS_PER_US, Duration
+from servobench.hil.configuration.controller_section import AxisController
+from servobench.hil.configuration.quantities import Gain, Inertia, ViscousFriction
+from servobench.hil.configuration.speed_controller_file import LoopFigures, LossCertificate, MadeFor
+from servobench.hil.control.load_filter import FilterNoise
+from servobench.hil.control.predictor import LoadCancelling, Predictor
+from servobench.hil.control.setup import Setup
+from servobench.hil.loop.axis_roles import Controller
 
 
 class PredictorController(AxisController):

@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple, get_args
 from pydantic import BaseModel, Field
 from pydantic.fields import FieldInfo
 
-from hil.configuration.toml_text import key_text
+from servobench.hil.configuration.toml_text import key_text
 
 
 class Usual(NamedTuple):

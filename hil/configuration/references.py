@@ -12,9 +12,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from drivers.rotation import RAD_S_PER_RPM
-from hil.configuration.config_files import Section
-from hil.configuration.quantities import (
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.quantities import (
     Angle,
     Frequency,
     SignedSpeed,
@@ -23,8 +23,8 @@ from hil.configuration.quantities import (
     TimeConstant,
     Torque,
 )
-from hil.configuration.signal_file import Signal, load_signal
-from hil.loop.scenario import LevelStep, Quantity, Ramp, Segment, Sine, Table
+from servobench.hil.configuration.signal_file import Signal, load_signal
+from servobench.hil.loop.scenario import LevelStep, Quantity, Ramp, Segment, Sine, Table
 
 _KEYS = {
     Quantity.SPEED: ("speed_rpm", "amplitude_rpm"),
@@ -131,7 +131,8 @@ class SineReference(_Entry):
 
 
 class SignalFile(_Entry):
-    """From ``at_s`` on: what a file says, whose time 0 lies there (:mod:`hil.configuration.signal_file`).
+    """From ``at_s`` on: what a file says, whose time 0 lies there
+    (:mod:`servobench.hil.configuration.signal_file`).
 
     As a load it is of torques, positive against positive speed, and alone.
     """

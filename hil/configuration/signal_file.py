@@ -12,9 +12,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import BadInput
-from drivers.rotation import RAD_S_PER_RPM
-from hil.loop.scenario import Quantity
+from servobench.drivers.errors import BadInput
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.loop.scenario import Quantity
 
 TIME: Final = "time_s"
 COLUMNS: Final = {
@@ -34,7 +34,8 @@ class Signal:
 
     quantity: Quantity
     times_s: bytes
-    """(n,), doubles, little-endian: as the loop looks them up (:class:`hil.loop.scenario.Table`)."""
+    """(n,), doubles, little-endian: as the loop looks them up
+    (:class:`servobench.hil.loop.scenario.Table`)."""
     levels: bytes
     """(n,), likewise."""
     points: int

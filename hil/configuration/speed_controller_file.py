@@ -8,8 +8,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from hil.configuration.config_files import Section
-from hil.configuration.quantities import Coefficient, Inductance, Inertia, Resistance, ViscousFriction
+from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.quantities import (
+    Coefficient,
+    Inductance,
+    Inertia,
+    Resistance,
+    ViscousFriction,
+)
 
 _ROUNDING = 1e-4
 """Of a bandwidth that somebody wrote into a file with four digits: far below what would change a figure."""

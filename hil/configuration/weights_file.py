@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from design.hinf.weights import Weight, Weights, crossing_weight, error_weight, slope_weight
-from drivers.bounded_file import NamedBy
-from drivers.errors import BadInput
-from hil.configuration.config_files import Section, load_file
-from hil.configuration.quantities import Coefficient
+from servobench.design.hinf.weights import Weight, Weights, crossing_weight, error_weight, slope_weight
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.configuration.quantities import Coefficient
 
 
 class WeightRefused(BadInput):

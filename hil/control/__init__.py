@@ -1,5 +1,5 @@
 """Controllers and compensators: what the loop computes its commands with."""
 
-from drivers.compiled import use_fresh
+from servobench.drivers.compiled import use_fresh
 
 use_fresh()

@@ -8,10 +8,10 @@ stamp        use the sample that is exactly the agreed delay old when the comman
 
 from collections import deque
 
-from drivers.timebase import Duration
-from hil.loop.axis_roles import Compensator
-from hil.loop.context import Context
-from hil.loop.samples import AT_REST, Sample, StateEstimate
+from servobench.drivers.timebase import Duration
+from servobench.hil.loop.axis_roles import Compensator
+from servobench.hil.loop.context import Context
+from servobench.hil.loop.samples import AT_REST, Sample, StateEstimate
 
 
 def _as_estimate(sample: Sample) -> StateEstimate:

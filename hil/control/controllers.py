@@ -1,15 +1,15 @@
 """Speed controllers: a state estimate and a reference in, a torque out.
 
-What the loop asks of each is :class:`hil.loop.axis_roles.Controller`.
+What the loop asks of each is :class:`servobench.hil.loop.axis_roles.Controller`.
 """
 
 from dataclasses import dataclass
 
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_S
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, SetPoint, TorqueSetPoint
-from hil.loop.samples import StateEstimate
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.hil.loop.samples import StateEstimate
 
 
 @dataclass(frozen=True, slots=True)

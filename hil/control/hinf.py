@@ -10,10 +10,10 @@ commands were given that a reading tells of, so a ramp makes none.
 
 from collections.abc import Sequence
 
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_S
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
 
 
 class HinfFeedback(Controller):

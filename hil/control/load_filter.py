@@ -12,8 +12,8 @@ at once, and calms down by itself. So the torque is quiet where nothing happens.
 from dataclasses import dataclass
 from typing import Final
 
-from design.speed.predictor_plant import PredictorPlant
-from hil.control.motion import ShaftMotion
+from servobench.design.speed.predictor_plant import PredictorPlant
+from servobench.hil.control.motion import ShaftMotion
 
 STEP_SIGMAS: Final = 1.5
 """An innovation so many times its standard deviation is taken for a step of the load. By chance one in seven

@@ -8,7 +8,7 @@ u: the command in force; T_L: the load torque, both constant over a piece; w: wh
 import math
 from typing import Final
 
-from design.speed.predictor_plant import PredictorPlant
+from servobench.design.speed.predictor_plant import PredictorPlant
 
 _APART: Final = 1e-3
 """Part of its rate by which the speed's filter is moved away from the current loop's, where they are equal:

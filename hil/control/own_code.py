@@ -21,15 +21,15 @@ from pathlib import Path
 from types import CodeType, FrameType, ModuleType
 from typing import Any, Final, TypeVar
 
-from drivers.errors import BadInput, BenchError
-from drivers.exchange import Command
-from drivers.record import values_of
-from drivers.timebase import NS_PER_S, Instant, MonotonicClock
-from hil.control.setup import Setup
-from hil.loop.axis_roles import Compensator, Controller
-from hil.loop.context import CHANNELS_MAX, Context, SetPoint
-from hil.loop.samples import Sample, StateEstimate
-from hil.machine.held_process import (
+from servobench.drivers.errors import BadInput, BenchError
+from servobench.drivers.exchange import Command
+from servobench.drivers.record import values_of
+from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from servobench.hil.control.setup import Setup
+from servobench.hil.loop.axis_roles import Compensator, Controller
+from servobench.hil.loop.context import CHANNELS_MAX, Context, SetPoint
+from servobench.hil.loop.samples import Sample, StateEstimate
+from servobench.hil.machine.held_process import (
     FAILURES,
     OWN_FILES,
     enter_call,
@@ -38,7 +38,7 @@ from hil.machine.held_process import (
     leave_call,
     told,
 )
-from hil.machine.replaced import remember_modules
+from servobench.hil.machine.replaced import remember_modules
 
 OBJECT_PATTERN: Final = r"^([A-Za-z_][\w.]*|.+\.py):[A-Za-z_]\w*$"
 """MODULE:NAME or FILE.py:NAME."""
@@ -85,7 +85,7 @@ Role = TypeVar("Role", Compensator, Controller)
 
 def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Setup) -> Role:
     key = f"drive.{setup.axis}.{role.__name__.lower()}"
-    expected = f"a class derived from hil.{role.__name__}, as MODULE:NAME or FILE.py:NAME"
+    expected = f"a class derived from servobench.{role.__name__}, as MODULE:NAME or FILE.py:NAME"
     try:
         named = object_of(name)
     except FAILURES as error:

@@ -5,10 +5,10 @@ streams of set-points.
     its rate ------------------'
 """
 
-from drivers.timebase import Duration, Instant
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, PositionSetPoint, SetPoint, SpeedSetPoint, TorqueSetPoint
-from hil.loop.scenario import Quantity
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, PositionSetPoint, SetPoint, SpeedSetPoint, TorqueSetPoint
+from servobench.hil.loop.scenario import Quantity
 
 
 class PositionLoop(Controller):

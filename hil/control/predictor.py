@@ -12,14 +12,14 @@ too. The feedback sees a plant without delay, and the load it knows is cancelled
 
 from typing import Final
 
-from design.speed.predictor_plant import PredictorPlant
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_S, Duration, Instant
-from hil.control.load_filter import FilterNoise, LoadFilter
-from hil.control.motion import ShaftMotion
-from hil.loop.axis_roles import Compensator, Controller
-from hil.loop.context import Context, SetPoint, TorqueSetPoint
-from hil.loop.samples import AT_REST, Sample, StateEstimate
+from servobench.design.speed.predictor_plant import PredictorPlant
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant
+from servobench.hil.control.load_filter import FilterNoise, LoadFilter
+from servobench.hil.control.motion import ShaftMotion
+from servobench.hil.loop.axis_roles import Compensator, Controller
+from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.hil.loop.samples import AT_REST, Sample, StateEstimate
 
 PER_NS: Final = 1.0 / NS_PER_S
 EARLY: Final = 4

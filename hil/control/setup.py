@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from design.motor import PmsmParameters
-from drivers.timebase import NS_PER_S, Duration
-from hil.loop.scenario import Quantity
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.timebase import NS_PER_S, Duration
+from servobench.hil.loop.scenario import Quantity
 
 
 @dataclass(frozen=True, slots=True)

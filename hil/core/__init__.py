@@ -4,7 +4,7 @@ Where it is not built, or was built from other sources than those beside it, imp
 BadInput, which says what to do.
 """
 
-from design.core.build import LIBRARY, check_built
-from drivers.errors import BadInput
+from servobench.design.core.build import LIBRARY, check_built
+from servobench.drivers.errors import BadInput
 
 check_built("hil", lambda found, expected: BadInput("the core of hil", LIBRARY, found, expected))

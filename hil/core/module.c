@@ -1,4 +1,4 @@
-/* The module hil.core.native; native.pyi says what it holds. */
+/* The module servobench.hil.core.native; native.pyi says what it holds. */
 #include "objects.h"
 #include "types.h"
 

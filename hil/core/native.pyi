@@ -4,16 +4,17 @@ from collections.abc import Callable
 from typing import Self
 
 SOURCES_DIGEST: str
-"""Of the C that the core was built from (design.core.build)."""
+"""Of the C that the core was built from (servobench.design.core.build)."""
 
 def frame_row(at: int, can_id: int, sent: int, data: bytes, /) -> bytes:
-    """A row of hil.rows.side_rows.FRAME; ``can_id`` with its flags (drivers.wire.identifiers).
+    """A row of servobench.hil.rows.side_rows.FRAME; ``can_id`` with its flags
+    (servobench.drivers.wire.identifiers).
 
     Error: ValueError for what does not fit into one.
     """
 
 class Ring:
-    """The writer's end of a ring of rows in shared memory (hil.recording.ring)."""
+    """The writer's end of a ring of rows in shared memory (servobench.hil.recording.ring)."""
 
     def __new__(cls, descriptor: int, row_bytes: int, capacity: int, on_full: Callable[[], bool], /) -> Self:
         """``descriptor``: of an empty file in memory. ``capacity``: rows, a power of two. ``on_full``: asked

@@ -207,7 +207,7 @@ static PyType_Slot slots[] = {
 };
 
 PyType_Spec ring_spec = {
-    .name = "hil.core.native.Ring",
+    .name = "servobench.hil.core.native.Ring",
     .basicsize = sizeof(RingObject),
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_BASETYPE | Py_TPFLAGS_HAVE_GC,
     .slots = slots,

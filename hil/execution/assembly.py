@@ -2,25 +2,25 @@
 
 from collections.abc import Callable
 
-from drivers.canopen.cob_ids import SYNC
-from drivers.cia402.pdo_plans import TARGETS
-from drivers.cia402.profile import BENCH_MODES
-from drivers.cia402.servo import ServoDrive
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_S, Duration
-from hil.configuration.config import BenchConfig
-from hil.configuration.mode_checks import quantity_of
-from hil.execution.axis_code import AxisCode
-from hil.loop.axis import Axis, AxisParts
-from hil.loop.axis_roles import LoadMachine
-from hil.loop.loop import Actuation, LoopTiming
-from hil.loop.quantity_by_mode import QUANTITY_BY_MODE
-from hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
-from hil.loop.samples import CycleRecord
-from hil.loop.scenario import Quantity, ReferenceProfile
-from hil.loop.syncs import SyncLog
-from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.cob_ids import SYNC
+from servobench.drivers.cia402.pdo_plans import TARGETS
+from servobench.drivers.cia402.profile import BENCH_MODES
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_S, Duration
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.mode_checks import quantity_of
+from servobench.hil.execution.axis_code import AxisCode
+from servobench.hil.loop.axis import Axis, AxisParts
+from servobench.hil.loop.axis_roles import LoadMachine
+from servobench.hil.loop.loop import Actuation, LoopTiming
+from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
+from servobench.hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
+from servobench.hil.loop.samples import CycleRecord
+from servobench.hil.loop.scenario import Quantity, ReferenceProfile
+from servobench.hil.loop.syncs import SyncLog
+from servobench.virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
+from servobench.virtual_bus.frame import Frame
 
 FRAME_BITS_BARE = 44
 """Of a data frame with an 11-bit identifier, beside its data and stuff bits, from start to end of frame."""

@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from drivers.errors import BadInput
-from hil.configuration.config import BenchConfig
-from hil.configuration.controller_kinds import ArrivalCompensator, OwnCode
-from hil.control.own_code import source_of
-from hil.control.setup import Setup
-from hil.loop.axis_roles import Compensator, Controller
-from hil.loop.quantity_by_mode import QUANTITY_BY_MODE
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.controller_kinds import ArrivalCompensator, OwnCode
+from servobench.hil.control.own_code import source_of
+from servobench.hil.control.setup import Setup
+from servobench.hil.loop.axis_roles import Compensator, Controller
+from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
 
 PATIENCE_SIMULATED_S = 10.0
 """How long a call of one's own code may take in simulated time, s: more than a solver takes for a step. On a

@@ -6,22 +6,22 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.pdo import DONE
-from drivers.cia402.follow_watch import Lapse
-from drivers.cia402.servo import ServoDrive
-from drivers.cia402.state_control import FAULTY
-from drivers.errors import BenchError, PeerFault
-from drivers.sheets.dictionary import LoadedDictionary
-from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
-from drivers.wire.adapters import parse_bus_spec
-from hil.configuration.config import BenchConfig
-from hil.configuration.quantities import odd_values
-from hil.execution import assembly
-from hil.execution.axis_code import AxisCode, axis_code, check_axes
-from hil.execution.bus_guard import BusGuard
-from hil.execution.conclusion import Conclusion, made_twice
-from hil.execution.drives import (
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.pdo import DONE
+from servobench.drivers.cia402.follow_watch import Lapse
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.cia402.state_control import FAULTY
+from servobench.drivers.errors import BenchError, PeerFault
+from servobench.drivers.sheets.dictionary import LoadedDictionary
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.quantities import odd_values
+from servobench.hil.execution import assembly, segments
+from servobench.hil.execution.axis_code import AxisCode, axis_code, check_axes
+from servobench.hil.execution.bus_guard import BusGuard
+from servobench.hil.execution.conclusion import Conclusion, made_twice
+from servobench.hil.execution.drives import (
     connect,
     data_sheets,
     drive_settings,
@@ -30,31 +30,30 @@ from hil.execution.drives import (
     stop_each,
     write_commissioned,
 )
-from hil.execution.network_guard import Certificates
-from hil.execution.recorded_bench import keep_files, recording_plan
-from hil.execution.segments import check_sync_source, listen_for_syncs, masters, record_frames, sync_producer
-from hil.execution.standstill import Standstill
-from hil.execution.timing_report import distrust, timing_report
-from hil.execution.world import World, WorldPlan, check_time, open_world
-from hil.load.load_machines import LoadMachines
-from hil.loop.axis import Axis
-from hil.loop.axis_roles import Controller
-from hil.loop.loop import Loop, LoopOutcome, LoopTiming, planned_cycles
-from hil.loop.syncs import SyncLog
-from hil.machine.progress import Progress, no_progress
-from hil.machine.realtime import timing_conditions
-from hil.machine.stopping import StopRequest, stop_signals
-from hil.recording.fault_report import write_fault_report
-from hil.recording.recorder import new_folder, recorder_of
-from hil.recording.run_recorder import RunRecorder
-from hil.recording.watch import RecordingWatch
-from hil.rows.recording_plan import RecordingPlan
-from hil.verdict.summary import Summary
-from hil.write_lists import RUN
-from virtual_bus.faults.fault_log import FaultLog
+from servobench.hil.execution.network_guard import Certificates
+from servobench.hil.execution.recorded_bench import keep_files, recording_plan
+from servobench.hil.execution.standstill import Standstill
+from servobench.hil.execution.timing_report import distrust, timing_report
+from servobench.hil.execution.world import World, WorldPlan, check_time, open_world
+from servobench.hil.load.load_machines import LoadMachines
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.loop import Loop, LoopOutcome, LoopTiming, planned_cycles
+from servobench.hil.loop.syncs import SyncLog
+from servobench.hil.machine.progress import Progress, no_progress
+from servobench.hil.machine.realtime import timing_conditions
+from servobench.hil.machine.stopping import StopRequest, stop_signals
+from servobench.hil.recording.fault_report import write_fault_report
+from servobench.hil.recording.recorder import new_folder, recorder_of
+from servobench.hil.recording.run_recorder import RunRecorder
+from servobench.hil.recording.watch import RecordingWatch
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.write_lists import RUN
+from servobench.virtual_bus.faults.fault_log import FaultLog
 
 if TYPE_CHECKING:
-    from virtual_bus.drive.servo import SimulatedServo
+    from servobench.virtual_bus.drive.servo import SimulatedServo
 
 ENABLE_TIMEOUT_S = 2.0
 """A drive that charges its DC link or releases a brake takes a second or so."""
@@ -98,7 +97,7 @@ def run_bench(
     certificates = Certificates(config, controllers)
     certificates.check(network, allow_uncertified)
     paced = check_time(spec, time)
-    check_sync_source(config, spec)
+    segments.check_sync_source(config, spec)
     code = axis_code(config, controllers, real_time=paced or not config.simulated)
     log = FaultLog() if config.faults is not None else None
     world_plan = WorldPlan.of_bench(config, spec, paced, log)
@@ -136,7 +135,7 @@ def _simulated(config: BenchConfig) -> "Sequence[SimulatedServo]":
     if not config.simulated:
         return ()
     # A host of other drives does without it.
-    from hil.execution.simulated_drives import simulated_drives
+    from servobench.hil.execution.simulated_drives import simulated_drives
 
     return simulated_drives(config)
 
@@ -166,7 +165,7 @@ class _Run:
         self._standstill = Standstill(world, config.loop.period, self._say)
         self._watch = RecordingWatch(recorder, goes_on, self.progress, self._say)
         self._network = CanopenNetwork(world.link, world.clock, config.host.node, writes=RUN)
-        self._networks, self._master = masters(self._network, world)
+        self._networks, self._master = segments.masters(self._network, world)
         self._drives = [
             ServoDrive(self._networks[config.drive[name].segment], config.drive[name].node, name)
             for name in config.axes
@@ -183,7 +182,7 @@ class _Run:
         )
         world.tell_troubles(recorder.event)
         if config.recording.frames:
-            record_frames(world, recorder.tap)
+            segments.record_frames(world, recorder.tap)
 
     def to_the_end(self, refused: Sequence[str], concluded: Callable[[Summary], None]) -> Summary:
         """Run, bring the drives to rest, close the recording; errors pass through afterwards.
@@ -229,7 +228,7 @@ class _Run:
         config, world = self.config, self.world
         timing = assembly.loop_timing(config)
         self._prepare(timing)
-        syncs, pace = listen_for_syncs(config, world, self._networks, self._master, timing.period)
+        syncs, pace = segments.listen_for_syncs(config, world, self._networks, self._master, timing.period)
         self._syncs = {segment or str(world.link.name): log for segment, log in syncs.items()}
         warn = partial(self._say, level="WARN")
         self._axes = [
@@ -249,7 +248,7 @@ class _Run:
         self._guard.arm(syncs, timing.period, self._axes, config.drive)
         chore = self._guard.attending(self._load.chore)
         loop = Loop(self._master, world.clock, self._axes, pace, timing, chore)
-        with sync_producer(config.loop.sync, world.link.bus, timing.period):
+        with segments.sync_producer(config.loop.sync, world.link.bus, timing.period):
             self._calibrate_and_run(loop, timing)
 
     def _calibrate_and_run(self, loop: Loop, timing: LoopTiming) -> None:

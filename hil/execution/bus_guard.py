@@ -16,22 +16,22 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Final, NamedTuple
 
-from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, NMT, RPDOS, SDO_ANSWER, SDO_REQUEST, SYNC
-from drivers.canopen.frame_pump import Handler, one_after_another
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt import Emergency, parse_emergency
-from drivers.canopen.nmt_states import NODE_ID_MAX
-from drivers.canopen.objects301 import Cia301
-from drivers.canopen.sdo import object_name
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import PeerFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.config import Foreign, Guard, Rule
-from hil.configuration.config_axis import DriveConfig
-from hil.execution.stream_watch import QUIET_SYNCS, DelaysKnown, SyncedStream, TimedStream
-from hil.loop.axis import Axis
-from hil.loop.syncs import REMEMBERED, SyncLog
-from hil.rows.frame_names import frame_name
+from servobench.drivers.canopen import cob_ids
+from servobench.drivers.canopen.frame_pump import Handler, one_after_another
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt import Emergency, parse_emergency
+from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.configuration.config import Foreign, Guard, Rule
+from servobench.hil.configuration.config_axis import DriveConfig
+from servobench.hil.execution.stream_watch import QUIET_SYNCS, DelaysKnown, SyncedStream, TimedStream
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.syncs import REMEMBERED, SyncLog
+from servobench.hil.rows.frame_names import frame_name
 
 LOOK_EVERY: Final = Duration(100 * NS_PER_MS)
 """Far below a second, in which a bench can still be stopped in time; far above a cycle, which it is not to
@@ -242,19 +242,19 @@ class BusGuard:
             self._tell(at, level, text)
 
     def _watch_own_identifiers(self, segment: GuardedSegment, own_sync: bool) -> None:
-        pump, beat = segment.network.frame_pump, ERROR_CONTROL + segment.network.node_id
-        pump.overhear(NMT, self._nmt_watcher({drive.node_id for drive in segment.drives}))
+        pump, beat = segment.network.frame_pump, cob_ids.ERROR_CONTROL + segment.network.node_id
+        pump.overhear(cob_ids.NMT, self._nmt_watcher({drive.node_id for drive in segment.drives}))
         pump.overhear(beat, self._foreign_watcher("heartbeat", beat))
         if own_sync:
-            pump.overhear(SYNC, self._foreign_watcher("sync", SYNC))
+            pump.overhear(cob_ids.SYNC, self._foreign_watcher("sync", cob_ids.SYNC))
         for drive in segment.drives:
-            pump.overhear(SDO_REQUEST + drive.node_id, self._request_watcher(drive.node_id))
+            pump.overhear(cob_ids.SDO_REQUEST + drive.node_id, self._request_watcher(drive.node_id))
             self._watch_commands(segment, drive)
 
     def _watch_commands(self, segment: GuardedSegment, drive: ServoDrive) -> None:
         """RPDOs: those that it has by its id until it is configured."""
         plan = drive.plan
-        own = [pdo.cob_id for pdo in plan.rpdos] if plan else [base + drive.node_id for base in RPDOS]
+        own = [pdo.cob_id for pdo in plan.rpdos] if plan else [base + drive.node_id for base in cob_ids.RPDOS]
         for can_id in own:
             watch = self._foreign_watcher("rpdo", can_id)
             segment.network.frame_pump.overhear(can_id, _unless_others(drive, can_id, watch))
@@ -264,15 +264,15 @@ class BusGuard:
         listener = self._on_emergency[name]
         for node_id in range(1, NODE_ID_MAX + 1):
             if node_id != segment.network.node_id:
-                pump.overhear(ERROR_CONTROL + node_id, self._boot_watcher(node_id))
+                pump.overhear(cob_ids.ERROR_CONTROL + node_id, self._boot_watcher(node_id))
             if node_id not in own:
-                pump.overhear(EMERGENCY + node_id, _emergency_watcher(node_id, listener))
+                pump.overhear(cob_ids.EMERGENCY + node_id, _emergency_watcher(node_id, listener))
 
     def _watch_timers(self, segment: GuardedSegment, drive: ServoDrive, said: DriveConfig | None) -> None:
         """Heartbeats, unless the drive is guarded, and TPDOs that come by a timer while nothing changes."""
         node_id, pump = drive.node_id, segment.network.frame_pump
         if said is not None and not segment.network.status(node_id).guarded:
-            can_id = ERROR_CONTROL + node_id
+            can_id = cob_ids.ERROR_CONTROL + node_id
             title = f"heartbeat of node {node_id} ({can_id:03X}h)"
             stream = TimedStream(Duration(said.heartbeat_ms * NS_PER_MS), repeats=True)
             boots, beats = self._boot_watcher(node_id), self._timer_watcher("heartbeat", title, stream)
@@ -303,7 +303,7 @@ class BusGuard:
 
     def _nmt_watcher(self, nodes: set[int]) -> Handler:
         """Of commands to all nodes or to one of ``nodes``: others may have a master of their own."""
-        watch = self._foreign_watcher("nmt", NMT)
+        watch = self._foreign_watcher("nmt", cob_ids.NMT)
 
         def watch_own(data: bytes, at: Instant) -> None:
             if len(data) != _NMT_BYTES or not data[1] or data[1] in nodes:
@@ -312,7 +312,7 @@ class BusGuard:
         return watch_own
 
     def _request_watcher(self, node_id: int) -> Handler:
-        where = f"node {node_id} ({SDO_REQUEST + node_id:03X}h)"
+        where = f"node {node_id} ({cob_ids.SDO_REQUEST + node_id:03X}h)"
         last = b""  # the object of the read before: to break it off is a part of it
 
         def watch(data: bytes, at: Instant) -> None:
@@ -347,9 +347,8 @@ class BusGuard:
 
     def _on_surplus_answer(self, node_id: int, data: bytes, at: Instant) -> None:
         what = f"node {node_id} answers more often than it is asked: two nodes are likely to have its id"
-        self._foreign(
-            "sdo_answer", what, at, f"an SDO answer too many ({SDO_ANSWER + node_id:03X}h), data {_hex(data)}"
-        )
+        shown = f"an SDO answer too many ({cob_ids.SDO_ANSWER + node_id:03X}h), data {_hex(data)}"
+        self._foreign("sdo_answer", what, at, shown)
 
     def _emergency_listener(self, segment: GuardedSegment) -> Callable[[Emergency], None]:
         drives = {drive.node_id: drive for drive in segment.drives}

@@ -5,24 +5,24 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
-from drivers.canopen.error_codes import NO_ERROR
-from drivers.canopen.nmt import Emergency, condensed
-from drivers.cia402.profile import State
-from drivers.cia402.servo import ServoDrive
-from drivers.cia402.supervision import Release
-from drivers.errors import BenchError, DriveInFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.config import Foreign, LoopConfig
-from hil.loop.loop import LoopOutcome
-from hil.machine.refusals import explained
-from hil.recording.logger_process import RecordingFailed
-from hil.verdict.verdict import DriveEnd, RunOutcome, VerdictKind, outcome_of_status
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.frame_fault import COB_IDS, FrameFault
-from virtual_bus.faults.kinds.drive_fault import FAILURES, DriveFault
-from virtual_bus.faults.kinds.duplicate import Duplicate
-from virtual_bus.hosting.injection import Faults
+from servobench.drivers.canopen.error_codes import NO_ERROR
+from servobench.drivers.canopen.nmt import Emergency, condensed
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.cia402.supervision import Release
+from servobench.drivers.errors import BenchError, DriveInFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.configuration.config import Foreign, LoopConfig
+from servobench.hil.loop.loop import LoopOutcome
+from servobench.hil.machine.refusals import explained
+from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.verdict.verdict import DriveEnd, RunOutcome, VerdictKind, outcome_of_status
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.frame_fault import COB_IDS, FrameFault
+from servobench.virtual_bus.faults.kinds.drive_fault import FAILURES, DriveFault
+from servobench.virtual_bus.faults.kinds.duplicate import Duplicate
+from servobench.virtual_bus.hosting.injection import Faults
 
 TOLD_WITHIN: Final = Duration(100 * NS_PER_MS)
 """From a drive fault that was noticed to its EMCY: the drive sends it at once, and a full bus or a fault that

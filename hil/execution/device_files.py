@@ -5,23 +5,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from design.motor import PmsmParameters
-from drivers.canopen.objects301 import Cia301
-from drivers.cia402.objects402 import Object
-from drivers.cia402.quirky_units import apply_quirks
-from drivers.cia402.scaling import ENCODER_COUNTS_MIN, FACTOR_OBJECTS, ScaleOverride
-from drivers.errors import BadInput
-from drivers.sheets.dictionary import held, load_dictionary
-from drivers.sheets.eds.information import Commissioning
-from drivers.sheets.identity import told_identity
-from drivers.vendors.families import quirks_for
-from drivers.written_file import write_file
-from virtual_bus.device.eds_export import export_eds
-from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.device.parameter_storage import FileStore
-from virtual_bus.device.vendor_dictionary import BASE_NODE_ID
-from virtual_bus.drive.data_sheet import lay_over, tell_motor
-from virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.quirky_units import apply_quirks
+from servobench.drivers.cia402.scaling import ENCODER_COUNTS_MIN, FACTOR_OBJECTS, ScaleOverride
+from servobench.drivers.errors import BadInput
+from servobench.drivers.sheets.dictionary import held, load_dictionary
+from servobench.drivers.sheets.eds.information import Commissioning
+from servobench.drivers.sheets.identity import told_identity
+from servobench.drivers.vendors.families import quirks_for
+from servobench.drivers.written_file import write_file
+from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.device.parameter_storage import FileStore
+from servobench.virtual_bus.device.vendor_dictionary import BASE_NODE_ID
+from servobench.virtual_bus.drive.data_sheet import lay_over, tell_motor
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 
 Maker = Callable[[ObjectDictionary], None]
 """Makes a simulated device's dictionary that of a data sheet, or its own."""

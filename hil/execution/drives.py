@@ -6,23 +6,23 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from drivers.canopen.objects import SettingRefused
-from drivers.canopen.sdo import object_name
-from drivers.cia402.drive_setup import DriveSettings, Identity
-from drivers.cia402.judgement import refusal
-from drivers.cia402.profile import BENCH_MODES, QuickStopOption
-from drivers.cia402.scaling import ScaleOverride
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import BadInput, NoAnswer, PeerFault
-from drivers.sheets.capability import capability_of
-from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
-from drivers.sheets.fitness import told_by_sheet
-from drivers.sheets.identity import told_identity
-from drivers.timebase import NS_PER_MS, duration_s
-from hil.configuration.config import BenchConfig, Host
-from hil.configuration.drive_file import DriveFile
-from hil.loop.loop import Actuation, LoopTiming
-from hil.machine.stopping import StopRequest
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.cia402.drive_setup import DriveSettings, Identity
+from servobench.drivers.cia402.judgement import refusal
+from servobench.drivers.cia402.profile import BENCH_MODES, QuickStopOption
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import BadInput, NoAnswer, PeerFault
+from servobench.drivers.sheets.capability import capability_of
+from servobench.drivers.sheets.dictionary import LoadedDictionary, load_dictionary
+from servobench.drivers.sheets.fitness import told_by_sheet
+from servobench.drivers.sheets.identity import told_identity
+from servobench.drivers.timebase import NS_PER_MS, duration_s
+from servobench.hil.configuration.config import BenchConfig, Host
+from servobench.hil.configuration.drive_file import DriveFile
+from servobench.hil.loop.loop import Actuation, LoopTiming
+from servobench.hil.machine.stopping import StopRequest
 
 _SLICE_S = 0.3
 """How long a stop signal may wait to be heard."""

@@ -10,13 +10,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from drivers.errors import BadInput, LimitExceeded
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration
-from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import DriveConfig
-from hil.configuration.config_errors import raise_all
-from hil.configuration.controller_kinds import PidController, StampCompensator, StateFeedbackController
-from hil.configuration.drive_current_loop import (
+from servobench.drivers.errors import BadInput, LimitExceeded
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.config_axis import DriveConfig
+from servobench.hil.configuration.config_errors import raise_all
+from servobench.hil.configuration.controller_kinds import (
+    PidController,
+    StampCompensator,
+    StateFeedbackController,
+)
+from servobench.hil.configuration.drive_current_loop import (
     KnownLoop,
     certified_loop,
     current_loop_of,
@@ -24,15 +28,20 @@ from hil.configuration.drive_current_loop import (
     range_text,
     slow_for_pid,
 )
-from hil.configuration.hinf_section import HinfSection
-from hil.configuration.network_file import Network, commands_unknown, load_network
-from hil.configuration.predictor_section import PredictorController
-from hil.configuration.speed_controller_file import Certificate, DesignPlant, LossCertificate, MadeFor
-from hil.loop.samples import CycleRecord, Sample
-from hil.rows.recording_plan import CertifiedPlan
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.kinds.drive_fault import DriveFault
-from virtual_bus.faults.kinds.safe_torque_off import SafeTorqueOff
+from servobench.hil.configuration.hinf_section import HinfSection
+from servobench.hil.configuration.network_file import Network, commands_unknown, load_network
+from servobench.hil.configuration.predictor_section import PredictorController
+from servobench.hil.configuration.speed_controller_file import (
+    Certificate,
+    DesignPlant,
+    LossCertificate,
+    MadeFor,
+)
+from servobench.hil.loop.samples import CycleRecord, Sample
+from servobench.hil.rows.recording_plan import CertifiedPlan
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.kinds.drive_fault import DriveFault
+from servobench.virtual_bus.faults.kinds.safe_torque_off import SafeTorqueOff
 
 REMEDY: Final = (
     "design for this network and drive with hil design speed --network --bench, or run with "
@@ -161,7 +170,8 @@ class NetworkGuard:
             )
 
     def _action_delay(self, record: CycleRecord, sample: Sample) -> int:
-        """The least that it certainly was, see :func:`hil.reviewing.network_meter.action_delays_ns`."""
+        """The least that it certainly was, see
+        :func:`servobench.hil.reviewing.network_meter.action_delays_ns`."""
         sending = record.sending
         if sending is None:
             return 0
@@ -304,7 +314,8 @@ class Certificates:
         )
 
     def _left(self, axis: str) -> Iterator[str]:
-        """Premises that bench and drive do not keep, see :mod:`hil.reviewing.certificate_meter`."""
+        """Premises that bench and drive do not keep, see
+        :mod:`servobench.hil.reviewing.certificate_meter`."""
         for key, value, expected in self._axis_faults(axis):
             yield f"{key}: {value}, expected {expected}"
         if self._config.simulated:

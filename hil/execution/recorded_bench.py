@@ -10,15 +10,15 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import duration_s
-from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import DriveConfig
-from hil.configuration.mode_checks import quantity_of
-from hil.configuration.references import Load, Reference, SignalFile
-from hil.execution.axis_code import AxisCode
-from hil.recording.logger_process import RecordingFailed
-from hil.rows.recording_plan import (
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import duration_s
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.config_axis import DriveConfig
+from servobench.hil.configuration.mode_checks import quantity_of
+from servobench.hil.configuration.references import Load, Reference, SignalFile
+from servobench.hil.execution.axis_code import AxisCode
+from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.rows.recording_plan import (
     AxisPlan,
     CertifiedPlan,
     ObservedDrive,
@@ -27,7 +27,7 @@ from hil.rows.recording_plan import (
     RecordingPlan,
     ReviewPlan,
 )
-from hil.verdict.verdict import VerdictLimits
+from servobench.hil.verdict.verdict import VerdictLimits
 
 
 def _kept_bench(config: BenchConfig, code: Mapping[str, AxisCode]) -> tuple[BenchConfig, dict[str, Path]]:

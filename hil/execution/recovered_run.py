@@ -3,19 +3,25 @@
 from dataclasses import replace
 from pathlib import Path
 
-from drivers.errors import BadInput
-from drivers.timebase import Duration, Instant, duration_s
-from hil.configuration.config import BenchConfig
-from hil.execution.network_guard import Certificates
-from hil.execution.recorded_bench import recording_plan
-from hil.loop.loop import planned_cycles
-from hil.recording.logger_process import RecordingFailed
-from hil.recording.recovery import recover
-from hil.recording.run_folder import read_summary
-from hil.rows.records_file import read_metadata
-from hil.rows.run_files import BENCH_FILE, BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH, RECORDS_FILE
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import RunOutcome
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Duration, Instant, duration_s
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution.network_guard import Certificates
+from servobench.hil.execution.recorded_bench import recording_plan
+from servobench.hil.loop.loop import planned_cycles
+from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.recording.recovery import recover
+from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.rows.records_file import read_metadata
+from servobench.hil.rows.run_files import (
+    BENCH_FILE,
+    BENCH_START,
+    FIRST_CYCLE,
+    FIRST_CYCLE_EPOCH,
+    RECORDS_FILE,
+)
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import RunOutcome
 
 _UNKNOWN_END = "the end of the run is not known: whoever recorded it was ended before it"
 

@@ -12,19 +12,19 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 
 import can
 
-from drivers.canopen.cob_ids import SYNC
-from drivers.canopen.network import CanopenNetwork
-from drivers.errors import BadInput, BusDown
-from drivers.exchange import Master
-from drivers.timebase import NS_PER_S, Clock, Duration, Instant
-from drivers.wire.adapters import HUB, SOCKETCAN, BusSpec
-from drivers.wire.frame_port import EchoBasis, FrameTap
-from hil.configuration.config import BenchConfig
-from hil.execution.assembly import command_latency, sync_latency
-from hil.execution.world import FurtherSegment, World
-from hil.loop.loop import Actuation, LoopTiming
-from hil.loop.pace import HeardSync, OwnSync, Pace, Stall
-from hil.loop.syncs import SyncLog
+from servobench.drivers.canopen.cob_ids import SYNC
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.errors import BadInput, BusDown
+from servobench.drivers.exchange import Master
+from servobench.drivers.timebase import NS_PER_S, Clock, Duration, Instant
+from servobench.drivers.wire.adapters import HUB, SOCKETCAN, BusSpec
+from servobench.drivers.wire.frame_port import EchoBasis, FrameTap
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution.assembly import command_latency, sync_latency
+from servobench.hil.execution.world import FurtherSegment, World
+from servobench.hil.loop.loop import Actuation, LoopTiming
+from servobench.hil.loop.pace import HeardSync, OwnSync, Pace, Stall
+from servobench.hil.loop.syncs import SyncLog
 
 
 def timing_without_bench(period: Duration, bitrate_bit_s: int, settle: Duration) -> LoopTiming:

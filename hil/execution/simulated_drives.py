@@ -12,36 +12,36 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from design.motor import PmsmParameters
-from design.statespace import StateSpace
-from drivers.bounded_file import NamedBy
-from drivers.canopen.cob_ids import NODE_BITS, SENT_BY_NODES
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
-from drivers.canopen.objects301 import Cia301
-from drivers.errors import AnswersTwice, BadInput, NoAnswer, PeerFault
-from drivers.printable import printable
-from drivers.timebase import NS_PER_S, Clock, Duration, Instant
-from drivers.wire.adapters import BusSpec, shared_bus
-from drivers.wire.link import BusLink
-from hil.configuration.config import BenchConfig
-from hil.configuration.current_controller_file import CurrentController, read_current_controller
-from hil.configuration.references import SignalFile
-from hil.execution.device_files import DeviceFiles
-from hil.execution.world import WorldPlan, open_world
-from hil.load.simulated_load import SimulatedLoadMachine, load_table
-from hil.machine.realtime import realtime_process
-from hil.machine.stopping import stop_signals
-from virtual_bus.device.background import Stream, background_nodes
-from virtual_bus.device.lss_slave import NODE_ID_KEY
-from virtual_bus.device.parameter_storage import FileStore
-from virtual_bus.drive.load_table import LoadTable
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.drive.unknown_drive import unknown_drive
-from virtual_bus.frame import Device
-from virtual_bus.hosting.devices import serve
-from virtual_bus.hosting.injection import Faults
+from servobench.design.motor import PmsmParameters
+from servobench.design.statespace import StateSpace
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.canopen.cob_ids import NODE_BITS, SENT_BY_NODES
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.errors import AnswersTwice, BadInput, NoAnswer, PeerFault
+from servobench.drivers.printable import printable
+from servobench.drivers.timebase import NS_PER_S, Clock, Duration, Instant
+from servobench.drivers.wire.adapters import BusSpec, shared_bus
+from servobench.drivers.wire.link import BusLink
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.current_controller_file import CurrentController, read_current_controller
+from servobench.hil.configuration.references import SignalFile
+from servobench.hil.execution.device_files import DeviceFiles
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.hil.load.simulated_load import SimulatedLoadMachine, load_table
+from servobench.hil.machine.realtime import realtime_process
+from servobench.hil.machine.stopping import stop_signals
+from servobench.virtual_bus.device.background import Stream, background_nodes
+from servobench.virtual_bus.device.lss_slave import NODE_ID_KEY
+from servobench.virtual_bus.device.parameter_storage import FileStore
+from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
+from servobench.virtual_bus.frame import Device
+from servobench.virtual_bus.hosting.devices import serve
+from servobench.virtual_bus.hosting.injection import Faults
 
 LISTEN_FOR: Final = Duration(NS_PER_S)
 """In so long a node with a heartbeat, or in operation, is heard nearly always; the others are asked."""

@@ -7,9 +7,9 @@ no tick looks late: only the drives tell that they were left alone.
 from collections.abc import Callable
 from typing import Final
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, suspended
-from hil.execution.world import World
-from hil.loop.loop import PROGRESS_EVERY
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, suspended
+from servobench.hil.execution.world import World
+from servobench.hil.loop.loop import PROGRESS_EVERY
 
 STOOD_STILL: Final = Duration(100 * NS_PER_MS)
 """Longer than anything holds up a process on a machine that serves for a bench; drives wait for their

@@ -24,10 +24,10 @@ from enum import IntEnum
 from itertools import pairwise
 from typing import Final, NamedTuple
 
-from drivers.canopen.owed import Owed
-from drivers.canopen.pdo import PdoMap
-from drivers.timebase import NEVER, Duration, Instant
-from hil.loop.syncs import REMEMBERED, SyncLog
+from servobench.drivers.canopen.owed import Owed
+from servobench.drivers.canopen.pdo import PdoMap
+from servobench.drivers.timebase import NEVER, Duration, Instant
+from servobench.hil.loop.syncs import REMEMBERED, SyncLog
 
 REGULAR: Final = 64
 """SYNCs that must have been answered in order before one too many is told: a frame that was held back for

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from drivers.timebase import NS_PER_US, Duration
-from hil.loop.attribution import Health
-from hil.loop.axis import Axis
-from hil.loop.syncs import SyncLog
+from servobench.drivers.timebase import NS_PER_US, Duration
+from servobench.hil.loop.attribution import Health
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.syncs import SyncLog
 
 Report = dict[str, Any]
 

@@ -6,32 +6,32 @@ from dataclasses import dataclass, field
 
 import can
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.write_list import WriteList
-from drivers.errors import BadInput, BenchError, BusDown, NoAnswer, PeerFault
-from drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
-from drivers.wire.adapters import BusSpec, open_bus, shared_bus
-from drivers.wire.attached import advice_on
-from drivers.wire.link import BusLink, StampSource, Tap
-from hil.configuration.background import BackgroundTables
-from hil.configuration.config import BenchConfig, BusSegment
-from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
-from virtual_bus.bus.disturbance import BusError
-from virtual_bus.bus.error_message import error_frame_of
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.core.native import BusLoad
-from virtual_bus.device.background import background_nodes
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.faults.fault_log import FaultLog
-from virtual_bus.faults.faulty_bus import FaultyBus
-from virtual_bus.faults.frame_fault import Side
-from virtual_bus.faults.outage_bus import OutageBus
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.hosting.faulty_device import FaultyDevice
-from virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
-from virtual_bus.timeline import PacedTimeline, SimulatedClock, Timeline
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.write_list import WriteList
+from servobench.drivers.errors import BadInput, BenchError, BusDown, NoAnswer, PeerFault
+from servobench.drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
+from servobench.drivers.wire.adapters import BusSpec, open_bus, shared_bus
+from servobench.drivers.wire.attached import advice_on
+from servobench.drivers.wire.link import BusLink, StampSource, Tap
+from servobench.hil.configuration.background import BackgroundTables
+from servobench.hil.configuration.config import BenchConfig, BusSegment
+from servobench.virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
+from servobench.virtual_bus.bus.disturbance import BusError
+from servobench.virtual_bus.bus.error_message import error_frame_of
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.core.native import BusLoad
+from servobench.virtual_bus.device.background import background_nodes
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.faults.fault_log import FaultLog
+from servobench.virtual_bus.faults.faulty_bus import FaultyBus
+from servobench.virtual_bus.faults.frame_fault import Side
+from servobench.virtual_bus.faults.outage_bus import OutageBus
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.hosting.faulty_device import FaultyDevice
+from servobench.virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
+from servobench.virtual_bus.timeline import PacedTimeline, SimulatedClock, Timeline
 
 
 @dataclass(frozen=True, slots=True)

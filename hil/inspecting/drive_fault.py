@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.canopen.error_codes import fault_text, history_text, register_text
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects301 import Cia301
-from drivers.cia402.objects402 import Object
-from drivers.cia402.servo import ServoDrive
-from drivers.cia402.state_control import FAULTY
-from drivers.timebase import NS_PER_S, Duration
+from servobench.drivers.canopen.error_codes import fault_text, history_text, register_text
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.cia402.state_control import FAULTY
+from servobench.drivers.timebase import NS_PER_S, Duration
 
 _CONNECT_NS = Duration(2 * NS_PER_S)
 """Somebody waits at the terminal, and a drive that is on answers at once."""

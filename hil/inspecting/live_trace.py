@@ -5,15 +5,15 @@ from typing import Final
 
 import can
 
-from drivers.errors import BusDown
-from drivers.timebase import NS_PER_MS, Duration, Instant, MonotonicClock
-from drivers.wire.adapters import BusSpec
-from drivers.wire.frame_port import FramePort
-from drivers.wire.identifiers import ERROR_FLAG
-from drivers.wire.message_port import MessagePort
-from hil.inspecting.scanning import ScanPlan, open_to_look
-from hil.reviewing.trace.log_frame import LogFrame
-from virtual_bus.bus.hub import HubBus
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant, MonotonicClock
+from servobench.drivers.wire.adapters import BusSpec
+from servobench.drivers.wire.frame_port import FramePort
+from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.message_port import MessagePort
+from servobench.hil.inspecting.scanning import ScanPlan, open_to_look
+from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.virtual_bus.bus.hub import HubBus
 
 _LOOK_EVERY: Final = Duration(100 * NS_PER_MS)
 """So long Ctrl-C may wait on a silent bus; a reader does not see it."""

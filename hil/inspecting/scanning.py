@@ -7,17 +7,17 @@ from typing import Any, NamedTuple
 
 import can
 
-from drivers.canopen.bus_scan import BusScan, NodeFound, Traffic
-from drivers.canopen.lss import LssAddress, LssMaster
-from drivers.canopen.network import CanopenNetwork
-from drivers.errors import MISSING, BadInput, BusDown, NoAnswer, PeerFault
-from drivers.timebase import Duration, MonotonicClock
-from drivers.wire.adapters import HUB, SOCKETCAN, BusSpec, OpenBus, open_bus
-from drivers.wire.attached import CanLink, SerialPort, advice_on, can_links, serial_adapters
-from drivers.wire.bitrate import can_listen_only, detect_bitrate, open_listening
-from drivers.wire.link import BusLink, StampSource
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.bus.hub_place import HubPlace, known_hubs
+from servobench.drivers.canopen.bus_scan import BusScan, NodeFound, Traffic
+from servobench.drivers.canopen.lss import LssAddress, LssMaster
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.errors import MISSING, BadInput, BusDown, NoAnswer, PeerFault
+from servobench.drivers.timebase import Duration, MonotonicClock
+from servobench.drivers.wire.adapters import HUB, SOCKETCAN, BusSpec, OpenBus, open_bus
+from servobench.drivers.wire.attached import CanLink, SerialPort, advice_on, can_links, serial_adapters
+from servobench.drivers.wire.bitrate import can_listen_only, detect_bitrate, open_listening
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.bus.hub_place import HubPlace, known_hubs
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ class BusReport:
 
 def find_adapters() -> Adapters:
     """Look at this machine; no adapter is opened and nothing is sent."""
-    from hil.machine.doctor import detected_adapters
+    from servobench.hil.machine.doctor import detected_adapters
 
     hubs = tuple(name for name in known_hubs() if HubPlace(name).serving)
     return Adapters(tuple(can_links()), tuple(serial_adapters()), tuple(detected_adapters()), hubs)

@@ -12,14 +12,14 @@ No heartbeat is sent: another master may have the same node-ID.
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from drivers.canopen.bus_scan import NODES
-from drivers.canopen.cob_ids import SDO_ANSWER
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt_states import NmtCommand
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
-from drivers.errors import BusDown, NoAnswer, PeerFault, TransferAborted
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
+from servobench.drivers.canopen.bus_scan import NODES
+from servobench.drivers.canopen.cob_ids import SDO_ANSWER
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt_states import NmtCommand
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
+from servobench.drivers.errors import BusDown, NoAnswer, PeerFault, TransferAborted
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
 
 _LIMIT: Final = Duration(5 * NS_PER_S)
 """A drive with a ramp of its own takes seconds."""

@@ -8,18 +8,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import BadInput, PeerFault, TransferAborted
-from drivers.instruments.dynamometer import Dynamometer, LineCounts, LoadReading
-from drivers.timebase import NS_PER_S, US_PER_S, Clock, Duration, Instant
-from drivers.wire.adapters import SIMULATED
-from drivers.wire.serial_line import ByteLine, open_line
-from hil.configuration.config import BenchConfig, LoadMachineConfig
-from hil.configuration.references import Load, SignalFile
-from hil.loop.axis_roles import LoadMachine
-from hil.recording.run_recorder import RunRecorder
-from virtual_bus.drive.load_object import (
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import BadInput, PeerFault, TransferAborted
+from servobench.drivers.instruments.dynamometer import Dynamometer, LineCounts, LoadReading
+from servobench.drivers.timebase import NS_PER_S, US_PER_S, Clock, Duration, Instant
+from servobench.drivers.wire.adapters import SIMULATED
+from servobench.drivers.wire.serial_line import ByteLine, open_line
+from servobench.hil.configuration.config import BenchConfig, LoadMachineConfig
+from servobench.hil.configuration.references import Load, SignalFile
+from servobench.hil.loop.axis_roles import LoadMachine
+from servobench.hil.recording.run_recorder import RunRecorder
+from servobench.virtual_bus.drive.load_object import (
     LOAD_COURSE_SUB,
     LOAD_DELAY_SUB,
     LOAD_MACHINE,
@@ -28,13 +28,13 @@ from virtual_bus.drive.load_object import (
     SIMULATED_DRIVE,
     LoadCourse,
 )
-from virtual_bus.instruments.dynamometer.hosting import TimelineLine
-from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
-from virtual_bus.instruments.serial_line.device_line import LineFaults
-from virtual_bus.timeline import SimulatedClock
+from servobench.virtual_bus.instruments.dynamometer.hosting import TimelineLine
+from servobench.virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
+from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
+from servobench.virtual_bus.timeline import SimulatedClock
 
 if TYPE_CHECKING:
-    from virtual_bus.drive.servo import SimulatedServo
+    from servobench.virtual_bus.drive.servo import SimulatedServo
 
 TOLERANCE = 0.05
 """A measured torque within this share of the asked one counts as reached."""
@@ -244,7 +244,7 @@ def find_load_machine(
         if not wanted:
             return None
         raise _no_load_machine(source, axis, f"a load for {product}, which was made without 2100h") from None
-    from hil.load.simulated_load import load_table
+    from servobench.hil.load.simulated_load import load_table
 
     if number != load_table(over_time.signal).number:
         held = "another file" if number else "none"

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from design.motor import PmsmParameters
-from drivers.errors import BadInput
-from hil.configuration.signal_file import Signal, load_signal
-from hil.loop.scenario import Quantity
-from virtual_bus.drive.load_table import LoadTable
-from virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
-from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
-from virtual_bus.instruments.serial_line.device_line import LineFaults
-from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.signal_file import Signal, load_signal
+from servobench.hil.loop.scenario import Quantity
+from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
+from servobench.virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
+from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
+from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 if TYPE_CHECKING:
-    from virtual_bus.drive.servo import SimulatedServo
+    from servobench.virtual_bus.drive.servo import SimulatedServo
 
 OPTION = "--load"
 

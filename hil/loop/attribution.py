@@ -1,15 +1,15 @@
 """What the two ways of placing readings share: what they rest on, what they found, what is still open.
 
-A drive whose stamp comes with the speed is placed by it (:mod:`hil.loop.stamp_attribution`), another one
-by the order of SYNCs and readings on the bus (:mod:`hil.loop.order_attribution`).
+A drive whose stamp comes with the speed is placed by it (:mod:`servobench.hil.loop.stamp_attribution`),
+another one by the order of SYNCs and readings on the bus (:mod:`servobench.hil.loop.order_attribution`).
 """
 
 from collections.abc import Callable
 from typing import Final
 
-from drivers.record import replaced
-from drivers.timebase import NS_PER_MS, Duration
-from hil.loop.samples import Observation, Sample
+from servobench.drivers.record import replaced
+from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.loop.samples import Observation, Sample
 
 HELD_MAX: Final = 64
 """Cycles for which a row waits for the answer to a question: longer than one stays open."""

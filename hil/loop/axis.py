@@ -5,26 +5,26 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from drivers.errors import LimitExceeded
-from drivers.exchange import Drive, Reading
-from drivers.record import replaced
-from drivers.timebase import NEVER, NS_PER_US, Duration, Instant, MonotonicClock
-from hil.loop.attribution import HELD_FOR, HELD_MAX
-from hil.loop.axis_roles import Compensator, Controller, LoadMachine
-from hil.loop.clock_map import STAMP_RESOLUTION
-from hil.loop.command_meter import CommandMeter
-from hil.loop.context import Context
-from hil.loop.decision import Decision, Tick
-from hil.loop.delay import DelayMeter, Fate
-from hil.loop.lessons import Lessons
-from hil.loop.order_attribution import OrderAttribution
-from hil.loop.readback_tie import ProvedChanges, ReadbackTie, Telling
-from hil.loop.safety import SafetyGuard
-from hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Sending, without_sync
-from hil.loop.scenario import Quantity, ReferenceProfile
-from hil.loop.stamp_attribution import REVOKED, StampAttribution
-from hil.loop.syncs import SyncLog, SyncMark
-from hil.loop.way_back import WayBack
+from servobench.drivers.errors import LimitExceeded
+from servobench.drivers.exchange import Drive, Reading
+from servobench.drivers.record import replaced
+from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant, MonotonicClock
+from servobench.hil.loop.attribution import HELD_FOR, HELD_MAX
+from servobench.hil.loop.axis_roles import Compensator, Controller, LoadMachine
+from servobench.hil.loop.clock_map import STAMP_RESOLUTION
+from servobench.hil.loop.command_meter import CommandMeter
+from servobench.hil.loop.context import Context
+from servobench.hil.loop.decision import Decision, Tick
+from servobench.hil.loop.delay import DelayMeter, Fate
+from servobench.hil.loop.lessons import Lessons
+from servobench.hil.loop.order_attribution import OrderAttribution
+from servobench.hil.loop.readback_tie import ProvedChanges, ReadbackTie, Telling
+from servobench.hil.loop.safety import SafetyGuard
+from servobench.hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Sending, without_sync
+from servobench.hil.loop.scenario import Quantity, ReferenceProfile
+from servobench.hil.loop.stamp_attribution import REVOKED, StampAttribution
+from servobench.hil.loop.syncs import SyncLog, SyncMark
+from servobench.hil.loop.way_back import WayBack
 
 _SHOWN_BY_OTHERS: Final = (DropoutCause.LOST, DropoutCause.STALE)
 """What a cycle's reading is known to be by the places of other readings."""

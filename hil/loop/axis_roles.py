@@ -8,9 +8,9 @@ from typing import Protocol
 
 from mypy_extensions import mypyc_attr
 
-from drivers.exchange import Command
-from hil.loop.context import Context, SetPoint
-from hil.loop.samples import Sample, StateEstimate
+from servobench.drivers.exchange import Command
+from servobench.hil.loop.context import Context, SetPoint
+from servobench.hil.loop.samples import Sample, StateEstimate
 
 PROTOCOL_VERSION = 1
 

@@ -8,7 +8,7 @@ is known on the host's clock, from its echo:
 
 The map is a straight line that is followed by a Kalman filter of two states, offset and rate. Which SYNC a
 stamp belongs to, and whether a stamp that lies off the line may move it, is decided elsewhere
-(:mod:`hil.loop.attribution`). No rate is too large to be followed.
+(:mod:`servobench.hil.loop.attribution`). No rate is too large to be followed.
 """
 
 import math
@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 
 STAMP_RESOLUTION: Final = Duration(NS_PER_US)
 """1013h counts whole microseconds, rounded down (CiA 301 7.5.2.16); makers differ."""

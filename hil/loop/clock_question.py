@@ -11,10 +11,10 @@ Each way has the cost of what must have happened for it.
 
 from typing import Final, NamedTuple
 
-from drivers.timebase import Duration, Instant
-from hil.loop.drive_stamps import DriveStamps
-from hil.loop.residuals import DelayExtremes
-from hil.loop.syncs import SURPLUS, SyncLog, SyncMark
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.drive_stamps import DriveStamps
+from servobench.hil.loop.residuals import DelayExtremes
+from servobench.hil.loop.syncs import SURPLUS, SyncLog, SyncMark
 
 STEP_COST: Final = 3
 """That a clock was set,"""

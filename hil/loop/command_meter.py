@@ -21,13 +21,13 @@ sent, each once, until a telling shows that they do not. From that alone:
 
 from typing import Final
 
-from drivers.exchange import SentCommand
-from drivers.timebase import Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.delay import UNHEARD_MAX
-from hil.loop.followed_command import FollowedCommand, LeastPasses
-from hil.loop.samples import CommandFate, Sending
-from hil.loop.syncs import ECHO_ERROR, LATE_WITHOUT_BOUND, STAMPED_LATE, SyncLog, SyncMark
+from servobench.drivers.exchange import SentCommand
+from servobench.drivers.timebase import Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.delay import UNHEARD_MAX
+from servobench.hil.loop.followed_command import FollowedCommand, LeastPasses
+from servobench.hil.loop.samples import CommandFate, Sending
+from servobench.hil.loop.syncs import ECHO_ERROR, LATE_WITHOUT_BOUND, STAMPED_LATE, SyncLog, SyncMark
 
 FOLLOWED_MAX: Final = 256
 """Commands followed at a time: more than there are cycles for which a row waits, the longest horizon and

@@ -3,12 +3,12 @@
 import math
 from typing import Final
 
-from drivers.errors import BenchError
-from drivers.exchange import Command
-from drivers.record import Record
-from drivers.timebase import NS_PER_S, Duration, Instant
-from hil.loop.samples import AT_REST, Sample, StateEstimate
-from hil.loop.scenario import ReferenceProfile
+from servobench.drivers.errors import BenchError
+from servobench.drivers.exchange import Command
+from servobench.drivers.record import Record
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant
+from servobench.hil.loop.samples import AT_REST, Sample, StateEstimate
+from servobench.hil.loop.scenario import ReferenceProfile
 
 CHANNELS_MAX: Final = 8
 """Values of its own that a controller may tell in a cycle: each costs 8 bytes of every row of every run."""
@@ -98,7 +98,7 @@ class Context:
         self.follows = True
         """Whether the drive follows its commands, as far as it tells. While it does not, ``update`` and
         ``sent`` are given what acts in place of the command, and the reference is where the shaft is; from
-        there it comes back afterwards, see :mod:`hil.loop.way_back`."""
+        there it comes back afterwards, see :mod:`servobench.hil.loop.way_back`."""
         self.sent: Command | None = None
         """The last command that was handed to the bus, after all limits; None before the first."""
         self.reference_rad_s = 0.0

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from drivers.exchange import Command, SentCommand
-from drivers.timebase import Instant
-from hil.loop.delay import Fate
-from hil.loop.samples import StateEstimate
-from hil.loop.syncs import SyncMark
+from servobench.drivers.exchange import Command, SentCommand
+from servobench.drivers.timebase import Instant
+from servobench.hil.loop.delay import Fate
+from servobench.hil.loop.samples import StateEstimate
+from servobench.hil.loop.syncs import SyncMark
 
 
 class Tick:

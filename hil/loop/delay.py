@@ -10,8 +10,8 @@ fates are handed out in order of sequence. A cycle without SYNC has its fate at 
 
 from typing import Final
 
-from drivers.timebase import Duration, Instant
-from hil.loop.samples import Dropout, DropoutCause, Observation, Sample
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.samples import Dropout, DropoutCause, Observation, Sample
 
 UNHEARD_MAX: Final = 100
 """Cycles beyond the horizon for which a fate waits while nothing is heard of the bus: five times the longest

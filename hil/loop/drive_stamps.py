@@ -1,16 +1,16 @@
 """Where the stamps of one drive lie on the host's time, and how far they are from their SYNCs.
 
 The map of the drive's clock, the steps by which its stamps advance, and what map and steps leave over
-(:mod:`hil.loop.residuals`): all learned while calibrating, and followed from reading to reading.
+(:mod:`servobench.hil.loop.residuals`): all learned while calibrating, and followed from reading to reading.
 """
 
 from collections import deque
 from typing import Final
 
-from drivers.timebase import NS_PER_US, Duration, Instant
-from hil.loop.clock_map import STAMP_RESOLUTION, ClockMap, evenly_spaced, residuals_of, step_of
-from hil.loop.residuals import Residuals
-from hil.loop.syncs import SyncMark
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.hil.loop.clock_map import STAMP_RESOLUTION, ClockMap, evenly_spaced, residuals_of, step_of
+from servobench.hil.loop.residuals import Residuals
+from servobench.hil.loop.syncs import SyncMark
 
 MATCH_NS: Final = 3 * NS_PER_US
 """A stamp of 1 us so near to a SYNC is its own: a step of the stamp and two of rounding. A coarser one may be

@@ -2,9 +2,9 @@
 
 from typing import Final
 
-from drivers.exchange import SentCommand
-from drivers.timebase import Instant
-from hil.loop.samples import CommandFate
+from servobench.drivers.exchange import SentCommand
+from servobench.drivers.timebase import Instant
+from servobench.hil.loop.samples import CommandFate
 
 PASSES_WATCHED: Final = 32
 """Commands whose least number of passes stands for the next ones."""
@@ -13,7 +13,8 @@ MANY: Final = 1 << 30
 
 
 class FollowedCommand:
-    """A command and what is known of its effect; :mod:`hil.loop.command_meter` sets what it learns."""
+    """A command and what is known of its effect; :mod:`servobench.hil.loop.command_meter` sets what it
+    learns."""
 
     __slots__ = (
         "acts_by",

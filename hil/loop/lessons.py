@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.exchange import Reading
-from drivers.timebase import Duration, Instant
-from hil.loop.clock_map import residuals_of
-from hil.loop.syncs import STAMPED_LATE, SyncLog, SyncMark
+from servobench.drivers.exchange import Reading
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.clock_map import residuals_of
+from servobench.hil.loop.syncs import STAMPED_LATE, SyncLog, SyncMark
 
 STANDS_STILL: Final = 3
 """Equal stamps of SYNCs that were learned from in a row: one may be a frame that came twice."""

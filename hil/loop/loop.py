@@ -9,7 +9,7 @@ bus's ``recv``; on hardware that blocks, in simulation it steps the event heap. 
 loop cannot tell which.
 
 Every tick is a cycle and has a fate, also one that goes without SYNC. What a tick is, and who makes its SYNC,
-is the business of the loop's pace (:mod:`hil.loop.pace`).
+is the business of the loop's pace (:mod:`servobench.hil.loop.pace`).
 """
 
 from collections.abc import Callable, Sequence
@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from drivers.errors import LimitExceeded, NoAnswer
-from drivers.exchange import Master
-from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
-from hil.loop.axis import Axis
-from hil.loop.decision import Tick
-from hil.loop.pace import Pace, Start, ticks_passed
+from servobench.drivers.errors import LimitExceeded, NoAnswer
+from servobench.drivers.exchange import Master
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.decision import Tick
+from servobench.hil.loop.pace import Pace, Start, ticks_passed
 
 PROGRESS_EVERY: Final = 50 * NS_PER_MS
 """What is asked so often may call the kernel, which no single cycle does."""

@@ -2,15 +2,15 @@
 
 from typing import Final
 
-from drivers.exchange import Reading
-from drivers.timebase import NEVER, NS_PER_US, Duration, Instant
-from hil.loop.attribution import HELD_MAX, Health, Question, Tell
-from hil.loop.order_memory import Copies, Unanswered, Unconfirmed
-from hil.loop.order_question import OrderQuestion
-from hil.loop.residuals import DelayExtremes
-from hil.loop.samples import Sample
-from hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
-from hil.loop.usual_delays import FIRST, UsualDelays, middle_of
+from servobench.drivers.exchange import Reading
+from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant
+from servobench.hil.loop.attribution import HELD_MAX, Health, Question, Tell
+from servobench.hil.loop.order_memory import Copies, Unanswered, Unconfirmed
+from servobench.hil.loop.order_question import OrderQuestion
+from servobench.hil.loop.residuals import DelayExtremes
+from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
+from servobench.hil.loop.usual_delays import FIRST, UsualDelays, middle_of
 
 ASK_AGAIN_AFTER: Final = 100
 """SYNCs from a question that had no answer until it is put again."""
@@ -38,9 +38,9 @@ class OrderAttribution:
     periods too: the calibration has taught the delay. Where one is missing, it was lost, or the delay has
     grown by whole periods; where several in a row come at another phase, the delay is another. Which SYNCs
     they answer is then a *question*, and readings are uncertain. What is uneven in the SYNCs answers it
-    (:mod:`hil.loop.order_evidence`): a host that wakes late, a watermark, the jitter of another's SYNCs, and
-    where that does not suffice by a *probe*, a SYNC that goes out a quarter of a period late. Where none can,
-    the delay is taken for what it was if it looks so.
+    (:mod:`servobench.hil.loop.order_evidence`): a host that wakes late, a watermark, the jitter of another's
+    SYNCs, and where that does not suffice by a *probe*, a SYNC that goes out a quarter of a period late.
+    Where none can, the delay is taken for what it was if it looks so.
 
     What the SYNC took behind its echo, and what the echo was stamped late, is part of the delay. So a sample
     lies no further behind its SYNC than its delay exceeds the smallest of the last ones, and where echoes are

@@ -10,9 +10,9 @@ in the SYNCs is in them too. SYNCs at equal distances say nothing.
 
 from typing import Final
 
-from drivers.timebase import Duration, Instant
-from hil.loop.syncs import SyncLog
-from hil.loop.usual_delays import RESOLUTION_NS
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.syncs import SyncLog
+from servobench.hil.loop.usual_delays import RESOLUTION_NS
 
 WATCHED: Final = 64
 """Readings that are weighed: rows wait for no more."""

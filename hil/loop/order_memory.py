@@ -3,10 +3,10 @@
 import math
 from typing import Final
 
-from drivers.timebase import Instant
-from hil.loop.attribution import Question
-from hil.loop.syncs import REMEMBERED, SyncLog, SyncMark
-from hil.loop.usual_delays import UsualDelays
+from servobench.drivers.timebase import Instant
+from servobench.hil.loop.attribution import Question
+from servobench.hil.loop.syncs import REMEMBERED, SyncLog, SyncMark
+from servobench.hil.loop.usual_delays import UsualDelays
 
 COPIES: Final = 8
 """The last readings, of which another may be a copy."""

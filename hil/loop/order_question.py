@@ -7,10 +7,10 @@ readings         |r              |r        |r            2 has none: lost, or al
 
 from typing import Final
 
-from drivers.timebase import Duration, Instant
-from hil.loop.order_evidence import WATCHED, OrderEvidence
-from hil.loop.syncs import STAMPED_LATE, SyncLog
-from hil.loop.usual_delays import ALIKE_MIN, Resemblance, UsualDelays, lag_to_resemble
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.order_evidence import WATCHED, OrderEvidence
+from servobench.hil.loop.syncs import STAMPED_LATE, SyncLog
+from servobench.hil.loop.usual_delays import ALIKE_MIN, Resemblance, UsualDelays, lag_to_resemble
 
 EVIDENCE_MIN: Final = 2
 """Readings that may tell, where the spread of delays is known;"""

@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 from random import Random
 from typing import Final
 
-from drivers.errors import NoAnswer, PeerFault
-from drivers.exchange import Master
-from drivers.timebase import NS_PER_S, NS_PER_US, Clock, Duration, Instant
-from hil.loop.axis import Axis
-from hil.loop.sync_period import RANGE, period_of
-from hil.loop.syncs import SURPLUS, SyncLog, SyncMark
+from servobench.drivers.errors import NoAnswer, PeerFault
+from servobench.drivers.exchange import Master
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Clock, Duration, Instant
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.sync_period import RANGE, period_of
+from servobench.hil.loop.syncs import SURPLUS, SyncLog, SyncMark
 
 CALIBRATION_SYNCS: Final = 16
 """Enough for a first rate of the drive's clock to some 20 ppm, at stamps of 1 us."""

@@ -17,11 +17,11 @@ from collections import deque
 from itertools import pairwise
 from typing import Final
 
-from drivers.timebase import NS_PER_US, Duration, Instant
-from hil.loop.attribution import HELD_MAX, Tell
-from hil.loop.drive_stamps import DriveStamps
-from hil.loop.residuals import DelayExtremes
-from hil.loop.syncs import SyncLog
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.hil.loop.attribution import HELD_MAX, Tell
+from servobench.hil.loop.drive_stamps import DriveStamps
+from servobench.hil.loop.residuals import DelayExtremes
+from servobench.hil.loop.syncs import SyncLog
 
 EXCLUDING: Final = 24.0
 """A way is out if another is e^24 times likelier: chance alone reaches that once in a million times, and is

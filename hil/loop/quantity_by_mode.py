@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from hil.loop.scenario import Quantity
+from servobench.hil.loop.scenario import Quantity
 
 QUANTITY_BY_MODE: Final = {
     "cst": Quantity.TORQUE,

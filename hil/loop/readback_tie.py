@@ -16,10 +16,10 @@ next reading has come, as two demands behind one reading show that they are not 
 from collections import deque
 from typing import Final
 
-from drivers.exchange import DemandChange, Readback, Reading
-from drivers.timebase import Duration, Instant
-from hil.loop.samples import Sample
-from hil.loop.syncs import REMEMBERED, SyncLog, SyncMark
+from servobench.drivers.exchange import DemandChange, Readback, Reading
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.syncs import REMEMBERED, SyncLog, SyncMark
 
 READINGS_REMEMBERED: Final = 64
 """Readings that a demand may come behind."""

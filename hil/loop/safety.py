@@ -8,11 +8,17 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from drivers.exchange import Command, PositionCommand, SpeedCommand
-from drivers.timebase import NS_PER_S, Instant
-from hil.loop.context import PositionSetPoint, SetPoint, SpeedSetPoint, TorqueSetPoint, WrongSetPoint
-from hil.loop.position_path import PositionPath
-from hil.loop.samples import Sample, StateEstimate
+from servobench.drivers.exchange import Command, PositionCommand, SpeedCommand
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.loop.context import (
+    PositionSetPoint,
+    SetPoint,
+    SpeedSetPoint,
+    TorqueSetPoint,
+    WrongSetPoint,
+)
+from servobench.hil.loop.position_path import PositionPath
+from servobench.hil.loop.samples import Sample, StateEstimate
 
 
 @dataclass(frozen=True, slots=True)

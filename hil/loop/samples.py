@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from enum import Enum
 from typing import Final
 
-from drivers.exchange import Command, Reading
-from drivers.record import Record
-from drivers.timebase import Duration, Instant
+from servobench.drivers.exchange import Command, Reading
+from servobench.drivers.record import Record
+from servobench.drivers.timebase import Duration, Instant
 
 
 class DropoutCause(Enum):

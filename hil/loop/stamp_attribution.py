@@ -9,8 +9,8 @@ whose end on the bus lies there is the one it answers:
 
 The bench sends no SYNC within half a period of another; so a stamp within a quarter of a period of one can be
 that one's only. SYNCs that waited in front of a bus may come closer: a stamp that lies on two of them is
-uncertain. How far stamps lie from their SYNCs is measured (:mod:`hil.loop.residuals`), and with it what
-counts as lying on one, and the bound of each sample. *Lateness* is the stamp's instant minus that of the SYNC
+uncertain. How far stamps lie from their SYNCs is measured (:mod:`servobench.hil.loop.residuals`), and with it
+what counts as lying on one, and the bound of each sample. *Lateness* is the stamp's instant minus the SYNC's
 on the bus, less the smallest one: what the SYNC took behind its echo; without echoes, what it waited too.
 
 Where a stamp lies off all SYNCs, or on one that has another stamp, or where the delay leaves what it was by
@@ -23,16 +23,16 @@ to have happened: no step rather than a step, the same smallest delay rather tha
 from collections import deque
 from typing import Final
 
-from drivers.exchange import Reading
-from drivers.timebase import NS_PER_US, Duration, Instant
-from hil.loop.attribution import Health, Question, Tell
-from hil.loop.clock_map import STAMP_RESOLUTION
-from hil.loop.clock_question import LOSS_COST_MAX, STEP_COST, ClockQuestion, Line, Suspect
-from hil.loop.drive_stamps import DriveStamps
-from hil.loop.period_doubt import PeriodDoubt, Placing
-from hil.loop.residuals import DelayExtremes
-from hil.loop.samples import Sample
-from hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
+from servobench.drivers.exchange import Reading
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.hil.loop.attribution import Health, Question, Tell
+from servobench.hil.loop.clock_map import STAMP_RESOLUTION
+from servobench.hil.loop.clock_question import LOSS_COST_MAX, STEP_COST, ClockQuestion, Line, Suspect
+from servobench.hil.loop.drive_stamps import DriveStamps
+from servobench.hil.loop.period_doubt import PeriodDoubt, Placing
+from servobench.hil.loop.residuals import DelayExtremes
+from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
 AGREEING: Final = 8
 """Readings that must agree before it is settled: fewer could be chance under a jittering SYNC."""

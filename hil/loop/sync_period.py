@@ -12,7 +12,7 @@ from itertools import pairwise
 from statistics import linear_regression, median
 from typing import Final
 
-from drivers.timebase import Duration, Instant
+from servobench.drivers.timebase import Duration, Instant
 
 RANGE: Final = 2.2
 """Periods are sought from the expected one divided by this to the expected one times this: half and twice it

@@ -14,9 +14,9 @@ after both may be that of either: they are then unsure, unless the other echo co
 
 from typing import Final
 
-from drivers.timebase import NEVER, NS_PER_US, Duration, Instant
-from drivers.wire.frame_port import UNTOLD, EchoBasis
-from hil.loop.residuals import Extremes
+from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant
+from servobench.drivers.wire.frame_port import UNTOLD, EchoBasis
+from servobench.hil.loop.residuals import Extremes
 
 ECHO_ERROR: Final = {
     EchoBasis.BUS: 0,

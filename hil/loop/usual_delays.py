@@ -10,7 +10,7 @@ band as wide as the period says nothing of the SYNC that a reading answers.
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.timebase import NS_PER_US, Duration
+from servobench.drivers.timebase import NS_PER_US, Duration
 
 KEPT: Final = 64
 """The last delays: as many as readings wait for an answer."""

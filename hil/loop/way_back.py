@@ -11,11 +11,11 @@ reference, so that nothing jumps and nothing is made up for faster than the run 
 import math
 from typing import Final
 
-from drivers.timebase import NS_PER_S, Duration
-from hil.loop.context import Context
-from hil.loop.position_path import PositionPath
-from hil.loop.samples import Sample
-from hil.loop.scenario import Quantity, ReferenceProfile
+from servobench.drivers.timebase import NS_PER_S, Duration
+from servobench.hil.loop.context import Context
+from servobench.hil.loop.position_path import PositionPath
+from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.scenario import Quantity, ReferenceProfile
 
 WAY_S: Final = 0.2
 """T, and what a path takes to its full speed. A loop that crosses over at 15 rad/s or more sees a ramp of at

@@ -17,11 +17,11 @@ from rich.console import Console
 from rich.text import Text
 from serial.tools import list_ports
 
-from design.core.build import check_built
-from drivers import compiled
-from drivers.errors import BadInput
-from drivers.wire.adapters import link_up_command, socketcan_links
-from drivers.wire.attached import can_links, link_advice
+from servobench.design.core.build import check_built
+from servobench.drivers import compiled
+from servobench.drivers.errors import BadInput
+from servobench.drivers.wire.adapters import link_up_command, socketcan_links
+from servobench.drivers.wire.attached import can_links, link_advice
 
 
 class Look(NamedTuple):
@@ -330,7 +330,7 @@ def compiled_modules(_machine: Machine) -> Look:
 def native_core(_machine: Machine) -> Look:
     """Whether each room's core is built from the sources beside it."""
     try:
-        import virtual_bus.core  # noqa: F401
+        import servobench.virtual_bus.core  # noqa: F401
 
         check_built("design", partial(BadInput, "design", "core"))
     except BadInput as lack:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from drivers.compiled import ROOT
+from servobench.drivers.compiled import ROOT
 
 
 def examples_folder() -> Path:

@@ -2,7 +2,8 @@
 
 ``os._exit(0)`` there would end pytest, a campaign's worker or a run with the status of a success; another
 program in this one's place would, too; and a copy that ``os.fork`` has left would come back a second time and
-command the same drives. Native code is left to the parent process (:mod:`hil.terminal.supervision`).
+command the same drives. Native code is left to the parent process
+(:mod:`servobench.hil.terminal.supervision`).
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The parent that a command runs under (:mod:`hil.terminal.supervision`), as the command sees it.
+"""The parent that a command runs under (:mod:`servobench.hil.terminal.supervision`), as the command sees it.
 
 What a command prints does not leave its process by the descriptors 0 to 2: code of the user's may close, fill
 or redirect these. Results are collected, and handed over whole with the exit status. Messages, and what the

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, Final, NamedTuple
 
-from hil.machine.held_process import OWN_FILES
-from hil.machine.parent_process import has_parent, tell_parent
+from servobench.hil.machine.held_process import OWN_FILES
+from servobench.hil.machine.parent_process import has_parent, tell_parent
 
 _TO_BE_REPLACED: Final = "hook"
 """How names end that Python looks up in order to be given others: sys.excepthook."""

@@ -8,22 +8,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from design.confidence import CONFIDENCE, rank_above, share_within_largest
-from drivers.canopen.pdo import PdoMap
-from drivers.timebase import NS_PER_US
-from drivers.wire.frame_port import EchoBasis
-from hil.configuration.network_file import Certainty, ClockHealth, LossChain, Network
-from hil.configuration.toml_text import toml_text
-from hil.execution.assembly import shortest_transit
-from hil.loop.axis import Axis
-from hil.loop.samples import CommandFate
-from hil.measuring.loss_model import UNKNOWN, Losses, Outcomes, losses_of
-from hil.measuring.stages import Stage
-from hil.measuring.stamp_probe import StampFigures
-from hil.measuring.subject import MeasureRequest
-from hil.reviewing.histogram import TimeHistogram
-from hil.reviewing.network_meter import NetworkMeter, delays_of, histogram_of
-from hil.rows.records import COMMAND_FATES, NOTHING, Rows
+from servobench.design.confidence import CONFIDENCE, rank_above, share_within_largest
+from servobench.drivers.canopen.pdo import PdoMap
+from servobench.drivers.timebase import NS_PER_US
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.configuration.network_file import Certainty, ClockHealth, LossChain, Network
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.execution.assembly import shortest_transit
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.samples import CommandFate
+from servobench.hil.measuring.loss_model import UNKNOWN, Losses, Outcomes, losses_of
+from servobench.hil.measuring.stages import Stage
+from servobench.hil.measuring.stamp_probe import StampFigures
+from servobench.hil.measuring.subject import MeasureRequest
+from servobench.hil.reviewing.histogram import TimeHistogram
+from servobench.hil.reviewing.network_meter import NetworkMeter, delays_of, histogram_of
+from servobench.hil.rows.records import COMMAND_FATES, NOTHING, Rows
 
 Json = dict[str, Any]
 _APART: Final = 1000
@@ -71,7 +71,7 @@ class MeasuredDrive:
     """The RPDO that carries the torque."""
     stages: Sequence[Stage]
     losses: dict[str, Losses]
-    """By the keys of :func:`hil.measuring.stages.ways`."""
+    """By the keys of :func:`servobench.hil.measuring.stages.ways`."""
     uncertain: int
     """Readings of which it is not decided which SYNC they answer."""
     clock: ClockFigures | None
@@ -127,7 +127,7 @@ class Measured:
 
 
 def stage_json(measured: Stage) -> Json:
-    """A stage: us, with bounds at the confidence of :mod:`design.confidence`."""
+    """A stage: us, with bounds at the confidence of :mod:`servobench.design.confidence`."""
     times = measured.times
     delays, bars = delays_of(times), histogram_of(times)
     if delays is None or bars is None:

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from design.confidence import Interval, clopper_pearson
-from hil.reviewing.network_meter import runs_of
+from servobench.design.confidence import Interval, clopper_pearson
+from servobench.hil.reviewing.network_meter import runs_of
 
 CAME: Final = 0
 LOST: Final = 1

@@ -5,38 +5,38 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import BadInput, BenchError, PeerFault
-from drivers.timebase import NS_PER_S, Duration, Instant, duration_s, utc_stamp
-from drivers.wire.adapters import parse_bus_spec
-from drivers.wire.frame_port import EchoBasis
-from hil.configuration.config import Guard
-from hil.configuration.motor_file import LING2012
-from hil.execution.bench import ENABLE_TIMEOUT_S, RUNS_FOLDER
-from hil.execution.bus_guard import BusGuard
-from hil.execution.conclusion import made_twice
-from hil.execution.drives import connect, stop_all
-from hil.execution.segments import sync_log
-from hil.execution.timing_report import distrust, timing_report
-from hil.execution.world import World, WorldPlan, open_world
-from hil.loop.axis import Axis
-from hil.loop.loop import Loop, LoopOutcome
-from hil.loop.pace import OwnSync
-from hil.loop.syncs import SyncLog
-from hil.machine.progress import Progress
-from hil.machine.realtime import timing_conditions
-from hil.machine.stopping import StopRequest, stop_signals
-from hil.measuring import stages
-from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive, clocks_by_node, network_of
-from hil.measuring.loss_model import Outcomes, losses_of
-from hil.measuring.probe import TimedDemandChange, acting
-from hil.measuring.subject import MeasureRequest, Subject, affordable, timing_of
-from hil.restoring.journal import Journal, JournaledNetwork, restore_command
-from hil.restoring.restore import head_of, restore
-from hil.rows.records import Rows
-from hil.write_lists import MEASURE
-from virtual_bus.device.canopen_device import CanopenDevice
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import BadInput, BenchError, PeerFault
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant, duration_s, utc_stamp
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.configuration.config import Guard
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.execution.bench import ENABLE_TIMEOUT_S, RUNS_FOLDER
+from servobench.hil.execution.bus_guard import BusGuard
+from servobench.hil.execution.conclusion import made_twice
+from servobench.hil.execution.drives import connect, stop_all
+from servobench.hil.execution.segments import sync_log
+from servobench.hil.execution.timing_report import distrust, timing_report
+from servobench.hil.execution.world import World, WorldPlan, open_world
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.loop import Loop, LoopOutcome
+from servobench.hil.loop.pace import OwnSync
+from servobench.hil.loop.syncs import SyncLog
+from servobench.hil.machine.progress import Progress
+from servobench.hil.machine.realtime import timing_conditions
+from servobench.hil.machine.stopping import StopRequest, stop_signals
+from servobench.hil.measuring import stages
+from servobench.hil.measuring.figures import ClockFigures, Measured, MeasuredDrive, clocks_by_node, network_of
+from servobench.hil.measuring.loss_model import Outcomes, losses_of
+from servobench.hil.measuring.probe import TimedDemandChange, acting
+from servobench.hil.measuring.subject import MeasureRequest, Subject, affordable, timing_of
+from servobench.hil.restoring.journal import Journal, JournaledNetwork, restore_command
+from servobench.hil.restoring.restore import head_of, restore
+from servobench.hil.rows.records import Rows
+from servobench.hil.write_lists import MEASURE
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
 
 CONNECT_LIMIT_S: Final = 5.0
 """A device that was just switched on boots in a second or two."""
@@ -55,8 +55,8 @@ def run_measurement(request: MeasureRequest, say: Say, progress: Progress) -> Me
     devices: Sequence[CanopenDevice] = ()
     if spec.simulated:
         # A host of other drives does without them.
-        from hil.execution.simulated_drives import drive_parameters
-        from virtual_bus.drive.servo import SimulatedServo
+        from servobench.hil.execution.simulated_drives import drive_parameters
+        from servobench.virtual_bus.drive.servo import SimulatedServo
 
         motor, drive = request.motor or LING2012.parameters, drive_parameters(())
         devices = [SimulatedServo(node, motor, drive, request.seed) for node in request.nodes]

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.measuring.figures import Measured
-from hil.reviewing.network_meter import delays_of, histogram_of
+from servobench.hil.measuring.figures import Measured
+from servobench.hil.reviewing.network_meter import delays_of, histogram_of
 
 _BLUE, _RED, _GRID = "#1f5fa8", "#c8442c", "#e3e6ea"
 _ROW_INCHES = 1.3

@@ -4,14 +4,14 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from drivers.cia402.servo import ServoDrive
-from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
-from drivers.timebase import Clock, Instant
-from hil.control.compensation import Arrival
-from hil.loop.axis_roles import Compensator
-from hil.loop.clock_map import ClockMap
-from hil.loop.context import Context
-from hil.loop.samples import Sample, StateEstimate
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.exchange import Command, Drive, Readback, Reading, SentCommand
+from servobench.drivers.timebase import Clock, Instant
+from servobench.hil.control.compensation import Arrival
+from servobench.hil.loop.axis_roles import Compensator
+from servobench.hil.loop.clock_map import ClockMap
+from servobench.hil.loop.context import Context
+from servobench.hil.loop.samples import Sample, StateEstimate
 
 BEFORE_NS: Final = 2_000
 """A demand that changed so shortly before its command was on the bus is its own: a stamp of 1013h is rounded
@@ -84,11 +84,11 @@ class DecisionProbe(Compensator):
         self._arrival = Arrival()
 
     def receive(self, sample: Sample) -> None:
-        """As that of :class:`hil.control.compensation.Arrival`."""
+        """As that of :class:`servobench.hil.control.compensation.Arrival`."""
         self._arrival.receive(sample)
 
     def estimate(self, context: Context) -> StateEstimate:
-        """As that of :class:`hil.control.compensation.Arrival`."""
+        """As that of :class:`servobench.hil.control.compensation.Arrival`."""
         self.began_at = self._now()
         return self._arrival.estimate(context)
 
@@ -97,7 +97,7 @@ def acting(sent: Sequence[SentCommand], changes: Sequence[TimedDemandChange]) ->
     """By cycle: when its command began to act.
 
     A change belongs to the newest command of its value that was on its way then. Values come again only
-    after many cycles, see :class:`hil.measuring.subject.Excitation`; a command late by as many is
+    after many cycles, see :class:`servobench.hil.measuring.subject.Excitation`; a command late by as many is
     taken for the later one. A value told twice for one command counts the first time.
     """
     by_value: dict[int, list[SentCommand]] = {}

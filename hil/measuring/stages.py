@@ -13,14 +13,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.exchange import SentCommand
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.samples import CommandFate, DropoutCause
-from hil.measuring.loss_model import CAME, LOST, UNKNOWN, Outcomes
-from hil.measuring.probe import TimedDemandChange, on_its_way
-from hil.reviewing.histogram import TimeHistogram
-from hil.reviewing.network_meter import action_delays_ns, passed_over
-from hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
+from servobench.drivers.exchange import SentCommand
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.samples import CommandFate, DropoutCause
+from servobench.hil.measuring.loss_model import CAME, LOST, UNKNOWN, Outcomes
+from servobench.hil.measuring.probe import TimedDemandChange, on_its_way
+from servobench.hil.reviewing.histogram import TimeHistogram
+from servobench.hil.reviewing.network_meter import action_delays_ns, passed_over
+from servobench.hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
 
 NO_ECHO: Final = "no echo of own frames on this bus"
 NOT_ENABLED: Final = "the drive is disabled: --enable"
@@ -104,8 +104,8 @@ def command_stages(
 ) -> list[Stage]:
     """From the decision until the command acts, of one axis.
 
-    ``changes``: by cycle, when its command began to act, see :func:`hil.measuring.probe.acting`; without any
-    the rows bracket it by SYNCs. ``why_not``: why it may not be measured at all.
+    ``changes``: by cycle, when its command began to act, see :func:`servobench.hil.measuring.probe.acting`;
+    without any the rows bracket it by SYNCs. ``why_not``: why it may not be measured at all.
     """
     echoed = [command for command in sent if command.on_bus_at is not None]
     on_bus = [command.on_bus_at - command.handed_at for command in echoed if command.on_bus_at is not None]

@@ -20,11 +20,11 @@ from itertools import pairwise
 from random import Random
 from typing import Final
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.sdo import object_name
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration
-from drivers.vendors.stamps import BITS
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration
+from servobench.drivers.vendors.stamps import BITS
 
 ROUNDS: Final = 32
 """A step twice as long as the true one would pass for it in one of 2^31 cases."""

@@ -12,37 +12,37 @@ from typing import Final
 
 import numpy as np
 
-from design.motor import PmsmParameters
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects import SettingRefused
-from drivers.canopen.pdo import PdoPlan
-from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, budget_of
-from drivers.cia402.drive_setup import DriveSettings, read_scaling
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import DEMAND, PlanWish, features_of, status_timer_ms
-from drivers.cia402.profile import CONTROLWORDS, DriveCommand, Mode
-from drivers.cia402.scaling import ScaleOverride
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import BadInput, TransferAborted
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, Duration
-from drivers.vendors.stamps import STANDARD_STAMP, StampProfile
-from hil.configuration.config import Foreign, Guard
-from hil.execution.assembly import command_duration, shortest_transit
-from hil.execution.segments import timing_without_bench
-from hil.loop.axis import Axis, AxisParts
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, SetPoint, TorqueSetPoint
-from hil.loop.loop import LoopTiming
-from hil.loop.safety import SafetyGuard, TorqueLimits
-from hil.loop.samples import CycleRecord
-from hil.loop.scenario import Quantity, ReferenceProfile
-from hil.loop.syncs import SyncLog
-from hil.measuring.probe import ProbedDrive
-from hil.measuring.stamp_probe import StampFigures, find_stamp
-from hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
-from virtual_bus.hosting.injection import Faults
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, budget_of
+from servobench.drivers.cia402.drive_setup import DriveSettings, read_scaling
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import DEMAND, PlanWish, features_of, status_timer_ms
+from servobench.drivers.cia402.profile import CONTROLWORDS, DriveCommand, Mode
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import BadInput, TransferAborted
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, Duration
+from servobench.drivers.vendors.stamps import STANDARD_STAMP, StampProfile
+from servobench.hil.configuration.config import Foreign, Guard
+from servobench.hil.execution.assembly import command_duration, shortest_transit
+from servobench.hil.execution.segments import timing_without_bench
+from servobench.hil.loop.axis import Axis, AxisParts
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.hil.loop.loop import LoopTiming
+from servobench.hil.loop.safety import SafetyGuard, TorqueLimits
+from servobench.hil.loop.samples import CycleRecord
+from servobench.hil.loop.scenario import Quantity, ReferenceProfile
+from servobench.hil.loop.syncs import SyncLog
+from servobench.hil.measuring.probe import ProbedDrive
+from servobench.hil.measuring.stamp_probe import StampFigures, find_stamp
+from servobench.hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
+from servobench.virtual_bus.hosting.injection import Faults
 
 HORIZON: Final = 50
 """Cycles after which a reading or a command is lost: more than the 20 of a bench, so that a slow gateway is

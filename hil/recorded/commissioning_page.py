@@ -17,24 +17,32 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from drivers.bounded_file import NoSuchFile, parse_json, read_text
-from drivers.cia402.objects402 import Object
-from drivers.errors import BadInput
-from drivers.rotation import RPM_PER_RAD_S
-from drivers.timebase import NS_PER_S
-from drivers.written_file import written
-from hil.configuration.drive_file import load_drive_file
-from hil.recording.lanes import lane_colors
-from hil.recording.page_series import BLUE, GREEN, GREY, Color
-from hil.recording.plot_scale import COLUMN_PX, about, lanes_px, plot_heights
-from hil.recording.rerun_page import event_list, framed, from_zero, plot, run_times, send_line, stream_into
-from hil.reviewing.envelope import Envelope
-from hil.reviewing.trace.decoder import decode
-from hil.reviewing.trace.known_nodes import KnownNodes
-from hil.reviewing.trace.run_trace import RecordedBus
-from hil.reviewing.trace.trace_entry import TraceEntry
-from hil.rows.event_lines import read_events
-from hil.rows.run_files import (
+from servobench.drivers.bounded_file import NoSuchFile, parse_json, read_text
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.errors import BadInput
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.drivers.timebase import NS_PER_S
+from servobench.drivers.written_file import written
+from servobench.hil.configuration.drive_file import load_drive_file
+from servobench.hil.recording.lanes import lane_colors
+from servobench.hil.recording.page_series import BLUE, GREEN, GREY, Color
+from servobench.hil.recording.plot_scale import COLUMN_PX, about, lanes_px, plot_heights
+from servobench.hil.recording.rerun_page import (
+    event_list,
+    framed,
+    from_zero,
+    plot,
+    run_times,
+    send_line,
+    stream_into,
+)
+from servobench.hil.reviewing.envelope import Envelope
+from servobench.hil.reviewing.trace.decoder import decode
+from servobench.hil.reviewing.trace.known_nodes import KnownNodes
+from servobench.hil.reviewing.trace.run_trace import RecordedBus
+from servobench.hil.reviewing.trace.trace_entry import TraceEntry
+from servobench.hil.rows.event_lines import read_events
+from servobench.hil.rows.run_files import (
     COMMISSIONED_FILE,
     COMMISSIONING_FIGURES,
     COMMISSIONING_RECORDING,
@@ -42,7 +50,7 @@ from hil.rows.run_files import (
     FRAMES_FILE,
     RERUN_FILE,
 )
-from hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.plain_values import from_plain
 
 _APPLICATION: Final = "servobench commissioning"
 _ZERO: Final = re.compile(r"0 ns is \((\d+)\.(\d{6})\)")

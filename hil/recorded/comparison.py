@@ -15,14 +15,14 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field
 
-from drivers.bounded_file import NamedBy
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_S
-from hil.configuration.config_files import Section, load_file
-from hil.recorded.recorded_run import RecordedRun, RunSignals
-from hil.reviewing.largest import Largest, largest
-from hil.rows.records import DIGESTED, FATE_SAMPLE, NAMES, ROW_DTYPE, Rows
-from hil.rows.seal import doubt
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.recorded.recorded_run import RecordedRun, RunSignals
+from servobench.hil.reviewing.largest import Largest, largest
+from servobench.hil.rows.records import DIGESTED, FATE_SAMPLE, NAMES, ROW_DTYPE, Rows
+from servobench.hil.rows.seal import doubt
 
 _SIGNALS: Final = ("velocity_rad_s", "torque_nm", "command_torque_nm", "reference_rad_s", "load_torque_nm")
 _COMPARED: Final = [

@@ -8,12 +8,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from drivers.timebase import NS_PER_S
-from hil.recorded.comparison import Against
-from hil.recording.page_series import AXIS_COLORS, GREY, torque_scale
-from hil.recording.plot_scale import COLUMN_PX, Range, about, around_zero, plot_heights
-from hil.recording.rerun_page import framed, from_zero, plot, send_line, stream_into
-from hil.reviewing.envelope import Points
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.recorded.comparison import Against
+from servobench.hil.recording.page_series import AXIS_COLORS, GREY, torque_scale
+from servobench.hil.recording.plot_scale import COLUMN_PX, Range, about, around_zero, plot_heights
+from servobench.hil.recording.rerun_page import framed, from_zero, plot, send_line, stream_into
+from servobench.hil.reviewing.envelope import Points
 
 _PLOTS: Final = {
     "speed/measured": "Speed [r/min]",

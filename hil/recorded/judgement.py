@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.bounded_file import NamedBy
-from hil.configuration.config import VerdictConfig
-from hil.configuration.config_files import Section, load_file
-from hil.recorded.recorded_run import RecordedRun, RunSignals
-from hil.rows.run_files import RECORDS_FILE
-from hil.verdict.summary import Figures, Summary, summarise
-from hil.verdict.verdict import Demand, RunOutcome, VerdictKind, VerdictLimits
+from servobench.drivers.bounded_file import NamedBy
+from servobench.hil.configuration.config import VerdictConfig
+from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.recorded.recorded_run import RecordedRun, RunSignals
+from servobench.hil.rows.run_files import RECORDS_FILE
+from servobench.hil.verdict.summary import Figures, Summary, summarise
+from servobench.hil.verdict.verdict import Demand, RunOutcome, VerdictKind, VerdictLimits
 
 _OF_LIMITS: Final = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
 """What is found by limits, and so anew."""

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_S, NS_PER_US
-from drivers.written_file import written
-from hil.recorded.recorded_run import RunSignals
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US
+from servobench.drivers.written_file import written
+from servobench.hil.recorded.recorded_run import RunSignals
 
 SUFFIXES: Final = (".svg", ".pdf", ".png")
 _COLORS: Final = ("#1f5fa8", "#2e7d32", "#c2571a", "#6a4fa0")

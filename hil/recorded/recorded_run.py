@@ -4,27 +4,27 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from drivers.errors import BadInput
-from drivers.rotation import RPM_PER_RAD_S
-from drivers.timebase import duration_s
-from hil.configuration.bench_file import load_bench
-from hil.configuration.config import BenchConfig
-from hil.execution.network_guard import Certificates
-from hil.execution.recorded_bench import review_plan
-from hil.loop.loop import planned_cycles
-from hil.recording.lanes import error_limit_rpm
-from hil.recording.row_series import main_lines_of
-from hil.recording.run_folder import read_summary
-from hil.recording.whole_figures import COUNTED_SHARE
-from hil.reviewing.envelope import Envelope
-from hil.reviewing.histogram import TimeHistogram
-from hil.reviewing.review import Review
-from hil.rows.recording_plan import ReviewPlan
-from hil.rows.records import DIGESTED_TO_FORMAT_2, Rows
-from hil.rows.records_file import read_metadata, read_records
-from hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, RECORDS_FILE, SUMMARY_FILE
-from hil.rows.seal import NOT_CHECKED, seal_of
-from hil.verdict.summary import Summary
+from servobench.drivers.errors import BadInput
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.drivers.timebase import duration_s
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution.network_guard import Certificates
+from servobench.hil.execution.recorded_bench import review_plan
+from servobench.hil.loop.loop import planned_cycles
+from servobench.hil.recording.lanes import error_limit_rpm
+from servobench.hil.recording.row_series import main_lines_of
+from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.recording.whole_figures import COUNTED_SHARE
+from servobench.hil.reviewing.envelope import Envelope
+from servobench.hil.reviewing.histogram import TimeHistogram
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.recording_plan import ReviewPlan
+from servobench.hil.rows.records import DIGESTED_TO_FORMAT_2, Rows
+from servobench.hil.rows.records_file import read_metadata, read_records
+from servobench.hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, RECORDS_FILE, SUMMARY_FILE
+from servobench.hil.rows.seal import NOT_CHECKED, seal_of
+from servobench.hil.verdict.summary import Summary
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,17 +7,17 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from drivers.errors import BadInput
-from drivers.printable import printable
-from drivers.timebase import NS_PER_S
-from drivers.written_file import write_file
-from hil.recorded.judgement import Judged
-from hil.recorded.paper import histogram_figure, paper_figure, svg_text
-from hil.rows.event_lines import read_events
-from hil.rows.run_files import EVENTS_FILE
-from hil.verdict.summary import Percentiles, metric_title
-from hil.verdict.summary_text import certificate_rows, loss_text, timing_lines
-from hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
+from servobench.drivers.errors import BadInput
+from servobench.drivers.printable import printable
+from servobench.drivers.timebase import NS_PER_S
+from servobench.drivers.written_file import write_file
+from servobench.hil.recorded.judgement import Judged
+from servobench.hil.recorded.paper import histogram_figure, paper_figure, svg_text
+from servobench.hil.rows.event_lines import read_events
+from servobench.hil.rows.run_files import EVENTS_FILE
+from servobench.hil.verdict.summary import Percentiles, metric_title
+from servobench.hil.verdict.summary_text import certificate_rows, loss_text, timing_lines
+from servobench.hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
 
 SUFFIXES: Final = (".html", ".md")
 _EVENTS_MAX: Final = 200

@@ -9,9 +9,9 @@ import subprocess
 from pathlib import Path
 from typing import Final
 
-from drivers.errors import BadInput
-from drivers.printable import printable
-from hil.rows.run_files import SEAL_FILE
+from servobench.drivers.errors import BadInput
+from servobench.drivers.printable import printable
+from servobench.hil.rows.run_files import SEAL_FILE
 
 NAMESPACE: Final = "servobench"
 """A signature for another purpose is none here."""

@@ -13,15 +13,15 @@ from typing import Any, Final
 
 from rerun.experimental import ViewerClient
 
-from drivers.errors import BadInput, PeerFault
-from drivers.printable import printable
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
-from hil.recorded.commissioning_page import commissioning_page, is_commissioning
-from hil.recording.blueprint import GUTTER
-from hil.recording.page_series import TIMELINE
-from hil.rows.run_files import CAMPAIGN_PAGE, RERUN_FILE
-from hil.rows.seal import seal_of
-from virtual_bus.child_python import python_command, python_environment
+from servobench.drivers.errors import BadInput, PeerFault
+from servobench.drivers.printable import printable
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from servobench.hil.recorded.commissioning_page import commissioning_page, is_commissioning
+from servobench.hil.recording.blueprint import GUTTER
+from servobench.hil.recording.page_series import TIMELINE
+from servobench.hil.rows.run_files import CAMPAIGN_PAGE, RERUN_FILE
+from servobench.hil.rows.seal import seal_of
+from servobench.virtual_bus.child_python import python_command, python_environment
 
 SIZE: Final = "1920x1080"
 _START_MAX_NS: Final = 30 * NS_PER_S

@@ -1,5 +1,5 @@
 """From rows to the files of a run: ring, logger, keepers, the live view, recovery."""
 
-from drivers.compiled import use_fresh
+from servobench.drivers.compiled import use_fresh
 
 use_fresh()

@@ -11,11 +11,11 @@ from typing import Any, Final
 
 import rerun.blueprint as rrb
 
-from hil.recording.lanes import STATE_ROOT
-from hil.recording.page_series import AXIS_COLORS, LIMITS, OVERVIEW, SERIES, torque_scale
-from hil.recording.plot_scale import COLUMN_PX, Range, lanes_px, plot_heights
-from hil.recording.rerun_page import event_list, framed, plot
-from hil.rows.recording_plan import RecordingPlan
+from servobench.hil.recording.lanes import STATE_ROOT
+from servobench.hil.recording.page_series import AXIS_COLORS, LIMITS, OVERVIEW, SERIES, torque_scale
+from servobench.hil.recording.plot_scale import COLUMN_PX, Range, lanes_px, plot_heights
+from servobench.hil.recording.rerun_page import event_list, framed, plot
+from servobench.hil.rows.recording_plan import RecordingPlan
 
 VERDICT, HISTOGRAM, EVENTS = "/verdict", "/delay_histogram", "/events"
 SUMMARY = "/summary"

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_US
-from drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
-from hil.rows.run_files import DIRECTION_BYTES
+from servobench.drivers.timebase import NS_PER_US
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
+from servobench.hil.rows.run_files import DIRECTION_BYTES
 
 _HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
 _IDENTIFIER_MASK = (1 << 30) - 1

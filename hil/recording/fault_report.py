@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from drivers.canopen.nmt import Emergency, EmergencySeries, condensed
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, Instant
-from hil.recording.sealer import Sealer
-from hil.rows.frame_names import frame_name
-from hil.rows.run_files import FRAMES_FILE, SEAL_FILE
+from servobench.drivers.canopen.nmt import Emergency, EmergencySeries, condensed
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.recording.sealer import Sealer
+from servobench.hil.rows.frame_names import frame_name
+from servobench.hil.rows.run_files import FRAMES_FILE, SEAL_FILE
 
 FAULT_FILE = "fault.txt"
 FRAMES_MAX = 300

@@ -8,15 +8,15 @@ is known.
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import Instant
-from hil.rows.run_zero import RunZero
-from virtual_bus.faults.fault_log import (
+from servobench.drivers.timebase import Instant
+from servobench.hil.rows.run_zero import RunZero
+from servobench.virtual_bus.faults.fault_log import (
     BLOCK,
     BLOCK_BYTES,
     FaultEntry,
     entries_of,
 )
-from virtual_bus.faults.register import LOG_KINDS
+from servobench.virtual_bus.faults.register import LOG_KINDS
 
 BLOCK_DTYPE = np.dtype([("length", "<u4"), ("block", "u1", (BLOCK_BYTES,))])
 assert BLOCK_DTYPE.itemsize == BLOCK.size

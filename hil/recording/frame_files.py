@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import Instant
-from hil.recording.append_file import AppendFile
-from hil.recording.candump import candump_lines, direction_lines
-from hil.rows.frames_index import FramesIndex
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE, INDEX_FILE
+from servobench.drivers.timebase import Instant
+from servobench.hil.recording.append_file import AppendFile
+from servobench.hil.recording.candump import candump_lines, direction_lines
+from servobench.hil.rows.frames_index import FramesIndex
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE, INDEX_FILE
 
 
 class FrameFiles:

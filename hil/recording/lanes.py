@@ -7,16 +7,16 @@ from typing import Final
 
 import numpy as np
 
-from drivers.cia402.profile import State
-from drivers.rotation import RPM_PER_RAD_S
-from hil.reviewing.envelope import CodeLane, Envelope
-from hil.reviewing.position_error import PositionErrorMeter
-from hil.reviewing.review import Review
-from hil.reviewing.speed_error import SpeedErrorMeter
-from hil.rows.injected_faults import INJECTED_TRACK, QUIET
-from hil.rows.recording_plan import ReviewPlan
-from hil.rows.records import CAUSES
-from hil.rows.row_states import (
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.hil.reviewing.envelope import CodeLane, Envelope
+from servobench.hil.reviewing.position_error import PositionErrorMeter
+from servobench.hil.reviewing.review import Review
+from servobench.hil.reviewing.speed_error import SpeedErrorMeter
+from servobench.hil.rows.injected_faults import INJECTED_TRACK, QUIET
+from servobench.hil.rows.recording_plan import ReviewPlan
+from servobench.hil.rows.records import CAUSES
+from servobench.hil.rows.row_states import (
     HOST_IN_TIME,
     HOST_MISSED,
     LINK_DEGRADED,
@@ -24,7 +24,7 @@ from hil.rows.row_states import (
     LINK_OK,
     LabelChange,
 )
-from hil.verdict.verdict import VerdictKind, VerdictLimits
+from servobench.hil.verdict.verdict import VerdictKind, VerdictLimits
 
 STATE_ROOT: Final = "/state"
 _VERDICT, _ERROR, _DRIVE, _PHASE, _LINK, _DROPOUTS, _HOST, _INJECTED, _OTHER = range(9)

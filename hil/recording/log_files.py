@@ -11,24 +11,24 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from drivers.timebase import Duration
-from hil.configuration.network_file import NETWORK_FILE, network_text
-from hil.recording.append_file import AppendFile
-from hil.recording.faults_file import FaultEntries
-from hil.recording.frame_files import FrameFiles
-from hil.recording.run_metadata import run_metadata
-from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
-from hil.recording.telemetry import Telemetry
-from hil.reviewing.network_meter import clocks_of
-from hil.reviewing.review import Review
-from hil.rows.event_lines import event_json
-from hil.rows.frame_order import FrameOrder
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import RecordsWriter
-from hil.rows.run_files import EVENTS_FILE, FRAMES_FILE, LOAD_FILE, RECORDS_FILE, RERUN_FILE
-from hil.rows.run_zero import RunZero
-from hil.rows.side_rows import (
+from servobench.drivers.timebase import Duration
+from servobench.hil.configuration.network_file import NETWORK_FILE, network_text
+from servobench.hil.recording.append_file import AppendFile
+from servobench.hil.recording.faults_file import FaultEntries
+from servobench.hil.recording.frame_files import FrameFiles
+from servobench.hil.recording.run_metadata import run_metadata
+from servobench.hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
+from servobench.hil.recording.telemetry import Telemetry
+from servobench.hil.reviewing.network_meter import clocks_of
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.event_lines import event_json
+from servobench.hil.rows.frame_order import FrameOrder
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import ROW_DTYPE, Rows
+from servobench.hil.rows.records_file import RecordsWriter
+from servobench.hil.rows.run_files import EVENTS_FILE, FRAMES_FILE, LOAD_FILE, RECORDS_FILE, RERUN_FILE
+from servobench.hil.rows.run_zero import RunZero
+from servobench.hil.rows.side_rows import (
     FRAME_DTYPE,
     BeginEvent,
     LoadEvent,
@@ -37,9 +37,9 @@ from hil.rows.side_rows import (
     TextEvent,
     drives_of,
 )
-from hil.verdict.summary import Summary
-from virtual_bus.child_python import python_command, python_environment
-from virtual_bus.faults.fault_log import FAULTS_FILE, entry_line
+from servobench.hil.verdict.summary import Summary
+from servobench.virtual_bus.child_python import python_command, python_environment
+from servobench.virtual_bus.faults.fault_log import FAULTS_FILE, entry_line
 
 _BLOCK_ROWS = 8_192
 """Of 30 bytes a row, where half as many take 52; twice as many take 17, and are written in 27 ms, not 18. In

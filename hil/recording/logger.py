@@ -1,4 +1,5 @@
-"""Drains a run's rings into its folder: ``python -m hil.recording.logger ROWS FRAMES EVENTS FAULTS``.
+"""Drains a run's rings into its folder: ``python -m servobench.hil.recording.logger ROWS FRAMES EVENTS
+FAULTS``.
 
 The arguments are the descriptors of the four rings. On standard input come lines: the recording plan at once
 (JSON), "confirm" any number of times, the outcome when the run ends (JSON). If the input ends without an
@@ -18,19 +19,19 @@ from pathlib import Path
 
 import rerun as rr
 
-from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
-from hil.recording.log_files import LIVE_VIEW, FaultsKeeper, Keeper, open_keepers
-from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED, LineReader
-from hil.recording.ring import RingReader
-from hil.recording.run_folder import Reserve, write_summary
-from hil.recording.sealer import Sealer
-from hil.recording.whole_records import whole_records
-from hil.reviewing.review import Review
-from hil.rows.injected_faults import InjectedFaults
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.run_files import (
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
+from servobench.hil.recording.log_files import LIVE_VIEW, FaultsKeeper, Keeper, open_keepers
+from servobench.hil.recording.logger_process import CONFIRM, FAILED, READY, STORED, LineReader
+from servobench.hil.recording.ring import RingReader
+from servobench.hil.recording.run_folder import Reserve, write_summary
+from servobench.hil.recording.sealer import Sealer
+from servobench.hil.recording.whole_records import whole_records
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.injected_faults import InjectedFaults
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import ROW_DTYPE, Rows
+from servobench.hil.rows.run_files import (
     BENCH_FILE,
     DIRECTIONS_FILE,
     EVENTS_FILE,
@@ -41,13 +42,13 @@ from hil.rows.run_files import (
     SEAL_FILE,
     SUMMARY_FILE,
 )
-from hil.rows.run_zero import RunZero
-from hil.rows.set_points import SetPointTeller
-from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, RunEvent, events_of
-from hil.verdict.plain_values import from_plain
-from hil.verdict.summary import Summary, summarise
-from hil.verdict.verdict import RunOutcome
-from virtual_bus.faults.fault_log import FAULTS_FILE
+from servobench.hil.rows.run_zero import RunZero
+from servobench.hil.rows.set_points import SetPointTeller
+from servobench.hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, RunEvent, events_of
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.summary import Summary, summarise
+from servobench.hil.verdict.verdict import RunOutcome
+from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
 
 _DRAIN_PERIOD_S = 0.1
 """So often a live view moves; the ring of rows holds a minute of 1 kHz."""

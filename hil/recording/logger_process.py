@@ -10,14 +10,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
-from drivers.errors import BenchError
-from drivers.timebase import NS_PER_S, Instant, MonotonicClock
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.run_files import LOGGER_LOG
-from hil.verdict.plain_values import from_plain
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import RunOutcome
-from virtual_bus.child_python import python_command, python_environment
+from servobench.drivers.errors import BenchError
+from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.run_files import LOGGER_LOG
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import RunOutcome
+from servobench.virtual_bus.child_python import python_command, python_environment
 
 READY: Final = "ready"
 """The logger drains the rings."""
@@ -81,7 +81,7 @@ class LoggerProcess:
     def __init__(self, plan: RecordingPlan, descriptors: Sequence[int]) -> None:
         """``descriptors``: of the rings. Error: RecordingFailed."""
         self._log = None if plan.folder is None else plan.folder / LOGGER_LOG
-        self._process = start_python("hil.recording.logger", descriptors, self._log)
+        self._process = start_python("servobench.hil.recording.logger", descriptors, self._log)
         assert self._process.stdout is not None
         self._told = LineReader(self._process.stdout.fileno())
         self._trouble = ""
@@ -223,7 +223,7 @@ def salvage(plan: RecordingPlan, descriptors: Sequence[int], outcome: RunOutcome
     assert plan.folder is not None
     log = plan.folder / LOGGER_LOG
     wanted = {"plan": plan.as_json(), "outcome": asdict(outcome), "trouble": trouble}
-    process = start_python("hil.recording.recovery", descriptors, log)
+    process = start_python("servobench.hil.recording.recovery", descriptors, log)
     try:
         answer, _ = process.communicate(json.dumps(wanted), timeout=_FINISH_MAX_S)
     except subprocess.TimeoutExpired:

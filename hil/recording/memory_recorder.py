@@ -5,22 +5,22 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from drivers.timebase import Instant
-from drivers.wire.frame_port import FrameTap
-from hil.loop.samples import CycleRecord
-from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
-from hil.recording.run_metadata import run_metadata
-from hil.recording.run_recorder import RunRecorder
-from hil.reviewing.review import Review
-from hil.rows.injected_faults import InjectedFaults
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
-from hil.rows.run_zero import RunZero
-from hil.rows.set_points import SetPointTeller
-from hil.rows.side_rows import RunEvent, drives_of
-from hil.verdict.summary import Summary, summarise
-from hil.verdict.verdict import RunOutcome
-from virtual_bus.faults.fault_log import BLOCK
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import FrameTap
+from servobench.hil.loop.samples import CycleRecord
+from servobench.hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
+from servobench.hil.recording.run_metadata import run_metadata
+from servobench.hil.recording.run_recorder import RunRecorder
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.injected_faults import InjectedFaults
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
+from servobench.hil.rows.run_zero import RunZero
+from servobench.hil.rows.set_points import SetPointTeller
+from servobench.hil.rows.side_rows import RunEvent, drives_of
+from servobench.hil.verdict.summary import Summary, summarise
+from servobench.hil.verdict.verdict import RunOutcome
+from servobench.virtual_bus.faults.fault_log import BLOCK
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -73,7 +73,7 @@ class MemoryRecorder(RunRecorder):
         return self._taps[-1]
 
     def tell(self, event: RunEvent) -> None:
-        """See :class:`hil.recording.run_recorder.RunRecorder`, as of the methods below."""
+        """See :class:`servobench.hil.recording.run_recorder.RunRecorder`, as of the methods below."""
         self.events.append(event)
         self._zero.look([event])
 
@@ -106,7 +106,7 @@ class MemoryRecorder(RunRecorder):
 
     def table(self) -> "pa.Table":
         """The same as ``records.arrow`` has it: in run time, with nulls, units and metadata."""
-        from hil.rows.records_file import records_table  # pyarrow, which no loop needs
+        from servobench.hil.rows.records_file import records_table  # pyarrow, which no loop needs
 
         metadata = run_metadata(self._plan, self._zero.at, drives_of(self.events))
         return records_table(self.rows(), metadata, self._zero.at)

@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.cob_ids import SDO_ANSWER
-from drivers.canopen.pdo import PdoDirection
-from drivers.cia402.observed import NUMBERS
-from hil.rows.recording_plan import ObservedDrive, ObservedSignal
+from servobench.drivers.canopen.cob_ids import SDO_ANSWER
+from servobench.drivers.canopen.pdo import PdoDirection
+from servobench.drivers.cia402.observed import NUMBERS
+from servobench.hil.rows.recording_plan import ObservedDrive, ObservedSignal
 
 Signal = tuple[str, NDArray[np.int64], NDArray[np.float64]]
 """Path, instants and values, (n,)."""

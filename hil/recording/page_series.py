@@ -4,7 +4,7 @@ from typing import Final, NamedTuple
 
 import rerun as rr
 
-from hil.rows.recording_plan import AxisPlan, RecordingPlan
+from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan
 
 Color = tuple[int, int, int]
 GREY, BLUE, RED, ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 168, 60)

@@ -1,6 +1,6 @@
 """The writer's side of a recording: what the loop calls, at the price of one row in a ring.
 
-No disk, no log, no telemetry here: another process (:mod:`hil.recording.logger`) drains the rings.
+No disk, no log, no telemetry here: another process (:mod:`servobench.hil.recording.logger`) drains the rings.
 """
 
 import errno
@@ -9,20 +9,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
-from hil.recording.logger_process import LoggerProcess, RecordingFailed, salvage
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.recording.ring import RingWriter, refuse
-from hil.recording.row_writer import RowWriter
-from hil.recording.run_recorder import RunRecorder
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW
-from hil.rows.run_files import BENCH_FILE
-from hil.rows.side_rows import EVENT, FRAME, RunEvent, event_row
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import RunOutcome
-from virtual_bus.faults.fault_log import BLOCK
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from servobench.hil.recording.logger_process import LoggerProcess, RecordingFailed, salvage
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.recording.ring import RingWriter, refuse
+from servobench.hil.recording.row_writer import RowWriter
+from servobench.hil.recording.run_recorder import RunRecorder
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import ROW
+from servobench.hil.rows.run_files import BENCH_FILE
+from servobench.hil.rows.side_rows import EVENT, FRAME, RunEvent, event_row
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import RunOutcome
+from servobench.virtual_bus.faults.fault_log import BLOCK
 
 ROWS_CAPACITY = 1 << 16
 FRAMES_CAPACITY = 1 << 19

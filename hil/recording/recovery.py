@@ -1,9 +1,9 @@
 """Ends a recording that its logger could not end.
 
-As a program, ``python -m hil.recording.recovery ROWS FRAMES EVENTS FAULTS``, it is given the descriptors of a
-dead logger's rings, which still hold what that had not taken. On standard input comes one line of JSON: the
-plan, the outcome of the run, and what ended the logger. Printed is the summary, one line of JSON.
-:func:`recover` does the same for ``hil recover``, where no rings are left.
+As a program, ``python -m servobench.hil.recording.recovery ROWS FRAMES EVENTS FAULTS``, it is given the
+descriptors of a dead logger's rings, which still hold what that had not taken. On standard input comes one
+line of JSON: the plan, the outcome of the run, and what ended the logger. Printed is the summary, one line of
+JSON. :func:`recover` does the same for ``hil recover``, where no rings are left.
 """
 
 import json
@@ -19,24 +19,24 @@ from uuid import uuid4
 import numpy as np
 import rerun as rr
 
-from drivers.errors import BadInput
-from drivers.printable import printable
-from drivers.timebase import Instant
-from hil.recording.append_file import AppendFile
-from hil.recording.faults_file import FaultEntries
-from hil.recording.log_files import EventsKeeper, FaultsKeeper, FramesKeeper, NetworkKeeper
-from hil.recording.run_folder import Reserve, write_summary
-from hil.recording.sealer import Sealer
-from hil.recording.tail import FRAMES_TAIL_FILE, read_tail
-from hil.recording.telemetry import Telemetry
-from hil.recording.whole_records import Rings, first_cycle, whole_records
-from hil.reviewing.review import Review
-from hil.reviewing.trace.run_trace import RecordedBus
-from hil.rows.event_lines import read_events
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW, ROW_DTYPE
-from hil.rows.records_file import read_metadata, read_records
-from hil.rows.run_files import (
+from servobench.drivers.errors import BadInput
+from servobench.drivers.printable import printable
+from servobench.drivers.timebase import Instant
+from servobench.hil.recording.append_file import AppendFile
+from servobench.hil.recording.faults_file import FaultEntries
+from servobench.hil.recording.log_files import EventsKeeper, FaultsKeeper, FramesKeeper, NetworkKeeper
+from servobench.hil.recording.run_folder import Reserve, write_summary
+from servobench.hil.recording.sealer import Sealer
+from servobench.hil.recording.tail import FRAMES_TAIL_FILE, read_tail
+from servobench.hil.recording.telemetry import Telemetry
+from servobench.hil.recording.whole_records import Rings, first_cycle, whole_records
+from servobench.hil.reviewing.review import Review
+from servobench.hil.reviewing.trace.run_trace import RecordedBus
+from servobench.hil.rows.event_lines import read_events
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import ROW, ROW_DTYPE
+from servobench.hil.rows.records_file import read_metadata, read_records
+from servobench.hil.rows.run_files import (
     DIRECTION_BYTES,
     DIRECTIONS_FILE,
     EVENTS_FILE,
@@ -47,12 +47,12 @@ from hil.rows.run_files import (
     RERUN_FILE,
     SEAL_FILE,
 )
-from hil.rows.seal import RECOVERED
-from hil.rows.side_rows import FRAME_DTYPE, BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
-from hil.verdict.plain_values import from_plain
-from hil.verdict.summary import Summary, summarise
-from hil.verdict.verdict import RunOutcome
-from virtual_bus.faults.fault_log import FAULTS_FILE
+from servobench.hil.rows.seal import RECOVERED
+from servobench.hil.rows.side_rows import FRAME_DTYPE, BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.summary import Summary, summarise
+from servobench.hil.verdict.verdict import RunOutcome
+from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
 
 ROOM_BYTES: Final = 4 << 20
 """On the disk, for layout, verdict and events of run.rrd; rows take less than they do in memory."""

@@ -11,9 +11,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from hil.recording.page_series import TIMELINE
-from hil.recording.plot_scale import Range
-from hil.reviewing.envelope import Points
+from servobench.hil.recording.page_series import TIMELINE
+from servobench.hil.recording.plot_scale import Range
+from servobench.hil.reviewing.envelope import Points
 
 
 def framed(content: rrb.Container, timeline: str = TIMELINE, *, follows: bool = False) -> rrb.Blueprint:

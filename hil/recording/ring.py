@@ -23,7 +23,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.core.native import Ring
+from servobench.hil.core.native import Ring
 
 _HEADER_BYTES: Final = 256
 _ROW_SIZE: Final = 0

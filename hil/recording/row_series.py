@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.rotation import RPM_PER_RAD_S
-from drivers.timebase import NS_PER_S, NS_PER_US
-from hil.loop.samples import CommandFate
-from hil.rows.records import COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US
+from servobench.hil.loop.samples import CommandFate
+from servobench.hil.rows.records import COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
 
 _LOST = COMMAND_FATES.index(CommandFate.LOST)
 Drawn = tuple[str, NDArray[np.int64], NDArray[np.float64]]

@@ -1,18 +1,19 @@
 """What a loop writes in every cycle: rows of cycles and of raw frames, each into its ring."""
 
-from drivers.timebase import Instant
-from drivers.wire.frame_port import FrameTap
-from drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
-from hil.loop.samples import CycleRecord
-from hil.recording.ring import RingWriter
-from hil.rows.records import row_of
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import FrameTap
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
+from servobench.hil.loop.samples import CycleRecord
+from servobench.hil.recording.ring import RingWriter
+from servobench.hil.rows.records import row_of
 
 
 class RowWriter(FrameTap):
     """The cyclic part of a recorder."""
 
     def __init__(self, rows: RingWriter, frames: RingWriter, keep_frames: bool, segment: int = 0) -> None:
-        """``rows`` of :data:`~hil.rows.records.ROW`, ``frames`` of FRAME; ``segment``: its number."""
+        """``rows`` of :data:`~servobench.hil.rows.records.ROW`, ``frames`` of FRAME; ``segment``: its
+        number."""
         self._received = 2 * segment
         self._sent = 2 * segment + 1
         self._rows = rows

@@ -6,11 +6,11 @@ import os
 from pathlib import Path
 from typing import Final
 
-from drivers.bounded_file import parse_json, read_text
-from drivers.errors import BadInput
-from hil.rows.run_files import RESERVE_FILE, SUMMARY_FILE
-from hil.verdict.plain_values import from_plain
-from hil.verdict.summary import Summary
+from servobench.drivers.bounded_file import parse_json, read_text
+from servobench.drivers.errors import BadInput
+from servobench.hil.rows.run_files import RESERVE_FILE, SUMMARY_FILE
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.summary import Summary
 
 _RESERVE_BYTES = 256 * 1024
 """Given back at the end: network.toml has 5 kB, fault.txt 30, the end of records.arrow 86 for each hour."""

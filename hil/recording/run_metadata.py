@@ -10,9 +10,9 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from drivers.timebase import Instant
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.run_files import BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH, FORMAT
+from servobench.drivers.timebase import Instant
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.run_files import BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH, FORMAT
 
 _ROOT = Path(__file__).parents[2]
 _GIT_MAX_S = 5.0

@@ -3,16 +3,23 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-from drivers.timebase import Instant
-from drivers.wire.frame_port import FrameTap
-from hil.loop.samples import CycleRecord
-from hil.rows.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import RunOutcome
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import FrameTap
+from servobench.hil.loop.samples import CycleRecord
+from servobench.hil.rows.side_rows import (
+    BeginEvent,
+    IdentityEvent,
+    LoadEvent,
+    RunEvent,
+    StateEvent,
+    TextEvent,
+)
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import RunOutcome
 
 
 class RunRecorder(ABC):
-    """Files by another process (:mod:`hil.recording.recorder`), or memory."""
+    """Files by another process (:mod:`servobench.hil.recording.recorder`), or memory."""
 
     record: Callable[[CycleRecord], None]
     """Takes one complete cycle of one axis; each axis in order of sequence."""

@@ -1,13 +1,13 @@
-"""Writes the seal of a recording while its files grow, see :mod:`hil.rows.seal`."""
+"""Writes the seal of a recording while its files grow, see :mod:`servobench.hil.rows.seal`."""
 
 import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
-from hil.recording.append_file import AppendFile
-from hil.rows.run_files import LOGGER_LOG, PRINTED_FILE, RECORDS_FILE, RESERVE_FILE, SEAL_FILE
-from hil.rows.seal import ENDED, FIRST_CHAIN, Piece, digest_of, read_seal, sealed_line
+from servobench.hil.recording.append_file import AppendFile
+from servobench.hil.rows.run_files import LOGGER_LOG, PRINTED_FILE, RECORDS_FILE, RESERVE_FILE, SEAL_FILE
+from servobench.hil.rows.seal import ENDED, FIRST_CHAIN, Piece, digest_of, read_seal, sealed_line
 
 _LEFT_OUT: Final = frozenset({SEAL_FILE, RESERVE_FILE, LOGGER_LOG, PRINTED_FILE})
 """What is written beside the recording, as long as the processes live."""
@@ -49,7 +49,7 @@ class Sealer:
             self._file.write("".join(lines).encode())
 
     def mark(self, what: str) -> None:
-        """:data:`hil.rows.seal.RECOVERED` or :data:`hil.rows.seal.ENDED`."""
+        """:data:`servobench.hil.rows.seal.RECOVERED` or :data:`servobench.hil.rows.seal.ENDED`."""
         self._file.write(self._line({what: True}).encode())
 
     def finish(self, rows: int = 0) -> None:

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.recording.append_file import AppendFile
+from servobench.hil.recording.append_file import AppendFile
 
 TAIL_FILE: Final = "records.tail"
 FRAMES_TAIL_FILE: Final = "frames.tail"

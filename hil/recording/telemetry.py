@@ -16,10 +16,10 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_S, NS_PER_US, Instant
-from hil.loop.samples import CommandFate
-from hil.recording.blueprint import EVENTS, HISTOGRAM, MARKS_MAX, SUMMARY, VERDICT, Whole, layout
-from hil.recording.lanes import (
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Instant
+from servobench.hil.loop.samples import CommandFate
+from servobench.hil.recording.blueprint import EVENTS, HISTOGRAM, MARKS_MAX, SUMMARY, VERDICT, Whole, layout
+from servobench.hil.recording.lanes import (
     VERDICT_TRACK,
     FaultWindows,
     dropout_lane,
@@ -27,8 +27,8 @@ from hil.recording.lanes import (
     lane_colors,
     track_path,
 )
-from hil.recording.observed_frames import ObservedFrames
-from hil.recording.page_series import (
+from servobench.hil.recording.observed_frames import ObservedFrames
+from servobench.hil.recording.page_series import (
     CORAL,
     LIMIT_SERIES,
     LIMITS,
@@ -42,21 +42,21 @@ from hil.recording.page_series import (
     own_series,
     torque_scale,
 )
-from hil.recording.row_series import first_offset_ns, lines_of, marks_of
-from hil.recording.run_metadata import run_metadata
-from hil.recording.verdict_text import running_markdown, verdict_markdown
-from hil.recording.whole_figures import WholeFigures, in_view
-from hil.reviewing.envelope import BUCKETS, CodeLane, Envelope
-from hil.reviewing.histogram import TimeHistogram
-from hil.reviewing.review import Review
-from hil.rows.injected_faults import INJECTED_TRACK, QUIET
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, Rows
-from hil.rows.row_states import DriveStates, HostStates, LabelChange, LinkStates
-from hil.rows.run_files import RERUN_FILE
-from hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent, drives_of
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import LimitResult
+from servobench.hil.recording.row_series import first_offset_ns, lines_of, marks_of
+from servobench.hil.recording.run_metadata import run_metadata
+from servobench.hil.recording.verdict_text import running_markdown, verdict_markdown
+from servobench.hil.recording.whole_figures import WholeFigures, in_view
+from servobench.hil.reviewing.envelope import BUCKETS, CodeLane, Envelope
+from servobench.hil.reviewing.histogram import TimeHistogram
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.injected_faults import INJECTED_TRACK, QUIET
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, Rows
+from servobench.hil.rows.row_states import DriveStates, HostStates, LabelChange, LinkStates
+from servobench.hil.rows.run_files import RERUN_FILE
+from servobench.hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent, drives_of
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import LimitResult
 
 _LOST = COMMAND_FATES.index(CommandFate.LOST)
 _BARS_MAX = 44

@@ -6,12 +6,12 @@ from datetime import UTC, datetime
 from textwrap import wrap
 from typing import Final
 
-from drivers.timebase import NS_PER_S, NS_PER_US
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.run_files import FIRST_CYCLE_EPOCH
-from hil.verdict.summary import Figures, Percentiles, Summary, metric_title
-from hil.verdict.summary_text import certificate_rows, computing_note, loss_text, timing_lines
-from hil.verdict.verdict import Check, LimitResult, verdict_title
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.run_files import FIRST_CYCLE_EPOCH
+from servobench.hil.verdict.summary import Figures, Percentiles, Summary, metric_title
+from servobench.hil.verdict.summary_text import certificate_rows, computing_note, loss_text, timing_lines
+from servobench.hil.verdict.verdict import Check, LimitResult, verdict_title
 
 _CELL_COLUMNS: Final = 52
 """So much a table at the right of a screen of 1920 shows beside the titles."""
@@ -22,7 +22,7 @@ def verdict_markdown(
 ) -> str:
     """What the reader of a recording sees first; without a summary the run still goes on.
 
-    ``metadata``: of the run, as far as it is known (:mod:`hil.recording.run_metadata`).
+    ``metadata``: of the run, as far as it is known (:mod:`servobench.hil.recording.run_metadata`).
     """
     if summary is None:
         return f"# {plan.name} · running\n\n{_origin(plan, metadata or {})}\n"

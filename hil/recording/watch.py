@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
-from hil.machine.progress import Progress
-from hil.recording.logger_process import RecordingFailed
-from hil.recording.run_recorder import RunRecorder
-from virtual_bus.timeline import SimulatedClock
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from servobench.hil.machine.progress import Progress
+from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.recording.run_recorder import RunRecorder
+from servobench.virtual_bus.timeline import SimulatedClock
 
 _POLL_NS = NS_PER_MS
 

@@ -5,14 +5,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from drivers.rotation import RPM_PER_RAD_S
-from drivers.timebase import NS_PER_US
-from hil.recording.lanes import error_limit_rpm
-from hil.recording.page_series import torque_scale
-from hil.recording.plot_scale import Range, about, around_zero
-from hil.reviewing.envelope import Envelope, Points
-from hil.reviewing.review import Review
-from hil.rows.recording_plan import RecordingPlan
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.drivers.timebase import NS_PER_US
+from servobench.hil.recording.lanes import error_limit_rpm
+from servobench.hil.recording.page_series import torque_scale
+from servobench.hil.recording.plot_scale import Range, about, around_zero
+from servobench.hil.reviewing.envelope import Envelope, Points
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.recording_plan import RecordingPlan
 
 _WORTH_SHOWING: Final = 4.0
 """A limit so many times the signal, or farther, would flatten it: the title names it then."""

@@ -16,18 +16,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from drivers.bounded_file import NamedBy, parse_json, read_lines
-from drivers.canopen.bus_scan import NODES
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects301 import Cia301
-from drivers.canopen.sdo import PostedDownload, object_name
-from drivers.canopen.write_list import WriteList
-from drivers.cia402.objects402 import Object
-from drivers.errors import MISSING, BadInput, TransferAborted
-from drivers.timebase import Clock
-from drivers.wire.link import BusLink
-from hil.machine.on_disk import sync_folder, write_synced
-from hil.write_lists import RESTORE
+from servobench.drivers.bounded_file import NamedBy, parse_json, read_lines
+from servobench.drivers.canopen.bus_scan import NODES
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.sdo import PostedDownload, object_name
+from servobench.drivers.canopen.write_list import WriteList
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.errors import MISSING, BadInput, TransferAborted
+from servobench.drivers.timebase import Clock
+from servobench.drivers.wire.link import BusLink
+from servobench.hil.machine.on_disk import sync_folder, write_synced
+from servobench.hil.write_lists import RESTORE
 
 _BIT_RATES: Final = range(10_000, 1 << 32)
 VERSION = 1

@@ -11,19 +11,19 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
 
-from drivers.canopen.cob_ids import NOT_VALID
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt_states import NmtCommand, NmtState
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.objects301 import MAPPING_OFFSET, PDO_PARAMETERS, Cia301
-from drivers.canopen.write_list import ListedWrite, WriteList
-from drivers.cia402.drive_setup import Identity
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
-from drivers.errors import NoAnswer, PeerFault, TransferAborted
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.restoring.journal import DriveMark, JournalContents, JournalHead, ObjectKey
-from hil.write_lists import PUTTING_BACK
+from servobench.drivers.canopen.cob_ids import NOT_VALID
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt_states import NmtCommand, NmtState
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.objects301 import MAPPING_OFFSET, PDO_PARAMETERS, Cia301
+from servobench.drivers.canopen.write_list import ListedWrite, WriteList
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
+from servobench.drivers.errors import NoAnswer, PeerFault, TransferAborted
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.restoring.journal import DriveMark, JournalContents, JournalHead, ObjectKey
+from servobench.hil.write_lists import PUTTING_BACK
 
 REST_LIMIT: Final = Duration(5 * NS_PER_S)
 """A drive with a ramp of its own takes seconds."""

@@ -25,12 +25,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cia402.profile import Status
-from drivers.timebase import NS_PER_US
-from hil.reviewing.histogram import TimeHistogram
-from hil.reviewing.network_meter import ACTING, LOST, AxisNetworkMeter, action_delays_ns
-from hil.rows.recording_plan import AxisPlan, CertifiedPlan
-from hil.rows.records import FATE_SAMPLE, NOTHING, Rows
+from servobench.drivers.cia402.profile import Status
+from servobench.drivers.timebase import NS_PER_US
+from servobench.hil.reviewing.histogram import TimeHistogram
+from servobench.hil.reviewing.network_meter import ACTING, LOST, AxisNetworkMeter, action_delays_ns
+from servobench.hil.rows.recording_plan import AxisPlan, CertifiedPlan
+from servobench.hil.rows.records import FATE_SAMPLE, NOTHING, Rows
 
 _ROUNDING = 1e-9
 """A command at the limit is the limit but for rounding; no command in N m is set as finely."""

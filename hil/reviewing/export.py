@@ -20,14 +20,14 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_S
-from drivers.written_file import written
-from hil.reviewing.export_format import ExportFormat
-from hil.rows.records import NOTHING, Column
-from hil.rows.records_file import column_of, damage_told, is_whole, refuse_later_format
-from hil.rows.run_files import RECORDS_FILE
-from hil.rows.seal import NOT_CHECKED, check_seal
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_S
+from servobench.drivers.written_file import written
+from servobench.hil.reviewing.export_format import ExportFormat
+from servobench.hil.rows.records import NOTHING, Column
+from servobench.hil.rows.records_file import column_of, damage_told, is_whole, refuse_later_format
+from servobench.hil.rows.run_files import RECORDS_FILE
+from servobench.hil.rows.seal import NOT_CHECKED, check_seal
 
 CHUNK_ROWS: Final = 1 << 17
 """Rows that are held at once: some 40 MB with all columns, and enough for a row group of Parquet."""

@@ -6,17 +6,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_US
-from hil.configuration.network_file import (
+from servobench.drivers.timebase import NS_PER_US
+from servobench.hil.configuration.network_file import (
     ClockHealth,
     DelayFigures,
     DelayHistogram,
     Network,
 )
-from hil.loop.samples import CommandFate, DropoutCause
-from hil.reviewing.histogram import TimeHistogram, merged
-from hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
-from hil.verdict.summary import Summary
+from servobench.hil.loop.samples import CommandFate, DropoutCause
+from servobench.hil.reviewing.histogram import TimeHistogram, merged
+from servobench.hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.verdict.summary import Summary
 
 _BARS = 100
 """The largest delay is told to a percent, in bars of whole us."""

@@ -12,13 +12,13 @@ counts from the second set-point on, lost set-points included.
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NEVER, Duration
-from hil.loop.quantity_by_mode import QUANTITY_BY_MODE
-from hil.loop.scenario import Quantity
-from hil.reviewing.speed_error import ROUNDING, CountedErrors, note_settling
-from hil.rows.recording_plan import AxisPlan
-from hil.rows.records import FATE_SAMPLE, NOTHING, Rows
-from hil.verdict.summary import PositionError
+from servobench.drivers.timebase import NEVER, Duration
+from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
+from servobench.hil.loop.scenario import Quantity
+from servobench.hil.reviewing.speed_error import ROUNDING, CountedErrors, note_settling
+from servobench.hil.rows.recording_plan import AxisPlan
+from servobench.hil.rows.records import FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.verdict.summary import PositionError
 
 _RESOLUTION_RAD = 1e-6
 """A sixth of a count of 2^20 a turn: rounding is no step."""

@@ -5,20 +5,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from drivers.timebase import NS_PER_US, Instant
-from hil.reviewing.certificate_meter import CertificateMeter
-from hil.reviewing.histogram import TimeHistogram, merged
-from hil.reviewing.largest import Largest, largest
-from hil.reviewing.network_meter import AxisNetworkMeter, NetworkMeter
-from hil.reviewing.position_error import PositionErrorMeter
-from hil.reviewing.speed_error import SpeedErrorMeter, worst
-from hil.reviewing.step_response import StepMeter, worst_steps
-from hil.reviewing.torque_swing import TorqueSwingMeter
-from hil.rows.recording_plan import AxisPlan, ReviewPlan
-from hil.rows.records import CAUSES, NAMES, NOTHING, ROW_DTYPE, Rows
-from hil.rows.side_rows import TextEvent
-from hil.verdict.summary import DropoutCounts, Figures, Percentiles, PositionError, SpeedError
-from hil.verdict.verdict import WorstPlace
+from servobench.drivers.timebase import NS_PER_US, Instant
+from servobench.hil.reviewing.certificate_meter import CertificateMeter
+from servobench.hil.reviewing.histogram import TimeHistogram, merged
+from servobench.hil.reviewing.largest import Largest, largest
+from servobench.hil.reviewing.network_meter import AxisNetworkMeter, NetworkMeter
+from servobench.hil.reviewing.position_error import PositionErrorMeter
+from servobench.hil.reviewing.speed_error import SpeedErrorMeter, worst
+from servobench.hil.reviewing.step_response import StepMeter, worst_steps
+from servobench.hil.reviewing.torque_swing import TorqueSwingMeter
+from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
+from servobench.hil.rows.records import CAUSES, NAMES, NOTHING, ROW_DTYPE, Rows
+from servobench.hil.rows.side_rows import TextEvent
+from servobench.hil.verdict.summary import DropoutCounts, Figures, Percentiles, PositionError, SpeedError
+from servobench.hil.verdict.verdict import WorstPlace
 
 DIGEST_BYTES = 16
 """128 bits: of 2^64 runs two are alike by chance."""
@@ -83,8 +83,9 @@ class _AxisMeters:
 class Review:
     """Feed it rows in the order of recording; ask for the figures at any time.
 
-    The digest covers every column that a run is judged by (:data:`hil.rows.records.DIGESTED`). In simulated
-    time each of them follows from the bench file and the seed; in real time the digest names the recording.
+    The digest covers every column that a run is judged by (:data:`servobench.hil.rows.records.DIGESTED`). In
+    simulated time each of them follows from the bench file and the seed; in real time the digest names the
+    recording.
     """
 
     def __init__(self, plan: ReviewPlan) -> None:

@@ -9,12 +9,12 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.bounded_file import parse_json, read_text, read_toml
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_S
-from hil.machine.on_disk import is_locked
-from hil.rows.records_file import is_whole, read_metadata, refuse_later_format
-from hil.rows.run_files import (
+from servobench.drivers.bounded_file import parse_json, read_text, read_toml
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.machine.on_disk import is_locked
+from servobench.hil.rows.records_file import is_whole, read_metadata, refuse_later_format
+from servobench.hil.rows.run_files import (
     BENCH_FILE,
     EVENTS_FILE,
     FIRST_CYCLE_EPOCH,
@@ -22,8 +22,8 @@ from hil.rows.run_files import (
     RESERVE_FILE,
     SUMMARY_FILE,
 )
-from hil.rows.seal import NOT_CHECKED, SEALED, seal_of
-from hil.verdict.verdict import VerdictKind
+from servobench.hil.rows.seal import NOT_CHECKED, SEALED, seal_of
+from servobench.hil.verdict.verdict import VerdictKind
 
 _DEPTH_MAX: Final = 6
 """Folders below the one that is asked for; runs lie in one, or in one for each day or bench."""
@@ -165,7 +165,7 @@ def _state(folder: Path, metadata: Mapping[str, str], summary: Mapping[str, Any]
     except BadInput as error:
         return RunState.LATER_FORMAT, f"format {metadata['format']}: expected {error.expected}"
     if not summary:
-        if is_locked(folder / RESERVE_FILE):  # by who records, hil.recording.run_folder
+        if is_locked(folder / RESERVE_FILE):  # by who records, servobench.hil.recording.run_folder
             return RunState.RECORDING, ""
         return RunState.NO_SUMMARY, f"its recorder did not live to its end: hil recover {folder}"
     if not records.is_file():

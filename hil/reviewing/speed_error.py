@@ -23,12 +23,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NEVER, NS_PER_S
-from hil.reviewing.envelope import Envelope
-from hil.reviewing.largest import Largest, largest
-from hil.rows.recording_plan import AxisPlan
-from hil.rows.records import FATE_SAMPLE, Rows
-from hil.verdict.summary import PositionError, SpeedError, StepResponse
+from servobench.drivers.timebase import NEVER, NS_PER_S
+from servobench.hil.reviewing.envelope import Envelope
+from servobench.hil.reviewing.largest import Largest, largest
+from servobench.hil.rows.recording_plan import AxisPlan
+from servobench.hil.rows.records import FATE_SAMPLE, Rows
+from servobench.hil.verdict.summary import PositionError, SpeedError, StepResponse
 
 ROUNDING = 1.0 + 1e-9
 """A ramp at the very limit is no step: in double precision it misses it by 1e-16 of the speeds it is the

@@ -18,10 +18,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_S
-from hil.reviewing.largest import Largest
-from hil.rows.recording_plan import AxisPlan
-from hil.rows.records import NOTHING, Rows
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.reviewing.largest import Largest
+from servobench.hil.rows.recording_plan import AxisPlan
+from servobench.hil.rows.records import NOTHING, Rows
 
 BLOCK: Final = 128
 """Cycles of which the rms is taken."""

@@ -5,11 +5,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from drivers.bounded_file import parse_json
-from drivers.errors import BadInput
-from drivers.timebase import Instant
-from hil.rows.run_files import EVENTS_FILE
-from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
+from servobench.drivers.bounded_file import parse_json
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Instant
+from servobench.hil.rows.run_files import EVENTS_FILE
+from servobench.hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 
 
 def event_json(event: TextEvent | StateEvent | BeginEvent, zero: Instant) -> dict[str, object]:

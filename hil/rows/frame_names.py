@@ -1,8 +1,8 @@
 """What an identifier stands for in CANopen's predefined connection set, CiA 301 7.3.5."""
 
-from drivers.canopen.cob_ids import BROADCASTS, NODE_BITS, SERVICES
-from drivers.canopen.error_codes import error_text
-from drivers.wire.identifiers import ERROR_FLAG, STANDARD_ID_MAX
+from servobench.drivers.canopen.cob_ids import BROADCASTS, NODE_BITS, SERVICES
+from servobench.drivers.canopen.error_codes import error_text
+from servobench.drivers.wire.identifiers import ERROR_FLAG, STANDARD_ID_MAX
 
 _EMCY_CODE_BYTES = 2
 

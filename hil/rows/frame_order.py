@@ -16,9 +16,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_MS
-from drivers.wire.identifiers import ERROR_FLAG
-from hil.rows.side_rows import FRAME_DTYPE
+from servobench.drivers.timebase import NS_PER_MS
+from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.hil.rows.side_rows import FRAME_DTYPE
 
 JITTER_NS: Final = 20 * NS_PER_MS
 """By how much a stamp may be older than the one before it on its segment: twice a frame at 10 kbit/s, whose

@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.cob_ids import ERROR_CONTROL, NODE_BITS, SDO_ANSWER, SDO_REQUEST
-from drivers.wire.identifiers import REMOTE_FLAG, STANDARD_ID_MAX
-from hil.rows.run_files import INDEX_FILE
+from servobench.drivers.canopen.cob_ids import ERROR_CONTROL, NODE_BITS, SDO_ANSWER, SDO_REQUEST
+from servobench.drivers.wire.identifiers import REMOTE_FLAG, STANDARD_ID_MAX
+from servobench.hil.rows.run_files import INDEX_FILE
 
 INDEX_DTYPE: Final = np.dtype([("begin", "<i8"), ("line", "<i8"), ("can_id", "<u4"), ("segment", "<u4")])
 """``begin``: byte of the log where the line begins; ``line``: its number, from 1 on."""

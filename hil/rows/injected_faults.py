@@ -4,15 +4,15 @@ the host from when to when they struck."""
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.identifiers import EXTENDED_FLAG
-from hil.rows.side_rows import StateEvent, TextEvent
-from virtual_bus.faults.fault_log import HOST_KINDS, FaultEntry
-from virtual_bus.faults.kinds.host_stall import HostStall
-from virtual_bus.faults.log_kind import NONE
-from virtual_bus.faults.node_fault import NodeEvent
-from virtual_bus.faults.node_faults import node_kind
-from virtual_bus.faults.register import LOG_KINDS
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG
+from servobench.hil.rows.side_rows import StateEvent, TextEvent
+from servobench.virtual_bus.faults.fault_log import HOST_KINDS, FaultEntry
+from servobench.virtual_bus.faults.kinds.host_stall import HostStall
+from servobench.virtual_bus.faults.log_kind import NONE
+from servobench.virtual_bus.faults.node_fault import NodeEvent
+from servobench.virtual_bus.faults.node_faults import node_kind
+from servobench.virtual_bus.faults.register import LOG_KINDS
 
 WINDOW_GAP: Final = Duration(NS_PER_S // 2)
 """Strikes of one fault that are no further apart belong to one window: a loss of 1 % of the readings of one

@@ -5,9 +5,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.rows.records import DIGESTED
-from hil.verdict.verdict import VerdictLimits
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.rows.records import DIGESTED
+from servobench.hil.verdict.verdict import VerdictLimits
 
 SETTLING = Duration(250_000_000)
 """Default of ``verdict.settling_ms``."""
@@ -42,7 +42,8 @@ class CertifiedPlan:
     samples_alone: bool = False
     """Certified for lost samples, but neither for lost commands nor for a shorter delay."""
     left: tuple[str, ...] = ()
-    """Premises that bench and drive do not keep, in words (:mod:`hil.reviewing.certificate_meter`)."""
+    """Premises that bench and drive do not keep, in words
+    (:mod:`servobench.hil.reviewing.certificate_meter`)."""
     unknown: tuple[str, ...] = ()
     """Premises of which is not known whether they do."""
 
@@ -63,7 +64,7 @@ class AxisPlan:
     speed_max_rad_s: float | None = None
     """Beyond it the bench stops the drive; drawn beside its speed."""
     quantity: str = "speed"
-    """Of its reference, by :class:`hil.loop.scenario.Quantity`."""
+    """Of its reference, by :class:`servobench.hil.loop.scenario.Quantity`."""
     mode: str = "cst"
     """Of its drive, as in the bench file."""
 

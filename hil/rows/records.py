@@ -14,10 +14,10 @@ import numpy as np
 from librt.strings import BytesWriter, write_f64_le, write_i64_le
 from numpy.typing import NDArray
 
-from drivers.cia402.readings import NEVER_TOLD
-from drivers.exchange import Command, PositionCommand, SpeedCommand
-from hil.loop.context import CHANNELS_MAX
-from hil.loop.samples import (
+from servobench.drivers.cia402.readings import NEVER_TOLD
+from servobench.drivers.exchange import Command, PositionCommand, SpeedCommand
+from servobench.hil.loop.context import CHANNELS_MAX
+from servobench.hil.loop.samples import (
     CommandFate,
     CycleRecord,
     Dropout,

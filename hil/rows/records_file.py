@@ -18,10 +18,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from drivers.errors import BadInput
-from drivers.timebase import Instant
-from hil.rows.records import COLUMNS, FATE_SAMPLE, NOTHING, ROW_DTYPE, Column, Rows
-from hil.rows.run_files import FORMAT
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Instant
+from servobench.hil.rows.records import COLUMNS, FATE_SAMPLE, NOTHING, ROW_DTYPE, Column, Rows
+from servobench.hil.rows.run_files import FORMAT
 
 MAGIC = b"ARROW1\0\0"
 _MAGIC_END = b"ARROW1"

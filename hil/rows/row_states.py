@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cia402.profile import STATE_BITS, state_of
-from drivers.cia402.readings import NEVER_TOLD
-from hil.rows.records import FATE_MISSED, FATE_SAMPLE, Rows
+from servobench.drivers.cia402.profile import STATE_BITS, state_of
+from servobench.drivers.cia402.readings import NEVER_TOLD
+from servobench.hil.rows.records import FATE_MISSED, FATE_SAMPLE, Rows
 
 LINK_WINDOW_CYCLES = 20
 LINK_DEGRADED_DROPOUTS = LINK_WINDOW_CYCLES // 4

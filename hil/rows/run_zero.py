@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from drivers.timebase import Instant
-from hil.rows.side_rows import BeginEvent, RunEvent
+from servobench.drivers.timebase import Instant
+from servobench.hil.rows.side_rows import BeginEvent, RunEvent
 
 
 class RunZero:

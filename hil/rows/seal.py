@@ -20,9 +20,9 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
 
-from drivers.bounded_file import read_lines
-from drivers.errors import BadInput
-from hil.rows.run_files import (
+from servobench.drivers.bounded_file import read_lines
+from servobench.drivers.errors import BadInput
+from servobench.hil.rows.run_files import (
     BENCH_FILE,
     DIRECTIONS_FILE,
     EVENTS_FILE,
@@ -35,7 +35,7 @@ from hil.rows.run_files import (
     SEAL_FILE,
     SUMMARY_FILE,
 )
-from virtual_bus.faults.fault_log import FAULTS_FILE
+from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
 
 FIRST_CHAIN: Final = "servobench"
 """In place of a chain before the first line."""
@@ -168,7 +168,7 @@ class SealedFiles:
         self.told = SEALED
         """Or up to where, or :data:`OLDER`, which has nothing that could be held against it."""
         if not (folder / SEAL_FILE).is_file():
-            from hil.rows.records_file import read_metadata  # pyarrow, which no loop needs
+            from servobench.hil.rows.records_file import read_metadata  # pyarrow, which no loop needs
 
             records = folder / RECORDS_FILE  # who reads it refuses a later format
             if records.is_file() and read_metadata(records).get("format") != FORMAT:

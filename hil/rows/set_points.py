@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from drivers.timebase import Instant
-from hil.rows.recording_plan import PlannedSetPoint
-from hil.rows.records import NOTHING, Rows
-from hil.rows.side_rows import TextEvent
+from servobench.drivers.timebase import Instant
+from servobench.hil.rows.recording_plan import PlannedSetPoint
+from servobench.hil.rows.records import NOTHING, Rows
+from servobench.hil.rows.side_rows import TextEvent
 
 
 class SetPointTeller:

@@ -7,8 +7,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import Instant
-from hil.core.native import frame_row as frame_row
+from servobench.drivers.timebase import Instant
+from servobench.hil.core.native import frame_row as frame_row
 
 FRAME: Final = struct.Struct("<qIBBxx8s")
 FRAME_DTYPE: Final = np.dtype(

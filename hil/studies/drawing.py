@@ -7,7 +7,7 @@ from typing import Any
 
 import matplotlib as mpl
 
-from drivers.errors import BadInput
+from servobench.drivers.errors import BadInput
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

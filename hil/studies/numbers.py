@@ -4,7 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from design.hinf.margins import Margins
+    from servobench.design.hinf.margins import Margins
 
 _DIGITS = 6
 """Off by 5e-6 at most, where makers allow their figures 10 %."""

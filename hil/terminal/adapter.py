@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-from hil.terminal.options import bitrate_option, bus_option, seed_option, valued
-from hil.terminal.output import say
+from servobench.hil.terminal.options import bitrate_option, bus_option, seed_option, valued
+from servobench.hil.terminal.output import say
 
 
 def adapter(
@@ -30,12 +30,12 @@ def adapter(
 
     Prints the name of its serial port on stdout; use it with --bus slcan:PORT.
     """
-    from drivers.timebase import MonotonicClock
-    from drivers.wire.adapters import shared_bus
-    from hil.machine.realtime import realtime_process
-    from hil.machine.stopping import stop_signals
-    from virtual_bus.instruments.serial_line.device_line import LineFaults
-    from virtual_bus.instruments.slcan.server import serve_adapter
+    from servobench.drivers.timebase import MonotonicClock
+    from servobench.drivers.wire.adapters import shared_bus
+    from servobench.hil.machine.realtime import realtime_process
+    from servobench.hil.machine.stopping import stop_signals
+    from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
+    from servobench.virtual_bus.instruments.slcan.server import serve_adapter
 
     spec = shared_bus(bus)
     faults = LineFaults.parse(fault or [])

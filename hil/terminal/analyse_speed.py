@@ -4,17 +4,25 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from drivers.errors import BadInput
-from hil.terminal.current_loop_options import CurrentLoopOptions
-from hil.terminal.options import JsonOption, MotorArgument, flag, given, motor_file, seed_option, valued
-from hil.terminal.output import print_figures, put
+from servobench.drivers.errors import BadInput
+from servobench.hil.terminal.current_loop_options import CurrentLoopOptions
+from servobench.hil.terminal.options import (
+    JsonOption,
+    MotorArgument,
+    flag,
+    given,
+    motor_file,
+    seed_option,
+    valued,
+)
+from servobench.hil.terminal.output import print_figures, put
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from design.sampled.held_loop import SampledNetwork
-    from design.speed.monte_carlo import Chance
+    from servobench.design.sampled.held_loop import SampledNetwork
+    from servobench.design.speed.monte_carlo import Chance
 
 
 LOSSES_MAX = 50
@@ -84,9 +92,9 @@ def speed(asked: AnalysisOptions) -> None:
     inner = asked.current_loop.known_loop()
     delay_s = _delay_s(asked.delay_ms, network)
 
-    from design.errors import DesignError
-    from drivers.rotation import RAD_S_PER_RPM
-    from hil.studies.speed.analysis import (
+    from servobench.design.errors import DesignError
+    from servobench.drivers.rotation import RAD_S_PER_RPM
+    from servobench.hil.studies.speed.analysis import (
         LoopRequest,
         chance_figures,
         continuous_figures,
@@ -125,8 +133,8 @@ def _network(asked: AnalysisOptions) -> "SampledNetwork | None":
         for option, value in given(asked, "strategy", "loss_max", "tau_max_ms").items():
             raise BadInput(option, "", str(value), "--period-ms with it, the sampling period")
         return None
-    from design.errors import UnsuitableNetwork
-    from design.sampled.held_loop import SampledNetwork, Strategy
+    from servobench.design.errors import UnsuitableNetwork
+    from servobench.design.sampled.held_loop import SampledNetwork, Strategy
 
     strategy, losses_max = Strategy(asked.strategy or "arrival"), asked.loss_max or 0
     period_s, tau_s = 1e-3 * asked.period_ms, 1e-3 * (asked.tau_max_ms or 0.0)
@@ -157,7 +165,7 @@ def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float:
 def _chance(asked: AnalysisOptions, load_nm: float) -> "Chance | None":
     if asked.monte_carlo is None:
         return None
-    from design.speed.monte_carlo import Chance
+    from servobench.design.speed.monte_carlo import Chance
 
     return Chance(
         runs=asked.monte_carlo,

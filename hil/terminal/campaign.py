@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperGroup
 
-from hil.machine.parent_process import messages, results, tell_parent
-from hil.terminal.commands import add_commands
-from hil.terminal.exit_status import end_with
-from hil.terminal.options import JsonOption, flag, valued
-from hil.terminal.output import columns, echo, say, say_written
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.machine.parent_process import messages, results, tell_parent
+from servobench.hil.terminal.commands import add_commands
+from servobench.hil.terminal.exit_status import end_with
+from servobench.hil.terminal.options import JsonOption, flag, valued
+from servobench.hil.terminal.output import columns, echo, say, say_written
+from servobench.hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
-    from hil.campaign.campaign import Campaign, CampaignProgress
+    from servobench.hil.campaign.campaign import Campaign, CampaignProgress
 
 
 class SweepGroup(TyperGroup):
@@ -67,8 +67,8 @@ def run(
     --resume goes on. With --against certificate: 7 a counter-example ended it; 6 no run was within the
     premises. 1: a check of one's own (the table own of the sweep) says something of a run. docs/campaigns.md
     """
-    from hil.campaign.campaign import run_campaign
-    from hil.campaign.plan import CampaignPlan
+    from servobench.hil.campaign.campaign import run_campaign
+    from servobench.hil.campaign.plan import CampaignPlan
 
     plan = CampaignPlan.load(sweep)
     folder = out or Path("campaigns") / plan.sweep.campaign.name
@@ -97,11 +97,11 @@ def report(folder: DirArgument, as_json: JsonOption = False) -> None:
     """Write DIR/report.html: rates with their intervals, heat maps, worst cases, what matters; and
     DIR/campaign.rrd, which hil view opens.
     """
-    from drivers.written_file import written
-    from hil.campaign.campaign import Campaign
-    from hil.campaign.page import write_page
-    from hil.campaign.report import write_report
-    from hil.rows.run_files import CAMPAIGN_PAGE
+    from servobench.drivers.written_file import written
+    from servobench.hil.campaign.campaign import Campaign
+    from servobench.hil.campaign.page import write_page
+    from servobench.hil.campaign.report import write_report
+    from servobench.hil.rows.run_files import CAMPAIGN_PAGE
 
     done = Campaign.load(folder)
     place = folder / "report.html"
@@ -127,7 +127,7 @@ def replay(
 
     Exit status: that of the run's verdict; 70 if the digest is another.
     """
-    from hil.campaign.campaign import Campaign
+    from servobench.hil.campaign.campaign import Campaign
 
     done = Campaign.load(folder).replay(number, record)
     summary = done.summary
@@ -181,7 +181,7 @@ def _duration(seconds: float) -> str:
 
 
 def _print(done: "Campaign", as_json: bool) -> None:
-    from hil.campaign.figures import failure_line, figures_of
+    from servobench.hil.campaign.figures import failure_line, figures_of
 
     figures = figures_of(done)
     if as_json:

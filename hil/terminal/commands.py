@@ -12,7 +12,7 @@ from typing import Any
 
 import typer
 
-from hil.terminal.exit_status import reported_errors
+from servobench.hil.terminal.exit_status import reported_errors
 
 
 def add_commands(group: typer.Typer, *functions: Callable[..., None]) -> None:

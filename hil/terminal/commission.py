@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.machine.parent_process import tell_parent
-from hil.terminal.exit_status import end_with
-from hil.terminal.options import (
+from servobench.hil.machine.parent_process import tell_parent
+from servobench.hil.terminal.exit_status import end_with
+from servobench.hil.terminal.options import (
     AllowOption,
     BitrateOption,
     DriveBusOption,
@@ -22,8 +22,8 @@ from hil.terminal.options import (
     seed_option,
     valued,
 )
-from hil.terminal.output import put, say
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.terminal.output import put, say
+from servobench.hil.verdict.verdict import ExitStatus
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +89,7 @@ def commission(asked: CommissionOptions) -> None:
     Exit status: 0 done, 1 a step failed or the end came early, 2 bad input, 3 bus or drive fault, 4 done, and
     disturbed by others.
     """
-    from hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
+    from servobench.hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
 
     request = CommissionRequest(
         bus=asked.bus,
@@ -106,7 +106,7 @@ def commission(asked: CommissionOptions) -> None:
         unwatched=asked.unwatched,
         allow=allowed(asked.allow),
     )
-    from hil.commissioning.commission import run_command
+    from servobench.hil.commissioning.commission import run_command
 
     if not asked.dry_run:
         advice = f"{request.restore_command} puts back what was changed in the drive"
@@ -131,7 +131,7 @@ def restore(
     as_json: JsonOption = False,
 ) -> None:
     """Put back every object that a commissioning or a measurement changed, after a crash or a lost bus."""
-    from hil.commissioning.commission import run_restore
+    from servobench.hil.commissioning.commission import run_restore
 
     outcome: dict[str, Any] = run_restore(journal, bus)
     put(outcome, as_json, lambda _figures: say("\n".join(outcome["text"])))
@@ -153,7 +153,7 @@ def rehearse(
     bitrate: BitrateOption = 1_000_000,
 ) -> None:
     """A simulated drive that nobody has described, with faults in what it tells, until Ctrl-C."""
-    from hil.commissioning.rehearsal import rehearse as serve_unknown
+    from servobench.hil.commissioning.rehearsal import rehearse as serve_unknown
 
     serve_unknown(
         bus_spec=bus,

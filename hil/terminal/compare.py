@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.errors import BadInput
-from hil.terminal.options import JsonOption, UnsealedOption, valued
-from hil.terminal.output import put, say_written
-from hil.verdict.verdict import ExitStatus
+from servobench.drivers.errors import BadInput
+from servobench.hil.terminal.options import JsonOption, UnsealedOption, valued
+from servobench.hil.terminal.output import put, say_written
+from servobench.hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
-    from hil.recorded.comparison import Against
+    from servobench.hil.recorded.comparison import Against
 
 
 def compare(
@@ -38,16 +38,21 @@ def compare(
         raise BadInput("RUN", "", str(runs[0]), "a second run, or --baseline, to compare it with")
     if rrd is not None and (rrd.suffix != ".rrd" or not rrd.parent.is_dir()):
         raise BadInput("--rrd", "", str(rrd), "a file that ends in .rrd in a folder that is there")
-    from hil.recorded.comparison import compare_runs, comparison_json, comparison_lines, load_tolerances
-    from hil.recorded.recorded_run import open_run
+    from servobench.hil.recorded.comparison import (
+        compare_runs,
+        comparison_json,
+        comparison_lines,
+        load_tolerances,
+    )
+    from servobench.hil.recorded.recorded_run import open_run
 
     asked = None if tolerances is None else load_tolerances(tolerances)
     compared = compare_runs([open_run(folder, unsealed=unsealed) for folder in folders], asked)
     lines = comparison_lines(compared)
     put(comparison_json(compared), as_json, lambda _figures: typer.echo("\n".join(lines)))
     if rrd is not None:
-        from drivers.written_file import written
-        from hil.recorded.comparison_page import write_comparison
+        from servobench.drivers.written_file import written
+        from servobench.hil.recorded.comparison_page import write_comparison
 
         with written("--rrd", rrd) as place:
             write_comparison(compared, "```\n" + "\n".join(lines) + "\n```\n", place)

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from drivers.errors import MISSING, BadInput
-from hil.terminal.options import given, valued
+from servobench.drivers.errors import MISSING, BadInput
+from servobench.hil.terminal.options import given, valued
 
 if TYPE_CHECKING:
-    from hil.configuration.config import BenchConfig
-    from hil.configuration.drive_current_loop import KnownLoop
+    from servobench.hil.configuration.config import BenchConfig
+    from servobench.hil.configuration.drive_current_loop import KnownLoop
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ class CurrentLoopOptions:
 
         Without any source it is that of the simulated drive as it is built.
         """
-        from hil.configuration.drive_current_loop import KnownLoop
+        from servobench.hil.configuration.drive_current_loop import KnownLoop
 
         sources = self.sources
         if len(sources) > 1:
@@ -57,7 +57,7 @@ class CurrentLoopOptions:
             return _of_drive_file(self.commissioned)
         if self.current_bandwidth_hz is not None:
             return KnownLoop(1, self.current_bandwidth_hz, "--current-bandwidth-hz")
-        from hil.configuration.config_axis import Simulation
+        from servobench.hil.configuration.config_axis import Simulation
 
         return KnownLoop(1, Simulation().current_loop_hz, "the simulated drive, as nothing else is said")
 
@@ -73,7 +73,7 @@ def _of_bench(bench: Path, axis: str | None) -> "KnownLoop":
 
 def bench_axis(bench: Path, axis: str | None) -> "tuple[BenchConfig, str]":
     """The bench, and which of its axes is meant. Raises BadInput or BadInputs."""
-    from hil.configuration.bench_file import load_bench
+    from servobench.hil.configuration.bench_file import load_bench
 
     config = load_bench(bench)
     if axis is None and len(config.axes) == 1:
@@ -86,7 +86,7 @@ def bench_axis(bench: Path, axis: str | None) -> "tuple[BenchConfig, str]":
 
 def loop_of_bench(config: "BenchConfig", axis: str) -> "KnownLoop":
     """Of the drive that the bench runs on. Raises BadInput where it would have to be measured first."""
-    from hil.configuration.drive_current_loop import current_loop_of
+    from servobench.hil.configuration.drive_current_loop import current_loop_of
 
     loop = current_loop_of(config, axis)
     if loop is None:
@@ -96,9 +96,9 @@ def loop_of_bench(config: "BenchConfig", axis: str) -> "KnownLoop":
 
 
 def _of_drive_file(path: Path) -> "KnownLoop":
-    from drivers.bounded_file import NamedBy
-    from hil.configuration.drive_current_loop import KnownLoop
-    from hil.configuration.drive_file import load_drive_file
+    from servobench.drivers.bounded_file import NamedBy
+    from servobench.hil.configuration.drive_current_loop import KnownLoop
+    from servobench.hil.configuration.drive_file import load_drive_file
 
     loop = load_drive_file(path, NamedBy("--commissioned", "", str(path))).current_loop
     if loop is None:

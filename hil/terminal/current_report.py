@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from hil.terminal.output import print_figures
+from servobench.hil.terminal.output import print_figures
 
 if TYPE_CHECKING:
-    from hil.studies.current.design import CurrentResult
+    from servobench.hil.studies.current.design import CurrentResult
 
 
 def print_result(result: "CurrentResult") -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from hil.terminal.options import (
+from servobench.hil.terminal.options import (
     ControllerOutOption,
     JsonOption,
     MotorArgument,
@@ -15,10 +15,10 @@ from hil.terminal.options import (
     motor_file,
     valued,
 )
-from hil.terminal.output import put, say_written
+from servobench.hil.terminal.output import put, say_written
 
 if TYPE_CHECKING:
-    from hil.studies.current.figures import OtherAxis
+    from servobench.hil.studies.current.figures import OtherAxis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,15 +74,15 @@ class CurrentDesignOptions:
 
 def current(asked: CurrentDesignOptions) -> None:
     """Design a current controller: synthesis, reduction, sampling, margins and robustness."""
-    from design.hinf.reduction import Method
-    from drivers.errors import BadInput
-    from drivers.rotation import RAD_S_PER_RPM
-    from drivers.written_file import write_file
-    from hil.configuration.weights_file import load_weights
-    from hil.studies.current.design import controller_text, design_current
-    from hil.studies.current.figures import CurrentRequest
-    from hil.terminal.current_report import print_result
-    from hil.terminal.design_errors import refused
+    from servobench.design.hinf.reduction import Method
+    from servobench.drivers.errors import BadInput
+    from servobench.drivers.rotation import RAD_S_PER_RPM
+    from servobench.drivers.written_file import write_file
+    from servobench.hil.configuration.weights_file import load_weights
+    from servobench.hil.studies.current.design import controller_text, design_current
+    from servobench.hil.studies.current.figures import CurrentRequest
+    from servobench.hil.terminal.current_report import print_result
+    from servobench.hil.terminal.design_errors import refused
 
     if asked.gamma is not None and asked.gamma_factor is not None:
         raise BadInput("--gamma-factor", "", asked.gamma_factor, "either --gamma or --gamma-factor")
@@ -113,7 +113,7 @@ def current(asked: CurrentDesignOptions) -> None:
         write_file("--out", asked.out, controller_text(result, asked.axis))
         say_written(asked.out)
     if asked.picture is not None:
-        from hil.studies.current.pictures import draw_bounds
+        from servobench.hil.studies.current.pictures import draw_bounds
 
         draw_bounds(result.chosen, asked.picture)
         say_written(asked.picture)
@@ -121,9 +121,9 @@ def current(asked: CurrentDesignOptions) -> None:
 
 def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
     """The continuous controller in ``path``, made for the axis that is not designed."""
-    from drivers.bounded_file import NamedBy
-    from hil.configuration.current_controller_file import load_current_controller
-    from hil.studies.current.figures import OtherAxis
+    from servobench.drivers.bounded_file import NamedBy
+    from servobench.hil.configuration.current_controller_file import load_current_controller
+    from servobench.hil.studies.current.figures import OtherAxis
 
     if path is None:
         return None

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from design.errors import DesignError
-from drivers.errors import BenchError
+from servobench.design.errors import DesignError
+from servobench.drivers.errors import BenchError
 
 
 class DesignRefused(BenchError):

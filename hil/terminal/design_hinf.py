@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.terminal.options import JsonOption, gamma_option, valued
-from hil.terminal.output import put
+from servobench.hil.terminal.options import JsonOption, gamma_option, valued
+from servobench.hil.terminal.output import put
 
 
 def hinf(
@@ -20,10 +20,10 @@ def hinf(
     as_json: JsonOption = False,
 ) -> None:
     r"""The central controller of x' = A x + B \[w; u], \[z; y] = C x + D \[w; u] for ||z/w|| < gamma."""
-    from design.hinf.synthesis import gamma_min, synthesise, verified_norm
-    from hil.configuration.plant_file import load_plant
-    from hil.terminal.current_report import print_current
-    from hil.terminal.design_errors import refused
+    from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
+    from servobench.hil.configuration.plant_file import load_plant
+    from servobench.hil.terminal.current_report import print_current
+    from servobench.hil.terminal.design_errors import refused
 
     loaded = load_plant(plant)
     with refused(str(plant)):

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from drivers.errors import BadInput
-from hil.terminal.current_loop_options import CurrentLoopOptions, bench_axis, loop_of_bench
-from hil.terminal.options import ControllerOutOption, JsonOption, MotorArgument, motor_file, valued
-from hil.terminal.output import put, say_written
+from servobench.drivers.errors import BadInput
+from servobench.hil.terminal.current_loop_options import CurrentLoopOptions, bench_axis, loop_of_bench
+from servobench.hil.terminal.options import ControllerOutOption, JsonOption, MotorArgument, motor_file, valued
+from servobench.hil.terminal.output import put, say_written
 
 if TYPE_CHECKING:
-    from hil.configuration.current_controller_file import CurrentController
+    from servobench.hil.configuration.current_controller_file import CurrentController
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,12 +39,12 @@ class PidOptions:
 
 def pid(asked: PidOptions) -> None:
     """Tune a PID speed loop: Td from the current loop, the crossover from the phase margin and the delay."""
-    from design.speed.speed_pid import pid_by_rule
-    from drivers.written_file import write_file
-    from hil.studies.speed.controller_text import controller_text
-    from hil.studies.speed.pid import controller_of, current_loop_of, pid_figures
-    from hil.terminal.current_report import print_current
-    from hil.terminal.design_errors import refused
+    from servobench.design.speed.speed_pid import pid_by_rule
+    from servobench.drivers.written_file import write_file
+    from servobench.hil.studies.speed.controller_text import controller_text
+    from servobench.hil.studies.speed.pid import controller_of, current_loop_of, pid_figures
+    from servobench.hil.terminal.current_report import print_current
+    from servobench.hil.terminal.design_errors import refused
 
     controller, loop_hz = _current_loop(asked.current_control, asked.current_loop)
     motor = motor_file(asked.motor).parameters
@@ -69,8 +69,8 @@ def _current_loop(
     current_control: Path | None, others: CurrentLoopOptions
 ) -> "tuple[CurrentController | None, float]":
     """The drive's own controller, or None and the bandwidth of its PI. Raises BadInput or BadInputs."""
-    from drivers.bounded_file import NamedBy
-    from hil.configuration.current_controller_file import load_current_controller
+    from servobench.drivers.bounded_file import NamedBy
+    from servobench.hil.configuration.current_controller_file import load_current_controller
 
     if current_control is not None:
         for option, value in others.sources.items():

@@ -3,14 +3,14 @@
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated
 
-from drivers.errors import MISSING, BadInput
-from hil.terminal.options import given, valued
-from hil.terminal.output import on_terminal
+from servobench.drivers.errors import MISSING, BadInput
+from servobench.hil.terminal.options import given, valued
+from servobench.hil.terminal.output import on_terminal
 
 if TYPE_CHECKING:
-    from design.motor import PmsmParameters
-    from design.sampled.held_loop import SampledNetwork
-    from hil.studies.speed.dynamic import DynamicResult
+    from servobench.design.motor import PmsmParameters
+    from servobench.design.sampled.held_loop import SampledNetwork
+    from servobench.hil.studies.speed.dynamic import DynamicResult
 
 _PERIOD_MS = 1.0
 """That of a bench which says nothing of it."""
@@ -87,8 +87,8 @@ def design_dynamic(
     load_nm: float | None,
 ) -> "DynamicResult":
     """A ``predictor`` or ``hinf``, and what is certified of it. Raises BadInput."""
-    from design.errors import DesignError
-    from hil.studies.speed.dynamic import (
+    from servobench.design.errors import DesignError
+    from servobench.hil.studies.speed.dynamic import (
         DEAD_TIME_US,
         ENCODER_COUNTS,
         SPEED_FILTER_HZ,

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from drivers.errors import BadInput
-from hil.terminal.analyse_speed import LOSSES_MAX, LoadOption, SpeedOption, StrategyName
-from hil.terminal.current_loop_options import CurrentLoopOptions
-from hil.terminal.design_predictor import PredictorOptions, design_dynamic
-from hil.terminal.options import (
+from servobench.drivers.errors import BadInput
+from servobench.hil.terminal.analyse_speed import LOSSES_MAX, LoadOption, SpeedOption, StrategyName
+from servobench.hil.terminal.current_loop_options import CurrentLoopOptions
+from servobench.hil.terminal.design_predictor import PredictorOptions, design_dynamic
+from servobench.hil.terminal.options import (
     JsonOption,
     MotorArgument,
     controller_out_option,
@@ -21,15 +21,15 @@ from hil.terminal.options import (
     motor_file,
     valued,
 )
-from hil.terminal.output import on_terminal, print_figures, put, say_written
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.terminal.output import on_terminal, print_figures, put, say_written
+from servobench.hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
-    from design.motor import PmsmParameters
-    from design.sampled.held_loop import SampledNetwork
-    from hil.configuration.config_files import Section
-    from hil.studies.speed.dynamic import DynamicResult
-    from hil.studies.speed.synthesis import DesignResult
+    from servobench.design.motor import PmsmParameters
+    from servobench.design.sampled.held_loop import SampledNetwork
+    from servobench.hil.configuration.config_files import Section
+    from servobench.hil.studies.speed.dynamic import DynamicResult
+    from servobench.hil.studies.speed.synthesis import DesignResult
 
 
 _WHOLE = 0.05
@@ -115,8 +115,8 @@ def speed(asked: SpeedDesignOptions) -> None:
     result = design(asked, motor, inner.bandwidth_hz, network)
     put({"current_bandwidth_from": inner.key, **result.figures}, asked.as_json, print_figures)
     if asked.out is not None:
-        from drivers.written_file import write_file
-        from hil.studies.speed.controller_text import controller_text
+        from servobench.drivers.written_file import write_file
+        from servobench.hil.studies.speed.controller_text import controller_text
 
         write_file("--out", asked.out, controller_text(_controller(result)))
         say_written(asked.out)
@@ -156,8 +156,8 @@ def _seconds(time_ms: float | None) -> float | None:
 
 
 def _network(path: Path, asked: SpeedDesignOptions) -> "SampledNetwork":
-    from design.sampled.held_loop import SampledNetwork, Strategy
-    from hil.configuration.network_file import commands_unknown, load_network, losses_unseen
+    from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+    from servobench.hil.configuration.network_file import commands_unknown, load_network, losses_unseen
 
     measured = load_network(path)
     if (unknown := commands_unknown(measured, str(path))) is not None:
@@ -190,10 +190,16 @@ def _design_dynamic(
 def _design_static(
     asked: SpeedDesignOptions, motor: "PmsmParameters", bandwidth_hz: float, network: "SampledNetwork | None"
 ) -> "DesignResult":
-    from design.delay.speed_loop import Feedback, gain_for_error
-    from design.errors import DesignError
-    from drivers.rotation import RAD_S_PER_RPM
-    from hil.studies.speed.synthesis import DesignRequest, Unreachable, Way, design_speed, with_bandwidths
+    from servobench.design.delay.speed_loop import Feedback, gain_for_error
+    from servobench.design.errors import DesignError
+    from servobench.drivers.rotation import RAD_S_PER_RPM
+    from servobench.hil.studies.speed.synthesis import (
+        DesignRequest,
+        Unreachable,
+        Way,
+        design_speed,
+        with_bandwidths,
+    )
 
     way = Way(
         asked.method,
@@ -221,8 +227,8 @@ def _design_static(
 
 def _controller(result: "DesignResult | DynamicResult") -> "Section":
     """Its table. Raises BadInput for a loop over a network that is not certified."""
-    from hil.studies.speed.controller_text import controller_of
-    from hil.studies.speed.synthesis import DesignResult
+    from servobench.hil.studies.speed.controller_text import controller_of
+    from servobench.hil.studies.speed.synthesis import DesignResult
 
     if not isinstance(result, DesignResult):
         return result.controller()

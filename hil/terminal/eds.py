@@ -5,9 +5,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from hil.terminal.options import JsonOption, bitrate_option, flag, valued
-from hil.terminal.output import put
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.terminal.options import JsonOption, bitrate_option, flag, valued
+from servobench.hil.terminal.output import put
+from servobench.hil.verdict.verdict import ExitStatus
 
 ANY_NODE = 1
 """What $NODEID stands for where neither the user nor the file says it."""
@@ -32,11 +32,11 @@ def eds(
 
     Exit status: 0 it can serve a bench, 1 it cannot (the output says why), 2 the file cannot be read.
     """
-    from drivers.sheets.dictionary import load_dictionary
-    from drivers.sheets.fitness import assess
-    from hil.commissioning.drive_port import QUANTITY_OF_MODE
-    from hil.terminal.eds_report import print_sheet
-    from hil.terminal.eds_sheet import plan_for, sheet
+    from servobench.drivers.sheets.dictionary import load_dictionary
+    from servobench.drivers.sheets.fitness import assess
+    from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
+    from servobench.hil.terminal.eds_report import print_sheet
+    from servobench.hil.terminal.eds_sheet import plan_for, sheet
 
     loaded = load_dictionary(file, node)
     if loaded.dictionary.node_id is None:

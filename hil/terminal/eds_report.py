@@ -7,15 +7,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from drivers.canopen.bus_scan import profile_title
-from drivers.canopen.pdo import mapping_text
-from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, Budget
-from drivers.cia402.profile import BENCH_MODES, run_words
-from drivers.sheets.dictionary import LoadedDictionary
-from drivers.sheets.eds.repairs import Repair
-from drivers.sheets.fitness import MODES_TOLD, FileIdentity, Fitness
-from hil.terminal.eds_sheet import Planned, run_key, unit_lines
-from hil.terminal.output import columns, titled
+from servobench.drivers.canopen.bus_scan import profile_title
+from servobench.drivers.canopen.pdo import mapping_text
+from servobench.drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, Budget
+from servobench.drivers.cia402.profile import BENCH_MODES, run_words
+from servobench.drivers.sheets.dictionary import LoadedDictionary
+from servobench.drivers.sheets.eds.repairs import Repair
+from servobench.drivers.sheets.fitness import MODES_TOLD, FileIdentity, Fitness
+from servobench.hil.terminal.eds_sheet import Planned, run_key, unit_lines
+from servobench.hil.terminal.output import columns, titled
 
 
 def print_sheet(

@@ -4,22 +4,22 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from drivers.canopen.objects301 import MANUFACTURER
-from drivers.canopen.pdo import PdoMap, mapping_text
-from drivers.canopen.pdo_budget import Budget, budget_of, content_of
-from drivers.canopen.pdo_capability import PdoSlot
-from drivers.cia402.judgement import ModeFitness
-from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
-from drivers.cia402.pdo_plans import PlanWish
-from drivers.cia402.profile import BENCH_MODES, Mode
-from drivers.cia402.quirky_units import apply_quirks
-from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
-from drivers.errors import PeerFault
-from drivers.sheets.dictionary import LoadedDictionary, held
-from drivers.sheets.eds.sections import section_name
-from drivers.sheets.fitness import FileIdentity, Fitness, told_by_sheet
-from drivers.timebase import NS_PER_US, Duration
-from drivers.vendors.families import quirks_for
+from servobench.drivers.canopen.objects301 import MANUFACTURER
+from servobench.drivers.canopen.pdo import PdoMap, mapping_text
+from servobench.drivers.canopen.pdo_budget import Budget, budget_of, content_of
+from servobench.drivers.canopen.pdo_capability import PdoSlot
+from servobench.drivers.cia402.judgement import ModeFitness
+from servobench.drivers.cia402.pdo_planner import PlanImpossible, PlanResult, plan_pdos
+from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.cia402.profile import BENCH_MODES, Mode
+from servobench.drivers.cia402.quirky_units import apply_quirks
+from servobench.drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.sheets.dictionary import LoadedDictionary, held
+from servobench.drivers.sheets.eds.sections import section_name
+from servobench.drivers.sheets.fitness import FileIdentity, Fitness, told_by_sheet
+from servobench.drivers.timebase import NS_PER_US, Duration
+from servobench.drivers.vendors.families import quirks_for
 
 MODES = BENCH_MODES | {
     "pt": Mode.PROFILE_TORQUE,

@@ -7,12 +7,12 @@ from typing import NoReturn
 
 from typer import Abort, BadParameter, Exit  # by name: code of the user's may replace what typer has
 
-from drivers.errors import BenchError
-from drivers.printable import printable
-from hil.machine.parent_process import messages, tell_parent
-from hil.machine.refusals import explained, raised_by_own_code
-from hil.terminal.output import say
-from hil.verdict.verdict import ExitStatus
+from servobench.drivers.errors import BenchError
+from servobench.drivers.printable import printable
+from servobench.hil.machine.parent_process import messages, tell_parent
+from servobench.hil.machine.refusals import explained, raised_by_own_code
+from servobench.hil.terminal.output import say
+from servobench.hil.verdict.verdict import ExitStatus
 
 
 @contextmanager

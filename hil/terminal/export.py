@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from hil.reviewing.export_format import ExportFormat
-from hil.terminal.options import JsonOption, UnsealedOption, valued
-from hil.terminal.output import put
+from servobench.hil.reviewing.export_format import ExportFormat
+from servobench.hil.terminal.options import JsonOption, UnsealedOption, valued
+from servobench.hil.terminal.output import put
 
 
 def export(
@@ -22,8 +22,8 @@ def export(
     Exit status: 0 written; 2 no recording, one that has no end yet, or a file that cannot be written; 5 the
     disk is full.
     """
-    from hil.reviewing.export import export_run
-    from hil.rows.seal import doubt
+    from servobench.hil.reviewing.export import export_run
+    from servobench.hil.rows.seal import doubt
 
     done = export_run(run, to, out, unsealed=unsealed)
     text = f"{done.file}: {done.rows} rows{doubt(done.seal)}"

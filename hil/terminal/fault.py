@@ -4,9 +4,9 @@ from typing import Annotated
 
 import typer
 
-from hil.terminal.options import BitrateOption, DriveBusOption, DriveNodeOption, JsonOption, flag
-from hil.terminal.output import put
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.terminal.options import BitrateOption, DriveBusOption, DriveNodeOption, JsonOption, flag
+from servobench.hil.terminal.output import put
+from servobench.hil.verdict.verdict import ExitStatus
 
 
 def fault(
@@ -20,9 +20,9 @@ def fault(
 
     Exit status: 0 no fault, 1 in fault, 2 bad input, 3 no answer, or the fault stays in spite of --reset.
     """
-    from hil.execution.world import drive_network
-    from hil.inspecting.drive_fault import look_at_fault
-    from hil.write_lists import FAULT
+    from servobench.hil.execution.world import drive_network
+    from servobench.hil.inspecting.drive_fault import look_at_fault
+    from servobench.hil.write_lists import FAULT
 
     with drive_network(bus, bitrate, FAULT) as network:
         diagnosis = look_at_fault(network, node, reset)

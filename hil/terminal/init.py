@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from drivers.errors import BadInput
-from drivers.written_file import writing
-from hil.machine.examples import examples_folder
-from hil.terminal.options import flag
-from hil.terminal.output import say_written
+from servobench.drivers.errors import BadInput
+from servobench.drivers.written_file import writing
+from servobench.hil.machine.examples import examples_folder
+from servobench.hil.terminal.options import flag
+from servobench.hil.terminal.output import say_written
 
 FIRST = "first"
 """The example that is written."""

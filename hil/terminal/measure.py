@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.errors import BadInput
-from hil.machine.parent_process import messages, tell_parent
-from hil.terminal.exit_status import end_with
-from hil.terminal.options import (
+from servobench.drivers.errors import BadInput
+from servobench.hil.machine.parent_process import messages, tell_parent
+from servobench.hil.terminal.exit_status import end_with
+from servobench.hil.terminal.options import (
     EVERY_STREAM,
     AllowOption,
     BitrateOption,
@@ -24,12 +24,12 @@ from hil.terminal.options import (
     motor_file,
     valued,
 )
-from hil.terminal.output import put, say
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.terminal.output import put, say
+from servobench.hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
-    from hil.measuring.figures import Measured
-    from hil.measuring.subject import MeasureRequest
+    from servobench.hil.measuring.figures import Measured
+    from servobench.hil.measuring.subject import MeasureRequest
 
 PICTURES = (".png", ".svg", ".pdf")
 CYCLES_MAX = 1_000_000
@@ -78,11 +78,11 @@ def measure(asked: MeasureOptions) -> None:
     Exit status: 0 measured, 1 not to be trusted, 2 bad input, 3 bus or drive fault, 4 disturbed by others,
     130 ended by a signal.
     """
-    from drivers.rotation import RAD_S_PER_RPM
-    from hil.execution.bench import RUNS_FOLDER
-    from hil.measuring.subject import MeasureRequest
-    from hil.terminal.measure_report import print_measured
-    from hil.terminal.node_list import drive_ids
+    from servobench.drivers.rotation import RAD_S_PER_RPM
+    from servobench.hil.execution.bench import RUNS_FOLDER
+    from servobench.hil.measuring.subject import MeasureRequest
+    from servobench.hil.terminal.measure_report import print_measured
+    from servobench.hil.terminal.node_list import drive_ids
 
     _require_places(asked)
     request = MeasureRequest(
@@ -118,8 +118,8 @@ def _status(measured: "Measured") -> ExitStatus:
 
 
 def _measured(request: "MeasureRequest") -> "Measured":
-    from hil.machine.progress import TerminalProgress
-    from hil.measuring.measure import run_measurement
+    from servobench.hil.machine.progress import TerminalProgress
+    from servobench.hil.measuring.measure import run_measurement
 
     progress = TerminalProgress(messages(), request.cycles * request.period_us * 1e-6)
     try:
@@ -139,10 +139,10 @@ def _require_places(asked: MeasureOptions) -> None:
 
 def _write_files(measured: "Measured", asked: MeasureOptions) -> None:
     """Write what is asked for. Raises BadInput for a file that cannot be written."""
-    from drivers.written_file import write_file, written
-    from hil.configuration.network_file import network_text
-    from hil.measuring.figures import fault_plan_text
-    from hil.measuring.picture import draw_stages
+    from servobench.drivers.written_file import write_file, written
+    from servobench.hil.configuration.network_file import network_text
+    from servobench.hil.measuring.figures import fault_plan_text
+    from servobench.hil.measuring.picture import draw_stages
 
     if asked.out is not None and measured.network is not None:
         head = f"# Measured on {measured.request.bus} by hil measure.\n\n"

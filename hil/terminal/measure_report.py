@@ -4,14 +4,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from design.confidence import CONFIDENCE, share_within_largest
-from hil.machine.parent_process import results
-from hil.measuring.figures import Measured, MeasuredDrive
-from hil.measuring.loss_model import Losses, LossModel
-from hil.measuring.stages import WAYS, Stage
-from hil.measuring.stamp_probe import StampFigures
-from hil.reviewing.network_meter import delays_of
-from hil.terminal.output import columns
+from servobench.design.confidence import CONFIDENCE, share_within_largest
+from servobench.hil.machine.parent_process import results
+from servobench.hil.measuring.figures import Measured, MeasuredDrive
+from servobench.hil.measuring.loss_model import Losses, LossModel
+from servobench.hil.measuring.stages import WAYS, Stage
+from servobench.hil.measuring.stamp_probe import StampFigures
+from servobench.hil.reviewing.network_meter import delays_of
+from servobench.hil.terminal.output import columns
 
 RUNS_SHOWN = 8
 

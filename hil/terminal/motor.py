@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from drivers.errors import BadInput
-from hil.studies.motor.figures import FIGURES, GROUPS, SheetFigure, missing, option, ways
-from hil.terminal.commands import add_commands
-from hil.terminal.options import JsonOption, MotorArgument, flag, motor_file, valued
-from hil.terminal.output import columns, put, say_written
+from servobench.drivers.errors import BadInput
+from servobench.hil.studies.motor.figures import FIGURES, GROUPS, SheetFigure, missing, option, ways
+from servobench.hil.terminal.commands import add_commands
+from servobench.hil.terminal.options import JsonOption, MotorArgument, flag, motor_file, valued
+from servobench.hil.terminal.output import columns, put, say_written
 
 if TYPE_CHECKING:
-    from design.motor import PmsmParameters
+    from servobench.design.motor import PmsmParameters
 
 motor = typer.Typer(
     name="motor", help="Motor files: made from a data sheet, and what follows from one.", no_args_is_help=True
@@ -44,9 +44,9 @@ def new(
     Figures that cannot be true at once are refused, and the convention is named in which they agree. On a
     terminal what is missing is asked for.
     """
-    from drivers.written_file import write_file
-    from hil.studies.motor.sheet import SOURCE, Sheet, motor_text
-    from hil.terminal.design_errors import refused
+    from servobench.drivers.written_file import write_file
+    from servobench.hil.studies.motor.sheet import SOURCE, Sheet, motor_text
+    from servobench.hil.terminal.design_errors import refused
 
     if out.exists() and not force:
         raise BadInput("MOTOR.toml", "", str(out), "a file that is not there yet", "or --force")
@@ -111,7 +111,7 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Figures that follow from a motor file, in a data sheet's terms; torque over speed as a picture."""
-    from design.motor_figures import motor_figures
+    from servobench.design.motor_figures import motor_figures
 
     parameters = motor_file(path).parameters
     put({"name": parameters.name, **motor_figures(parameters)}, as_json, _print)
@@ -132,9 +132,9 @@ def _print(figures: dict[str, Any]) -> None:
 def _draw(parameters: "PmsmParameters", path: Path) -> None:
     import numpy as np
 
-    from design.motor_figures import speed_limit, torque_limit
-    from drivers.rotation import RPM_PER_RAD_S
-    from hil.studies.drawing import picture
+    from servobench.design.motor_figures import speed_limit, torque_limit
+    from servobench.drivers.rotation import RPM_PER_RAD_S
+    from servobench.hil.studies.drawing import picture
 
     speed = np.linspace(0.0, 1.02 * speed_limit(parameters, 0.0), 600)
     with picture(path, size=(7.0, 4.2), asked_by="--picture") as axes:

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
-from drivers.errors import MISSING, BadInput
+from servobench.drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
+from servobench.drivers.errors import MISSING, BadInput
 
 SERIAL_MAX = 0xFFFF_FFFF
 SERIAL_DIGITS_MAX = 12

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
-from drivers.errors import BadInput
-from hil.terminal.output import say
+from servobench.drivers.errors import BadInput
+from servobench.hil.terminal.output import say
 
 if TYPE_CHECKING:
-    from hil.configuration.config import Foreign
-    from hil.configuration.motor_file import MotorFile
-    from virtual_bus.hosting.injection import Faults
+    from servobench.hil.configuration.config import Foreign
+    from servobench.hil.configuration.motor_file import MotorFile
+    from servobench.virtual_bus.hosting.injection import Faults
 
 
 def flag(name: str, text: str) -> Any:
@@ -111,23 +111,23 @@ DriveMotorOption = Annotated[
 
 def motor_file(path: Path, option: str = "MOTOR.toml") -> "MotorFile":
     """The motor file of an argument or option. Raises BadInput or BadInputs."""
-    from drivers.bounded_file import NamedBy
-    from hil.configuration.motor_file import load_motor
+    from servobench.drivers.bounded_file import NamedBy
+    from servobench.hil.configuration.motor_file import load_motor
 
     return load_motor(path, NamedBy(option, "", str(path)))
 
 
 def fault_plan(path: Path | None) -> "Faults | None":
     """The plan of ``--faults``, if it is given. Raises BadInput or BadInputs."""
-    from drivers.bounded_file import NamedBy
-    from hil.configuration.bench_file import load_faults
+    from servobench.drivers.bounded_file import NamedBy
+    from servobench.hil.configuration.bench_file import load_faults
 
     return load_faults(path, NamedBy("--faults", "", str(path))) if path else None
 
 
 def allowed(kinds: list[str] | None) -> "tuple[Foreign, ...]":
     """``--allow``, checked. Raises BadInput."""
-    from hil.configuration.config import Foreign, Guard
+    from servobench.hil.configuration.config import Foreign, Guard
 
     known: dict[str, Foreign] = {kind: kind for kind in get_args(Foreign)}
     for kind in kinds or ():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
-from hil.machine.parent_process import messages, results
+from servobench.hil.machine.parent_process import messages, results
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -38,7 +38,7 @@ def echo(text: str) -> None:
 
 def note_seal(run: Path, seal: str) -> None:
     """Say of a recording that it is not sealed, or not up to its end; --unsealed has said so itself."""
-    from hil.rows.seal import NOT_CHECKED, SEALED
+    from servobench.hil.rows.seal import NOT_CHECKED, SEALED
 
     if seal not in ("", SEALED, NOT_CHECKED):
         say(f"hil: note: {run}: {seal}")

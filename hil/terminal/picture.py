@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from drivers.errors import BadInput
-from hil.terminal.options import RunArgument, UnsealedOption, flag, valued
-from hil.terminal.output import note_seal, say_written
+from servobench.drivers.errors import BadInput
+from servobench.hil.terminal.options import RunArgument, UnsealedOption, flag, valued
+from servobench.hil.terminal.output import note_seal, say_written
 
 
 def picture(
@@ -40,8 +40,8 @@ def picture(
     if paper:
         if page is not None:
             raise BadInput("--page", "", page, "no --paper beside it")
-        from hil.recorded.paper import paper_figure, save_figure
-        from hil.recorded.recorded_run import open_run, signals_of
+        from servobench.hil.recorded.paper import paper_figure, save_figure
+        from servobench.hil.recorded.recorded_run import open_run, signals_of
 
         opened = open_run(run, unsealed=unsealed)
         note_seal(run, opened.seal)
@@ -50,8 +50,8 @@ def picture(
     else:
         if out.suffix != ".png":
             raise BadInput("OUT", "", str(out), "a file that ends in .png, or --paper")
-        from drivers.written_file import write_file
-        from hil.recorded.viewer import draw_page
+        from servobench.drivers.written_file import write_file
+        from servobench.hil.recorded.viewer import draw_page
 
         tell_seal = partial(note_seal, run)
         write_file("OUT", out, draw_page(run, page, at, window, unsealed=unsealed, tell_seal=tell_seal))

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from hil.terminal.options import JsonOption
-from hil.terminal.output import put
+from servobench.hil.terminal.options import JsonOption
+from servobench.hil.terminal.output import put
 
 
 def recover(
@@ -17,9 +17,9 @@ def recover(
 
     A whole recording is never touched. Exit status: 0 recovered, 2 nothing to recover, 5 the disk is full.
     """
-    from hil.configuration.bench_file import load_bench
-    from hil.execution.recovered_run import recover_run, refuse_whole
-    from hil.terminal.report import print_run
+    from servobench.hil.configuration.bench_file import load_bench
+    from servobench.hil.execution.recovered_run import recover_run, refuse_whole
+    from servobench.hil.terminal.report import print_run
 
     refuse_whole(run)
     config = load_bench(run / "bench.toml")

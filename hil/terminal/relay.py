@@ -13,9 +13,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from hil.machine.parent_process import Pipes
-from hil.rows.run_files import PRINTED_FILE
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.machine.parent_process import Pipes
+from servobench.hil.rows.run_files import PRINTED_FILE
+from servobench.hil.verdict.verdict import ExitStatus
 
 PRINTED_MARK: Final = b"printed: "
 """In front of each line on stderr that the user's code has printed."""
@@ -177,7 +177,7 @@ _TOLD: Final[Mapping[str, Callable[[Any], bool]]] = {
     "own_code": _is_truth,
     "intact": _is_truth,
 }
-"""What :func:`hil.machine.parent_process.tell_parent` takes."""
+"""What :func:`servobench.hil.machine.parent_process.tell_parent` takes."""
 
 
 class _PrintedFile:

@@ -11,12 +11,12 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from hil.configuration.config import BenchConfig
-from hil.machine.parent_process import results
-from hil.terminal.output import columns, titled
-from hil.verdict.summary import Percentiles, Summary, metric_title
-from hil.verdict.summary_text import certificate_lines, computing_note, loss_text, timing_lines
-from hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.machine.parent_process import results
+from servobench.hil.terminal.output import columns, titled
+from servobench.hil.verdict.summary import Percentiles, Summary, metric_title
+from servobench.hil.verdict.summary_text import certificate_lines, computing_note, loss_text, timing_lines
+from servobench.hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
 
 WIDTH_MAX = 100
 _STYLE = {VerdictKind.PASSED: "green", VerdictKind.NOTHING_ASKED: "yellow"}

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.terminal.options import JsonOption, motor_file, valued
-from hil.terminal.output import print_figures, put, say_written
+from servobench.hil.terminal.options import JsonOption, motor_file, valued
+from servobench.hil.terminal.output import print_figures, put, say_written
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,11 +20,11 @@ def azaiz2007(
     as_json: JsonOption = False,
 ) -> None:
     """[Azaiz2007] in full: both current controllers, their margins, and the drive of Fig. 4."""
-    from design.papers.azaiz2007 import reproduce
+    from servobench.design.papers.azaiz2007 import reproduce
 
     results, designs, runs = reproduce()
     if figures is not None:
-        from hil.studies.current.pictures import draw_paper
+        from servobench.hil.studies.current.pictures import draw_paper
 
         for path in draw_paper(designs, runs, figures):
             say_written(path)
@@ -35,7 +35,7 @@ def _print_azaiz2007(figures: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from design.papers.azaiz2007 import DISAGREEMENTS, PUBLISHED
+    from servobench.design.papers.azaiz2007 import DISAGREEMENTS, PUBLISHED
 
     console = Console()
     for axis in ("q", "d"):
@@ -56,7 +56,7 @@ def _controller_table(axis: str, figures: dict[str, Any]) -> "Table":
     """Published, what the printed controller itself gives on the printed plant, and ours."""
     from rich.table import Table
 
-    from design.papers.azaiz2007 import PUBLISHED, printed_figures
+    from servobench.design.papers.azaiz2007 import PUBLISHED, printed_figures
 
     table = Table(title=f"K_{axis}", title_justify="left")
     for heading in ("figure", "published", "printed K", "here"):
@@ -77,7 +77,7 @@ def _controller_table(axis: str, figures: dict[str, Any]) -> "Table":
 
 
 def _listed(values: list[Any]) -> str:
-    from hil.terminal.current_report import root_text
+    from servobench.hil.terminal.current_report import root_text
 
     return "\n".join(root_text(value) if isinstance(value, list) else f"{value:.5g}" for value in values)
 
@@ -95,13 +95,13 @@ def ling2012(
     if motor is not None:
         _for_motor(motor, figures, as_json)
         return
-    from drivers.timebase import utc_stamp
-    from hil.studies.papers.reproduction import reproduce
+    from servobench.drivers.timebase import utc_stamp
+    from servobench.hil.studies.papers.reproduction import reproduce
 
     runs = (figures or Path("runs")) / f"ling2012-{utc_stamp()}"
     results, recorded = reproduce(runs, lambda text: typer.echo(text, err=True))
     if figures is not None:
-        from hil.studies.papers.pictures import draw_ling2012
+        from servobench.hil.studies.papers.pictures import draw_ling2012
 
         for path in draw_ling2012(results, recorded, figures):
             say_written(path)
@@ -109,12 +109,12 @@ def ling2012(
 
 
 def _for_motor(motor: Path, figures: Path | None, as_json: bool) -> None:
-    from hil.studies.papers.reproduction import for_motor
+    from servobench.hil.studies.papers.reproduction import for_motor
 
     results = for_motor(motor_file(motor, "--motor").parameters)
     if figures is not None:
-        from hil.studies.drawing import draw_all
-        from hil.studies.papers.pictures import draw_motor
+        from servobench.hil.studies.drawing import draw_all
+        from servobench.hil.studies.papers.pictures import draw_motor
 
         for path in draw_all(figures, {f"{motor.stem}-table2.png": lambda path: draw_motor(results, path)}):
             say_written(path)
@@ -139,7 +139,7 @@ def _print_motor(figures: dict[str, Any]) -> None:
 def _print_ling2012(figures: dict[str, Any]) -> None:
     from rich.console import Console
 
-    from design.papers.ling2012 import DISAGREEMENTS
+    from servobench.design.papers.ling2012 import DISAGREEMENTS
 
     console = Console(highlight=False)
     for units, title in (("published", "in the paper's units"), ("si", "in SI")):

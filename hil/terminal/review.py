@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.errors import BadInput
-from hil.terminal.options import JsonOption, RunArgument, UnsealedOption, valued
-from hil.terminal.output import columns, put, say_written
+from servobench.drivers.errors import BadInput
+from servobench.hil.terminal.options import JsonOption, RunArgument, UnsealedOption, valued
+from servobench.hil.terminal.output import columns, put, say_written
 
 if TYPE_CHECKING:
-    from hil.recorded.judgement import Judged
+    from servobench.hil.recorded.judgement import Judged
 
 
 def review(
@@ -38,12 +38,12 @@ def review(
     What a controller is certified for counts too: a run with --allow-uncertified that left it has not passed
     here. Exit status: as docs/verdict.md has it; 2 for what is no whole recording.
     """
-    from hil.recorded.judgement import judge_run
-    from hil.recorded.recorded_run import open_run
+    from servobench.hil.recorded.judgement import judge_run
+    from servobench.hil.recorded.recorded_run import open_run
 
     opened = open_run(run, unsealed=unsealed)
     if signers is not None:
-        from hil.recorded.signature import signed_by
+        from servobench.hil.recorded.signature import signed_by
 
         if unsealed:
             raise BadInput(
@@ -53,7 +53,7 @@ def review(
     judged = judge_run(opened, against)
     put(judged.summary.as_json() | {"seal": judged.run.seal}, as_json, lambda _figures: _print(judged))
     if report is not None:
-        from hil.recorded.report import write_report
+        from servobench.hil.recorded.report import write_report
 
         write_report(judged, report)
         say_written(report)
@@ -64,8 +64,8 @@ def _print(judged: "Judged") -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from hil.recorded.report import limit_rows
-    from hil.verdict.verdict import verdict_title
+    from servobench.hil.recorded.report import limit_rows
+    from servobench.hil.verdict.verdict import verdict_title
 
     console = Console(highlight=False)
     title = f"{judged.run.title()}, by {judged.against}; {judged.run.seal}"

@@ -8,9 +8,9 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
-from hil.machine.parent_process import results, tell_parent
-from hil.verdict.summary import Summary, summary_without_run
-from hil.verdict.verdict import ExitStatus, Finding, VerdictKind, outcome_of_status
+from servobench.hil.machine.parent_process import results, tell_parent
+from servobench.hil.verdict.summary import Summary, summary_without_run
+from servobench.hil.verdict.verdict import ExitStatus, Finding, VerdictKind, outcome_of_status
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 """UsageError of whichever click typer brings along."""
@@ -61,8 +61,8 @@ def read_back(summary: Summary) -> Summary:
     """
     if summary.verdict.exit_status != ExitStatus.PASSED or not summary.recording:
         return summary
-    from drivers.errors import BadInput
-    from hil.rows.seal import SEALED, check_seal
+    from servobench.drivers.errors import BadInput
+    from servobench.hil.rows.seal import SEALED, check_seal
 
     try:
         seal = check_seal(Path(summary.recording))

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.printable import printable
-from hil.terminal.options import JsonOption, UnsealedOption, valued
-from hil.terminal.output import put, say, write_line
+from servobench.drivers.printable import printable
+from servobench.hil.terminal.options import JsonOption, UnsealedOption, valued
+from servobench.hil.terminal.output import put, say, write_line
 
 if TYPE_CHECKING:
-    from hil.reviewing.run_index import ListedRun
+    from servobench.hil.reviewing.run_index import ListedRun
 
 
 def runs(
@@ -40,7 +40,7 @@ def runs(
 
     Exit status: 0, also if there is none; 2 for a DIR that is no folder.
     """
-    from hil.reviewing.run_index import RunFilter, list_runs
+    from servobench.hil.reviewing.run_index import RunFilter, list_runs
 
     local = None if since is None else since.astimezone()
     chosen = RunFilter(bench, drive, controller, verdict, commit, local)

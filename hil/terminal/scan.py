@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.terminal.options import JsonOption, bitrate_option, bus_option, flag, valued
-from hil.terminal.output import columns, put, say
+from servobench.hil.terminal.options import JsonOption, bitrate_option, bus_option, flag, valued
+from servobench.hil.terminal.output import columns, put, say
 
 if TYPE_CHECKING:
-    from hil.inspecting.scanning import Adapters, BusReport
+    from servobench.hil.inspecting.scanning import Adapters, BusReport
 
 
 def scan(
@@ -33,12 +33,12 @@ def scan(
     as_json: JsonOption = False,
 ) -> None:
     """The adapters of this machine; with --bus also who is on it. A running network is not disturbed."""
-    from drivers.canopen.nmt_states import UNCONFIGURED
-    from drivers.errors import BadInput
-    from drivers.timebase import duration_s
-    from drivers.wire.adapters import parse_bus_spec
-    from hil.inspecting.scanning import ScanPlan, find_adapters, scan_bus
-    from hil.terminal.node_list import node_ids
+    from servobench.drivers.canopen.nmt_states import UNCONFIGURED
+    from servobench.drivers.errors import BadInput
+    from servobench.drivers.timebase import duration_s
+    from servobench.drivers.wire.adapters import parse_bus_spec
+    from servobench.hil.inspecting.scanning import ScanPlan, find_adapters, scan_bus
+    from servobench.hil.terminal.node_list import node_ids
 
     plan = None
     if bus is not None:
@@ -63,7 +63,7 @@ def scan(
 def _print_adapters(adapters: "Adapters") -> None:
     from rich.console import Console
 
-    from drivers.wire.attached import link_advice
+    from servobench.drivers.wire.attached import link_advice
 
     console = Console(highlight=False)
     table = columns("adapter", "what", "bit rate", "state", overflow="fold")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from hil.terminal.options import (
+from servobench.hil.terminal.options import (
     BitrateOption,
     DriveFaultsOption,
     DriveMotorOption,
@@ -17,7 +17,7 @@ from hil.terminal.options import (
     motor_file,
     valued,
 )
-from hil.terminal.output import say
+from servobench.hil.terminal.output import say
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,12 +94,12 @@ class SimulateOptions:
 
 def simulate(asked: SimulateOptions) -> None:
     """Simulated drives as a process of their own on a real-time bus, until Ctrl-C."""
-    from drivers.bounded_file import NamedBy
-    from hil.configuration.background import load_background
-    from hil.configuration.motor_file import LING2012
-    from hil.execution.device_files import DeviceFiles
-    from hil.load.simulated_load import load_tables
-    from hil.terminal.node_list import node_ids, serial_numbers
+    from servobench.drivers.bounded_file import NamedBy
+    from servobench.hil.configuration.background import load_background
+    from servobench.hil.configuration.motor_file import LING2012
+    from servobench.hil.execution.device_files import DeviceFiles
+    from servobench.hil.load.simulated_load import load_tables
+    from servobench.hil.terminal.node_list import node_ids, serial_numbers
 
     files = DeviceFiles(asked.eds, asked.store, asked.export_eds)
     typed = [*(asked.node or []), *(asked.more_nodes or [])]
@@ -110,8 +110,8 @@ def simulate(asked: SimulateOptions) -> None:
     named_by = NamedBy("--background", "", str(asked.background))
     others = load_background(asked.background, named_by) if asked.background else ()
 
-    from hil.execution.simulated_drives import simulate as simulate_drives
-    from hil.load.simulated_load import SimulatedLoadMachine
+    from servobench.hil.execution.simulated_drives import simulate as simulate_drives
+    from servobench.hil.load.simulated_load import SimulatedLoadMachine
 
     instrument = SimulatedLoadMachine.wanted(asked.load_machine, asked.load_machine_fault or [], parameters)
     simulate_drives(

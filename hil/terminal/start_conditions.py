@@ -5,9 +5,8 @@ import resource
 import sys
 from typing import Final
 
-from hil.terminal.hidden_rooms import hidden_room
-from hil.terminal.run_object import not_begun
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.terminal.run_object import not_begun
+from servobench.hil.verdict.verdict import ExitStatus
 
 ADDRESS_SPACE_KB_MIN: Final = 450_000
 """A run with simulated drives and without a recording maps 430 MB (x86-64, Python 3.11). At some limits
@@ -16,7 +15,7 @@ below that OpenBLAS neither loads nor fails: it asks for memory for ever."""
 
 def refuse_to_begin() -> None:
     """Leave with one line on stderr, and the object of ``hil run --json``, where one does not hold."""
-    trouble = _gone_folder() or _little_memory() or hidden_room()
+    trouble = _gone_folder() or _little_memory()
     if trouble is not None:
         print(f"hil: error: {trouble}", file=sys.stderr)
         not_begun(ExitStatus.BAD_INPUT, trouble)

@@ -4,9 +4,9 @@ from typing import Annotated
 
 import typer
 
-from hil.terminal.options import BitrateOption, DriveBusOption, JsonOption, valued
-from hil.terminal.output import put
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.terminal.options import BitrateOption, DriveBusOption, JsonOption, valued
+from servobench.hil.terminal.output import put
+from servobench.hil.verdict.verdict import ExitStatus
 
 
 def stop(
@@ -21,10 +21,10 @@ def stop(
 
     Exit status: 0 all at rest and disabled, 2 bad input, 3 a drive is not, or does not answer.
     """
-    from hil.execution.world import drive_network
-    from hil.inspecting.stopping import stop_drives
-    from hil.terminal.node_list import drive_ids
-    from hil.write_lists import STOP
+    from servobench.hil.execution.world import drive_network
+    from servobench.hil.inspecting.stopping import stop_drives
+    from servobench.hil.terminal.node_list import drive_ids
+    from servobench.hil.write_lists import STOP
 
     nodes = drive_ids(node) if node else []
     with drive_network(bus, bitrate, STOP) as network:

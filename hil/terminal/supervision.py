@@ -6,7 +6,7 @@ hil            forks before anything heavy is imported, hands signals on, passes
     logger ... the command's own processes
 
 A command that ends without a result (``os._exit(0)``, a crash, another program in its place) has its drives
-stopped, its recording finished and its object printed by :mod:`hil.terminal.taken_over`.
+stopped, its recording finished and its object printed by :mod:`servobench.hil.terminal.taken_over`.
 """
 
 import errno
@@ -20,13 +20,13 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Final, NoReturn
 
-from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
-from hil.machine.parent_process import Pipes, StreamEnd, Terminals, live_under, messages
-from hil.machine.refusals import as_refusal
-from hil.machine.stopping import heard_signals
-from hil.terminal.relay import Relay, write_all
-from hil.terminal.taken_over import Ended, concluded, lost, not_begun
-from hil.verdict.verdict import ExitStatus
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
+from servobench.hil.machine.parent_process import Pipes, StreamEnd, Terminals, live_under, messages
+from servobench.hil.machine.refusals import as_refusal
+from servobench.hil.machine.stopping import heard_signals
+from servobench.hil.terminal.relay import Relay, write_all
+from servobench.hil.terminal.taken_over import Ended, concluded, lost, not_begun
+from servobench.hil.verdict.verdict import ExitStatus
 
 SUPERVISED: Final = ("run", "campaign", "measure", "commission")
 """Commands that move drives in a loop, or execute the user's code."""

@@ -1,4 +1,5 @@
-"""What a parent (:mod:`hil.terminal.supervision`) does in a command's stead, and before it believes one."""
+"""What a parent (:mod:`servobench.hil.terminal.supervision`) does in a command's stead, and before it
+believes one."""
 
 import json
 import os
@@ -8,16 +9,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from hil.machine.refusals import MachineRefused
-from hil.machine.stopping import STOP_SIGNALS
-from hil.rows.run_files import SUMMARY_FILE
-from hil.verdict.summary import Summary, summary_without_run
-from hil.verdict.verdict import ExitStatus, Finding, VerdictKind, outcome_of_status
+from servobench.hil.machine.refusals import MachineRefused
+from servobench.hil.machine.stopping import STOP_SIGNALS
+from servobench.hil.rows.run_files import SUMMARY_FILE
+from servobench.hil.verdict.summary import Summary, summary_without_run
+from servobench.hil.verdict.verdict import ExitStatus, Finding, VerdictKind, outcome_of_status
 
 Say = Callable[[str], None]
 """Takes a line for stderr."""
 Known = Mapping[str, Any]
-"""What the command told: :func:`hil.machine.parent_process.tell_parent`."""
+"""What the command told: :func:`servobench.hil.machine.parent_process.tell_parent`."""
 _LOGGER_S: Final = 120.0
 """As long as a run waits for its logger."""
 
@@ -110,14 +111,15 @@ def _also(text: str, finding: Finding, arguments: Sequence[str]) -> str:
         return text
     if arguments[0] != "run":
         return _failed_object(finding.text, finding.outcome.exit_status, arguments)
-    from hil.verdict.plain_values import from_plain
+    from servobench.hil.verdict.plain_values import from_plain
 
     return _object(from_plain(Summary, json.loads(text)).also(finding))
 
 
 def _doubt(told: Mapping[str, Any]) -> str:
     """Why a run that says it has passed has not; empty: it has. Its process has looked at the seal
-    (:func:`hil.terminal.run_object.read_back`), here it is the summary alone: nothing heavy is imported."""
+    (:func:`servobench.hil.terminal.run_object.read_back`), here it is the summary alone: nothing heavy is
+    imported."""
     if not told["recording"]:
         return ""  # its figures and their digest never left its process
     path = Path(told["recording"]) / SUMMARY_FILE
@@ -163,11 +165,11 @@ def _stop_drives(known: Known, say: Say) -> Iterator[Finding]:
     """As ``hil stop`` does; what is not at rest afterwards."""
     if not known.get("nodes"):
         return
-    from drivers.errors import BenchError
-    from drivers.wire.adapters import parse_bus_spec
-    from hil.execution.world import drive_network
-    from hil.inspecting.stopping import stop_drives
-    from hil.write_lists import STOP
+    from servobench.drivers.errors import BenchError
+    from servobench.drivers.wire.adapters import parse_bus_spec
+    from servobench.hil.execution.world import drive_network
+    from servobench.hil.inspecting.stopping import stop_drives
+    from servobench.hil.write_lists import STOP
 
     if parse_bus_spec(known["bus"], "--bus").simulated:
         say("hil: note: its drives were simulated in that process, and ended with it")
@@ -188,8 +190,8 @@ def _recorded(known: Known) -> Summary | None:
     """By the logger, which outlives the loop."""
     if not known.get("recording"):
         return None
-    from drivers.errors import BadInput
-    from hil.recording.run_folder import read_summary
+    from servobench.drivers.errors import BadInput
+    from servobench.hil.recording.run_folder import read_summary
 
     _await_end(known["logger"])
     try:

@@ -10,17 +10,24 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.errors import BadInput
-from drivers.printable import printable
-from hil.terminal.options import JsonLinesOption, UnsealedOption, bitrate_option, bus_option, flag, valued
-from hil.terminal.output import note_seal, say, write_line
-from hil.terminal.supervision import is_read
+from servobench.drivers.errors import BadInput
+from servobench.drivers.printable import printable
+from servobench.hil.terminal.options import (
+    JsonLinesOption,
+    UnsealedOption,
+    bitrate_option,
+    bus_option,
+    flag,
+    valued,
+)
+from servobench.hil.terminal.output import note_seal, say, write_line
+from servobench.hil.terminal.supervision import is_read
 
 if TYPE_CHECKING:
-    from hil.reviewing.trace.known_nodes import SheetFile
-    from hil.reviewing.trace.log_frame import LogFrame
-    from hil.reviewing.trace.run_trace import RecordedBus
-    from hil.reviewing.trace.trace_entry import TraceEntry, TraceSelection
+    from servobench.hil.reviewing.trace.known_nodes import SheetFile
+    from servobench.hil.reviewing.trace.log_frame import LogFrame
+    from servobench.hil.reviewing.trace.run_trace import RecordedBus
+    from servobench.hil.reviewing.trace.trace_entry import TraceEntry, TraceSelection
 
 
 def trace(
@@ -54,7 +61,7 @@ def trace(
 
     Times are s since the first cycle of a recording, or since the first frame of a log.
     """
-    from hil.reviewing.trace.trace_entry import TraceSelection
+    from servobench.hil.reviewing.trace.trace_entry import TraceSelection
 
     selection = TraceSelection(node, _kinds(kind), from_s, to_s)
     sheets = [_sheet(text) for text in eds or ()]
@@ -72,10 +79,10 @@ def _read(
     source: Path, differences: bool, sheets: "list[SheetFile]", selection: "TraceSelection",
     unsealed: bool, as_json: bool,
 ) -> None:  # fmt: skip
-    from hil.reviewing.trace.bus_log import KINDS, BusLog
-    from hil.reviewing.trace.decoder import decode
-    from hil.reviewing.trace.known_nodes import KnownNodes
-    from hil.reviewing.trace.log_window import EVER_NS
+    from servobench.hil.reviewing.trace.bus_log import KINDS, BusLog
+    from servobench.hil.reviewing.trace.decoder import decode
+    from servobench.hil.reviewing.trace.known_nodes import KnownNodes
+    from servobench.hil.reviewing.trace.log_window import EVER_NS
 
     end_ns = EVER_NS
     if source.is_dir():
@@ -100,10 +107,10 @@ def _recorded(
     folder: Path, selection: "TraceSelection", unsealed: bool
 ) -> "tuple[RecordedBus, Iterator[LogFrame], int]":
     """The bus of a recording, the frames that are asked for, and when the last of them comes."""
-    from hil.reviewing.trace.log_window import EVER_NS
-    from hil.reviewing.trace.run_trace import RecordedBus
-    from hil.rows.run_files import RECORDS_FILE
-    from hil.rows.seal import SealedFiles, is_recording
+    from servobench.hil.reviewing.trace.log_window import EVER_NS
+    from servobench.hil.reviewing.trace.run_trace import RecordedBus
+    from servobench.hil.rows.run_files import RECORDS_FILE
+    from servobench.hil.rows.seal import SealedFiles, is_recording
 
     sealed = None if unsealed or not is_recording(folder) else SealedFiles(folder)
     if sealed is not None:
@@ -121,11 +128,11 @@ def _recorded(
 def _follow(
     bus: str, bitrate: int | None, sheets: "list[SheetFile]", selection: "TraceSelection", as_json: bool
 ) -> None:
-    from drivers.wire.adapters import parse_bus_spec
-    from hil.inspecting.live_trace import live_frames
-    from hil.machine.stopping import stop_signals
-    from hil.reviewing.trace.decoder import decode
-    from hil.reviewing.trace.known_nodes import KnownNodes
+    from servobench.drivers.wire.adapters import parse_bus_spec
+    from servobench.hil.inspecting.live_trace import live_frames
+    from servobench.hil.machine.stopping import stop_signals
+    from servobench.hil.reviewing.trace.decoder import decode
+    from servobench.hil.reviewing.trace.known_nodes import KnownNodes
 
     spec, known = parse_bus_spec(bus, "--bus"), KnownNodes(sheets)
     with stop_signals() as stop, closing(live_frames(spec, bitrate, stop, say)) as frames:
@@ -151,7 +158,7 @@ def _line(entry: "TraceEntry", zero_ns: int) -> str:
 
 
 def _kinds(text: str | None) -> frozenset[str]:
-    from hil.reviewing.trace.trace_entry import KINDS
+    from servobench.hil.reviewing.trace.trace_entry import KINDS
 
     kinds = frozenset(part.strip().lower() for part in (text or "").split(",") if part.strip())
     if unknown := sorted(kinds - set(KINDS)):
@@ -161,8 +168,8 @@ def _kinds(text: str | None) -> frozenset[str]:
 
 def _sheet(text: str) -> "SheetFile":
     """``FILE``, or ``5=FILE`` for node 5."""
-    from drivers.canopen.nmt_states import NODE_ID_MAX
-    from hil.reviewing.trace.known_nodes import SheetFile
+    from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
+    from servobench.hil.reviewing.trace.known_nodes import SheetFile
 
     number, equals, path = text.partition("=")
     if not equals or not number.isdecimal():

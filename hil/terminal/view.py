@@ -4,8 +4,8 @@ from functools import partial
 
 import typer
 
-from hil.terminal.options import RunArgument, UnsealedOption
-from hil.terminal.output import note_seal, say
+from servobench.hil.terminal.options import RunArgument, UnsealedOption
+from servobench.hil.terminal.output import note_seal, say
 
 
 def view(run: RunArgument, unsealed: UnsealedOption = False) -> None:
@@ -14,12 +14,12 @@ def view(run: RunArgument, unsealed: UnsealedOption = False) -> None:
 
     Exit status: 0 opened, or told; 2 bad input.
     """
-    from hil.recorded.viewer import page_file
-    from hil.recording.log_files import start_viewer
+    from servobench.hil.recorded.viewer import page_file
+    from servobench.hil.recording.log_files import start_viewer
 
     recording = page_file(run, unsealed=unsealed, tell_seal=partial(note_seal, run))
     if missing_display():
-        from hil.terminal.report import viewer_command
+        from servobench.hil.terminal.report import viewer_command
 
         say(f"hil: no display here; on a machine with one: {viewer_command()} {recording}")
         say(f"hil: as a picture: hil picture {run} page.png")
@@ -30,6 +30,6 @@ def view(run: RunArgument, unsealed: UnsealedOption = False) -> None:
 
 def missing_display() -> bool:
     """No window can be opened here."""
-    from hil.machine.doctor import Machine, display
+    from servobench.hil.machine.doctor import Machine, display
 
     return bool(display(Machine()).remedy)

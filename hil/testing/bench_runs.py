@@ -5,20 +5,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from drivers.bounded_file import NamedBy
-from drivers.errors import BenchError
-from drivers.wire.adapters import parse_bus_spec
-from hil.configuration.bench_file import load_faults
-from hil.configuration.bench_tables import Bench, PathLike
-from hil.configuration.config import BenchConfig
-from hil.configuration.motor_file import MotorFile
-from hil.configuration.references import SignalFile
-from hil.execution.bench import run_bench
-from hil.loop.axis_roles import Controller
-from hil.machine.stopping import Interrupted
-from hil.testing.hosted import DriveHost, DriveWish
-from hil.testing.run import Run
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.errors import BenchError
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.configuration.bench_file import load_faults
+from servobench.hil.configuration.bench_tables import Bench, PathLike
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.motor_file import MotorFile
+from servobench.hil.configuration.references import SignalFile
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.machine.stopping import Interrupted
+from servobench.hil.testing.hosted import DriveHost, DriveWish
+from servobench.hil.testing.run import Run
+from servobench.hil.verdict.verdict import VerdictKind
 
 
 class BenchRunner:

@@ -6,9 +6,9 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.campaign import Campaign, run_campaign
-from hil.configuration.bench_tables import PathLike
-from hil.configuration.toml_text import toml_text
+from servobench.hil.campaign.campaign import Campaign, run_campaign
+from servobench.hil.configuration.bench_tables import PathLike
+from servobench.hil.configuration.toml_text import toml_text
 
 
 class CampaignRunner:

@@ -6,26 +6,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.canopen.error_codes import error_text
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects301 import MANUFACTURER
-from drivers.canopen.sdo import object_name
-from drivers.canopen.write_list import ListedWrite, WriteList
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.profile import State
-from drivers.cia402.servo import ServoDrive
-from drivers.exchange import Command, Reading
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
-from drivers.wire.adapters import parse_bus_spec
-from hil.configuration.bench_tables import PathLike
-from hil.execution.device_files import DeviceFiles
-from hil.execution.world import World, WorldPlan, open_world
-from hil.testing.hosted import DriveHost, DriveProcess, DriveWish
-from hil.testing.wire import Wire, intended_frames
-from hil.verdict.claim import claim
-from hil.write_lists import RIG
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.drivers.canopen.error_codes import error_text
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects301 import MANUFACTURER
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.canopen.write_list import ListedWrite, WriteList
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.exchange import Command, Reading
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.configuration.bench_tables import PathLike
+from servobench.hil.execution.device_files import DeviceFiles
+from servobench.hil.execution.world import World, WorldPlan, open_world
+from servobench.hil.testing.hosted import DriveHost, DriveProcess, DriveWish
+from servobench.hil.testing.wire import Wire, intended_frames
+from servobench.hil.verdict.claim import claim
+from servobench.hil.write_lists import RIG
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 
 __tracebackhide__ = True
 """Of this file, for pytest: a claim that does not hold is shown where the test makes it."""
@@ -178,7 +178,7 @@ class DriveRig:
         """Only what master and drive have to say to each other was on the wire since :meth:`Wire.clear`.
 
         NMT, SYNC, heartbeats, SDO, and the PDOs of the plan in their lengths. ``allow``: patterns of
-        :mod:`hil.testing.wire` of what else may be there, e.g. ``"081#*"`` for the EMCY of node 1.
+        :mod:`servobench.hil.testing.wire` of what else may be there, e.g. ``"081#*"`` for the EMCY of node 1.
         """
         self.wire.assert_only(intended_frames(self.network.node_id, self.node, self._plan_written()), allow)
 

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cia402.profile import State, state_of
-from drivers.rotation import RPM_PER_RAD_S
-from drivers.timebase import NS_PER_S, NS_PER_US
-from hil.reviewing.network_meter import LossRuns
-from hil.rows.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
+from servobench.drivers.cia402.profile import State, state_of
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US
+from servobench.hil.reviewing.network_meter import LossRuns
+from servobench.hil.rows.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

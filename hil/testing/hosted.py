@@ -10,15 +10,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from drivers.bounded_file import NamedBy
-from drivers.errors import PeerFault
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock, duration_s
-from hil.configuration.bench_file import faults_from, load_faults
-from hil.configuration.bench_tables import PathLike
-from hil.configuration.motor_file import LING2012, MotorFile, load_motor
-from hil.configuration.toml_text import toml_text
-from virtual_bus.child_python import python_command, python_environment
-from virtual_bus.hosting.injection import Faults
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock, duration_s
+from servobench.hil.configuration.bench_file import faults_from, load_faults
+from servobench.hil.configuration.bench_tables import PathLike
+from servobench.hil.configuration.motor_file import LING2012, MotorFile, load_motor
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.virtual_bus.child_python import python_command, python_environment
+from servobench.virtual_bus.hosting.injection import Faults
 
 START_LIMIT_S = 60.0
 END_LIMIT_S = 20.0
@@ -159,7 +159,7 @@ class DriveHost:
         for node, path in loads.items():
             options += ["--load", f"{node}={path}"]
         log = self._scratch / f"drive-{number}.log"
-        process = DriveProcess(python_command("hil.cli", "simulate", *options), log)
+        process = DriveProcess(python_command("servobench.hil.cli", "simulate", *options), log)
         self._processes.append(process)
         self.nodes.update(nodes)
         return process

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hil.configuration.bench_tables import Bench
-    from hil.loop.axis_roles import Controller
-    from hil.machine.progress import Progress
-    from hil.machine.stopping import StopRequest
-    from hil.testing.run import Run
+    from servobench.hil.configuration.bench_tables import Bench
+    from servobench.hil.loop.axis_roles import Controller
+    from servobench.hil.machine.progress import Progress
+    from servobench.hil.machine.stopping import StopRequest
+    from servobench.hil.testing.run import Run
 
 
 def run(
@@ -42,16 +42,16 @@ def run(
     From any thread; two at once in simulated time alone. Raises BadInput or BadInputs before anything moves,
     PeerFault or RecordingFailed with the drives at rest again and all kept that was recorded.
     """
-    from drivers.errors import BadInput
-    from drivers.wire.adapters import parse_bus_spec
-    from hil.configuration.bench_tables import Bench
-    from hil.execution.bench import run_bench
-    from hil.machine.progress import no_progress
-    from hil.recording.memory_recorder import MemoryRecorder
-    from hil.recording.recorder import recorder_of
-    from hil.rows.recording_plan import RecordingPlan
-    from hil.testing.run import Run
-    from hil.testing.signals import with_signals
+    from servobench.drivers.errors import BadInput
+    from servobench.drivers.wire.adapters import parse_bus_spec
+    from servobench.hil.configuration.bench_tables import Bench
+    from servobench.hil.execution.bench import run_bench
+    from servobench.hil.machine.progress import no_progress
+    from servobench.hil.recording.memory_recorder import MemoryRecorder
+    from servobench.hil.recording.recorder import recorder_of
+    from servobench.hil.rows.recording_plan import RecordingPlan
+    from servobench.hil.testing.run import Run
+    from servobench.hil.testing.signals import with_signals
 
     config = with_signals(Bench.of(bench).changed(changes or {}), signals or {}).config
     if not record and not parse_bus_spec(bus or config.bus.spec, "bus").simulated:

@@ -14,23 +14,23 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from drivers.cia402.profile import State
-from drivers.errors import BenchError
-from drivers.timebase import NS_PER_S
-from hil.configuration.config import BenchConfig
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.recording.run_folder import read_summary
-from hil.rows.event_lines import event_json, read_events
-from hil.rows.records import Rows
-from hil.rows.records_file import read_table, rows_of_table
-from hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
-from hil.rows.seal import SEALED, check_seal
-from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
-from hil.testing.history import AxisHistory, Stretch
-from hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wire
-from hil.verdict.claim import claim
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import RunVerdict, VerdictKind
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import BenchError
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.rows.event_lines import event_json, read_events
+from servobench.hil.rows.records import Rows
+from servobench.hil.rows.records_file import read_table, rows_of_table
+from servobench.hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
+from servobench.hil.rows.seal import SEALED, check_seal
+from servobench.hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
+from servobench.hil.testing.history import AxisHistory, Stretch
+from servobench.hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wire
+from servobench.hil.verdict.claim import claim
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import RunVerdict, VerdictKind
 
 __tracebackhide__ = True
 """Of this file, for pytest: a claim that does not hold is shown where the test makes it."""
@@ -297,7 +297,7 @@ class Run:
         """Only frames that the bench and its drives have to say to each other were on the wire.
 
         NMT, SYNC, heartbeats, SDO, and the PDOs of the bench in their lengths: an EMCY, a PDO that nobody
-        asked for or another node's frame fails. ``allow``: patterns of :mod:`hil.testing.wire`.
+        asked for or another node's frame fails. ``allow``: patterns of :mod:`servobench.hil.testing.wire`.
         """
         rules: list[Intended] = []
         if self.config.loop.sync != "own":

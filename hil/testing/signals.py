@@ -11,10 +11,10 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_S
-from hil.configuration.bench_tables import Bench
-from hil.configuration.signal_file import COLUMNS, TIME
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.configuration.signal_file import COLUMNS, TIME
 
 _numbers: Final = count(1)
 

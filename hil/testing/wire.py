@@ -12,24 +12,24 @@ from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
 
-from drivers.canopen.cob_ids import ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST
-from drivers.canopen.pdo import PdoDirection, PdoPlan
-from drivers.cia402.objects402 import Object
-from drivers.cia402.observed import with_observed
-from drivers.cia402.pdo_planner import plan_pdos
-from drivers.cia402.pdo_plans import PlanWish
-from drivers.cia402.profile import BENCH_MODES
-from drivers.sheets.capability import capability_of
-from drivers.sheets.dictionary import LoadedDictionary
-from drivers.sheets.fitness import told_by_sheet
-from drivers.timebase import NS_PER_S, Instant
-from hil.configuration.config import BenchConfig
-from hil.configuration.config_checks import standard_plan
-from hil.execution.drives import data_sheets
-from hil.reviewing.trace.run_trace import RecordedBus
-from hil.rows.frame_names import frame_name
-from hil.rows.run_files import FRAMES_FILE
-from hil.verdict.claim import claim
+from servobench.drivers.canopen.cob_ids import ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST
+from servobench.drivers.canopen.pdo import PdoDirection, PdoPlan
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.observed import with_observed
+from servobench.drivers.cia402.pdo_planner import plan_pdos
+from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.cia402.profile import BENCH_MODES
+from servobench.drivers.sheets.capability import capability_of
+from servobench.drivers.sheets.dictionary import LoadedDictionary
+from servobench.drivers.sheets.fitness import told_by_sheet
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.config_checks import standard_plan
+from servobench.hil.execution.drives import data_sheets
+from servobench.hil.reviewing.trace.run_trace import RecordedBus
+from servobench.hil.rows.frame_names import frame_name
+from servobench.hil.rows.run_files import FRAMES_FILE
+from servobench.hil.verdict.claim import claim
 
 __tracebackhide__ = True
 """Of this file, for pytest: a claim that does not hold is shown where the test makes it."""

@@ -1,13 +1,14 @@
 """The whole of a run: its figures, its verdict, and what it rests on.
 
-The figures rest on the cycle records alone (see :mod:`hil.reviewing.review`), never on the telemetry.
+The figures rest on the cycle records alone (see :mod:`servobench.hil.reviewing.review`), never on the
+telemetry.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
-from hil.verdict.verdict import (
+from servobench.hil.verdict.verdict import (
     CycleCount,
     Demand,
     DriveEnd,
@@ -53,7 +54,7 @@ class DropoutCounts:
 class SpeedError:
     """Reference minus measured speed, worst axis; None: no cycle counts.
 
-    Which cycles count: :mod:`hil.reviewing.speed_error`.
+    Which cycles count: :mod:`servobench.hil.reviewing.speed_error`.
     """
 
     peak_rad_s: float | None
@@ -64,7 +65,8 @@ class SpeedError:
 
 @dataclass(frozen=True, slots=True)
 class StepResponse:
-    """Worst step and axis (:mod:`hil.reviewing.step_response`); None: no step, or one that did not settle."""
+    """Worst step and axis (:mod:`servobench.hil.reviewing.step_response`); None: no step, or one that did not
+    settle."""
 
     settling_time_ms: float | None = None
     overshoot_percent: float | None = None
@@ -74,7 +76,7 @@ class StepResponse:
 
 @dataclass(frozen=True, slots=True)
 class PositionError:
-    """Of the worst axis; None: not measured. What each is: :mod:`hil.reviewing.position_error`."""
+    """Of the worst axis; None: not measured. What each is: :mod:`servobench.hil.reviewing.position_error`."""
 
     peak_rad: float | None
     rms_rad: float | None
@@ -108,13 +110,15 @@ class Figures:
     compute_us: Percentiles
     """What compensator and controller took in a cycle, by the host's clock, over all axes."""
     digest: str
-    """BLAKE2b, 128 bit, hex, over the packed rows in order of recording (:mod:`hil.rows.records`)."""
+    """BLAKE2b, 128 bit, hex, over the packed rows in order of recording
+    (:mod:`servobench.hil.rows.records`)."""
     torque_rms_nm: float | None = None
-    """About its mean at steady reference and load, worst axis and block (:mod:`hil.reviewing.torque_swing`);
-    None: there was no such block."""
+    """About its mean at steady reference and load, worst axis and block
+    (:mod:`servobench.hil.reviewing.torque_swing`); None: there was no such block."""
     position_error: PositionError = NO_POSITIONS
     certificates: Mapping[str, Any] = field(default_factory=dict)
-    """By axis with a certified controller: certified and seen (:mod:`hil.reviewing.certificate_meter`)."""
+    """By axis with a certified controller: certified and seen
+    (:mod:`servobench.hil.reviewing.certificate_meter`)."""
     step_response: StepResponse = StepResponse()
     reading_losses_in_a_row: int = 0
     """Cycles in a row without a usable reading, worst axis."""
@@ -212,9 +216,10 @@ class Summary:
     network_notes: tuple[str, ...] = ()
     """In what the network was worse than a controller was made for."""
     load_machine: Mapping[str, Any] | None = None
-    """Identity, tally, torque asked for and measured at each load step (:mod:`hil.load.load_machines`)."""
+    """Identity, tally, torque asked for and measured at each load step
+    (:mod:`servobench.hil.load.load_machines`)."""
     timing: Mapping[str, Any] | None = None
-    """What the timing rests on (:mod:`hil.execution.timing_report`)."""
+    """What the timing rests on (:mod:`servobench.hil.execution.timing_report`)."""
 
     def also(self, finding: Finding) -> "Summary":
         """With something that was found after the end."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from hil.verdict.summary import Figures, Summary
+from servobench.hil.verdict.summary import Figures, Summary
 
 _SYNC_TEXTS = {
     "none": "no echo: the instant is that of its hand-over",
@@ -12,7 +12,7 @@ _SYNC_TEXTS = {
     "hardware": "by its echo, stamped by the adapter",
     "bus": "by its echo, stamped by the bus",
 }
-"""By :class:`drivers.wire.frame_port.EchoBasis`."""
+"""By :class:`servobench.drivers.wire.frame_port.EchoBasis`."""
 _SYNC_COUNTS = {"surplus": "of others", "crowded": "closer than half a period"}
 _AXIS_COUNTS = {
     "uncertain": "uncertain",
@@ -89,7 +89,7 @@ def _counts(told: Mapping[str, Any], words: Mapping[str, str]) -> list[str]:
 def certificate_lines(certificates: Mapping[str, Any] | None) -> dict[str, str]:
     """By title a line for each axis; empty for a run without certified controllers.
 
-    ``certificates``: figures of :class:`hil.reviewing.certificate_meter.CertificateMeter` by axis.
+    ``certificates``: figures of :class:`servobench.hil.reviewing.certificate_meter.CertificateMeter` by axis.
     """
     by_axis = certificates or {}
     return {

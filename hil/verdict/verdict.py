@@ -1,7 +1,8 @@
 """What a run came to: the one definition of a valid run, and the exit status that tells it.
 
 docs/verdict.md says the same to a reader. The figures that limits speak of come from the cycle records
-(:mod:`hil.reviewing.review`); what those cannot tell is handed over when the run ends (:class:`RunOutcome`).
+(:mod:`servobench.hil.reviewing.review`); what those cannot tell is handed over when the run ends
+(:class:`RunOutcome`).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -161,7 +162,7 @@ class RunOutcome:
     load_machine: Mapping[str, Any] | None = None
     """What the instrument that made the load came to, if there was one."""
     timing: Mapping[str, Any] | None = None
-    """What the timing rests on (:mod:`hil.execution.timing_report`)."""
+    """What the timing rests on (:mod:`servobench.hil.execution.timing_report`)."""
     distrust: tuple[str, ...] = ()
     """Why what the run says of its timing is not to be trusted."""
 

@@ -20,16 +20,16 @@ from unittest.mock import patch
 
 from distributed import Client, LocalCluster
 
-from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.campaign.on_dask import Order, dask_client, order_of, rows_on_dask, run_chunk
-from hil.campaign.plan import CampaignPlan
-from hil.campaign.pool import WorkerPool
-from hil.campaign.store import open_campaign
-from hil.campaign.sweep_file import sweep_from
-from hil.campaign.worker import Workshop
-from hil.configuration.toml_text import toml_text
-from hil.execution.bench import _Run
-from hil.machine.stopping import StopRequest
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.hil.campaign.on_dask import Order, dask_client, order_of, rows_on_dask, run_chunk
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.pool import WorkerPool
+from servobench.hil.campaign.store import open_campaign
+from servobench.hil.campaign.sweep_file import sweep_from
+from servobench.hil.campaign.worker import Workshop
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.execution.bench import _Run
+from servobench.hil.machine.stopping import StopRequest
 
 ROOT = Path(__file__).parents[2]
 WARM, MEASURED = 3, 10

@@ -17,9 +17,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from design.errors import DesignError
-from drivers.errors import BenchError
-from hil.configuration.motor_file import LING2012, load_motor
+from servobench.design.errors import DesignError
+from servobench.drivers.errors import BenchError
+from servobench.hil.configuration.motor_file import LING2012, load_motor
 from tests.floor_runs import PERIOD_S, Case, hinf, measure, observing, pid, predictor, static, table_of
 from tests.random_motors import designed
 

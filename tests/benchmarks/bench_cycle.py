@@ -17,24 +17,24 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.compiled import PURE, look
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
-from hil.configuration.motor_file import LING2012
-from hil.recording.ring import RingReader, RingWriter
-from hil.recording.row_writer import RowWriter
-from hil.rows.records import ROW, ROW_DTYPE
-from hil.rows.side_rows import FRAME, FRAME_DTYPE
+from servobench.drivers.compiled import PURE, look
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.recording.ring import RingReader, RingWriter
+from servobench.hil.recording.row_writer import RowWriter
+from servobench.hil.rows.records import ROW, ROW_DTYPE
+from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
+from servobench.virtual_bus.bus.host_port import HostPort
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.bus.port import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.faults.fault_injector import FaultInjector
+from servobench.virtual_bus.faults.fault_plan import load_fault_plan
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import Timeline
 from tests.unit.hil.row_tools import record_of
-from virtual_bus.bus.host_port import HostPort
-from virtual_bus.bus.judge import Direction
-from virtual_bus.bus.port import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import load_fault_plan
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import Timeline
 
 ROOT = Path(__file__).parents[2]
 BENCHES = {"1 axis": "ling2012.toml", "3 axes": "three_axes.toml"}
@@ -42,7 +42,7 @@ DURATION_S = 10.0
 CYCLES = 5_000
 REPEATS = 3
 SYNC, RPDO = Frame(0x080), Frame(0x201, b"\x06\x00\x00\x00")
-RUN = "from hil.cli import main; main()"
+RUN = "from servobench.hil.cli import main; main()"
 
 
 def main() -> None:

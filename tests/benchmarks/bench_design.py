@@ -9,19 +9,19 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from design.delay.certificate import certified_gain
-from design.delay.delay_norm import hinf_norm
-from design.delay.speed_loop import Units
-from design.papers.as_printed import theorem_3_3
-from design.papers.ling2012 import DELAY_S, MODEL, MOTOR, PERIOD_S, TABLE_2, TAU_S, K, table2_row
-from design.sampled.analysis import regular_patterns
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.sampled.loss_patterns import worst_gain
-from design.sampled.peak_certificate import certify_peak
-from design.sampled.sequence_certificate import certify_decay, certify_gain
-from design.sampled.worst_peak import worst_peak
-from design.speed.monte_carlo import Chance, run_many
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.design.delay.certificate import certified_gain
+from servobench.design.delay.delay_norm import hinf_norm
+from servobench.design.delay.speed_loop import Units
+from servobench.design.papers.as_printed import theorem_3_3
+from servobench.design.papers.ling2012 import DELAY_S, MODEL, MOTOR, PERIOD_S, TABLE_2, TAU_S, K, table2_row
+from servobench.design.sampled.analysis import regular_patterns
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from servobench.design.sampled.loss_patterns import worst_gain
+from servobench.design.sampled.peak_certificate import certify_peak
+from servobench.design.sampled.sequence_certificate import certify_decay, certify_gain
+from servobench.design.sampled.worst_peak import worst_peak
+from servobench.design.speed.monte_carlo import Chance, run_many
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.unit.design.random_loops import order_is_found, random_bounds
 from tests.unit.design.random_peaks import peaks_of
 

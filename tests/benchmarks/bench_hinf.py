@@ -5,10 +5,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from design.current.current_design import rule_weights
-from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
-from design.hinf.synthesis import gamma_min, synthesise
-from design.papers.azaiz2007 import MOTOR
+from servobench.design.current.current_design import rule_weights
+from servobench.design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
+from servobench.design.hinf.synthesis import gamma_min, synthesise
+from servobench.design.papers.azaiz2007 import MOTOR
 
 RUNS = 100
 PLANT = mixed_sensitivity(axis_plant(0.6, 2.8e-3), rule_weights(MOTOR, "q"))

@@ -29,11 +29,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.cob_ids import SYNC
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant, MonotonicClock
+from servobench.drivers.canopen.cob_ids import SYNC
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant, MonotonicClock
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.bus.hub_place import HubPlace
 from tests.scenario.processes import changed_bench, hub_name, simulated_drive, start_run
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.bus.hub_place import HubPlace
 
 PERIOD_NS: Final = NS_PER_MS
 BENCH: Final = {"period_us": 1000, "decide_after_us": 700, "deadline_us": 900}

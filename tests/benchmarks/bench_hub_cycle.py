@@ -23,18 +23,18 @@ import can
 import canopen
 import numpy as np
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.servo import ServoDrive
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, MonotonicClock
-from drivers.wire.adapters import open_bus, parse_bus_spec
-from drivers.wire.link import BusLink
-from hil.write_lists import RIG
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, MonotonicClock
+from servobench.drivers.wire.adapters import open_bus, parse_bus_spec
+from servobench.drivers.wire.link import BusLink
+from servobench.hil.write_lists import RIG
+from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.benchmarks.frozen_hub import FrozenHubBus
 from tests.motors import LING
-from virtual_bus.device.eds_export import export_eds
-from virtual_bus.drive.servo import SimulatedServo
 
 ROOT = Path(__file__).parents[2]
 PERIOD_NS = NS_PER_MS

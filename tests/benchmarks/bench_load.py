@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from drivers.timebase import NS_PER_S, MonotonicClock
-from hil import Bench, run
+from servobench import Bench, run
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 
 ROOT = Path(__file__).parents[2]
 DURATION_S = 10.0

@@ -14,15 +14,15 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
-from hil.recorded.recorded_run import RecordedRun, open_run
-from hil.recorded.viewer import draw_page
-from hil.recording.telemetry import Telemetry
-from hil.reviewing.review import Review
-from hil.rows.records import COLUMNS, NOTHING, Rows
-from hil.rows.run_files import RERUN_FILE
-from hil.rows.side_rows import BeginEvent, StateEvent
-from hil.verdict.summary import summarise
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from servobench.hil.recorded.recorded_run import RecordedRun, open_run
+from servobench.hil.recorded.viewer import draw_page
+from servobench.hil.recording.telemetry import Telemetry
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.records import COLUMNS, NOTHING, Rows
+from servobench.hil.rows.run_files import RERUN_FILE
+from servobench.hil.rows.side_rows import BeginEvent, StateEvent
+from servobench.hil.verdict.summary import summarise
 from tests.pictures.made import run
 from tests.pictures.pixels import Picture, complaints
 from tests.unit.hil.recording_tools import RESTING, plan_for, whole_outcome

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from design.motor import PmsmParameters
-from hil.configuration.motor_file import load_motor
+from servobench.design.motor import PmsmParameters
+from servobench.hil.configuration.motor_file import load_motor
 from tests.plant import Plant
 
 ROOT = Path(__file__).parents[2]

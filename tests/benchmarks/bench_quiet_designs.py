@@ -8,7 +8,7 @@ import argparse
 
 import numpy as np
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.random_motors import FINE_ENCODER, designed, torque_rms_nm
 
 MOTORS = 100

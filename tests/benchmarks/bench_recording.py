@@ -8,12 +8,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.exchange import Command, Reading
-from drivers.timebase import NS_PER_US, Duration, Instant, MonotonicClock
-from hil.loop.samples import CommandFate, CycleRecord, Sample, Sending, StateEstimate
-from hil.recording.ring import RingReader, RingWriter
-from hil.rows.records import ROW, ROW_DTYPE, row_of
-from hil.rows.side_rows import FRAME, FRAME_DTYPE, frame_row
+from servobench.drivers.exchange import Command, Reading
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant, MonotonicClock
+from servobench.hil.loop.samples import CommandFate, CycleRecord, Sample, Sending, StateEstimate
+from servobench.hil.recording.ring import RingReader, RingWriter
+from servobench.hil.rows.records import ROW, ROW_DTYPE, row_of
+from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE, frame_row
 
 _BATCH, _BATCHES = 1_000, 200
 _CAPACITY = 1 << 10

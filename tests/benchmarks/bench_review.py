@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.timebase import NS_PER_US, Instant
-from hil.recording.sealer import Sealer
-from hil.rows.records import COLUMNS, NOTHING, ROW_DTYPE, Rows
-from hil.rows.records_file import RecordsWriter
-from hil.rows.run_files import RECORDS_FILE
+from servobench.drivers.timebase import NS_PER_US, Instant
+from servobench.hil.recording.sealer import Sealer
+from servobench.hil.rows.records import COLUMNS, NOTHING, ROW_DTYPE, Rows
+from servobench.hil.rows.records_file import RecordsWriter
+from servobench.hil.rows.run_files import RECORDS_FILE
 
 _SECONDS, _AXES = 600, 3
 _FRAMES = 300_000
@@ -81,7 +81,7 @@ def _write_log(path: Path) -> None:
 
 def _cost(*arguments: str) -> tuple[float, float]:
     """Processor time, s, and largest resident set, MB; NaN where the command cannot (mf4 without asammdf)."""
-    command = [sys.executable, "-m", "hil.cli", *arguments]
+    command = [sys.executable, "-m", "servobench.hil.cli", *arguments]
     started = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     _, status, usage = os.wait4(started.pid, 0)
     started.returncode = os.waitstatus_to_exitcode(status)

@@ -13,7 +13,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock
 from tests.truth.plans import PLANS
 from tests.truth.rows import LATE, LOST, MISSED, STALE
 from tests.truth.runner import Outcome, run_plan

@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from drivers.timebase import NS_PER_S, NS_PER_US, Instant, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Instant, MonotonicClock
+from servobench.virtual_bus.child_python import python_command, python_environment
 from tests.scenario.processes import EXAMPLES, hub_name, logger_of, loop_of, simulated_drive, start_run
-from virtual_bus.child_python import python_command, python_environment
 
 CASES = ("none", "gone", "follows", "slow", "stopped")
 SECONDS = 8.0

@@ -12,14 +12,14 @@ from typing import NoReturn
 import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
-from drivers.timebase import NS_PER_S, Instant, MonotonicClock, instant_after
-from drivers.wire.frame_port import accepts
-from drivers.wire.message import frame_of, message_of
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.error_message import bus_state
-from virtual_bus.bus.hub import join
-from virtual_bus.bus.hub_place import HubPlace, known_hubs
-from virtual_bus.bus.hub_protocol import (
+from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock, instant_after
+from servobench.drivers.wire.frame_port import accepts
+from servobench.drivers.wire.message import frame_of, message_of
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.error_message import bus_state
+from servobench.virtual_bus.bus.hub import join
+from servobench.virtual_bus.bus.hub_place import HubPlace, known_hubs
+from servobench.virtual_bus.bus.hub_protocol import (
     FRAME_BYTES,
     Hello,
     HubStatus,
@@ -30,7 +30,7 @@ from virtual_bus.bus.hub_protocol import (
     encode_frame,
     encode_request,
 )
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.frame import Frame
 
 _WAIT_MAX_S = 3_600.0
 _NEVER = Instant(1 << 62)

@@ -23,7 +23,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from hil import run
+from servobench import run
 
 ROOT: Final = Path(__file__).parents[2]
 BASELINE: Final = Path(__file__).with_suffix(".json")

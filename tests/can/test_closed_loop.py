@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.verdict.verdict import ExitStatus
 from tests.scenario.processes import quiet_environment, simulated_drive
 from tests.warm.start import hil, python
 
@@ -29,7 +29,7 @@ IpLink = Callable[..., None]
 def loggers() -> None:
     """Have what a logger imports be there: one without descriptors ends at once."""
     ended = subprocess.run(
-        [python(), "-m", "hil.recording.logger"],
+        [python(), "-m", "servobench.hil.recording.logger"],
         stdin=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         timeout=COMMAND_LIMIT_S,

@@ -8,12 +8,12 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.errors import BusDown
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
-from drivers.wire.attached import can_links, link_advice
-from drivers.wire.frame_port import EchoBasis
-from drivers.wire.link import BusLink
-from drivers.wire.socketcan import StampedSocketcanBus
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from servobench.drivers.wire.attached import can_links, link_advice
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.drivers.wire.link import BusLink
+from servobench.drivers.wire.socketcan import StampedSocketcanBus
 from tests.can.conftest import CHANNELS
 from tests.scenario.processes import HIL, simulated_drive
 from tests.vcan.conftest import is_up

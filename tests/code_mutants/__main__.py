@@ -9,7 +9,7 @@ from dataclasses import asdict
 from functools import partial
 from itertools import islice
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.code_mutants.argued import read_arguments
 from tests.code_mutants.imports import ROOMS
 from tests.code_mutants.mutations import Mutant

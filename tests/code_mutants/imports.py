@@ -38,8 +38,10 @@ def digest(file: str) -> str:
 @cache
 def _modules() -> dict[str, str]:
     paths = (path for top in (*ROOMS, "tests") for path in (ROOT / top).rglob("*.py"))
-    files = (path.relative_to(ROOT) for path in paths)
-    return {".".join(file.with_suffix("").parts).removesuffix(".__init__"): file.as_posix() for file in files}
+    files = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in paths}
+    named = {name if name.startswith("tests") else f"servobench.{name}": path for name, path in files.items()}
+    named["servobench"] = ROOT / "servobench" / "__init__.py"
+    return {name.removesuffix(".__init__"): path.relative_to(ROOT).as_posix() for name, path in named.items()}
 
 
 @cache
@@ -53,5 +55,6 @@ def _links(file: str) -> set[str]:
             inner = {f"{node.module}.{each.name}" for each in node.names}
             names |= {name if name in modules else str(node.module) for name in inner}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            names |= {node.value} if "." in node.value else {"hil.cli"} if node.value == "scripts" else set()
+            command = {"servobench.hil.cli"} if node.value == "scripts" else set()
+            names |= {node.value} if "." in node.value else command
     return {modules[name] for name in names & modules.keys()}

@@ -16,7 +16,7 @@ from random import Random
 from threading import Lock
 from typing import Any, Final
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.code_mutants.imports import ROOMS, digest, reached
 from tests.code_mutants.mutations import Mutant, mutants_of
 from tests.code_mutants.workshop import ROOT, SHORTEST_S, Fate, Workshop

@@ -160,7 +160,7 @@ def test_all_other_tests_that_reach_a_mutant_judge_it_the_nearest_first() -> Non
 
 def test_imports_are_followed_by_name_by_text_and_by_command() -> None:
     assert reached("drivers/timebase.py") == {"drivers/timebase.py": 0}
-    assert reached("hil/campaign/__init__.py")["hil/campaign/plan.py"] == 1
+    assert reached("servobench/__init__.py")["hil/campaign/plan.py"] == 1
     assert reached("tests/scenario/processes.py")["hil/cli.py"] == 2, "by tests.warm, which forks it"
     assert reached("tests/scenario/test_two_processes.py")["hil/terminal/simulate.py"] > 2
 

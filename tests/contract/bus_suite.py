@@ -11,11 +11,11 @@ from itertools import pairwise
 import can
 import pytest
 
-from drivers.timebase import Instant
-from drivers.wire.message import message_of
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.message import message_of
+from servobench.virtual_bus.frame import Frame
 from tests.ports import fetched
 from tests.unit.virtual_bus.can_reference import random_frame, wire_bits
-from virtual_bus.frame import Frame
 
 OpenBus = Callable[..., can.BusABC]
 

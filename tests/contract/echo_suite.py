@@ -9,18 +9,18 @@ from typing import NamedTuple
 import can
 import pytest
 
-from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
-from drivers.wire.frame_port import UNTOLD, EchoBasis, FramePort
-from drivers.wire.link import BusLink
+from servobench.drivers.timebase import NS_PER_MS, Clock, Duration, Instant
+from servobench.drivers.wire.frame_port import UNTOLD, EchoBasis, FramePort
+from servobench.drivers.wire.link import BusLink
+from servobench.virtual_bus.faults.fault_injector import FaultInjector
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.faulty_bus import FaultyBus
+from servobench.virtual_bus.faults.frame_fault import FrameFault
+from servobench.virtual_bus.faults.kinds.delay import Delay
+from servobench.virtual_bus.faults.kinds.duplicate import Duplicate
+from servobench.virtual_bus.faults.kinds.loss import Loss
+from servobench.virtual_bus.frame import Frame
 from tests.fates import keys
-from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.faulty_bus import FaultyBus
-from virtual_bus.faults.frame_fault import FrameFault
-from virtual_bus.faults.kinds.delay import Delay
-from virtual_bus.faults.kinds.duplicate import Duplicate
-from virtual_bus.faults.kinds.loss import Loss
-from virtual_bus.frame import Frame
 
 OpenBus = Callable[..., can.BusABC]
 

@@ -7,14 +7,14 @@ from contextlib import contextmanager
 
 import can
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.servo import ServoDrive
-from drivers.timebase import MonotonicClock
-from drivers.wire.link import BusLink, StampSource
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.timebase import MonotonicClock
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.hosting.devices import serve
 from tests.contract.modes_suite import NODE, WRITES, ModesRig
 from tests.motors import LING
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.hosting.devices import serve
 
 END_LIMIT_S = 20.0
 

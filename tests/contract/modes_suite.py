@@ -8,23 +8,23 @@ from struct import unpack_from
 
 import pytest
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.pdo import PdoPlan
-from drivers.canopen.write_list import ListedWrite, WriteList
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.motion import HomingSetup, MoveProfile
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import all_modes_plan
-from drivers.cia402.pdo_plans import TARGETS
-from drivers.cia402.profile import FOLLOW_BITS, Mode, State
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import DriveInFault
-from drivers.exchange import PositionCommand, SpeedCommand
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.write_lists import RIG
-from virtual_bus.drive.load_object import SIMULATED_DRIVE
-from virtual_bus.drive.servo import SimulatedServo
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.canopen.write_list import ListedWrite, WriteList
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.motion import HomingSetup, MoveProfile
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_planner import all_modes_plan
+from servobench.drivers.cia402.pdo_plans import TARGETS
+from servobench.drivers.cia402.profile import FOLLOW_BITS, Mode, State
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import DriveInFault
+from servobench.drivers.exchange import PositionCommand, SpeedCommand
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.write_lists import RIG
+from servobench.virtual_bus.drive.load_object import SIMULATED_DRIVE
+from servobench.virtual_bus.drive.servo import SimulatedServo
 
 TURN = math.tau
 COUNT = TURN / 65536

@@ -5,12 +5,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from drivers.timebase import MonotonicClock
-from drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.timebase import MonotonicClock
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
+from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
+from servobench.virtual_bus.instruments.slcan.server import AdapterServer, open_far_side
 from tests.contract.bus_suite import PATIENCE_S, SILENCE_S, BusSuite, OpenBus, data_message, fetch
-from virtual_bus.instruments.serial_line.device_line import LineFaults
-from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
-from virtual_bus.instruments.slcan.server import AdapterServer, open_far_side
 
 
 class SlcanSuite(BusSuite):

@@ -8,14 +8,14 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.errors import BadInput, BusDown
-from drivers.timebase import NS_PER_MS, Duration, MonotonicClock
-from drivers.wire.adapters import BusSpec
-from drivers.wire.bitrate import detect_bitrate
-from drivers.wire.slcan import SlcanBus
-from drivers.wire.slcan_protocol import SlcanStatus
+from servobench.drivers.errors import BadInput, BusDown
+from servobench.drivers.timebase import NS_PER_MS, Duration, MonotonicClock
+from servobench.drivers.wire.adapters import BusSpec
+from servobench.drivers.wire.bitrate import detect_bitrate
+from servobench.drivers.wire.slcan import SlcanBus
+from servobench.drivers.wire.slcan_protocol import SlcanStatus
+from servobench.virtual_bus.bus.hub import HubBus
 from tests.contract.slcan_bench import running_adapter
-from virtual_bus.bus.hub import HubBus
 
 pytestmark = pytest.mark.xdist_group("real time")
 

@@ -8,13 +8,13 @@ from typing import Any
 import can
 import pytest
 
-from drivers.timebase import Clock, MonotonicClock
-from drivers.wire.frame_port import EchoBasis
+from servobench.drivers.timebase import Clock, MonotonicClock
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.faults.faulty_bus import FaultyBus
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 from tests.contract.bus_suite import ExactBusSuite, OpenBus
 from tests.contract.echo_suite import EchoSuite
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.faults.faulty_bus import FaultyBus
-from virtual_bus.timeline import SimulatedClock, Timeline
 
 pytestmark = pytest.mark.xdist_group("real time")
 

@@ -8,28 +8,28 @@ from itertools import pairwise
 import can
 import pytest
 
-from design.motor import PmsmParameters, Transform
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.profile import State
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import DriveInFault, NoAnswer
-from drivers.exchange import Command, Reading
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from drivers.wire.link import BusLink, StampSource
-from hil.write_lists import RIG
+from servobench.design.motor import PmsmParameters, Transform
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import DriveInFault, NoAnswer
+from servobench.drivers.exchange import Command, Reading
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.hil.write_lists import RIG
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.faults.fault_injector import FaultInjector
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.faulty_bus import FaultyBus
+from servobench.virtual_bus.faults.kinds.loss import Loss
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 from tests.fates import keys
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.faulty_bus import FaultyBus
-from virtual_bus.faults.kinds.loss import Loss
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import SimulatedClock, Timeline
 
 MOTOR = PmsmParameters(
     name="Ling2012",

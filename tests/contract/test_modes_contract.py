@@ -9,18 +9,18 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.servo import ServoDrive
-from drivers.timebase import Instant
-from drivers.wire.link import BusLink, StampSource
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 from tests.contract.live_modes import live_modes
 from tests.contract.modes_suite import NODE, WRITES, ModesRig, ModesSuite
 from tests.motors import LING
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import SimulatedClock, Timeline
 
 
 def simulated_rig(synchronous: bool) -> Iterator[ModesRig]:

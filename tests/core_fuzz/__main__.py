@@ -14,8 +14,8 @@ from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from design.core.build import LIBRARY, ROOMS, SANITIZED, build, compiler
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.design.core.build import LIBRARY, ROOMS, SANITIZED, build, compiler
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 
 PROGRAM = "tests.core_fuzz"
 

@@ -13,18 +13,17 @@ from typing import Any, Final
 import can
 import numpy as np
 
-from design.core import native
-from design.statespace import StateSpace
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.core.native import Ring, frame_row
-from hil.recording.ring import RingReader, RingWriter
-from hil.rows.side_rows import FRAME
-from tests.motors import AZAIZ, LING
-from virtual_bus.bus.host_port import HostPort
-from virtual_bus.bus.judge import Direction, Judge
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.core.native import (
+from servobench.design.core import native
+from servobench.design.statespace import StateSpace
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.core.native import Ring, frame_row
+from servobench.hil.recording.ring import RingReader, RingWriter
+from servobench.hil.rows.side_rows import FRAME
+from servobench.virtual_bus.bus.host_port import HostPort
+from servobench.virtual_bus.bus.judge import Direction, Judge
+from servobench.virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.core.native import (
     BusLoad,
     HeldFrames,
     HostPlace,
@@ -38,9 +37,10 @@ from virtual_bus.core.native import (
     user_position,
     wire_bits,
 )
-from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
-from virtual_bus.drive.load_table import LoadTable
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
+from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.frame import Frame
+from tests.motors import AZAIZ, LING
 
 ODD: Final = (math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, 1.8e308, -1e300)
 AWRY: Final[tuple[object, ...]] = (

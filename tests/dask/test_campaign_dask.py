@@ -13,19 +13,21 @@ import pytest
 from distributed import LocalCluster
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.campaign import Campaign, CampaignPlan, CampaignProgress, on_dask, run_campaign
-from hil.campaign import campaign as campaign_module
-from hil.campaign.chunks import RunRefused, WorkerDied
-from hil.campaign.on_dask import ClusterLost, dask_client, rows_on_dask
-from hil.campaign.worker import Answer, Workshop
-from hil.cli import app
-from hil.configuration.toml_text import toml_text
-from hil.machine.stopping import Interrupted, StopRequest
-from hil.verdict.verdict import ExitStatus
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.hil.campaign import campaign as campaign_module
+from servobench.hil.campaign import on_dask
+from servobench.hil.campaign.campaign import Campaign, CampaignProgress, run_campaign
+from servobench.hil.campaign.chunks import RunRefused, WorkerDied
+from servobench.hil.campaign.on_dask import ClusterLost, dask_client, rows_on_dask
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.worker import Answer, Workshop
+from servobench.hil.cli import app
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.machine.stopping import Interrupted, StopRequest
+from servobench.hil.verdict.verdict import ExitStatus
+from servobench.virtual_bus.child_python import python_command, python_environment
 from tests.scenario.test_campaign import CHANGES
-from virtual_bus.child_python import python_command, python_environment
 
 ROOT = Path(__file__).parents[2]
 HOST = "127.0.0.1"

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from random import Random
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, MonotonicClock
 from tests.exits.cells import CELLS, Cell
 from tests.exits.findings import findings
 from tests.exits.one_run import Ended, run_cell

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
-from hil.rows.run_files import EVENTS_FILE, FRAMES_FILE
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration
+from servobench.hil.rows.run_files import EVENTS_FILE, FRAMES_FILE
 from tests.exits.cells import BROKER, DRIVE, HOST, HUB, KILL, RUNNING
 from tests.exits.one_run import STOPPED_NS, Ended
 from tests.swarm.following import the_shafts_are_at_rest_at_the_end

@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import ClassVar, Final
 from unittest.mock import patch
 
-from drivers.timebase import MonotonicClock
-from hil.cli import app
-from hil.machine import progress
-from hil.recording import logger_process
+from servobench.drivers.timebase import MonotonicClock
+from servobench.hil.cli import app
+from servobench.hil.machine import progress
+from servobench.hil.recording import logger_process
+from servobench.virtual_bus.child_python import python_command
 from tests.exits.cells import CONNECTING, RUNNING
 from tests.exits.written_witness import WrittenWitness
 from tests.swarm.witness import DriveWitness, witnessed
-from virtual_bus.child_python import python_command
 
 TURNING_S: Final = 0.3
 """From the first cycle until the shaft turns."""

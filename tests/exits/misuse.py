@@ -23,10 +23,10 @@ from random import Random
 from types import FrameType
 from typing import Any, Final, NamedTuple
 
-import hil
-from drivers.timebase import NS_PER_MS, NS_PER_S, MonotonicClock
-from hil import cli
-from hil.verdict.verdict import ExitStatus
+import servobench
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, MonotonicClock
+from servobench.hil import cli
+from servobench.hil.verdict.verdict import ExitStatus
 from tests.scenario.processes import BENCH
 
 CYCLES: Final = 60
@@ -265,10 +265,10 @@ def run_case(case: Case, folder: Path) -> Ended:
     return Ended(status, text, told, cycles, (clock.now() - began) / NS_PER_MS)
 
 
-def _bench(case: Case, tally: Path) -> hil.Bench:
+def _bench(case: Case, tally: Path) -> servobench.Bench:
     hooks = f"{Path(__file__).with_name('misused_hooks.py')}:Hooks"
     parameters = {"where": case.hook, "way": case.way, "tally": str(tally)}
-    return hil.Bench.load(BENCH).changed(
+    return servobench.Bench.load(BENCH).changed(
         {
             "bench.duration_s": 0.01 * CYCLES,
             "bus.spec": "simulated",
@@ -343,7 +343,8 @@ def main() -> int:
     parser.add_argument("--replacing", action="store_true", help="replacements of called functions alone")
     asked = parser.parse_args()
     folder = Path(tempfile.mkdtemp())  # no context: a command that is forked in here leaves through it
-    hil.run(_bench(Case(0, "pass", "output", "file", "file"), folder / "tally"))  # imports and compiles all
+    # imports and compiles all
+    servobench.run(_bench(Case(0, "pass", "output", "file", "file"), folder / "tally"))
     called = called_functions(folder)
     gc.freeze()  # else the end of each command would look through all of it
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup has it ignored, and & of a script the other one

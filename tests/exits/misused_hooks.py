@@ -13,7 +13,16 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from hil import Compensator, Context, Controller, Sample, SetPoint, Setup, StateEstimate, TorqueSetPoint
+from servobench import (
+    Compensator,
+    Context,
+    Controller,
+    Sample,
+    SetPoint,
+    Setup,
+    StateEstimate,
+    TorqueSetPoint,
+)
 
 _write = os.write
 """What the way to end puts in its place is not to spoil the count of cycles."""

@@ -14,13 +14,14 @@ from typing import Final
 
 import numpy as np
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config import BenchConfig
-from hil.rows.records import FATE_MISSED
-from hil.rows.run_files import RECORDS_FILE
-from hil.testing.hosted import DriveProcess
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.rows.records import FATE_MISSED
+from servobench.hil.rows.run_files import RECORDS_FILE
+from servobench.hil.testing.hosted import DriveProcess
+from servobench.hil.verdict.verdict import VerdictKind
+from servobench.virtual_bus.child_python import python_command, python_environment
 from tests.exits.cells import (
     BROKER,
     CONNECTING,
@@ -49,7 +50,6 @@ from tests.scenario.processes import (
 )
 from tests.swarm.mishaps import Circumstances, Mishap
 from tests.swarm.ran import Ran, Told
-from virtual_bus.child_python import python_command, python_environment
 
 DURATION_S: Final = 1.0
 STOPPED_NS: Final = 1500 * NS_PER_MS

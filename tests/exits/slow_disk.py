@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
-from hil.rows.records_file import RecordsWriter
+from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from servobench.hil.rows.records_file import RecordsWriter
 
 WRITE_NS: Final = 100 * NS_PER_MS
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from hil.configuration.toml_text import toml_text
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.virtual_bus.child_python import python_command
 from tests.exits.misused_hooks import __file__ as hooks
 from tests.scenario.processes import run_command
 from tests.unit.hil.recorded_runs import BENCH
-from virtual_bus.child_python import python_command
 
 CODE = """
 import signal
@@ -52,7 +52,9 @@ def sweep(folder: Path, **own: str) -> Path:
 
 
 def ended(folder: Path, *before: str, **own: str) -> tuple[int, dict[str, object], str]:
-    command = python_command("hil.cli", "campaign", str(sweep(folder, **own)), "--out", str(folder / "out"))
+    command = python_command(
+        "servobench.hil.cli", "campaign", str(sweep(folder, **own)), "--out", str(folder / "out")
+    )
     done = run_command([*before, *command, "--workers", "1", "--json"])
     return done.returncode, json.loads(done.stdout), done.stderr
 
@@ -81,7 +83,7 @@ def test_a_campaign_for_which_there_is_no_room_says_so(tmp_path: Path) -> None:
 def test_what_a_controller_has_replaced_is_named_wherever_it_ran(tmp_path: Path, workers: str) -> None:
     """A worker died with it, three times, and the campaign ended with 6."""
     path = sweep(tmp_path)
-    way = "put('drivers.canopen.sdo:PumpedSdoClient.upload')"
+    way = "put('servobench.drivers.canopen.sdo:PumpedSdoClient.upload')"
     controller = {
         "kind": "python",
         "object": f"{hooks}:Hooks",
@@ -91,8 +93,10 @@ def test_what_a_controller_has_replaced_is_named_wherever_it_ran(tmp_path: Path,
     del written["own"]
     written["change"]["drive.axis1.controller"] = controller
     path.write_text(toml_text(written), encoding="utf-8")
-    command = python_command("hil.cli", "campaign", str(path), "--out", str(tmp_path / "out"))
+    command = python_command("servobench.hil.cli", "campaign", str(path), "--out", str(tmp_path / "out"))
     done = run_command([*command, "--workers", workers, "--json"])
     assert done.returncode == 3, done.stderr
     said = json.loads(done.stdout)["error"]
-    assert said.startswith("code of your own has replaced drivers.canopen.sdo.PumpedSdoClient.upload; then")
+    assert said.startswith(
+        "code of your own has replaced servobench.drivers.canopen.sdo.PumpedSdoClient.upload; then"
+    )

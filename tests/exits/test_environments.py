@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import pytest
 
+from servobench.virtual_bus.child_python import python_command
 from tests.exits.environments import ENVIRONMENTS, PASSED, Environment
 from tests.unit.hil.recorded_runs import BENCH
-from virtual_bus.child_python import python_command
 
 ALWAYS: Final = (
     "the current folder is gone",
@@ -49,7 +49,7 @@ def ended(script: str, place: Path, *command: str) -> subprocess.CompletedProces
 def run_in(environment: Environment, place: Path) -> dict[str, Any]:
     """What the command prints; skips the test if this machine, or this user, has no such environment."""
     kept = ("--record", str(place / "run")) if environment.records else ("--no-record",)
-    command = python_command("hil.cli", "run", str(BENCH), "--bus", "simulated", "--json", *kept)
+    command = python_command("servobench.hil.cli", "run", str(BENCH), "--bus", "simulated", "--json", *kept)
     done = ended(environment.script, place, *command)
     if not done.stdout:
         (probed := place / "probed").mkdir()

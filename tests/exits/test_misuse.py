@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.recording.run_folder import read_summary
-from hil.terminal.run_object import read_back
+from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.terminal.run_object import read_back
+from servobench.virtual_bus.child_python import python_command
 from tests.exits.misused_hooks import __file__ as hooks
 from tests.scenario.processes import (
     BENCH,
@@ -24,7 +25,6 @@ from tests.scenario.processes import (
     start_run,
     summary_of,
 )
-from virtual_bus.child_python import python_command
 
 SEED, RUNS = 5, 15
 
@@ -87,7 +87,7 @@ def test_a_terminal_that_is_stopped_holds_no_run_up(tmp_path: Path) -> None:
     try:
         bench = with_hooks(changed_bench(tmp_path), "output", "overflow()")
         command = ["run", str(bench), "--bus", "simulated", "--record", str(tmp_path / "run"), "--json"]
-        process = in_background(python_command("hil.cli", *command), stderr=terminal)
+        process = in_background(python_command("servobench.hil.cli", *command), stderr=terminal)
         summary = summary_of(tmp_path / "run")
         assert process.poll() is None, "somebody may want to read it"
         termios.tcflow(terminal, termios.TCOON)
@@ -105,7 +105,7 @@ def test_a_terminal_that_is_stopped_holds_no_run_up(tmp_path: Path) -> None:
 def test_a_limit_on_files_is_told_as_one(tmp_path: Path) -> None:
     """It counts for files in memory, too: there is no room for a ring."""
     command = python_command(
-        "hil.cli", "run", str(BENCH), "--bus", "simulated", "--record", str(tmp_path / "run")
+        "servobench.hil.cli", "run", str(BENCH), "--bus", "simulated", "--record", str(tmp_path / "run")
     )
     done = run_command(["sh", "-c", 'ulimit -f 64; exec "$@"', "sh", *command, "--json"])
     assert done.returncode == 5, done.stderr
@@ -121,7 +121,7 @@ def test_a_terminal_that_is_closed_ends_the_run_at_rest(tmp_path: Path) -> None:
     keyboard, terminal = os.openpty()
     with simulated_drive(bus), observer(bus) as watching:
         asked = ["run", str(long_bench(tmp_path)), "--bus", bus, "--record", str(tmp_path / "run"), "--json"]
-        command = ["setsid", "--ctty", *python_command("hil.cli", *asked)]
+        command = ["setsid", "--ctty", *python_command("servobench.hil.cli", *asked)]
         process = in_background(command, stdin=terminal, stderr=terminal)
         os.close(terminal)
         watching.until_turning(50.0)
@@ -137,7 +137,7 @@ def test_a_run_passes_only_with_a_recording_that_holds_its_seal(tmp_path: Path) 
     bench = with_hooks(changed_bench(tmp_path), "output", "pass")
     bench.write_text(bench.read_text(encoding="utf-8").partition("[verdict]")[0], encoding="utf-8")
     asked = ["run", str(bench), "--bus", "simulated", "--record", str(tmp_path / "run")]
-    done = run_command(python_command("hil.cli", *asked))
+    done = run_command(python_command("servobench.hil.cli", *asked))
     summary = read_summary(tmp_path / "run")
     assert done.returncode == summary.verdict.exit_status == 0, done.stderr
     assert read_back(summary) == summary
@@ -155,7 +155,7 @@ def test_a_summary_that_is_another_one_at_the_end_is_no_proof(tmp_path: Path) ->
     bench = with_hooks(changed_bench(tmp_path), "output", spoil)
     bench.write_text(bench.read_text(encoding="utf-8").partition("[verdict]")[0], encoding="utf-8")
     asked = ["run", str(bench), "--bus", "simulated", "--record", str(tmp_path / "run"), "--json"]
-    done = run_command(python_command("hil.cli", *asked))
+    done = run_command(python_command("servobench.hil.cli", *asked))
     verdict = json.loads(done.stdout)["verdict"]
     assert (done.returncode, verdict["exit_status"], verdict["passed"]) == (5, 5, False), done.stderr
     assert "summary.json cannot be read back" in verdict["reason"]
@@ -198,23 +198,24 @@ def test_a_standard_stream_that_is_closed_in_pytest_ends_no_test(
     [
         (
             "channels",
-            "put('drivers.canopen.sdo:PumpedSdoClient.upload')",
-            "code of your own has replaced drivers.canopen.sdo.PumpedSdoClient.upload; then ",
+            "put('servobench.drivers.canopen.sdo:PumpedSdoClient.upload')",
+            "code of your own has replaced servobench.drivers.canopen.sdo.PumpedSdoClient.upload; then ",
         ),
         (
             "channels",
-            "put('drivers.canopen.sdo:PumpedSdoClient.upload'); put('traceback:extract_tb')",
+            "put('servobench.drivers.canopen.sdo:PumpedSdoClient.upload'); put('traceback:extract_tb')",
             "code of your own has run here, and then the process failed, and failed again",
         ),
         (
             "channels",
-            "put('hil.terminal.exit_status:explained'); put('drivers.canopen.sdo:PumpedSdoClient.upload'); "
-            "put('hil.execution.conclusion:explained')",
+            "put('servobench.hil.terminal.exit_status:explained'); "
+            "put('servobench.drivers.canopen.sdo:PumpedSdoClient.upload'); "
+            "put('servobench.hil.execution.conclusion:explained')",
             "code of your own has run, and then the process could not tell any more what failed",
         ),
         (
             "output",
-            "put('hil.verdict.summary:Summary.as_json', lambda _: {})",
+            "put('servobench.hil.verdict.summary:Summary.as_json', lambda _: {})",
             "code of your own has run, and then the process told a result that is none",
         ),
     ],
@@ -225,7 +226,7 @@ def test_a_damaged_process_is_no_defect_of_the_program(
     """Its parent is made of nothing that is in it, and prints an object of its own."""
     bench = with_hooks(changed_bench(tmp_path), where, way)
     asked = ["run", str(bench), "--bus", "simulated", "--no-record", "--json"]
-    done = run_command(python_command("hil.cli", *asked))
+    done = run_command(python_command("servobench.hil.cli", *asked))
     assert done.returncode == 3, done.stderr
     assert f"hil: error: {said}" in done.stderr
     verdict = json.loads(done.stdout)["verdict"]

@@ -13,11 +13,11 @@ from typing import Any, Final
 import pytest
 import typer
 
-from hil.cli import app
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.cli import app
+from servobench.hil.verdict.verdict import ExitStatus
+from servobench.virtual_bus.child_python import python_command
 from tests.scenario.processes import run_command
 from tests.unit.hil.recorded_runs import short_run
-from virtual_bus.child_python import python_command
 
 SEED: Final = int(os.environ.get("SEED", "36"))
 DRAWN: Final = int(os.environ.get("STREAMS", "6"))
@@ -56,7 +56,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def ended(words: tuple[str, ...], kind: str, folder: Path) -> tuple[int, str]:
-    command = python_command("hil.cli", *words)
+    command = python_command("servobench.hil.cli", *words)
     shell = ["bash", "-c", REDIRECTIONS[kind], "bash", *command]
     done = subprocess.run(shell, cwd=folder, capture_output=True, text=True, timeout=60, check=False)
     return done.returncode, done.stderr
@@ -84,7 +84,7 @@ def test_a_command_ends_as_documented(folder: Path, words: tuple[str, ...], kind
 def test_what_is_not_read_is_told_by_the_status_and_the_rest_is_done(folder: Path) -> None:
     judged = ("review", "RUN", "--against", "nothing.toml")
     (folder / "nothing.toml").write_text("[verdict]\n")
-    assert run_command(python_command("hil.cli", *judged), folder).returncode == 0
+    assert run_command(python_command("servobench.hil.cli", *judged), folder).returncode == 0
     assert ended(judged, "gone", folder)[0] == ExitStatus.NOT_RECORDED
     status, said = ended((*judged, "--report", "report.html"), "full", folder)
     assert (status, "hil: error: stdout: No space left on device" in said) == (

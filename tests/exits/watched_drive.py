@@ -7,12 +7,12 @@ from unittest.mock import patch
 
 import can
 
-from drivers.timebase import Clock
-from hil.cli import app
-from hil.execution import simulated_drives
+from servobench.drivers.timebase import Clock
+from servobench.hil.cli import app
+from servobench.hil.execution import simulated_drives
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.hosting.devices import serve
 from tests.exits.written_witness import WrittenWitness
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.hosting.devices import serve
 
 
 def main() -> None:

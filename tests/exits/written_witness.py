@@ -5,12 +5,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.cia402.profile import State
-from drivers.timebase import Duration, Instant
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.timebase import Duration, Instant
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
 from tests.swarm.invariants import REST_RAD_S
 from tests.swarm.witness import DriveWitness, Testimony
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
 
 SYNC_ID: Final = 0x080
 

@@ -21,7 +21,7 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.mistakes.drawn import Mistake, drawn_mistake, own_plate
 from tests.mistakes.outcome import Outcome, RightPlate, outcome_of
 

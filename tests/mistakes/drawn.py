@@ -6,8 +6,8 @@ import random
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
-from drivers.cia402.objects402 import Object
-from virtual_bus.drive.unknown_drive import unknown_drive
+from servobench.drivers.cia402.objects402 import Object
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 
 Plate = dict[str, dict[str, Any]]
 Key = tuple[str, str]

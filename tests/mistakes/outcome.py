@@ -8,12 +8,12 @@ from typing import Final, NamedTuple
 
 from pydantic import ValidationError
 
-from hil.commissioning.outcome import StepVerdict
-from hil.commissioning.report import Commissioned, as_json, summary_of
-from hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.hil.commissioning.outcome import StepVerdict
+from servobench.hil.commissioning.report import Commissioned, as_json, summary_of
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.virtual_bus.drive.unknown_drive import Truth
 from tests.commissioning import unknown_world
 from tests.mistakes.drawn import Mistake, Plate, lacks_of, own_plate
-from virtual_bus.drive.unknown_drive import Truth
 
 STILL: Final = frozenset({"bus", "identity", "dump", "units", "setup", "stop", "watchdog"})
 """Steps in which nothing turns."""

@@ -6,7 +6,7 @@ from itertools import count
 from pathlib import Path
 from typing import Final
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.mutants.kinds import KINDS
 from tests.mutants.mutant import failures
 from tests.mutants.recordings import recording_kinds

@@ -7,13 +7,13 @@ from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from hil.campaign import Campaign, run_campaign
-from hil.campaign.store import schema_of, stored_runs
-from hil.configuration.bench_file import load_bench
-from hil.configuration.bench_tables import Bench
-from hil.execution.recovered_run import recover_run
-from hil.rows.run_files import LOGGER_LOG, PRINTED_FILE, SEAL_FILE, SUMMARY_FILE
-from hil.rows.seal import check_seal
+from servobench.hil.campaign.campaign import Campaign, run_campaign
+from servobench.hil.campaign.store import schema_of, stored_runs
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.execution.recovered_run import recover_run
+from servobench.hil.rows.run_files import LOGGER_LOG, PRINTED_FILE, SEAL_FILE, SUMMARY_FILE
+from servobench.hil.rows.seal import check_seal
 from tests.unit.hil.recorded_runs import BENCH, short_run
 
 HOOKS: Final = Path(__file__).parents[1] / "exits" / "misused_hooks.py"

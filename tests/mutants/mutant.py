@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from drivers.errors import BadInput
-from drivers.printable import printable
-from hil.configuration.config_errors import BadInputs, bad_inputs_of
+from servobench.drivers.errors import BadInput
+from servobench.drivers.printable import printable
+from servobench.hil.configuration.config_errors import BadInputs, bad_inputs_of
 
 PROCESSOR_S_MAX: Final = 2.0
 """What any input may cost; the patterns that were cubic took hours for some."""

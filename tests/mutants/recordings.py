@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from drivers.timebase import NS_PER_MS, Instant
-from hil.configuration.bench_file import load_bench
-from hil.execution.recovered_run import recover_run, refuse_whole
-from hil.recording.log_files import EventsKeeper, FramesKeeper, LoadKeeper, RecordsKeeper
-from hil.recording.logger_process import RecordingFailed
-from hil.rows.side_rows import (
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.execution.recovered_run import recover_run, refuse_whole
+from servobench.hil.recording.log_files import EventsKeeper, FramesKeeper, LoadKeeper, RecordsKeeper
+from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.rows.side_rows import (
     FRAME,
     FRAME_DTYPE,
     BeginEvent,
@@ -24,8 +24,8 @@ from hil.rows.side_rows import (
     StateEvent,
     TextEvent,
 )
-from hil.verdict.summary import summary_without_run
-from hil.verdict.verdict import VerdictKind
+from servobench.hil.verdict.summary import summary_without_run
+from servobench.hil.verdict.verdict import VerdictKind
 from tests.mutants.kinds import BENCH, RECORDED
 from tests.mutants.mutant import Kind
 from tests.unit.hil.recording_tools import plan_for

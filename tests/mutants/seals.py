@@ -20,9 +20,9 @@ from typing import Final, NamedTuple
 import typer.main
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput
-from hil import cli
-from hil.rows.run_files import SEAL_FILE
+from servobench.drivers.errors import BadInput
+from servobench.hil import cli
+from servobench.hil.rows.run_files import SEAL_FILE
 from tests.mutants.evidence import Evidence, made_evidence
 from tests.mutants.mutant import PROCESSOR_S_MAX, processor_s
 

@@ -6,7 +6,7 @@ from typing import Final
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
+from servobench.hil.cli import app
 from tests.mutants.kinds import EXAMPLES, KINDS
 from tests.mutants.mutant import INSERTS, NUMBERS, PROCESSOR_S_MAX, Kind, mutant, processor_s
 from tests.mutants.recordings import recording_kinds, write_unfinished

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from design.hinf.plant import GeneralisedPlant
-from design.hinf.synthesis import gamma_min, synthesise, verified_norm
-from design.statespace import StateSpace
+from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
+from servobench.design.statespace import StateSpace
 from tests.unit.design.hinf_plants import random_plant
 
 slycot = pytest.importorskip("slycot")

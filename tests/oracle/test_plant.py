@@ -14,11 +14,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from design.motor import PmsmParameters
-from drivers.timebase import Instant
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from tests.motors import AZAIZ, LING
 from tests.plant import Plant
-from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 
 PERIOD_S = 1.0 / 16_000
 FloatArray = NDArray[np.float64]

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from design.current.current_design import complementary
-from design.hinf.margins import margins
-from design.hinf.system_norm import hinf_norm
-from design.statespace import Array, ComplexArray, StateSpace, from_zpk, series, zeros
+from servobench.design.current.current_design import complementary
+from servobench.design.hinf.margins import margins
+from servobench.design.hinf.system_norm import hinf_norm
+from servobench.design.statespace import Array, ComplexArray, StateSpace, from_zpk, series, zeros
 
 control = pytest.importorskip("control")
 

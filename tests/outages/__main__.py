@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.outages import simulated
 from tests.outages.hub import HubRuns
 from tests.outages.outcome import Outcome

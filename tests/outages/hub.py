@@ -13,18 +13,18 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.objects402 import Object
-from drivers.errors import BenchError
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config import BenchConfig
-from hil.execution.bench import run_bench
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.side_rows import TextEvent
-from hil.testing.hosted import DriveProcess
-from hil.testing.wire import pdo_plans
-from hil.verdict.summary import Summary
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.errors import BenchError
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.side_rows import TextEvent
+from servobench.hil.testing.hosted import DriveProcess
+from servobench.hil.testing.wire import pdo_plans
+from servobench.hil.verdict.summary import Summary
 from tests.outages.drawn import drawn
 from tests.outages.outcome import Outcome
 from tests.scenario.processes import EXAMPLES, HIL, observer

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from hil.configuration.config import BenchConfig
-from hil.rows.records import Rows
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.rows.records import Rows
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import ExitStatus
 from tests.truth.rows import MISSED, NOT_SENT
 
 STATUSES: Final = (

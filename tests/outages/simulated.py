@@ -6,14 +6,16 @@ from contextlib import ExitStack, contextmanager
 from typing import Any, Final
 from unittest.mock import patch
 
-from drivers.cia402.profile import State, state_of
-from drivers.errors import BenchError
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_S, Instant
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config import BenchConfig
-from hil.execution import bench
-from hil.execution.world import World, WorldPlan
+from servobench.drivers.cia402.profile import State, state_of
+from servobench.drivers.errors import BenchError
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution import bench
+from servobench.hil.execution.world import World, WorldPlan
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.faults.outage_bus import Outages as AdapterOutages
 from tests.outages.drawn import Outages, drawn
 from tests.outages.outcome import Outcome
 from tests.scenario.foreign_node import beside_the_bench
@@ -25,8 +27,6 @@ from tests.truth.rows import NO_INSTANT, READING_IS_A_SET, Told, told_by
 from tests.truth.tapped_run import TappedRun, run_with_taps
 from tests.truth.taps import SYNC_ID
 from tests.truth.truth import AxisTruth, axis_truth
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.faults.outage_bus import Outages as AdapterOutages
 
 REST_RPM: Final = 1.0
 LEFT_ALONE_S: Final = 3.0

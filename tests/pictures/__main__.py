@@ -11,8 +11,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
-from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.recorded.viewer import headless_viewer, page_file
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.hil.recorded.viewer import headless_viewer, page_file
 from tests.pictures.cases import Case, cases
 from tests.pictures.pixels import Picture, complaints
 

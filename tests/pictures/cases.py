@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from hil.verdict.verdict import VerdictKind, VerdictLimits
+from servobench.hil.verdict.verdict import VerdictKind, VerdictLimits
+from servobench.virtual_bus.faults.register import TABLES
 from tests.pictures import made
-from virtual_bus.faults.register import TABLES
 
 SPEED_LINES: Final = ("speed", "error", "torque", "delay")
 _HIDDEN: Final = ("error", "torque", "delay")

@@ -13,21 +13,21 @@ from typing import Any, Final
 import rerun as rr
 from typer.testing import CliRunner
 
-from drivers.errors import BenchError
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
-from hil.cli import app
-from hil.configuration.bench_file import bench_from
-from hil.configuration.bench_tables import Bench
-from hil.configuration.toml_text import toml_text
-from hil.execution.bench import run_bench
-from hil.machine.progress import Progress, no_progress
-from hil.machine.stopping import StopRequest
-from hil.recording.telemetry import Telemetry
-from hil.reviewing.review import Review
-from hil.rows.records_file import read_records
-from hil.rows.run_files import EVENTS_FILE, RECORDS_FILE, RERUN_FILE, SUMMARY_FILE
-from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.errors import BenchError
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from servobench.hil.cli import app
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.machine.progress import Progress, no_progress
+from servobench.hil.machine.stopping import StopRequest
+from servobench.hil.recording.telemetry import Telemetry
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.records_file import read_records
+from servobench.hil.rows.run_files import EVENTS_FILE, RECORDS_FILE, RERUN_FILE, SUMMARY_FILE
+from servobench.hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
+from servobench.hil.verdict.verdict import VerdictKind
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.synthetic_run import PERIOD
 

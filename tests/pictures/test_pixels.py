@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hil.verdict.verdict import VerdictLimits
+from servobench.hil.verdict.verdict import VerdictLimits
+from servobench.virtual_bus.faults.register import TABLES
 from tests.pictures.cases import cases
 from tests.pictures.pixels import BARS, CURVES, LIMIT, Color, Picture, complaints
-from virtual_bus.faults.register import TABLES
 
 Pixels = NDArray[np.float64]
 WIDTH = 1344

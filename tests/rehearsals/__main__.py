@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.rehearsals.rehearsal import Rehearsal, contradictions, made_sheet, ran, rehearsed
 from tests.rehearsals.traits import TRAITS
 

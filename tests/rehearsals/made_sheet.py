@@ -4,10 +4,10 @@ import configparser
 import io
 from collections.abc import Iterable, Mapping
 
-from drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.data_types import DataType
+from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING
-from virtual_bus.device.eds_export import export_eds
-from virtual_bus.drive.servo import SimulatedServo
 
 VENDOR, PRODUCT, REVISION = 0x0A11, 0x0B22, 0x0C33
 LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")

@@ -9,17 +9,17 @@ from unittest import mock
 
 from typer.testing import CliRunner
 
-from drivers.bounded_file import NamedBy
-from drivers.cia402.profile import State
-from hil.cli import app
-from hil.commissioning.rehearsal import rehearsed_drive
-from hil.commissioning.steps import all_steps
-from hil.configuration.bench_file import load_faults
-from hil.configuration.toml_text import toml_text
-from hil.execution.world import WorldPlan
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.cia402.profile import State
+from servobench.hil.cli import app
+from servobench.hil.commissioning.rehearsal import rehearsed_drive
+from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.configuration.bench_file import load_faults
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.execution.world import WorldPlan
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.rehearsals.made_sheet import MadeSheet
 from tests.rehearsals.traits import TRAITS
-from virtual_bus.drive.servo import SimulatedServo
 
 FAULTS_FILE = "faults.toml"
 """Beside a made-up sheet."""
@@ -152,9 +152,9 @@ def rehearsed(
     plan = folder / FAULTS_FILE
     faults = load_faults(plan, NamedBy("faults", "", str(plan))) if plan.exists() else None
     with (
-        mock.patch("hil.commissioning.commission.WorldPlan", partial(WorldPlan, faults=faults)),
-        mock.patch("hil.commissioning.commission.rehearsed_drive", kept),
-        mock.patch("hil.commissioning.commission.all_steps", few),
+        mock.patch("servobench.hil.commissioning.commission.WorldPlan", partial(WorldPlan, faults=faults)),
+        mock.patch("servobench.hil.commissioning.commission.rehearsed_drive", kept),
+        mock.patch("servobench.hil.commissioning.commission.all_steps", few),
     ):
         done = CliRunner().invoke(app, [*asked, "--out", str(out), *options])
     assert done.exception is None or isinstance(done.exception, SystemExit), done.exception

@@ -7,8 +7,8 @@ commissioned, if with steps left out or failed in ``without``.
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from drivers.canopen.data_types import DataType
-from drivers.cia402.profile import Mode, supported_mode_bit
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.cia402.profile import Mode, supported_mode_bit
 from tests.rehearsals.made_sheet import MadeSheet
 
 _COMMUNICATION, _MAPPINGS = (0x1400, 0x1800), (0x1600, 0x1A00)

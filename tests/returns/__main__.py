@@ -8,8 +8,8 @@ Leaves with 1 if one was more than 5 % too fast, is not driven on, or ended its 
 import argparse
 import warnings
 
-from drivers.errors import BenchError
-from hil import run
+from servobench import run
+from servobench.drivers.errors import BenchError
 from tests.returns.drawn import AXES, drawn, returned
 
 

@@ -16,12 +16,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.rotation import RAD_S_PER_RPM
-from hil import Context, Controller, Run, TorqueSetPoint
+from servobench import Context, Controller, Run, TorqueSetPoint
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.scenario.foreign_node import beside_the_bench
 from tests.scenario.processes import EXAMPLES
 from tests.scenario.test_drive_follows import Shaft
-from virtual_bus.drive.servo import SimulatedServo
 
 DURATION_S: Final = 1.4
 BEFORE_S: Final = 0.1

@@ -5,14 +5,14 @@ from contextlib import contextmanager
 from typing import Any
 from unittest.mock import patch
 
-from drivers.timebase import Duration, Instant, duration_s
-from hil.configuration.config import BenchConfig
-from hil.execution import bench, world
-from hil.execution.simulated_drives import simulated_drives
-from hil.execution.world import World, WorldPlan
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
+from servobench.drivers.timebase import Duration, Instant, duration_s
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution import bench, world
+from servobench.hil.execution.simulated_drives import simulated_drives
+from servobench.hil.execution.world import World, WorldPlan
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
 
 
 class ForeignNode:
@@ -93,7 +93,7 @@ def beside_the_bench(
 
     with (
         patch.object(bench, "open_world", open_world),
-        patch("hil.execution.simulated_drives.simulated_drives", drives),
+        patch("servobench.hil.execution.simulated_drives.simulated_drives", drives),
     ):
         yield
 

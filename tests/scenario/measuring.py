@@ -6,20 +6,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.errors import TransferAborted
-from drivers.timebase import NS_PER_S
-from drivers.wire.adapters import parse_bus_spec
-from hil.configuration.bench_file import faults_from
-from hil.execution.world import World, WorldPlan, open_world
-from hil.machine.progress import Progress, no_progress
-from hil.machine.stopping import StopRequest
-from hil.measuring.figures import Measured
-from hil.measuring.measure import Measurement
-from hil.measuring.subject import MeasureRequest
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.errors import TransferAborted
+from servobench.drivers.timebase import NS_PER_S
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.configuration.bench_file import faults_from
+from servobench.hil.execution.world import World, WorldPlan, open_world
+from servobench.hil.machine.progress import Progress, no_progress
+from servobench.hil.machine.stopping import StopRequest
+from servobench.hil.measuring.figures import Measured
+from servobench.hil.measuring.measure import Measurement
+from servobench.hil.measuring.subject import MeasureRequest
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.motors import LING
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
 
 VOLATILE = frozenset({0x1003, 0x1013, 0x6040})
 """History, clock and command."""

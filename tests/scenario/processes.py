@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import State, state_of
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
-from drivers.wire.adapters import open_bus, parse_bus_spec
-from drivers.wire.link import BusLink
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import State, state_of
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
+from servobench.drivers.wire.adapters import open_bus, parse_bus_spec
+from servobench.drivers.wire.link import BusLink
+from servobench.virtual_bus.bus.hub_place import HubPlace
 from tests.warm.start import REAL_HIL, hil
-from virtual_bus.bus.hub_place import HubPlace
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 BENCH = EXAMPLES / "any_bus.toml"
@@ -134,7 +134,7 @@ def logger_of(command: int) -> int:
     """The process that records a run; ``command``: it, or its loop."""
     for child in _children(command):
         for process in (child, *_children(child)):
-            if b"hil.recording.logger" in Path(f"/proc/{process}/cmdline").read_bytes():
+            if b"servobench.hil.recording.logger" in Path(f"/proc/{process}/cmdline").read_bytes():
                 return process
     raise AssertionError("no logger runs")
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
-from hil.execution.simulated_drives import drive_parameters
-from hil.testing.bench_runs import BenchRunner
+from servobench.hil.cli import app
+from servobench.hil.execution.simulated_drives import drive_parameters
+from servobench.hil.testing.bench_runs import BenchRunner
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MOTOR = str(EXAMPLES / "motors" / "azaiz2007.toml")

@@ -6,12 +6,12 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
-from hil.configuration.background import load_background
-from hil.verdict.verdict import ExitStatus
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
+from servobench.hil.configuration.background import load_background
+from servobench.hil.verdict.verdict import ExitStatus
+from servobench.virtual_bus.device.background import CATCH_UP_MAX
 from tests.scenario.processes import EXAMPLES, hub_name, run_command, simulated_drive
 from tests.warm.start import hil
-from virtual_bus.device.background import CATCH_UP_MAX
 
 pytestmark = pytest.mark.xdist_group("real time")
 

@@ -10,28 +10,28 @@ import can
 import pytest
 from typer.testing import CliRunner
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.profile import State
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import BusDown
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.identifiers import ERROR_FLAG
-from drivers.wire.link import BusLink, StampSource
-from hil.cli import app
-from hil.testing.bench_runs import BenchRunner
-from hil.write_lists import RIG
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import BusDown
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.hil.cli import app
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.write_lists import RIG
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.disturbance import Disturbance
+from servobench.virtual_bus.bus.error_message import error_frame_of
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 from tests.motors import LING
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.disturbance import Disturbance
-from virtual_bus.bus.error_message import error_frame_of
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import SimulatedClock, Timeline
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PERIOD = Duration(NS_PER_MS)

@@ -5,18 +5,18 @@ from typing import Any
 import can
 import pytest
 
-from drivers.cia402.profile import State
-from drivers.errors import AnswersTwice, BenchError, DriveInFault
-from drivers.timebase import NS_PER_S, Instant
-from hil.execution.bus_guard import ForeignTraffic
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.run import Run
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import AnswersTwice, BenchError, DriveInFault
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.execution.bus_guard import ForeignTraffic
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.run import Run
+from servobench.hil.verdict.verdict import VerdictKind
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
 from tests.scenario.foreign_node import LATE, Act, ForeignNode, beside_the_bench
 from tests.scenario.processes import EXAMPLES
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
 
 ANY_BUS = EXAMPLES / "any_bus.toml"
 BENCH = EXAMPLES / "ling2012.toml"

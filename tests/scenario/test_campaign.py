@@ -14,21 +14,22 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput
-from hil import run as run_bench
-from hil.campaign import Campaign, CampaignPlan, CampaignProgress, run_campaign
-from hil.campaign import pool as pool_module
-from hil.campaign.cells import cell_maps
-from hil.campaign.chunks import RunRefused, WorkerDied
-from hil.campaign.figures import figures_of
-from hil.campaign.page import write_page
-from hil.campaign.pool import DEATHS_MAX, Worker, WorkerPool
-from hil.campaign.store import open_campaign
-from hil.campaign.worker import NotTheSame
-from hil.cli import app
-from hil.configuration.toml_text import toml_text
-from hil.machine.stopping import Interrupted, StopRequest
-from hil.testing.campaign_runs import CampaignRunner
+from servobench import run as run_bench
+from servobench.drivers.errors import BadInput
+from servobench.hil.campaign import pool as pool_module
+from servobench.hil.campaign.campaign import Campaign, CampaignProgress, run_campaign
+from servobench.hil.campaign.cells import cell_maps
+from servobench.hil.campaign.chunks import RunRefused, WorkerDied
+from servobench.hil.campaign.figures import figures_of
+from servobench.hil.campaign.page import write_page
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.pool import DEATHS_MAX, Worker, WorkerPool
+from servobench.hil.campaign.store import open_campaign
+from servobench.hil.campaign.worker import NotTheSame
+from servobench.hil.cli import app
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.machine.stopping import Interrupted, StopRequest
+from servobench.hil.testing.campaign_runs import CampaignRunner
 from tests.rrd_columns import columns
 
 ROOT = Path(__file__).parents[2]
@@ -172,7 +173,7 @@ def test_workers_that_never_are_ready_end_the_campaign(
 
 KILLED = """
 import os, signal, sys
-from hil.campaign import campaign
+from servobench.hil.campaign import campaign
 
 campaign.STORED_EVERY_NS = 0  # every row is stored at once
 sync, calls = os.fsync, []

@@ -7,11 +7,10 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from hil.campaign import run_campaign
-from hil.campaign.campaign import CounterExample, NothingCertified
-from hil.cli import app
-from hil.configuration.toml_text import toml_text
-from hil.testing.campaign_runs import CampaignRunner
+from servobench.hil.campaign.campaign import CounterExample, NothingCertified, run_campaign
+from servobench.hil.cli import app
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.testing.campaign_runs import CampaignRunner
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NETWORK_K = EXAMPLES / "controllers" / "network-k.toml"

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput
-from hil.campaign import Campaign, CampaignProgress, run_campaign
-from hil.campaign.store_seal import StoreSeal
-from hil.campaign.worker import NotTheSame
-from hil.cli import app
-from hil.configuration.config_errors import BadInputs
-from hil.configuration.toml_text import toml_text
+from servobench.drivers.errors import BadInput
+from servobench.hil.campaign.campaign import Campaign, CampaignProgress, run_campaign
+from servobench.hil.campaign.store_seal import StoreSeal
+from servobench.hil.campaign.worker import NotTheSame
+from servobench.hil.cli import app
+from servobench.hil.configuration.config_errors import BadInputs
+from servobench.hil.configuration.toml_text import toml_text
 from tests.scenario.test_campaign import CHANGES, LING
 
 CONTROLLER = """
@@ -24,7 +24,7 @@ import os
 from pathlib import Path
 
 import beside_own
-from hil import Controller, TorqueSetPoint
+from servobench import Controller, TorqueSetPoint
 
 FOLDER = Path(__file__).parent
 

@@ -6,12 +6,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput
-from hil.campaign import Campaign, CampaignPlan, run_campaign
-from hil.campaign.campaign import FAILURES_FOLDER
-from hil.cli import app
-from hil.configuration.toml_text import toml_text
-from hil.control.own_code import OwnCodeFailed
+from servobench.drivers.errors import BadInput
+from servobench.hil.campaign.campaign import FAILURES_FOLDER, Campaign, run_campaign
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.cli import app
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.control.own_code import OwnCodeFailed
 
 ROOT = Path(__file__).parents[2]
 CODE = """

@@ -12,10 +12,10 @@ import canopen
 import pytest
 from canopen.profiles.p402 import OperationMode
 
-from drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.objects402 import Object
+from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.contract.conformance.live_device import live_servo
-from virtual_bus.device.eds_export import export_eds
-from virtual_bus.drive.servo import SimulatedServo
 
 NODE = 1
 PATIENCE_S = 20.0

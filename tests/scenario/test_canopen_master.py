@@ -16,10 +16,15 @@ import can
 import canopen
 import pytest
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
-from drivers.wire.message import frame_of
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from servobench.drivers.wire.message import frame_of
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.device.device_options import DeviceIdentity
+from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import serve
 from tests.unit.virtual_bus.device_bench import (
     COUNT,
     DEFAULTS,
@@ -29,11 +34,6 @@ from tests.unit.virtual_bus.device_bench import (
     TARGET,
     RecordingApplication,
 )
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.device.device_options import DeviceIdentity
-from virtual_bus.device.eds_export import export_eds
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import serve
 
 IDENTITY = DeviceIdentity(
     vendor_id=0x80000319, product_code=0xABCDEF01, revision_number=0x10002, serial_number=77

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.timebase import MonotonicClock
-from drivers.wire.adapters import open_bus, parse_bus_spec
-from drivers.wire.link import BusLink
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.timebase import MonotonicClock
+from servobench.drivers.wire.adapters import open_bus, parse_bus_spec
+from servobench.drivers.wire.link import BusLink
 from tests.scenario.processes import START_LIMIT_S, hub_name, quiet_environment
 from tests.unit.hil.test_device_files import DCF
 from tests.warm.start import hil

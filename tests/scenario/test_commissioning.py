@@ -12,20 +12,20 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, supported_mode_bit
-from drivers.sheets.dictionary import load_dictionary
-from hil.cli import app
-from hil.commissioning.outcome import StepVerdict
-from hil.commissioning.report import REPORT_FILE
-from hil.configuration.bench_file import load_bench
-from hil.configuration.drive_file import load_drive_file
-from hil.configuration.motor_file import load_motor
-from hil.configuration.network_file import load_network
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, supported_mode_bit
+from servobench.drivers.sheets.dictionary import load_dictionary
+from servobench.hil.cli import app
+from servobench.hil.commissioning.outcome import StepVerdict
+from servobench.hil.commissioning.report import REPORT_FILE
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.configuration.drive_file import load_drive_file
+from servobench.hil.configuration.motor_file import load_motor
+from servobench.hil.configuration.network_file import load_network
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.benchmarks.bench_commissioning import row, within
 from tests.commissioning import LATE, LOSS, errors_of, unknown_world
 from tests.rehearsals.rehearsal import made_sheet, rehearsed
-from virtual_bus.drive.unknown_drive import unknown_drive
 
 
 class Page(HTMLParser):

@@ -14,33 +14,33 @@ from typing import Any
 import can
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt_states import NmtCommand, NmtState
-from drivers.canopen.objects import RemoteObjects
-from drivers.cia402.drive_setup import read_identity
-from drivers.cia402.profile import State
-from drivers.errors import BusDown, PeerFault
-from drivers.timebase import NS_PER_S, Instant
-from drivers.wire.adapters import parse_bus_spec
-from drivers.wire.frame_port import FramePort, WireFrame
-from drivers.wire.link import BusLink, StampSource
-from drivers.written_file import DiskFull
-from hil.commissioning.commission import check_mark, commission
-from hil.commissioning.dialog import Dialog, EmergencyStop
-from hil.commissioning.outcome import StepOutcome, StepVerdict
-from hil.commissioning.report import Commissioned
-from hil.commissioning.request import CommissionRequest, Nameplate
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
-from hil.commissioning.steps import all_steps
-from hil.execution.world import World, WorldPlan, open_world
-from hil.machine.stopping import Interrupted
-from hil.restoring.journal import DriveMark, append_restored, read_journal
-from hil.restoring.restore import restore
-from hil.write_lists import RIG
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt_states import NmtCommand, NmtState
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.cia402.drive_setup import read_identity
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import BusDown, PeerFault
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.wire.frame_port import FramePort, WireFrame
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.drivers.written_file import DiskFull
+from servobench.hil.commissioning.commission import check_mark, commission
+from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
+from servobench.hil.commissioning.outcome import StepOutcome, StepVerdict
+from servobench.hil.commissioning.report import Commissioned
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.execution.world import World, WorldPlan, open_world
+from servobench.hil.machine.stopping import Interrupted
+from servobench.hil.restoring.journal import DriveMark, append_restored, read_journal
+from servobench.hil.restoring.restore import restore
+from servobench.hil.write_lists import RIG
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.commissioning import WrappedStep
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.unknown_drive import unknown_drive
 
 SEED = 9
 """Polarity, position and velocity are told wrong."""

@@ -10,14 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.profile import State, state_of
-from drivers.errors import TransferAborted
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
-from drivers.wire.adapters import open_bus, parse_bus_spec
-from drivers.wire.link import BusLink
-from hil.commissioning.report import REPORT_FILE
-from hil.restoring.journal import read_journal
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.profile import State, state_of
+from servobench.drivers.errors import TransferAborted
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
+from servobench.drivers.wire.adapters import open_bus, parse_bus_spec
+from servobench.drivers.wire.link import BusLink
+from servobench.hil.commissioning.report import REPORT_FILE
+from servobench.hil.restoring.journal import read_journal
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING
 from tests.scenario.processes import (
     HIL,
@@ -32,7 +33,6 @@ from tests.scenario.processes import (
     simulated_drive,
 )
 from tests.warm.start import hil
-from virtual_bus.drive.servo import SimulatedServo
 
 pytestmark = pytest.mark.xdist_group("real time")
 

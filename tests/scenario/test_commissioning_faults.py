@@ -6,20 +6,20 @@ from typing import Any
 
 import pytest
 
-from drivers.cia402.profile import State
-from drivers.wire.adapters import parse_bus_spec
-from hil.commissioning.commission import commission
-from hil.commissioning.dialog import Dialog, EmergencyStop
-from hil.commissioning.outcome import StepOutcome
-from hil.commissioning.report import REPORT_FILE
-from hil.commissioning.request import CommissionRequest, Nameplate
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
-from hil.commissioning.steps import all_steps
-from hil.execution.world import WorldPlan, open_world
-from hil.rows.run_files import COMMISSIONING_RECORDING, EVENTS_FILE, FRAMES_FILE
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.commissioning.commission import commission
+from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
+from servobench.hil.commissioning.outcome import StepOutcome
+from servobench.hil.commissioning.report import REPORT_FILE
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, EVENTS_FILE, FRAMES_FILE
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.commissioning import WrappedStep, unknown_world
-from virtual_bus.drive.unknown_drive import unknown_drive
 
 SEED = 3
 IN_POLARITY_S = 2.6

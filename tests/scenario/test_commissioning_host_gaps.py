@@ -16,29 +16,29 @@ from typing import Any
 
 import pytest
 
-from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
-from drivers.wire.adapters import open_bus, parse_bus_spec
-from hil.commissioning.commission import commission
-from hil.commissioning.dialog import Choice, Dialog, EmergencyStop, Idle
-from hil.commissioning.outcome import StepOutcome, StepVerdict
-from hil.commissioning.recording import SessionLog
-from hil.commissioning.report import Commissioned
-from hil.commissioning.request import CommissionRequest, Nameplate
-from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
-from hil.commissioning.steps import all_steps
-from hil.execution.world import World, WorldPlan, open_world
-from hil.restoring.journal import JournaledNetwork
-from hil.write_lists import COMMISSION
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
+from servobench.drivers.wire.adapters import open_bus, parse_bus_spec
+from servobench.hil.commissioning.commission import commission
+from servobench.hil.commissioning.dialog import Choice, Dialog, EmergencyStop, Idle
+from servobench.hil.commissioning.outcome import StepOutcome, StepVerdict
+from servobench.hil.commissioning.recording import SessionLog
+from servobench.hil.commissioning.report import Commissioned
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.execution.world import World, WorldPlan, open_world
+from servobench.hil.restoring.journal import JournaledNetwork
+from servobench.hil.write_lists import COMMISSION
+from servobench.virtual_bus.drive.lacks import take_away
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
+from servobench.virtual_bus.hosting.devices import serve
 from tests.commissioning import WrappedStep
 from tests.motors import LING
 from tests.scenario.processes import hub_name, in_background, loop_of
 from tests.scenario.test_commissioning_exits import TIMEOUT_MS, command, witness
-from virtual_bus.drive.lacks import take_away
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.drive.unknown_drive import unknown_drive
-from virtual_bus.hosting.devices import serve
 
 SEED = 9
 PERIOD_US = 5000

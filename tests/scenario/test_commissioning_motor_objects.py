@@ -9,13 +9,13 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.canopen.data_types import DataType
-from hil.configuration.motor_file import LING2012, load_motor
-from hil.configuration.toml_text import toml_text
+from servobench.drivers.canopen.data_types import DataType
+from servobench.hil.configuration.motor_file import LING2012, load_motor
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.unknown_drive import nameplate_of
 from tests.rehearsals.made_sheet import MadeSheet
 from tests.rehearsals.rehearsal import Rehearsal, rehearsed
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.unknown_drive import nameplate_of
 
 U8, U16, I32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.INTEGER32
 Objects = Mapping[int, Mapping[int, DataType]]

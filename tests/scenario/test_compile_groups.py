@@ -24,12 +24,21 @@ class Point:
         return self.x + self.y
 """
 READER = """
-from drivers.point import Point
+from servobench.drivers.point import Point
 
 
 def read(point: Point) -> tuple[int, int, int]:
     return point.x, point.y, point.total()
 """
+FILES = (
+    "setup.py",
+    "design/core/build.py",
+    "drivers/__init__.py",
+    "drivers/compiled.py",
+    "drivers/lean_can.py",
+    "virtual_bus/__init__.py",
+)
+"""Of this checkout: what compiles, and what looks at what was compiled."""
 PROJECT = """
 [project]
 name = "small"
@@ -45,9 +54,9 @@ setup.main(sys.argv[1:])
 """
 READ = """
 import sys
-from drivers.compiled import use_fresh
-from drivers.point import Point
-from virtual_bus.reader import read
+from servobench.drivers.compiled import use_fresh
+from servobench.drivers.point import Point
+from servobench.virtual_bus.reader import read
 print(*use_fresh().compiled, ":", *read(Point(1, 2)))
 """
 
@@ -57,9 +66,12 @@ pytestmark = pytest.mark.timeout(TIMEOUT_S)
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
     """Two modules, the second using a class of the first; not compiled yet."""
-    for path in ("setup.py", "drivers/__init__.py", "drivers/compiled.py", "virtual_bus/__init__.py"):
-        (tmp_path / path).parent.mkdir(exist_ok=True)
+    for path in FILES:
+        (tmp_path / path).parent.mkdir(exist_ok=True, parents=True)
         shutil.copy(ROOT / path, tmp_path / path)
+    (tmp_path / "servobench").mkdir()
+    for name in ("__init__.py", "design", "drivers", "hil", "virtual_bus"):
+        shutil.copy(ROOT / "servobench" / name, tmp_path / "servobench", follow_symlinks=False)
     (tmp_path / "pyproject.toml").write_text(PROJECT)
     (tmp_path / "drivers" / "point.py").write_text(POINT)
     (tmp_path / "virtual_bus" / "reader.py").write_text(READER)

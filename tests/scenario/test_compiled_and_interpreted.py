@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.compiled import PURE, ROOMS, look
+from servobench.drivers.compiled import PURE, ROOMS, look
 
 ROOT = Path(__file__).parents[2]
 SHORT_S = 0.5
@@ -21,17 +21,17 @@ EDITED: dict[str, tuple[str, set[str]]] = {
 }
 """Group -> a module of it, and the groups that stay compiled when that is edited."""
 FIRST_OF = {
-    "wire": "drivers.timebase",
-    "loop": "hil.loop.axis",
-    "bus": "virtual_bus.bus.host_port",
-    "device": "virtual_bus.drive.servo",
+    "wire": "servobench.drivers.timebase",
+    "loop": "servobench.hil.loop.axis",
+    "bus": "servobench.virtual_bus.bus.host_port",
+    "device": "servobench.virtual_bus.drive.servo",
 }
 
 pytestmark = pytest.mark.skipif(not look().compiled, reason="nothing is compiled: make compile")
 
 RUN = f"""
 import atexit, sys
-from hil.cli import main
+from servobench.hil.cli import main
 names = {list(FIRST_OF.values())}
 atexit.register(lambda: print("files", *(sys.modules[name].__file__ for name in names), file=sys.stderr))
 main()
@@ -87,6 +87,7 @@ def test_an_edit_takes_a_group_to_its_sources_with_one_line(
 ) -> None:
     for room in ROOMS:
         shutil.copytree(ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "servobench", tmp_path / "servobench", symlinks=True)
     edited, still_compiled = EDITED[group]
     with (tmp_path / edited).open("a") as source:
         source.write("# edited\n")

@@ -4,13 +4,13 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from design.delay.delay_norm import hinf_norm
-from design.delay.speed_loop import speed_model
-from drivers.bounded_file import read_toml
-from hil.cli import app
-from hil.configuration.bench_file import bench_from, load_controller
-from hil.configuration.motor_file import LING2012
-from hil.execution.network_guard import Certificates
+from servobench.design.delay.delay_norm import hinf_norm
+from servobench.design.delay.speed_loop import speed_model
+from servobench.drivers.bounded_file import read_toml
+from servobench.hil.cli import app
+from servobench.hil.configuration.bench_file import bench_from, load_controller
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.execution.network_guard import Certificates
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MOTOR = str(EXAMPLES / "motors" / "ling2012.toml")

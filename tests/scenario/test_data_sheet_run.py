@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import BadInput
-from hil.testing.bench_runs import BenchRunner
+from servobench.drivers.errors import BadInput
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING
 from tests.scenario.processes import EXAMPLES
-from virtual_bus.device.eds_export import export_eds
-from virtual_bus.drive.servo import SimulatedServo
 
 BENCH = EXAMPLES / "ling2012.toml"
 

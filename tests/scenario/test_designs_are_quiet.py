@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import BadInput
-from hil.configuration.bench_file import bench_from
-from hil.configuration.motor_file import LING2012
-from hil.execution.bench import run_bench
-from hil.rows.run_files import EVENTS_FILE
-from hil.studies.speed.controller_text import plant_of
-from hil.verdict.verdict import LimitResult
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.rows.run_files import EVENTS_FILE
+from servobench.hil.studies.speed.controller_text import plant_of
+from servobench.hil.verdict.verdict import LimitResult
 from tests.random_motors import FINE_ENCODER, designed, random_bench, run, steady_rms_nm, torque_rms_nm
 
 QUIET_NM = 0.15

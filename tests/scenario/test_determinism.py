@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.rows.records import FATE_SAMPLE
-from hil.testing.bench_runs import BenchRunner
+from servobench.hil.rows.records import FATE_SAMPLE
+from servobench.hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES
 
 BENCH = EXAMPLES / "ling2012.toml"
@@ -28,7 +28,14 @@ def test_the_same_seed_gives_the_same_digest_and_another_another(servo_bench: Be
 def test_another_process_and_hash_seed_give_the_same_digest(servo_bench: BenchRunner, tmp_path: Path) -> None:
     run = servo_bench(BENCH, SHORT)
     for hash_seed in HASH_SEEDS:
-        command = [sys.executable, "-m", "hil.cli", "run", str(run.folder / "bench.toml"), "--json"]
+        command = [
+            sys.executable,
+            "-m",
+            "servobench.hil.cli",
+            "run",
+            str(run.folder / "bench.toml"),
+            "--json",
+        ]
         done = subprocess.run(
             [*command, "--record", str(tmp_path / hash_seed)],
             env={**os.environ, "PYTHONHASHSEED": hash_seed},

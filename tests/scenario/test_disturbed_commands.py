@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from hil.cli import app
-from hil.commissioning import commission
-from hil.commissioning.steps import all_steps
-from hil.execution import world
-from hil.execution.world import World, WorldPlan
-from hil.measuring import measure
+from servobench.hil.cli import app
+from servobench.hil.commissioning import commission
+from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.execution import world
+from servobench.hil.execution.world import World, WorldPlan
+from servobench.hil.measuring import measure
+from servobench.virtual_bus.frame import Frame
 from tests.scenario.foreign_node import ForeignNode, put_on_the_bus
-from virtual_bus.frame import Frame
 
 WRITE = Frame(0x601, bytes.fromhex("2B7E600055000000"))
 """Of 607Eh of node 1."""

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402.profile import Mode
-from drivers.errors import DriveInFault
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from hil.rows.records import COMMAND_FATES
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.run import Run
-from hil.verdict.verdict import ExitStatus
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.errors import DriveInFault
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.hil.rows.records import COMMAND_FATES
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.run import Run
+from servobench.hil.verdict.verdict import ExitStatus
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
 from tests.scenario.foreign_node import beside_the_bench
 from tests.scenario.processes import EXAMPLES
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
 
 LING2012 = EXAMPLES / "ling2012.toml"
 AT_S = 0.4

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.bench_runs import BenchRunner
 from tests.scenario.test_drive_follows import AT_S, LING2012
 
 ASKED = "601#4041600000000000"

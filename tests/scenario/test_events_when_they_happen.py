@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import BenchError
-from drivers.timebase import NS_PER_MS, NS_PER_S
-from hil.configuration.bench_tables import Bench
-from hil.execution.bench import run_bench
-from hil.loop.pace import CALIBRATION_SYNCS
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.run_files import EVENTS_FILE
-from hil.rows.side_rows import StateEvent, TextEvent
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.run import Run
+from servobench.drivers.errors import BenchError
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
+from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.loop.pace import CALIBRATION_SYNCS
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.run_files import EVENTS_FILE
+from servobench.hil.rows.side_rows import StateEvent, TextEvent
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
 
 LING2012 = EXAMPLES / "ling2012.toml"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.profile import State
-from drivers.timebase import NS_PER_S
-from hil.pytest_plugin import StartDrive
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.pytest_plugin import StartDrive
 from tests.scenario.processes import broker_of, changed_bench, long_bench, loop_of, observer, start_run
 
 pytestmark = [pytest.mark.servo_bus("hub"), pytest.mark.xdist_group("real time")]

@@ -12,17 +12,17 @@ from typing import Any, Final
 
 import pytest
 
-from drivers.canopen.nmt_states import NmtCommand
-from drivers.cia402.profile import State
-from drivers.errors import BenchError, DriveInFault, LimitExceeded, PeerFault, PowerLost
-from drivers.timebase import NS_PER_MS, Instant
-from hil import run
-from hil.control.own_code import OwnCodeFailed
-from hil.machine.stopping import StopRequest
+from servobench import run
+from servobench.drivers.canopen.nmt_states import NmtCommand
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import BenchError, DriveInFault, LimitExceeded, PeerFault, PowerLost
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.control.own_code import OwnCodeFailed
+from servobench.hil.machine.stopping import StopRequest
+from servobench.virtual_bus.frame import Frame
 from tests.exits.written_witness import SYNC_ID
 from tests.scenario.processes import EXAMPLES
 from tests.swarm.witness import DriveWitness, witnessed
-from virtual_bus.frame import Frame
 
 TURNING_RAD_S: Final = 30.0
 STILL_RAD_S: Final = 0.5
@@ -45,7 +45,7 @@ CONTROLLERS: Final = {
     "vl": {"kind": "stream"},
 }
 OWN: Final = """
-from hil import Controller, PositionSetPoint, SpeedSetPoint, TorqueSetPoint
+from servobench import Controller, PositionSetPoint, SpeedSetPoint, TorqueSetPoint
 
 class Failing(Controller):
     def __init__(self, setup, mode):

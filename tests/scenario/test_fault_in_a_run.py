@@ -1,7 +1,7 @@
 """A drive that falls into a fault ends the run, and what came before stands in the run's folder."""
 
-from drivers.errors import DriveInFault
-from hil.testing.bench_runs import BenchRunner
+from servobench.drivers.errors import DriveInFault
+from servobench.hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES
 
 FAULT = {"drive_fault": [{"nodes": [1], "fault": "over_current", "at_s": 0.1}]}

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput, BenchError, DriveInFault, PeerFault, PowerLost
-from hil.cli import app
-from hil.execution.bench import run_bench
-from hil.pytest_plugin import StartDrive
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.run import Run
+from servobench.drivers.errors import BadInput, BenchError, DriveInFault, PeerFault, PowerLost
+from servobench.hil.cli import app
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.pytest_plugin import StartDrive
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
 
 BENCH = EXAMPLES / "ling2012.toml"

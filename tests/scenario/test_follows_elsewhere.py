@@ -6,20 +6,20 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.cia402.profile import State
-from drivers.errors import DriveInFault
-from drivers.wire.adapters import parse_bus_spec
-from hil.cli import app
-from hil.commissioning.commission import commission
-from hil.commissioning.dialog import Dialog, EmergencyStop
-from hil.commissioning.request import CommissionRequest, Nameplate
-from hil.commissioning.steps import all_steps
-from hil.configuration.toml_text import toml_text
-from hil.execution.world import WorldPlan, open_world
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import DriveInFault
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.cli import app
+from servobench.hil.commissioning.commission import commission
+from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
+from servobench.virtual_bus.frame import Frame
 from tests.scenario.foreign_node import ForeignNode, put_on_the_bus
 from tests.scenario.measuring import measuring_rig
-from virtual_bus.drive.unknown_drive import unknown_drive
-from virtual_bus.frame import Frame
 
 LEFT = "left cyclic synchronous torque for profile velocity"
 TO_PV = Frame(0x601, bytes.fromhex("2F60600003000000"))

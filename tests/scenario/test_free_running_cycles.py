@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.bounded_file import read_toml
-from hil.configuration.bench_file import bench_from
-from hil.execution.bench import run_bench
+from servobench.drivers.bounded_file import read_toml
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.execution.bench import run_bench
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 RATES_HZ = (16_005, 16_009, 16_010)

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402.profile import State
-from drivers.errors import BadInput, DriveInFault, NoAnswer, PeerFault
-from drivers.timebase import NS_PER_S, NS_PER_US, Instant
-from hil.execution import world
-from hil.rows.records import Rows
-from hil.testing.bench_runs import BenchRunner
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import BadInput, DriveInFault, NoAnswer, PeerFault
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Instant
+from servobench.hil.execution import world
+from servobench.hil.rows.records import Rows
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.virtual_bus.device.background import BackgroundNode, Stream, background_nodes
 from tests.scenario.processes import BENCH, EXAMPLES
-from virtual_bus.device.background import BackgroundNode, Stream, background_nodes
 
 LING2012 = EXAMPLES / "ling2012.toml"
 SHORT = {"bench.duration_s": 1.0, "load": {}, "verdict": {"missed_percent_max": 2.0}}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.profile import State
+from servobench.drivers.cia402.profile import State
 from tests.scenario.processes import (
     hub_name,
     long_bench,

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
-from hil.machine.examples import examples_folder
-from hil.terminal.init import FIRST
+from servobench.hil.cli import app
+from servobench.hil.machine.examples import examples_folder
+from servobench.hil.terminal.init import FIRST
 from tests.scenario.processes import quiet_environment
 
 
@@ -30,7 +30,7 @@ def test_a_first_bench_runs_and_its_tests_pass(tmp_path: Path) -> None:
     assert "hil run bench.toml" in text
     environment = {**quiet_environment(), "PYTHONDONTWRITEBYTECODE": "1"}
     for words in (
-        ["-m", "hil.cli", "run", "bench.toml", "--no-record"],
+        ["-m", "servobench.hil.cli", "run", "bench.toml", "--no-record"],
         ["-m", "pytest", "-p", "no:cacheprovider"],
     ):
         done = subprocess.run(
@@ -66,7 +66,7 @@ def test_every_example_is_written(tmp_path: Path) -> None:
 def test_a_wheel_has_the_examples_within(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     installed = tmp_path / "site"
     shutil.copytree(examples_folder() / FIRST, installed / "hil" / "examples" / FIRST)
-    monkeypatch.setattr("hil.machine.examples.ROOT", installed)
+    monkeypatch.setattr("servobench.hil.machine.examples.ROOT", installed)
     assert examples_folder() == installed / "hil" / "examples"
     monkeypatch.chdir(tmp_path)
     assert _init("here")[0] == 0
@@ -81,7 +81,7 @@ def test_a_shell_completes_commands() -> None:
         "COMP_CWORD": "1",
     }
     done = subprocess.run(
-        [sys.executable, "-c", "from hil.cli import app; app(prog_name='hil')"],
+        [sys.executable, "-c", "from servobench.hil.cli import app; app(prog_name='hil')"],
         env=environment, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert "commission" in done.stdout, done.stderr

@@ -1,20 +1,20 @@
-"""A folder of the user's is neither imported by a process of ours, nor taken for a package of ours."""
+"""What lies in a user's folder is neither imported by servobench nor in its way, whatever it is called."""
 
-import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from hil.terminal.hidden_rooms import ROOMS, ROOT, hidden_room
-from virtual_bus.child_python import python_command, python_environment
+from servobench.virtual_bus.child_python import python_command, python_environment
 
+ROOT = Path(__file__).parents[2]
 EXECUTED = "executed"
 """What a module in the user's folder leaves there when it is imported."""
 EXAMPLE = ROOT / "examples" / "ling2012.toml"
-JOIN = "from virtual_bus.bus.hub import HubBus; HubBus('isolation').shutdown()"
+JOIN = "from servobench.virtual_bus.bus.hub import HubBus; HubBus('isolation').shutdown()"
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +46,11 @@ def test_the_environment_of_a_child_holds_our_root_and_not_the_users_folder(
 ) -> None:
     monkeypatch.chdir(folder)
     monkeypatch.setenv("PYTHONPATH", path)
-    program = "import sys, drivers, hil, random; print(*sys.path, drivers.__file__, sep='\\n')"
+    program = "import sys, random, servobench.hil.cli; print(*sys.path, servobench.__file__, sep='\\n')"
     command = [*python_command("x")[:2], "-c", program]
     child = subprocess.run(command, env=python_environment(), capture_output=True, text=True, check=True)
-    *places, drivers = child.stdout.splitlines()
-    assert Path(drivers).parents[1] == ROOT
+    *places, package = child.stdout.splitlines()
+    assert Path(package).parents[1] == ROOT
     assert str(folder) not in places
     assert "" not in places
     assert not (folder / EXECUTED).exists()
@@ -67,7 +67,16 @@ def test_the_logger_imports_nothing_of_the_users_folder(folder: Path, tmp_path: 
     text = EXAMPLE.read_text().replace("duration_s = 2.0", "duration_s = 0.02").split("[[reference", 1)[0]
     bench = tmp_path / "short.toml"
     bench.write_text(text.replace('"motors/', f'"{EXAMPLE.parent}/motors/').split("[faults]", 1)[0])
-    command = [sys.executable, "-P", "-m", "hil.cli", "run", str(bench), "--record", str(tmp_path / "run")]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "servobench.hil.cli",
+        "run",
+        str(bench),
+        "--record",
+        str(tmp_path / "run"),
+    ]
     found = said_in(folder, command)
     assert found.returncode in (0, 1), found.stderr
     assert (tmp_path / "run" / "summary.json").stat().st_size
@@ -82,54 +91,60 @@ def test_the_broker_of_a_hub_imports_nothing_of_the_users_folder(folder: Path, t
     assert not (folder / EXECUTED).exists()
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_a_hidden_room_is_named_in_one_line(tmp_path: Path, room: str) -> None:
-    (tmp_path / room).mkdir()
-    (tmp_path / room / "__init__.py").touch()
-    command = [sys.executable, "-P", "-m", "hil.cli", "run", str(EXAMPLE)]
-    path = f"{tmp_path}:{ROOT}"
-    plain = said_in(tmp_path, command, PYTHONPATH=path)
-    with_object = said_in(tmp_path, [*command, "--json"], PYTHONPATH=path)
-    for found in (plain, with_object):
-        assert found.returncode == 2
-        assert found.stderr.count("\n") == 1
-        assert str(tmp_path / room) in found.stderr
-        assert f"hides the package {room!r}" in found.stderr
-    assert plain.stdout == ""
-    verdict = json.loads(with_object.stdout)["verdict"]
-    assert (verdict["outcome"], verdict["exit_status"]) == ("bad input", 2)
-    assert f"hides the package {room!r}" in verdict["reason"]
+NAMES = [
+    "app", "bench", "bus", "config", "controllers", "core", "design", "devices", "drivers", "helpers", "hil",
+    "lib", "models", "motor", "plots", "scripts", "tests", "tools", "utils", "virtual_bus",
+]  # fmt: skip
+"""Common names of folders and modules in a lab's repository, those of our own folders among them."""
+THEIRS = """
+import {names}
+
+assert [each.HERE for each in ({names})] == {quoted}
+
+"""
+SCRIPT = """
+from servobench import run
+
+print(run("bench.toml").verdict.outcome)
+"""
 
 
-@pytest.mark.parametrize("hiding", ["drivers/__init__.py", "design.py", "virtual_bus/mine.py"])
-def test_a_script_beside_a_hiding_folder_is_told_which_and_what_to_do(tmp_path: Path, hiding: str) -> None:
-    (tmp_path / hiding).parent.mkdir(exist_ok=True)
-    (tmp_path / hiding).touch()
-    script = tmp_path / "bench.py"
-    script.write_text("from hil import run\nprint(run)\n")
-    found = said_in(tmp_path, [sys.executable, str(script)])
-    if hiding == "virtual_bus/mine.py":  # without __init__.py it is a package only where no other is found
-        assert found.returncode == 0, found.stderr
-        return
-    room = Path(hiding).parts[0].removesuffix(".py")
-    assert found.stderr.splitlines()[-1].startswith("ImportError: ")
-    assert f"hides the package {room!r} of servobench" in found.stderr.splitlines()[-1]
-    assert str(tmp_path / room) in found.stderr.splitlines()[-1]
-    assert "rename it" in found.stderr
-
-
-def test_no_room_is_hidden_here() -> None:
-    assert hidden_room() is None
-    assert "hides" in (hidden_room(Path("/nowhere")) or "")
-
-
-def test_pytest_names_it_for_the_test_that_asks_for_a_fixture(tmp_path: Path) -> None:
-    (tmp_path / "drivers").mkdir()
-    (tmp_path / "drivers" / "__init__.py").touch()
-    (tmp_path / "test_it.py").write_text(
-        "def test_drive(servo_drive): servo_drive()\ndef test_other(): pass\n"
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder in which the wheel is installed, not compiled: which names it takes is the same."""
+    folder = tmp_path_factory.mktemp("installed")
+    wheels, copy = folder / "wheels", folder / "copy"
+    left_out = shutil.ignore_patterns(
+        ".*", "build", "dist", "runs", "tests", "docs", "*.egg-info", "__pycache__"
     )
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "."]
-    found = said_in(tmp_path, command, PYTHONPATH=f"{tmp_path}:{ROOT}")
-    assert "1 passed" in found.stdout
-    assert f"{tmp_path / 'drivers'}: hides the package 'drivers'" in found.stdout
+    shutil.copytree(ROOT, copy, symlinks=True, ignore=left_out)
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(wheels), str(copy)]
+    subprocess.run(build, check=True, env={**os.environ, "SERVOBENCH_PURE": "1"}, capture_output=True)
+    (wheel,) = wheels.iterdir()
+    target = folder / "packages"
+    subprocess.run([*pip, "install", "--no-deps", "--target", str(target), str(wheel)], check=True)
+    return target
+
+
+@pytest.mark.parametrize("kind", ["folders", "files"])
+def test_a_folder_of_common_names_is_in_nobody_s_way(installed: Path, tmp_path: Path, kind: str) -> None:
+    for name in NAMES:
+        module = tmp_path / (f"{name}/__init__.py" if kind == "folders" else f"{name}.py")
+        module.parent.mkdir(exist_ok=True)
+        module.write_text(f'HERE = "{name}"\n')
+    place = {"PYTHONPATH": f"{tmp_path}:{installed}"}
+    hil = [sys.executable, "-c", "from servobench.hil.cli import main; main()"]
+    assert said_in(tmp_path, [*hil, "init"], **place).returncode == 0
+    (tmp_path / "script.py").write_text(SCRIPT)
+    theirs = THEIRS.format(names=", ".join(NAMES), quoted=NAMES)
+    for name in ("controller.py", "script.py", "test_controller.py"):
+        file = tmp_path / name
+        file.write_text(theirs + file.read_text())
+    for command in (
+        [*hil, "run", "bench.toml", "--no-record"],
+        [sys.executable, "script.py"],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"],
+    ):
+        done = said_in(tmp_path, command, **place)
+        assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"

@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.timebase import MonotonicClock
+from servobench.drivers.timebase import MonotonicClock
+from servobench.virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
+from servobench.virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
+from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 from tests.scenario.processes import (
     EXAMPLES,
     START_LIMIT_S,
@@ -21,9 +24,6 @@ from tests.scenario.processes import (
     start_run,
 )
 from tests.warm.start import hil
-from virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
-from virtual_bus.instruments.dynamometer.instrument import Brake, Instrument, Shaft
-from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 pytestmark = pytest.mark.xdist_group("real time")
 

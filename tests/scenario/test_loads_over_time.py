@@ -9,8 +9,8 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from drivers.errors import BadInput
-from hil import Bench, Run, run
+from servobench import Bench, Run, run
+from servobench.drivers.errors import BadInput
 from tests.scenario.processes import EXAMPLES, hub_name, run_command, simulated_drive
 from tests.warm.start import hil
 

@@ -14,14 +14,14 @@ from unittest.mock import patch
 import pytest
 from typer.testing import CliRunner
 
-from drivers.timebase import NS_PER_MS, Instant
-from hil.cli import app
-from hil.execution import bench, world
-from hil.rows.records_file import read_metadata
-from hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.cli import app
+from servobench.hil.execution import bench, world
+from servobench.hil.rows.records_file import read_metadata
+from servobench.hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
+from servobench.virtual_bus.drive.servo import ServoApplication, SimulatedServo
+from servobench.virtual_bus.timeline import SimulatedClock
 from tests.scenario.processes import EXAMPLES
-from virtual_bus.drive.servo import ServoApplication, SimulatedServo
-from virtual_bus.timeline import SimulatedClock
 
 LOST_AT_MS = 600
 REST_RAD_S = 1.0

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
-from hil.configuration.motor_file import LING2012
-from hil.configuration.toml_text import toml_text
-from hil.execution.network_guard import Certificates
-from hil.studies.speed.dynamic import design_speed_predictor, request_of
+from servobench.hil.cli import app
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.execution.network_guard import Certificates
+from servobench.hil.studies.speed.dynamic import design_speed_predictor, request_of
 from tests.floor_runs import Case
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -10,20 +10,20 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.profile import State
-from drivers.errors import BadInput, BusDown, DriveInFault, LimitExceeded
-from drivers.timebase import NS_PER_S, Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from drivers.wire.link import BusLink, StampSource
-from hil.cli import app
-from hil.configuration.network_file import load_network
-from hil.machine.stopping import Interrupted
-from hil.measuring.figures import Measured, fault_plan_text
-from hil.measuring.loss_model import Losses
-from hil.measuring.stages import NO_CLOCK, NO_DEMAND, NOT_ENABLED, Stage
-from hil.restoring.journal import read_journal
-from hil.restoring.restore import restore
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import BadInput, BusDown, DriveInFault, LimitExceeded
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.hil.cli import app
+from servobench.hil.configuration.network_file import load_network
+from servobench.hil.machine.stopping import Interrupted
+from servobench.hil.measuring.figures import Measured, fault_plan_text
+from servobench.hil.measuring.loss_model import Losses
+from servobench.hil.measuring.stages import NO_CLOCK, NO_DEMAND, NOT_ENABLED, Stage
+from servobench.hil.restoring.journal import read_journal
+from servobench.hil.restoring.restore import restore
 from tests.scenario.measuring import Rig, StopAfter, measuring_rig
 from tests.scenario.processes import VELOCITY_UNIT_RAD_S
 from tests.scenario.test_commissioning_cut_short import CutBus

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.profile import State
-from hil.pytest_plugin import StartDrive
+from servobench.drivers.cia402.profile import State
+from servobench.hil.pytest_plugin import StartDrive
 from tests.scenario.processes import observer, run_command
 from tests.warm.start import hil
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
+from servobench.hil.cli import app
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NETWORK = """[network]

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.run import Run
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.run import Run
 from tests.scenario.test_drive_follows import (
     AT_S,
     CYCLES_MAX,

@@ -7,16 +7,16 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.errors import AnswersTwice, BadInput, PeerFault
-from drivers.timebase import NS_PER_S, MonotonicClock
-from drivers.wire.link import BusLink, StampSource
-from hil.execution.simulated_drives import refuse_taken
-from hil.pytest_plugin import StartDrive
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.hosted import DriveProcess
+from servobench.drivers.errors import AnswersTwice, BadInput, PeerFault
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.hil.execution.simulated_drives import refuse_taken
+from servobench.hil.pytest_plugin import StartDrive
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.hosted import DriveProcess
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.child_python import python_command
 from tests.scenario.processes import BENCH
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.child_python import python_command
 
 pytestmark = [pytest.mark.servo_bus("hub"), pytest.mark.xdist_group("real time")]
 
@@ -90,7 +90,8 @@ def test_two_that_were_forced_on_one_id_are_named_by_the_bench(
 ) -> None:
     servo_process(1)
     twin = DriveProcess(
-        python_command("hil.cli", "simulate", "--bus", servo_bus, "--node", "1", "--force"), tmp_path / "twin"
+        python_command("servobench.hil.cli", "simulate", "--bus", servo_bus, "--node", "1", "--force"),
+        tmp_path / "twin",
     )
     try:
         run = servo_bench(BENCH, ends_in=AnswersTwice)

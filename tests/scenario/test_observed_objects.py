@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
-from hil.configuration.toml_text import toml_text
+from servobench.hil.cli import app
+from servobench.hil.configuration.toml_text import toml_text
 from tests.rrd_columns import numbers
 from tests.scenario.processes import BENCH, hub_name, simulated_drive
 from tests.unit.hil.test_observed_objects import EXAMPLES, told

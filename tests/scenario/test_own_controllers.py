@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput
-from hil.cli import app
-from hil.configuration.bench_file import load_bench, shipped_kinds
-from hil.control.own_code import OwnCodeFailed
-from hil.loop.context import WrongSetPoint
-from hil.rows.records_file import read_metadata
-from hil.rows.run_files import RECORDS_FILE
-from hil.testing.bench_runs import BenchRunner
+from servobench.drivers.errors import BadInput
+from servobench.hil.cli import app
+from servobench.hil.configuration.bench_file import load_bench, shipped_kinds
+from servobench.hil.control.own_code import OwnCodeFailed
+from servobench.hil.loop.context import WrongSetPoint
+from servobench.hil.rows.records_file import read_metadata
+from servobench.hil.rows.run_files import RECORDS_FILE
+from servobench.hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES
 
 BENCH = EXAMPLES / "any_bus.toml"
@@ -34,7 +34,7 @@ SHORT |= {"load": {}, "verdict": {}}
 CODE = '''
 """A PI controller that fails in a way of its choice."""
 import builtins, time
-from hil import Context, Controller, SetPoint, SpeedSetPoint, TorqueSetPoint
+from servobench import Context, Controller, SetPoint, SpeedSetPoint, TorqueSetPoint
 
 class Pi(Controller):
     def __init__(self, setup, gain=0.05, integral=0.5, fails=""):
@@ -196,7 +196,7 @@ def test_loading_a_bench_runs_nothing_of_it(tmp_path: Path) -> None:
         ({"object": "no_such_module:Pi"}, "there is no module no_such_module"),
         ({"object": "no_such_file.py:Pi"}, "there is no file"),
         ({"object": "json:Pi"}, "has no attribute 'Pi'"),
-        ({"object": "json:JSONDecoder"}, r"a class derived from hil\.Controller"),
+        ({"object": "json:JSONDecoder"}, r"a class derived from servobench\.Controller"),
         ({"parameters": {"gane": 1.0}}, "unexpected keyword argument 'gane'"),
         ({"object": "nothing"}, "MODULE:NAME"),
     ],
@@ -226,9 +226,10 @@ def test_a_package_brings_a_kind_by_its_entry_point(
     monkeypatch.syspath_prepend(str(code.parent))
     point = EntryPoint("their_pi", "mine:Pi", "servobench.controllers")
     monkeypatch.setattr(
-        "hil.configuration.bench_file.entry_points", lambda group: EntryPoints([point]).select(group=group)
+        "servobench.hil.configuration.bench_file.entry_points",
+        lambda group: EntryPoints([point]).select(group=group),
     )
-    monkeypatch.setattr("hil.configuration.bench_file.shipped_kinds", shipped_kinds.__wrapped__)
+    monkeypatch.setattr("servobench.hil.configuration.bench_file.shipped_kinds", shipped_kinds.__wrapped__)
     controller = {"kind": "their_pi", "parameters": {"gain": 0.06}}
     run = servo_bench(BENCH, {**SHORT, "drive.axis1.controller": controller})
     assert run.summary.verdict.completed
@@ -247,7 +248,7 @@ def test_the_class_and_the_table_of_the_docs_run_as_printed(servo_bench: BenchRu
 
 
 OBSERVER = """
-from hil import Compensator, Controller, StateEstimate, TorqueSetPoint
+from servobench import Compensator, Controller, StateEstimate, TorqueSetPoint
 
 class Held(Compensator):
     def __init__(self, setup=None):

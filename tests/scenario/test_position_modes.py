@@ -11,10 +11,10 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from drivers.errors import BadInput, LimitExceeded, PeerFault
-from drivers.rotation import RAD_S_PER_RPM
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.run import Run
+from servobench.drivers.errors import BadInput, LimitExceeded, PeerFault
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.run import Run
 from tests.rehearsals.rehearsal import made_sheet
 from tests.scenario.processes import EXAMPLES
 

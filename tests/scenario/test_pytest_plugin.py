@@ -14,11 +14,11 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from drivers.cia402.profile import State
-from drivers.errors import DriveInFault
-from hil import Command, Context, Controller, SetPoint, TorqueSetPoint
-from hil.pytest_plugin import MakeDrive, StartDrive
-from hil.testing.bench_runs import BenchRunner
+from servobench import Command, Context, Controller, SetPoint, TorqueSetPoint
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import DriveInFault
+from servobench.hil.pytest_plugin import MakeDrive, StartDrive
+from servobench.hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES, hub_name, observer, quiet_environment, serving
 from tests.scenario.test_data_sheet_run import changes, sheet
 
@@ -27,7 +27,15 @@ real_time = pytest.mark.xdist_group("real time")
 PROJECT = EXAMPLES / "drive_tests"
 TUTORIAL = EXAMPLES.parent / "docs" / "tutorial-pytest.md"
 REHEARSED = EXAMPLES.parent / "tests" / "contract" / "conformance" / "rehearsed.eds"
-HEAVY = {"numpy", "can", "canopen", "pydantic", "rerun", "hil.testing", "drivers.cia402.servo"}
+HEAVY = {
+    "numpy",
+    "can",
+    "canopen",
+    "pydantic",
+    "rerun",
+    "servobench.hil.testing",
+    "servobench.drivers.cia402.servo",
+}
 LIMIT_S = 110
 
 
@@ -124,7 +132,7 @@ def test_a_claim_that_is_not_true_fails_with_figures_and_without_our_insides(tmp
             run.assert_settles(within_s=0.05, band_percent=1, after_s=1.5)
 
         def test_state(servo_drive):
-            from drivers.cia402.profile import State
+            from servobench.drivers.cia402.profile import State
             rig = servo_drive()
             rig.configure()
             rig.assert_reaches(State.OPERATION_ENABLED, within_s=0.1)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import typer
 
-from hil.cli import app
+from servobench.hil.cli import app
 from tests.readme import INDENTED, Block, blocks, make_targets, script, shell_blocks, squeezed
 from tests.warm.start import folder
 

@@ -10,17 +10,17 @@ from typing import Any
 import pyarrow as pa
 import pytest
 
-from drivers.errors import PeerFault
-from hil.configuration.bench_file import load_bench
-from hil.execution import bench as bench_module
-from hil.execution.bench import run_bench
-from hil.execution.bus_guard import BusGuard
-from hil.recording.logger_process import RecordingFailed
-from hil.recording.recorder import Recorder, start_recording
-from hil.recording.tail import TAIL_FILE, read_tail
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW_DTYPE
-from hil.verdict.summary import Summary
+from servobench.drivers.errors import PeerFault
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.execution import bench as bench_module
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.execution.bus_guard import BusGuard
+from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.recording.recorder import Recorder, start_recording
+from servobench.hil.recording.tail import TAIL_FILE, read_tail
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import ROW_DTYPE
+from servobench.hil.verdict.summary import Summary
 from tests.scenario.processes import EXAMPLES, HIL, NO_DISK, RUN_TIMEOUT_S, on_disk_of, quiet_environment
 
 LONG_S = 40

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.cia402.profile import State
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, wall_clock_offset
-from hil.pytest_plugin import StartDrive
-from hil.rows.records_file import read_metadata, read_records
-from hil.rows.run_files import FIRST_CYCLE
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, wall_clock_offset
+from servobench.hil.pytest_plugin import StartDrive
+from servobench.hil.rows.records_file import read_metadata, read_records
+from servobench.hil.rows.run_files import FIRST_CYCLE
 from tests.scenario.processes import (
     broker_of,
     changed_bench,

@@ -14,11 +14,11 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from hil.rows.records import COLUMNS
-from hil.rows.records_file import PHASE_COLUMN, read_metadata
-from hil.rows.run_files import FORMAT, RECORDS_FILE
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.run import Run
+from servobench.hil.rows.records import COLUMNS
+from servobench.hil.rows.records_file import PHASE_COLUMN, read_metadata
+from servobench.hil.rows.run_files import FORMAT, RECORDS_FILE
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
 
 TSHARK_MAX_S = 60

@@ -6,15 +6,15 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from drivers.cia402.objects402 import Object, Unit, unit_word
-from hil.cli import app
-from hil.configuration.drive_file import load_drive_file
+from servobench.drivers.cia402.objects402 import Object, Unit, unit_word
+from servobench.hil.cli import app
+from servobench.hil.configuration.drive_file import load_drive_file
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING
 from tests.rehearsals.__main__ import complaints
 from tests.rehearsals.made_sheet import MadeSheet
 from tests.rehearsals.rehearsal import contradictions, made_sheet, ran, rehearsed
 from tests.rehearsals.traits import TRAITS
-from virtual_bus.drive.servo import SimulatedServo
 
 REFUSED = [
     "no 1016h",

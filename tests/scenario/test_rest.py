@@ -4,11 +4,11 @@ import csv
 
 import pytest
 
-from drivers.cia402.profile import State
-from drivers.cia402.rest import REST_RAD_S
-from drivers.errors import PeerFault
-from drivers.timebase import NS_PER_MS
-from hil.testing.bench_runs import BenchRunner
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.cia402.rest import REST_RAD_S
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.timebase import NS_PER_MS
+from servobench.hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES
 from tests.swarm.witness import DriveWitness, witnessed
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import pytest
 
-from hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.bench_runs import BenchRunner
 from tests.returns.drawn import AXES, POSITIONS, returned
 
 CASES: Final = [(axis, number) for axis in AXES for number in range(2 if axis in POSITIONS else 1)]

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from drivers.cia402.profile import State
-from hil import Command, Context, Controller, SetPoint, TorqueSetPoint
-from hil.configuration.bench_file import load_bench
-from hil.execution.bench import run_bench
-from hil.machine.progress import Progress, no_progress
-from hil.machine.stopping import StopRequest
-from hil.verdict.summary import Summary
+from servobench import Command, Context, Controller, SetPoint, TorqueSetPoint
+from servobench.drivers.cia402.profile import State
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.machine.progress import Progress, no_progress
+from servobench.hil.machine.stopping import StopRequest
+from servobench.hil.verdict.summary import Summary
 from tests.scenario.processes import EXAMPLES
 from tests.swarm.witness import DriveWitness, witnessed
 

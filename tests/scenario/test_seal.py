@@ -15,12 +15,12 @@ import pyarrow as pa
 import pytest
 from typer.testing import CliRunner
 
-import hil
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.cli import app
-from hil.configuration.bench_file import load_bench
-from hil.rows.seal import read_seal, sealed_line
+import servobench
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.hil.cli import app
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.rows.seal import read_seal, sealed_line
 from tests.unit.hil.recorded_runs import BENCH, short_run
 
 READERS: dict[str, Callable[[Path], list[str]]] = {
@@ -107,14 +107,14 @@ def test_who_reads_a_recording_without_a_seal_says_so(run: Path, tmp_path: Path,
     assert (status, told_as in told) == (0, True), told
     assert told_as in read("runs", tmp_path)[1]
     with pytest.warns(UserWarning, match=told_as):
-        assert hil.Run(load_bench(copy / "bench.toml"), copy).summary.cycles
+        assert servobench.Run(load_bench(copy / "bench.toml"), copy).summary.cycles
     assert told_as not in read(name, run)[1]
 
 
 def test_a_window_of_a_trace_asks_the_seal_for_what_it_reads(tmp_path: Path) -> None:
     """Of a longer recording the rest is not read, and so not held against it; of each file the length is."""
     run = tmp_path / "run"
-    done = hil.run(BENCH, {"bench.duration_s": 25.0, "load": {}}, record=run)
+    done = servobench.run(BENCH, {"bench.duration_s": 25.0, "load": {}}, record=run)
     log = (run / "frames.log").read_bytes()
     assert done.summary.cycles == 25_000
     assert len(log) > 1 << 22, "a smaller one is held against it as a whole"
@@ -231,7 +231,7 @@ def test_the_verdict_says_whether_it_rests_on_a_seal(run: Path) -> None:
 
 
 def test_a_run_of_the_python_api_is_read_only_as_it_was_recorded(tmp_path: Path) -> None:
-    done = hil.run(BENCH, {"bench.duration_s": 0.3, "load": {}}, record=tmp_path / "run")
+    done = servobench.run(BENCH, {"bench.duration_s": 0.3, "load": {}}, record=tmp_path / "run")
     with (tmp_path / "run" / "frames.directions").open("r+b") as file:
         file.write(b"R")
     for read_of in (lambda: done.table, lambda: done.events, lambda: done.wire):
@@ -317,7 +317,7 @@ def test_a_run_that_was_killed_has_a_seal_up_to_its_last_second(tmp_path: Path) 
         .replace('"faults/', f'"{BENCH.parent}/faults/')
         .replace("duration_s = 2.0", "duration_s = 600.0")
     )
-    command = [sys.executable, "-m", "hil.cli", "run", str(bench), "--record", str(folder)]
+    command = [sys.executable, "-m", "servobench.hil.cli", "run", str(bench), "--record", str(folder)]
     process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
     seal = folder / "seal"
     clock = MonotonicClock()

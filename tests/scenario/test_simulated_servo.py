@@ -5,15 +5,15 @@ import struct
 
 import pytest
 
-from drivers.cia402.profile import State
-from drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import Timeline
 from tests.hearing import Hearing
 from tests.motors import AZAIZ, LING
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import Timeline
 
 SYNC = Frame(0x80)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.profile import State
+from servobench.drivers.cia402.profile import State
 from tests.scenario.processes import EXAMPLES, hub_name, long_bench, observer, run, simulated_drive, start_run
 from tests.scenario.serial_processes import adapter_process
 

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from hil.commissioning import commission
-from hil.configuration.motor_file import LING2012
-from hil.execution.world import World, WorldPlan, open_world
+from servobench.hil.commissioning import commission
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.execution.world import World, WorldPlan, open_world
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.unknown_drive import nameplate_of
 from tests.rehearsals.rehearsal import made_sheet, rehearsed
 from tests.scenario.foreign_node import put_on_the_bus
 from tests.scenario.test_drive_follows import Shaft
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.unknown_drive import nameplate_of
 
 LIMIT_RPM = 0.5 * nameplate_of(LING2012.parameters)["rating"]["speed_rpm"]
 """Of the default nameplate; the host stops a shaft that is 30 % faster."""

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from design.delay.speed_loop import Units
-from design.papers.ling2012 import (
+from servobench.design.delay.speed_loop import Units
+from servobench.design.papers.ling2012 import (
     LOAD_NM,
     LOAD_ON_S,
     LOSSES,
@@ -19,14 +19,14 @@ from design.papers.ling2012 import (
     pi_gains,
     table2_row,
 )
-from design.papers.ling2012 import MOTOR as MOTOR_OF_PAPER
-from drivers.bounded_file import read_toml
-from drivers.errors import LimitExceeded
-from hil.configuration.bench_file import bench_from, load_bench, load_controller
-from hil.configuration.network_file import load_network
-from hil.execution.bench import run_bench
-from hil.studies.papers import reproduction
-from hil.studies.papers.reproduction import LOAD_AT_S, VARIANTS, bench_of
+from servobench.design.papers.ling2012 import MOTOR as MOTOR_OF_PAPER
+from servobench.drivers.bounded_file import read_toml
+from servobench.drivers.errors import LimitExceeded
+from servobench.hil.configuration.bench_file import bench_from, load_bench, load_controller
+from servobench.hil.configuration.network_file import load_network
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.studies.papers import reproduction
+from servobench.hil.studies.papers.reproduction import LOAD_AT_S, VARIANTS, bench_of
 from tests.unit.hil.test_speed_studies import HAND_WRITTEN, MOTOR, run, told
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

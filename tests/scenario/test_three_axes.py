@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES
 
 PRODUCER: dict[str, Any] = {

@@ -15,14 +15,14 @@ from typing import NamedTuple
 import pyarrow as pa
 import pytest
 
-from hil.reviewing.trace.bus_log import BusLog
-from hil.reviewing.trace.decoder import decode
-from hil.reviewing.trace.known_nodes import KnownNodes, SheetFile
-from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.run_trace import RecordedBus
-from hil.reviewing.trace.trace_entry import TraceEntry
-from hil.rows.run_files import RECORDS_FILE
-from hil.testing.bench_runs import BenchRunner
+from servobench.hil.reviewing.trace.bus_log import BusLog
+from servobench.hil.reviewing.trace.decoder import decode
+from servobench.hil.reviewing.trace.known_nodes import KnownNodes, SheetFile
+from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.run_trace import RecordedBus
+from servobench.hil.reviewing.trace.trace_entry import TraceEntry
+from servobench.hil.rows.run_files import RECORDS_FILE
+from servobench.hil.testing.bench_runs import BenchRunner
 from tests.canopen_session import TEXT, Witnessed, session
 from tests.scenario.processes import EXAMPLES
 from tests.scenario.test_recording_is_read_by_others import TSHARK_MAX_S, lacking

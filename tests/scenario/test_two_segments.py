@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config_errors import BadInputs, bad_inputs_of
-from hil.testing.bench_runs import BenchRunner
-from hil.verdict.verdict import ExitStatus
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config_errors import BadInputs, bad_inputs_of
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.verdict.verdict import ExitStatus
 from tests.scenario.processes import EXAMPLES, hub_name, run_command
 from tests.warm.start import hil
 

@@ -11,37 +11,37 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from drivers.canopen.bus_scan import BusScan
-from drivers.canopen.data_types import DataType
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects import SettingRefused
-from drivers.canopen.write_list import NOTHING, WriteList
-from drivers.cia402.motion import MoveProfile
-from drivers.cia402.profile import Mode
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, Duration
-from drivers.wire.adapters import parse_bus_spec
-from hil.configuration.bench_tables import Bench
-from hil.execution.bench import run_bench
-from hil.execution.world import WorldPlan, open_world
-from hil.inspecting.drive_fault import look_at_fault
-from hil.inspecting.stopping import stop_drives
-from hil.restoring.journal import DriveMark, JournalContents, JournalHead, ObjectKey, ObjectWrite
-from hil.restoring.restore import restore
-from hil.testing.drive_rig import drive_rig
-from hil.testing.hosted import DriveHost, DriveWish
-from hil.testing.one_run import run
-from hil.write_lists import FAULT, RESTORE, STOP, writes_of
+from servobench.drivers.canopen.bus_scan import BusScan
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.canopen.write_list import NOTHING, WriteList
+from servobench.drivers.cia402.motion import MoveProfile
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.hil.inspecting.drive_fault import look_at_fault
+from servobench.hil.inspecting.stopping import stop_drives
+from servobench.hil.restoring.journal import DriveMark, JournalContents, JournalHead, ObjectKey, ObjectWrite
+from servobench.hil.restoring.restore import restore
+from servobench.hil.testing.drive_rig import drive_rig
+from servobench.hil.testing.hosted import DriveHost, DriveWish
+from servobench.hil.testing.one_run import run
+from servobench.hil.write_lists import FAULT, RESTORE, STOP, writes_of
+from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.drive.load_object import LOAD_MACHINE, SIMULATED_DRIVE
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING
 from tests.rehearsals.made_sheet import MadeSheet
 from tests.rehearsals.rehearsal import rehearsed
 from tests.scenario.foreign_node import beside_the_bench, put_on_the_bus
 from tests.scenario.measuring import measuring_rig
 from tests.sdo_writes import OF_MAKERS, SdoWrites
-from virtual_bus.device.eds_export import export_eds
-from virtual_bus.drive.load_object import LOAD_MACHINE, SIMULATED_DRIVE
-from virtual_bus.drive.servo import SimulatedServo
 
 ROOT: Final = Path(__file__).parents[2]
 EXAMPLES: Final = ROOT / "examples"
@@ -246,7 +246,7 @@ def test_commissioning_a_drive_of_another_make_writes_its_list(tmp_path: Path) -
             put_on_the_bus(world, heard)
             yield world
 
-    with patch("hil.commissioning.commission.open_world", heard_world):
+    with patch("servobench.hil.commissioning.commission.open_world", heard_world):
         result = rehearsed(foreign_sheet(tmp_path), tmp_path, last_step="enable")
     assert result.reason == ""
     assert result.restored

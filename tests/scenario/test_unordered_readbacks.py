@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.bounded_file import read_toml
-from hil.configuration.bench_file import bench_from
-from hil.execution.bench import run_bench
+from servobench.drivers.bounded_file import read_toml
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.execution.bench import run_bench
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "network_measured.toml"
 

@@ -4,15 +4,15 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.errors import BadInput, DriveInFault
-from hil import Command, Context, Controller, SetPoint, TorqueSetPoint
-from hil.configuration.config import BenchConfig
-from hil.execution.simulated_drives import simulated_drives
-from hil.testing.bench_runs import BenchRunner
-from hil.verdict.verdict import LimitResult, VerdictKind
+from servobench import Command, Context, Controller, SetPoint, TorqueSetPoint
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.errors import BadInput, DriveInFault
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution.simulated_drives import simulated_drives
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.verdict.verdict import LimitResult, VerdictKind
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.scenario.processes import EXAMPLES
-from virtual_bus.drive.servo import SimulatedServo
 
 
 def test_the_settling_time_decides_which_errors_count(servo_bench: BenchRunner) -> None:
@@ -122,7 +122,7 @@ def test_an_emcy_that_nobody_planned_keeps_a_run_from_passing(
         drives[:] = simulated_drives(config)
         return drives
 
-    monkeypatch.setattr("hil.execution.simulated_drives.simulated_drives", made)
+    monkeypatch.setattr("servobench.hil.execution.simulated_drives.simulated_drives", made)
     run = servo_bench(BENCH, SHORT, faults={}, controllers={"axis1": Warned(drives)})
     verdict = run.summary.verdict
     assert (verdict.outcome, verdict.exit_status) == (VerdictKind.PEER_FAULT, 3)

@@ -12,11 +12,11 @@ from typing import Any, Final, NamedTuple
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
-from hil.configuration.bench_file import load_bench
-from hil.configuration.toml_text import toml_text
-from hil.recording.run_folder import read_summary
-from hil.testing.run import Run
+from servobench.hil.cli import app
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.testing.run import Run
 from tests.scenario.test_lost_samples_certified import bench
 
 READING, COMMAND = 0x181, 0x201

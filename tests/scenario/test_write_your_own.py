@@ -65,6 +65,7 @@ class Copy:
         self.changed: list[str] = []
         for room in ROOMS:
             shutil.copytree(ROOT / room, folder / room, ignore=LEFT_OUT)
+        shutil.copytree(ROOT / "servobench", folder / "servobench", symlinks=True)
         text = section(title)
         for name, code in re.findall(r"As\s`([^`]*)`:\n\n```\w+\n(.*?)```", text, re.DOTALL):
             assert not (folder / name).exists()
@@ -103,7 +104,7 @@ class Copy:
 
     def hil(self, *arguments: str, status: int = 0) -> str:
         """What ``hil`` prints in the copy."""
-        return self.python("-m", "hil.cli", *arguments, status=status)
+        return self.python("-m", "servobench.hil.cli", *arguments, status=status)
 
     def bench(self, controller: str, compensator: str = 'kind = "arrival"', name: str = "bench.toml") -> str:
         """A step of 300 r/min without a load."""
@@ -170,12 +171,12 @@ def test_a_compensator(tmp_path: Path) -> None:
 
 FAULT: Final = """
 import json
-from drivers.timebase import Instant
-from virtual_bus.bus.judge import LOST
-from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
-from virtual_bus.faults.fault_plan import load_fault_plan, read_fault_plan
-from virtual_bus.faults.replay import RecordedFaults, ReplayedFates
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.bus.judge import LOST
+from servobench.virtual_bus.faults.fault_injector import FaultInjector
+from servobench.virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
+from servobench.virtual_bus.faults.fault_plan import load_fault_plan, read_fault_plan
+from servobench.virtual_bus.faults.replay import RecordedFaults, ReplayedFates
 
 AT = (0, 400, 900, 2_000, 2_100, 9_000)
 
@@ -227,7 +228,7 @@ def test_a_step_of_commissioning(tmp_path: Path) -> None:
 
 
 FAMILY: Final = """
-from drivers.vendors.families import codes_of, motor_objects_for, quirks_for
+from servobench.drivers.vendors.families import codes_of, motor_objects_for, quirks_for
 (known,) = (family for family in codes_of(0x29C, "DRIVE 7") if family.name == "example.toml")
 print([known.text(code) for code in (0x7380, 0xFF0F, 0xFF10)])
 print([quirk.velocity_rpm for name, quirk in quirks_for(0x29C, 1, "Drive 7") if name == "example.toml"])

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar
 
-from hil.pytest_plugin import StartDrive
+from servobench.hil.pytest_plugin import StartDrive
 from tests.scenario.processes import EXAMPLES, changed_bench, run
 
 CYCLES = 300

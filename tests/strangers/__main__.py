@@ -14,7 +14,7 @@ import sys
 from collections import Counter
 from typing import Final
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.strangers.world import DURATION_S, clean_run, forged_run
 from tests.truth.drawn import drawn_plan
 

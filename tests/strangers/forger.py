@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from random import Random
 from typing import Final
 
-from drivers.timebase import NS_PER_US, Duration, Instant
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.virtual_bus.frame import Frame
 
 NODE: Final = 1
 """The drive of the bench."""

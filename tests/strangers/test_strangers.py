@@ -2,16 +2,16 @@
 
 import pytest
 
-from hil.configuration.bench_tables import Bench
-from hil.execution.bench import run_bench
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import VerdictKind
+from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import VerdictKind
+from servobench.virtual_bus.frame import Frame
 from tests.scenario.foreign_node import ForeignNode, beside_the_bench
 from tests.scenario.processes import EXAMPLES
 from tests.strangers.forger import PHASES
 from tests.strangers.world import DURATION_S, clean_run, forged_run
 from tests.truth.drawn import drawn_plan
-from virtual_bus.frame import Frame
 
 
 @pytest.mark.parametrize(("world", "seeds"), [("quiet", range(1, 6)), ("losses", range(4, 5))])

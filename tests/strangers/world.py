@@ -5,12 +5,12 @@ from random import Random
 from typing import Any, Final
 from unittest.mock import patch
 
-from drivers.errors import BenchError
-from hil.configuration.bench_tables import Bench
-from hil.execution import bench as bench_module
-from hil.execution.bench import run_bench
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.errors import BenchError
+from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.execution import bench as bench_module
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import VerdictKind
 from tests.scenario.foreign_node import beside_the_bench
 from tests.scenario.processes import EXAMPLES
 from tests.strangers.forger import PHASES, RUNNING_ALONE, SENT, Forger, Forgery

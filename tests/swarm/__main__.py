@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.swarm.swarm import failures, is_struck, warm
 
 CASES: Final = 100

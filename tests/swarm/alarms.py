@@ -12,12 +12,12 @@ from pathlib import Path
 from random import Random
 from typing import Any, Final
 
-from drivers.errors import BenchError
-from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.configuration.bench_tables import Bench
-from hil.execution.bench import run_bench
-from hil.testing.run import Run
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.errors import BenchError
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.testing.run import Run
+from servobench.hil.verdict.verdict import VerdictKind
 
 EXAMPLES: Final = Path(__file__).resolve().parents[2] / "examples"
 FILES: Final = ("ling2012", "ling2012", "network_designed", "position_csv", "position_csp")

@@ -8,8 +8,8 @@ from pathlib import Path
 from random import Random
 from typing import Any, Final
 
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config import BenchConfig
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config import BenchConfig
 
 EXAMPLES: Final = Path(__file__).resolve().parents[2] / "examples"
 DURATION_S: Final = (0.15, 0.6)

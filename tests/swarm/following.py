@@ -6,15 +6,15 @@ Witnesses are the drives themselves, and the frames on the wire with mappings th
 from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
 
-from drivers.cia402.profile import STATE_BITS, STATUS_PATTERNS, Mode, State, Status
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from hil.testing.wire import SeenFrame
+from servobench.drivers.cia402.profile import STATE_BITS, STATUS_PATTERNS, Mode, State, Status
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.hil.testing.wire import SeenFrame
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.seen_mappings import SeenMappings
+from servobench.virtual_bus.frame import Frame
 from tests.swarm.ran import Ran
 from tests.swarm.witness import FAR_TORQUE, OTHER_MODE, OTHER_TORQUE, TARGET_IGNORED
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.seen_mappings import SeenMappings
-from virtual_bus.frame import Frame
 
 CYCLES_MAX: Final = 3
 """From the frame that tells it to the reaction."""

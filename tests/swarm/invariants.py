@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 from can.io.canutils import CanutilsLogReader
 
-from drivers.cia402.profile import State
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.configuration.config import BenchConfig
-from hil.loop.stamp_attribution import REVOKED
-from hil.rows.run_files import DIRECTIONS_FILE, SUMMARY_FILE
-from hil.testing.wire import SeenFrame
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.loop.stamp_attribution import REVOKED
+from servobench.hil.rows.run_files import DIRECTIONS_FILE, SUMMARY_FILE
+from servobench.hil.testing.wire import SeenFrame
 from tests.swarm.following import OF_FOLLOWING
 from tests.swarm.mishaps import STRIKE, Mishap
 from tests.swarm.ran import TELLING_NS, Ran

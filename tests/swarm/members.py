@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from hil import Run
-from hil.rows.run_files import FRAMES_FILE
+from servobench import Run
+from servobench.hil.rows.run_files import FRAMES_FILE
 from tests.scenario.foreign_node import beside_the_bench
 from tests.swarm.cases import EXAMPLES, tables
 from tests.swarm.invariants import OF_RECORDINGS, OF_RUNS, held_against

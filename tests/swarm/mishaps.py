@@ -13,10 +13,10 @@ from random import Random
 from typing import Final
 from unittest.mock import patch
 
-from drivers.timebase import NS_PER_MS, Duration, Instant, MonotonicClock
-from hil.recording.append_file import AppendFile
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant, MonotonicClock
+from servobench.hil.recording.append_file import AppendFile
+from servobench.virtual_bus.frame import Frame
 from tests.scenario.foreign_node import ForeignNode
-from virtual_bus.frame import Frame
 
 
 class Mishap(StrEnum):

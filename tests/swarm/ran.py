@@ -9,13 +9,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from hil import Run
-from hil.configuration.config import BenchConfig
-from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import read_metadata, read_records
-from hil.rows.run_files import FIRST_CYCLE, RECORDS_FILE, SUMMARY_FILE
-from hil.testing.wire import Wire, read_wire
+from servobench import Run
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.rows.records import ROW_DTYPE, Rows
+from servobench.hil.rows.records_file import read_metadata, read_records
+from servobench.hil.rows.run_files import FIRST_CYCLE, RECORDS_FILE, SUMMARY_FILE
+from servobench.hil.testing.wire import Wire, read_wire
 from tests.swarm.mishaps import Circumstances, Mishap
 from tests.swarm.witness import Testimony
 

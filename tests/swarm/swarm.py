@@ -23,10 +23,12 @@ from typing import Any, Final
 
 from typer.testing import CliRunner
 
-from drivers.timebase import NS_PER_S, Instant, MonotonicClock
-from hil.cli import app
-from hil.recording import run_metadata
-from hil.terminal import report  # noqa: F401 - the command imports it when it is run
+from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from servobench.hil.cli import app
+from servobench.hil.recording import run_metadata
+from servobench.hil.terminal import report  # noqa: F401 - the command imports it when it is run
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.motors import LING
 from tests.scenario.foreign_node import Act, beside_the_bench
 from tests.swarm.cases import bench_text, case
@@ -36,8 +38,6 @@ from tests.swarm.ran import Ran, Told
 from tests.swarm.small_disk import small_disk
 from tests.swarm.warm import ForkedProcess, forked_loggers
 from tests.swarm.witness import DriveWitness, witnessed
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
 
 PROCESSOR_S_MAX: Final = 60
 WALL_S_MAX: Final = 180

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import DriveInFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.campaign_runs import CampaignRunner
-from hil.testing.run import Run
+from servobench.drivers.errors import DriveInFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.campaign_runs import CampaignRunner
+from servobench.hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
 from tests.swarm.following import CYCLES_MAX, OF_FOLLOWING, seen_on_the_wire
 from tests.swarm.invariants import held_against

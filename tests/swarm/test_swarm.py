@@ -9,9 +9,9 @@ from typing import cast
 
 import pytest
 
-from drivers.timebase import Instant
-from hil.testing.campaign_runs import CampaignRunner
-from hil.testing.wire import SeenFrame
+from servobench.drivers.timebase import Instant
+from servobench.hil.testing.campaign_runs import CampaignRunner
+from servobench.hil.testing.wire import SeenFrame
 from tests.swarm import witness
 from tests.swarm.__main__ import CASES
 from tests.swarm.invariants import emergencies_are_told_when_they_were_sent

@@ -17,10 +17,13 @@ from pathlib import Path
 from typing import Final
 from unittest.mock import patch
 
-from hil.machine.stopping import STOP_SIGNALS
-from hil.recording import logger, logger_process, recorder, recovery
+from servobench.hil.machine.stopping import STOP_SIGNALS
+from servobench.hil.recording import logger, logger_process, recorder, recovery
 
-_PROGRAMS = {"hil.recording.logger": logger.main, "hil.recording.recovery": recovery.main}
+_PROGRAMS = {
+    "servobench.hil.recording.logger": logger.main,
+    "servobench.hil.recording.recovery": recovery.main,
+}
 _NEVER_S = 1e6
 ROWS: Final = 1 << 12
 FRAMES: Final = 1 << 15

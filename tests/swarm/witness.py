@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 from unittest.mock import patch
 
-from drivers.cia402.profile import Mode, State, Status
-from drivers.timebase import Instant
-from hil.execution import bench
-from hil.execution.world import World, WorldPlan
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
+from servobench.drivers.cia402.profile import Mode, State, Status
+from servobench.drivers.timebase import Instant
+from servobench.hil.execution import bench
+from servobench.hil.execution.world import World, WorldPlan
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
 
 EMCY_ID: Final = 0x080
 VELOCITY: Final = 0x606C
@@ -87,15 +87,15 @@ class DriveWitness:
         return self._seen_so_far
 
     def start(self, now: Instant) -> Sequence[Frame]:
-        """See :class:`virtual_bus.frame.Device`."""
+        """See :class:`servobench.virtual_bus.frame.Device`."""
         return self._seen(self._drive.start(now), now)
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
-        """See :class:`virtual_bus.frame.Device`."""
+        """See :class:`servobench.virtual_bus.frame.Device`."""
         return self._seen(self._drive.receive(frame, now), now)
 
     def wake(self, now: Instant) -> Sequence[Frame]:
-        """See :class:`virtual_bus.frame.Device`."""
+        """See :class:`servobench.virtual_bus.frame.Device`."""
         return self._seen(self._drive.wake(now), now)
 
     def _seen(self, frames: Sequence[Frame], now: Instant) -> Sequence[Frame]:

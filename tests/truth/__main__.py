@@ -22,7 +22,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.truth.doubts import CAUSES
 from tests.truth.drawn import FEATURES, DrawnPlan, drawn_plan, shrunk
 from tests.truth.drawn_run import CYCLES, Verdict, judged

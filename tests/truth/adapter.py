@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any, Final, NamedTuple
 
-from drivers.timebase import NEVER, NS_PER_US, Instant
-from drivers.wire.frame_port import UNTOLD, EchoBasis, FramePort, WireFrame
+from servobench.drivers.timebase import NEVER, NS_PER_US, Instant
+from servobench.drivers.wire.frame_port import UNTOLD, EchoBasis, FramePort, WireFrame
 from tests.truth.taps import SYNC_ID
 
 STAMP_TICK_NS: Final = NS_PER_US

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
 from tests.truth.judge import EXAMPLES_MAX, NO_TIME
 from tests.truth.rows import (
     ACTING,

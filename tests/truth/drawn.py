@@ -10,7 +10,7 @@ from math import exp, log
 from random import Random
 from typing import Any, Final
 
-from drivers.wire.frame_port import EchoBasis
+from servobench.drivers.wire.frame_port import EchoBasis
 from tests.truth.adapter import Adapter
 
 PERIOD_US: Final = 1000

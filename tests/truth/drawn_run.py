@@ -8,11 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from drivers.errors import BenchError
-from drivers.timebase import NS_PER_US, Duration
-from drivers.wire.frame_port import EchoBasis
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config import BenchConfig
+from servobench.drivers.errors import BenchError
+from servobench.drivers.timebase import NS_PER_US, Duration
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config import BenchConfig
 from tests.truth.adapter import STAMP_TICK_NS
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.doubts import doubts

@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_S
-from virtual_bus.bus.hub import HubBus
+from servobench.drivers.timebase import NS_PER_S
+from servobench.virtual_bus.bus.hub import HubBus
 
 FRAME_DTYPE: Final = np.dtype([("at", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("data", "S8")])
 FrameTable = NDArray[np.void]

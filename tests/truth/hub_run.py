@@ -11,12 +11,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.configuration.config import BenchConfig
-from hil.rows.records import ROW_DTYPE
-from hil.rows.records_file import read_metadata, read_records
-from hil.rows.run_files import RECORDS_FILE
-from hil.testing.hosted import DriveProcess
-from hil.testing.wire import pdo_plans
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.rows.records import ROW_DTYPE
+from servobench.hil.rows.records_file import read_metadata, read_records
+from servobench.hil.rows.run_files import RECORDS_FILE
+from servobench.hil.testing.hosted import DriveProcess
+from servobench.hil.testing.wire import pdo_plans
+from servobench.virtual_bus.bus.hub_place import HubPlace
 from tests.scenario.processes import RUN_TIMEOUT_S, loop_of, start_run
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.hub_listener import heard, listening
@@ -27,7 +28,6 @@ from tests.truth.rows import USED, Told, told_by
 from tests.truth.runner import ROOT, SEED, bench_config
 from tests.truth.stalls import Stalls, stalling
 from tests.truth.sync_process import making_syncs
-from virtual_bus.bus.hub_place import HubPlace
 
 FRAMES, COMMANDS = "frames.bin", "commands.bin"
 MOTOR: Final = ROOT / "examples" / "motors" / "ling2012.toml"

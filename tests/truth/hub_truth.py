@@ -13,13 +13,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.pdo import EVERY_SYNC, PdoMap, PdoPlan
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.canopen.pdo import EVERY_SYNC, PdoMap, PdoPlan
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.virtual_bus.frame import Frame
 from tests.truth.hub_listener import FrameTable
 from tests.truth.rows import MISSED, NO_INSTANT, READING_IS_A_SET, Told
 from tests.truth.taps import SYNC_ID, Field, Heard, PdoLayout, fields_of
 from tests.truth.truth import SPEED, AxisTruth, CommandTruth, Reading, SyncTruth
-from virtual_bus.frame import Frame
 
 _SYNC: Final = Frame(SYNC_ID)
 _ENABLED: Final = b"\x0f\0"

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
 from tests.truth.rows import LATE, LOST, MISSED, NO_INSTANT, STALE, USED, Told, each_row
 from tests.truth.taps import Heard, stamp_us
 from tests.truth.truth import SPEED, STAMP, AxisTruth, SyncTruth

@@ -15,7 +15,7 @@ so of these none can be told without the risk of wrong ones.
 from bisect import bisect_left, bisect_right
 from typing import Final
 
-from drivers.timebase import Duration
+from servobench.drivers.timebase import Duration
 from tests.truth.truth import AxisTruth, SyncTruth
 
 ODDS: Final = 1000.0

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from drivers.timebase import Instant
+from servobench.drivers.timebase import Instant
 from tests.truth.truth import AxisTruth
 
 

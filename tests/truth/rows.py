@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import Duration
-from hil.rows.records import COMMAND_FATES, ROW_DTYPE, Rows
+from servobench.drivers.timebase import Duration
+from servobench.hil.rows.records import COMMAND_FATES, ROW_DTYPE, Rows
 
 NO_INSTANT: Final = -(2**63)
 """Stands for an instant that there is not."""

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.errors import BadInput
-from drivers.timebase import Duration
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import Simulation
-from hil.configuration.config_errors import BadInputs
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Duration
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.config_axis import Simulation
+from servobench.hil.configuration.config_errors import BadInputs
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.judge import Judgement, Timing, judge_axis
 from tests.truth.plans import NO_LIMIT, Plan

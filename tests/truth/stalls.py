@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from random import Random
 
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 
 TOGETHER = 0.25
 """How often all stand still at once, as they do when the machine itself is kept waiting."""

@@ -16,11 +16,11 @@ from typing import Final
 
 import can
 
-from drivers.canopen.cob_ids import SYNC
-from drivers.timebase import NS_PER_US, Instant, MonotonicClock
-from hil.machine.realtime import timing_conditions
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.cob_ids import SYNC
+from servobench.drivers.timebase import NS_PER_US, Instant, MonotonicClock
+from servobench.hil.machine.realtime import timing_conditions
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.frame import Frame
 
 _PATIENCE_S: Final = 30.0
 _READY: Final = "sending"

@@ -13,12 +13,12 @@ from unittest.mock import patch
 import can
 import numpy as np
 
-from drivers.timebase import Clock, Instant
-from hil.cli import main as hil
-from hil.execution import simulated_drives
+from servobench.drivers.timebase import Clock, Instant
+from servobench.hil.cli import main as hil
+from servobench.hil.execution import simulated_drives
+from servobench.virtual_bus.frame import Device, Frame
+from servobench.virtual_bus.hosting.devices import serve
 from tests.truth.hub_listener import FRAME_DTYPE
-from virtual_bus.frame import Device, Frame
-from virtual_bus.hosting.devices import serve
 
 HeardFrames = list[tuple[int, int, int, bytes]]
 
@@ -36,19 +36,19 @@ class CommandTap:
 
     @property
     def wake_at(self) -> Instant | None:
-        """See :class:`virtual_bus.frame.Device`."""
+        """See :class:`servobench.virtual_bus.frame.Device`."""
         return self._device.wake_at
 
     def start(self, now: Instant) -> Sequence[Frame]:
-        """See :class:`virtual_bus.frame.Device`."""
+        """See :class:`servobench.virtual_bus.frame.Device`."""
         return self._device.start(now)
 
     def wake(self, now: Instant) -> Sequence[Frame]:
-        """See :class:`virtual_bus.frame.Device`."""
+        """See :class:`servobench.virtual_bus.frame.Device`."""
         return self._device.wake(now)
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
-        """See :class:`virtual_bus.frame.Device`."""
+        """See :class:`servobench.virtual_bus.frame.Device`."""
         if frame.can_id == self._command_id:
             self._heard.append((now, frame.can_id, len(frame.data), frame.data))
         return self._device.receive(frame, now)

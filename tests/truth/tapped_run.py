@@ -6,21 +6,21 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, cast
 from unittest.mock import patch
 
-from drivers.errors import BenchError
-from drivers.wire.link import BusLink, StampSource
-from hil.configuration.config import BenchConfig
-from hil.execution import bench
-from hil.execution.bench import run_bench
-from hil.execution.world import World, WorldPlan
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import Rows
-from hil.rows.side_rows import TextEvent
-from hil.verdict.summary import Summary
+from servobench.drivers.errors import BenchError
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution import bench
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.execution.world import World, WorldPlan
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import Rows
+from servobench.hil.rows.side_rows import TextEvent
+from servobench.hil.verdict.summary import Summary
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.truth.adapter import Adapter, AdapterPort
 from tests.truth.taps import HostTap, TapLog, tap_drives
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.drive.servo import SimulatedServo
 
 
 @dataclass(frozen=True, slots=True)

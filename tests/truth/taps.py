@@ -14,15 +14,15 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import Instant
-from drivers.wire.frame_port import UNTOLD, FramePort
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.device.application import Application
-from virtual_bus.device.device_clock import DeviceClock
-from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import UNTOLD, FramePort
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.device.application import Application
+from servobench.virtual_bus.device.device_clock import DeviceClock
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
 
 SYNC_ID = 0x080
 PDO_IDS = range(0x180, 0x580)
@@ -210,7 +210,7 @@ class DriveTap:
         """SYNCs that the drive has not acted on yet."""
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
-        """See :class:`virtual_bus.frame.Device`."""
+        """See :class:`servobench.virtual_bus.frame.Device`."""
         answers = self._drive.receive(frame, now)
         can_id = frame.can_id
         if can_id == SYNC_ID:
@@ -230,14 +230,14 @@ class DriveTap:
         log.syncs.append(Heard(now, frame, tuple(answers), self._drive.clock.local_ns(now)))
 
     def start(self, now: Instant) -> Sequence[Frame]:
-        """See :class:`virtual_bus.frame.Device`."""
+        """See :class:`servobench.virtual_bus.frame.Device`."""
         frames = self._drive.start(now)
         if self._starts_at_us is not None:
             self._drive.clock.write(self._starts_at_us, now)
         return frames
 
     def wake(self, now: Instant) -> Sequence[Frame]:
-        """See :class:`virtual_bus.frame.Device`."""
+        """See :class:`servobench.virtual_bus.frame.Device`."""
         answers = self._drive.wake(now)
         if self._held and answers:
             self._note_late_sync(now, answers)
@@ -256,7 +256,7 @@ class DriveTap:
 
     @property
     def wake_at(self) -> Instant | None:
-        """See :class:`virtual_bus.frame.Device`."""
+        """See :class:`servobench.virtual_bus.frame.Device`."""
         return self._drive.wake_at
 
     @property
@@ -275,23 +275,23 @@ class DriveTap:
         return self._drive.application
 
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
-        """See :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
+        """See :class:`servobench.virtual_bus.device.canopen_device.CanopenDevice`."""
         self._drive.follow_bit_rate(set_bit_rate)
 
     def follow_boot_time(self, boot_time: Callable[[], int]) -> None:
-        """See :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
+        """See :class:`servobench.virtual_bus.device.canopen_device.CanopenDevice`."""
         self._drive.follow_boot_time(boot_time)
 
     def answer_scan_in_configuration(self) -> None:
-        """See :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
+        """See :class:`servobench.virtual_bus.device.canopen_device.CanopenDevice`."""
         self._drive.answer_scan_in_configuration()
 
     def bus_off(self, now: Instant) -> None:
-        """See :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
+        """See :class:`servobench.virtual_bus.device.canopen_device.CanopenDevice`."""
         self._drive.bus_off(now)
 
     def bus_recovered(self, now: Instant) -> Sequence[Frame]:
-        """See :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
+        """See :class:`servobench.virtual_bus.device.canopen_device.CanopenDevice`."""
         return self._drive.bus_recovered(now)
 
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from drivers.timebase import NS_PER_US, Duration
-from drivers.wire.frame_port import EchoBasis
+from servobench.drivers.timebase import NS_PER_US, Duration
+from servobench.drivers.wire.frame_port import EchoBasis
 from tests.truth.adapter import STAMP_TICK_NS, Adapter
 from tests.truth.judge import Judgement, Timing, judge_axis
 from tests.truth.plans import Plan

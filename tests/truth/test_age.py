@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.timebase import NS_PER_US
+from servobench.drivers.timebase import NS_PER_US
 from tests.truth.plans import Plan
 from tests.truth.runner import bench_config
 from tests.truth.tapped_run import run_with_taps

@@ -5,7 +5,7 @@ No command is lost in these plans, where they act on arrival. Intervals are judg
 
 import pytest
 
-from drivers.timebase import Duration
+from servobench.drivers.timebase import Duration
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.plans import Plan
 from tests.truth.rows import READING_IS_A_SET, told_by

@@ -7,14 +7,14 @@ from itertools import pairwise
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
-from drivers.wire.frame_port import UNTOLD, EchoBasis, WireFrame
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from servobench.drivers.wire.frame_port import UNTOLD, EchoBasis, WireFrame
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.timeline import Timeline
 from tests.truth.adapter import Adapter, AdapterPort
 from tests.truth.drawn import FEATURES, DrawnPlan, drawn_plan, shrunk
 from tests.truth.drawn_run import bench_config, judged
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.timeline import Timeline
 
 CYCLES = 800
 SEEDS = (2, 7, 17, 27, 29, 33, 40, 57, 59, 65, 69, 71, 74, 78, 79, 81, 84, 86, 113, 118)

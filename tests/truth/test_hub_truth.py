@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import PlanWish
-from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from tests.stillness import Untrue
 from tests.truth.hub_listener import FRAME_DTYPE, FrameTable
 from tests.truth.hub_run import HubOutcome, run_beside_a_listener

@@ -7,7 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
+from servobench.virtual_bus.frame import Frame
 from tests.truth.command_judge import judge_commands
 from tests.truth.judge import NO_TIME, Judgement, Timing, judge_axis
 from tests.truth.plans import Plan
@@ -27,7 +28,6 @@ from tests.truth.runner import bench_config
 from tests.truth.tapped_run import TappedRun, run_with_taps
 from tests.truth.taps import Heard
 from tests.truth.truth import SPEED, STAMP, AxisTruth, axis_truth, spacings_below, steps
-from virtual_bus.frame import Frame
 
 CYCLES = 60
 ROW = 30

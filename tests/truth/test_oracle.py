@@ -5,11 +5,11 @@ from random import Random
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.virtual_bus.frame import Frame
 from tests.truth.oracle import ALIKE_PARTS, ODDS, undecidable
 from tests.truth.taps import Field, Heard, PdoLayout
 from tests.truth.truth import AxisTruth, Reading, SyncTruth
-from virtual_bus.frame import Frame
 
 PERIOD = Duration(NS_PER_MS)
 LAYOUT = PdoLayout((), {}, 0x201, False, Field(0x201, 0, 2))

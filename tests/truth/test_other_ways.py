@@ -5,12 +5,12 @@ from random import Random
 
 import pytest
 
-from drivers.timebase import Instant
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.frame import Frame
 from tests.truth.other_ways import explained_otherwise
 from tests.truth.taps import Heard
 from tests.truth.test_oracle import LAYOUT, PERIOD, drawn
 from tests.truth.truth import AxisTruth, Reading, SyncTruth
-from virtual_bus.frame import Frame
 
 
 def truth_of(delays: list[int | None]) -> AxisTruth:

@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import pytest
 
-from drivers.canopen.data_types import DataType
-from hil.configuration.config import BenchConfig
-from hil.execution.bench import run_bench
+from servobench.drivers.canopen.data_types import DataType
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution.bench import run_bench
 from tests.rehearsals.made_sheet import MadeSheet
 from tests.truth.drawn import drawn_plan
 from tests.truth.drawn_run import judged as judged_drawn

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final, NamedTuple
 
-from drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.virtual_bus.frame import Frame
 from tests.truth.taps import SYNC_ID, Heard, Passed, PdoLayout, TapLog
-from virtual_bus.frame import Frame
 
 SPEED, STAMP = 0x606C, 0x1013
 _STEP_LEAST_NS: Final = 2 * NS_PER_US

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.timebase import NS_PER_S
-from hil.rows.records import Rows
-from hil.rows.records_file import read_table, rows_of_table
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.rows.records import Rows
+from servobench.hil.rows.records_file import read_table, rows_of_table
 from tests.scenario.processes import EXAMPLES, Observer, in_background, observer, summary_of
 from tests.truth.rows import MISSED, USED
 from tests.vcan.adapter import ADAPTER

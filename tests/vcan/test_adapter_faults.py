@@ -11,11 +11,11 @@ from struct import pack
 import can
 import pytest
 
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
-from drivers.wire.frame_port import WireFrame
-from drivers.wire.identifiers import ERROR_FLAG
-from drivers.wire.link import BusLink
-from drivers.wire.socketcan import StampedSocketcanBus
+from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from servobench.drivers.wire.frame_port import WireFrame
+from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.link import BusLink
+from servobench.drivers.wire.socketcan import StampedSocketcanBus
 
 CLOCK = MonotonicClock()
 PATIENCE_MS = 10_000

@@ -7,9 +7,9 @@ from typing import Any
 import can
 import pytest
 
-from drivers.timebase import NS_PER_US, Clock, MonotonicClock
-from drivers.wire.frame_port import EchoBasis
-from drivers.wire.socketcan import StampedSocketcanBus
+from servobench.drivers.timebase import NS_PER_US, Clock, MonotonicClock
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.drivers.wire.socketcan import StampedSocketcanBus
 from tests.contract.bus_suite import BusSuite, OpenBus
 from tests.contract.echo_suite import EchoSuite
 

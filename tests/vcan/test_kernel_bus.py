@@ -6,7 +6,7 @@ from contextlib import ExitStack
 import can
 import pytest
 
-from drivers.timebase import NS_PER_S, MonotonicClock, wall_clock_offset
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock, wall_clock_offset
 
 FRAMES = 200
 PATIENCE_S = 10.0

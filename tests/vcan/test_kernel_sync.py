@@ -3,9 +3,9 @@
 import can
 import pytest
 
-from drivers.errors import LimitExceeded
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.run import Run
+from servobench.drivers.errors import LimitExceeded
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.run import Run
 from tests.scenario.processes import BENCH
 from tests.vcan.late_machine import NO_MATTER_HOW_LATE
 

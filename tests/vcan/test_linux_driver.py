@@ -14,11 +14,11 @@ from struct import pack
 import can
 import pytest
 
-from drivers.errors import BusDown
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
-from drivers.wire.attached import can_links, link_advice
-from drivers.wire.link import BusLink
-from drivers.wire.socketcan import StampedSocketcanBus
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from servobench.drivers.wire.attached import can_links, link_advice
+from servobench.drivers.wire.link import BusLink
+from servobench.drivers.wire.socketcan import StampedSocketcanBus
 from tests.contract.slcan_bench import RunningAdapter, running_adapter
 from tests.scenario.processes import Observer, changed_bench, simulated_drive
 from tests.vcan.adapter import CHECK, run_tool

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import can
 import pytest
 
-from drivers.wire.link import StampSource
+from servobench.drivers.wire.link import StampSource
 from tests.contract.live_modes import live_modes
 from tests.contract.modes_suite import ModesRig, ModesSuite
 from tests.vcan.conftest import CHANNEL

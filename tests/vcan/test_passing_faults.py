@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.verdict.verdict import ExitStatus
 from tests.scenario.processes import Observer
 from tests.vcan.adapter import (
     BUS_OFF,

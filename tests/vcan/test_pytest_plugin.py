@@ -2,9 +2,9 @@
 
 import pytest
 
-from drivers.cia402.profile import State
-from hil.pytest_plugin import MakeDrive
-from hil.testing.bench_runs import BenchRunner
+from servobench.drivers.cia402.profile import State
+from servobench.hil.pytest_plugin import MakeDrive
+from servobench.hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import BENCH
 from tests.vcan.late_machine import NO_MATTER_HOW_LATE
 

@@ -8,8 +8,8 @@ from typing import Any
 import can
 import pytest
 
-from drivers.wire.attached import can_links
-from drivers.wire.slcan import SlcanBus
+from servobench.drivers.wire.attached import can_links
+from servobench.drivers.wire.slcan import SlcanBus
 from tests.contract.bus_suite import OpenBus
 from tests.contract.slcan_bench import RunningAdapter, SlcanSuite
 from tests.scenario.processes import HIL, START_LIMIT_S, simulated_drive

@@ -8,12 +8,12 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.errors import BusDown
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
-from drivers.wire.adapters import open_bus, parse_bus_spec, socketcan_links
-from drivers.wire.frame_port import EchoBasis, WireFrame
-from drivers.wire.link import BusLink
-from drivers.wire.socketcan import StampedSocketcanBus
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from servobench.drivers.wire.adapters import open_bus, parse_bus_spec, socketcan_links
+from servobench.drivers.wire.frame_port import EchoBasis, WireFrame
+from servobench.drivers.wire.link import BusLink
+from servobench.drivers.wire.socketcan import StampedSocketcanBus
 from tests.ports import fetched
 
 PATIENCE_NS = 10 * NS_PER_S

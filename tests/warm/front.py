@@ -11,9 +11,15 @@ import marshal
 import posix
 import sys
 
-LOGGER = ("hil.recording.logger", "hil.recording.recovery")
+LOGGER = ("servobench.hil.recording.logger", "servobench.hil.recording.recovery")
 """Programs that need Rerun: it starts threads when it is imported, so they have a server of their own."""
-OURS = (*LOGGER, "hil.campaign.worker", "hil.cli", "tests.warm.report", "virtual_bus.bus.hub_process")
+OURS = (
+    *LOGGER,
+    "servobench.hil.campaign.worker",
+    "servobench.hil.cli",
+    "tests.warm.report",
+    "servobench.virtual_bus.bus.hub_process",
+)
 """Programs that are forked; any other is executed."""
 FORWARDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2")
 
@@ -27,7 +33,7 @@ def main(real: str) -> None:
     signals = [getattr(_signal, each) for each in FORWARDED]
     ignored = [int(each) for each in signals if _signal.getsignal(each) == _signal.SIG_IGN]
     if name == "hil":
-        module, words = "hil.cli", arguments
+        module, words = "servobench.hil.cli", arguments
     elif arguments[:2] == ["-P", "-m"]:
         module, words = arguments[2], arguments[3:]
     else:

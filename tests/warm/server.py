@@ -31,25 +31,25 @@ PYTHON: Final = "forked-python"
 """The front that stands for the interpreter."""
 ROLES: Final = {
     "bench": (
-        "hil.campaign.worker",
-        "hil.cli",
-        "hil.commissioning.session",
-        "hil.configuration.bench_file",
-        "hil.configuration.toml_text",
-        "hil.execution.bench",
-        "hil.execution.simulated_drives",
-        "hil.inspecting.scanning",
-        "hil.measuring.measure",
-        "hil.recording.recorder",
-        "hil.terminal.report",
+        "servobench.hil.campaign.worker",
+        "servobench.hil.cli",
+        "servobench.hil.commissioning.session",
+        "servobench.hil.configuration.bench_file",
+        "servobench.hil.configuration.toml_text",
+        "servobench.hil.execution.bench",
+        "servobench.hil.execution.simulated_drives",
+        "servobench.hil.inspecting.scanning",
+        "servobench.hil.measuring.measure",
+        "servobench.hil.recording.recorder",
+        "servobench.hil.terminal.report",
         "rich.console",
         "rich.panel",
         "rich.table",
         "tomlkit",
         "typer.rich_utils",
-        "virtual_bus.bus.hub_process",
+        "servobench.virtual_bus.bus.hub_process",
     ),
-    "logger": ("hil.recording.logger", "hil.recording.recovery"),
+    "logger": ("servobench.hil.recording.logger", "servobench.hil.recording.recovery"),
 }
 """What is imported before the first program is forked."""
 THREADS: Final = {
@@ -225,7 +225,7 @@ def run(asked: Asked, place: Path) -> NoReturn:
     sys.argv = [str(place / "hil"), *asked.arguments]
     status: Any = 0
     try:
-        if asked.module == "hil.cli":
+        if asked.module == "servobench.hil.cli":
             import_module(asked.module).main()
         else:
             sys.modules.pop(asked.module, None)  # else runpy would say that it is there already

@@ -25,7 +25,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Final
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.rehearsals.rehearsal import made_sheet
 from tests.rehearsals.traits import TRAITS
 from tests.witness.outcome import HEAD, Outcome, Sheet, outcome, report

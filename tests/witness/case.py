@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.timebase import NS_PER_S, Instant, MonotonicClock
-from hil.configuration.motor_file import LING2012
-from hil.configuration.toml_text import toml_text
+from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.virtual_bus.drive.unknown_drive import nameplate_of
 from tests.rehearsals.rehearsal import fault_options
 from tests.witness.frames import Access, Frame, NodeListener
 from tests.witness.lateness import lateness
 from tests.witness.witness import Described, Key, Witness, described
-from virtual_bus.drive.unknown_drive import nameplate_of
 
 NODE: Final = 1
 PERIOD_US: Final = 4000
@@ -280,7 +280,10 @@ def _going(child: subprocess.Popen[bytes]) -> Iterator[bool]:
 def _started(arguments: Sequence[str], stem: Path) -> Iterator[subprocess.Popen[bytes]]:
     with stem.with_suffix(".json").open("wb") as out, stem.with_suffix(".txt").open("wb") as told:
         child = subprocess.Popen(
-            [sys.executable, "-m", "hil.cli", *arguments], stdin=subprocess.DEVNULL, stdout=out, stderr=told
+            [sys.executable, "-m", "servobench.hil.cli", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=told,
         )
         try:
             yield child
@@ -308,7 +311,9 @@ def _simulated(arguments: Sequence[str], folder: Path) -> Iterator[None]:
     until = clock.now() + round(_START_S * NS_PER_S)
     with said.open("wb") as told:
         drive = subprocess.Popen(
-            [sys.executable, "-m", "hil.cli", "simulate", *arguments], stdout=subprocess.DEVNULL, stderr=told
+            [sys.executable, "-m", "servobench.hil.cli", "simulate", *arguments],
+            stdout=subprocess.DEVNULL,
+            stderr=told,
         )
         try:
             while "Ctrl-C ends it" not in said.read_text():

@@ -1,7 +1,7 @@
 """What was written to one node and read of it, by the frames on the bus alone (CiA 301 7.2.2, 7.2.4, 7.3).
 
-A second reading of the standard: nothing here comes from ``drivers.canopen`` or ``virtual_bus.device``, whose
-errors would hide a write from the witness.
+A second reading of the standard: nothing here comes from ``servobench.drivers.canopen`` or
+``servobench.virtual_bus.device``, whose errors would hide a write from the witness.
 """
 
 from collections.abc import Iterable, Iterator

@@ -10,7 +10,7 @@ from typing import Final, Self
 
 import can
 
-from drivers.timebase import NS_PER_S, MonotonicClock
+from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from tests.witness.frames import Frame
 
 Key = tuple[int, int]

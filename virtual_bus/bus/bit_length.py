@@ -3,11 +3,11 @@
 ISO 11898-1 (in Bosch's CAN 2.0, part B: 3.2.1 frames, 3.2.5 intermission); core/wire_bits.c counts them.
 """
 
-from drivers.timebase import NS_PER_S, Duration
-from virtual_bus.core.native import INTERMISSION_BITS as INTERMISSION_BITS
-from virtual_bus.core.native import LONGEST_FRAME_BITS as LONGEST_FRAME_BITS
-from virtual_bus.core.native import wire_bits
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import NS_PER_S, Duration
+from servobench.virtual_bus.core.native import INTERMISSION_BITS as INTERMISSION_BITS
+from servobench.virtual_bus.core.native import LONGEST_FRAME_BITS as LONGEST_FRAME_BITS
+from servobench.virtual_bus.core.native import wire_bits
+from servobench.virtual_bus.frame import Frame
 
 
 def arbitration_key(frame: Frame) -> int:

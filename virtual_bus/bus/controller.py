@@ -4,8 +4,8 @@ ISO 11898-1 (Bosch CAN 2.0, part B, 8; the rules are cited by their numbers ther
 
 from enum import Enum
 
-from drivers.timebase import Instant
-from virtual_bus.bus.error_frame import Node
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.bus.error_frame import Node
 
 PASSIVE_FROM = 128
 """Either counter at this value makes a controller error passive (rule 9)."""

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from enum import Enum
 from typing import NamedTuple
 
-from drivers.timebase import Instant
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.frame import Frame
 
 
 class Disturbance(NamedTuple):

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from enum import Enum
 from typing import NamedTuple
 
-from virtual_bus.bus.disturbance import ErrorKind
-from virtual_bus.bus.frame_image import DOMINANT, RECESSIVE, SAMPLE_POINT, FrameImage
+from servobench.virtual_bus.bus.disturbance import ErrorKind
+from servobench.virtual_bus.bus.frame_image import DOMINANT, RECESSIVE, SAMPLE_POINT, FrameImage
 
 FLAG_BITS = 6
 DELIMITER_BITS = 8

@@ -10,22 +10,22 @@ end (ACK or error delimiter, end of frame, intermission) and once for every 11 b
 
 from typing import TYPE_CHECKING
 
-from drivers.timebase import NS_PER_S, Duration, Instant
-from virtual_bus.bus.bit_length import bits_duration
-from virtual_bus.bus.controller import (
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant
+from servobench.virtual_bus.bus.bit_length import bits_duration
+from servobench.virtual_bus.bus.controller import (
     RECOVERY_SEQUENCE_BITS,
     RECOVERY_SEQUENCES,
     SUSPEND_BITS,
     CanController,
     ErrorState,
 )
-from virtual_bus.bus.disturbance import BusError
-from virtual_bus.bus.port import Port
-from virtual_bus.bus.trial import Conditions, Trial, bit_by_bit, is_plain, undisturbed
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.bus.disturbance import BusError
+from servobench.virtual_bus.bus.port import Port
+from servobench.virtual_bus.bus.trial import Conditions, Trial, bit_by_bit, is_plain, undisturbed
+from servobench.virtual_bus.frame import Frame
 
 if TYPE_CHECKING:
-    from virtual_bus.bus.segment import CanSegment
+    from servobench.virtual_bus.bus.segment import CanSegment
 
 INTEGRATION_BITS = 11
 """Recessive bits that a node sees before it takes part (ISO 11898-1, bus integration)."""

@@ -4,10 +4,10 @@ from typing import Final
 
 import can
 
-from drivers.wire.identifiers import ERROR_FLAG
-from virtual_bus.bus.controller import PASSIVE_FROM, CanController, ErrorState
-from virtual_bus.bus.disturbance import BusError, ErrorKind
-from virtual_bus.frame import Frame
+from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.virtual_bus.bus.controller import PASSIVE_FROM, CanController, ErrorState
+from servobench.virtual_bus.bus.disturbance import BusError, ErrorKind
+from servobench.virtual_bus.frame import Frame
 
 WARNING_FROM: Final = 96
 """Counters from here on are a warning (ISO 11898-1, error warning limit)."""

@@ -1,12 +1,12 @@
 """A frame as levels on the wire, bit by bit, for the attempts that something disturbs.
 
-Undisturbed frames are only counted (virtual_bus.bus.bit_length), which is far cheaper.
+Undisturbed frames are only counted (servobench.virtual_bus.bus.bit_length), which is far cheaper.
 """
 
 from typing import NamedTuple
 
-from virtual_bus.bus.bit_length import arbitration_key
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.bus.bit_length import arbitration_key
+from servobench.virtual_bus.frame import Frame
 
 DOMINANT, RECESSIVE = 0, 1
 SAMPLE_POINT = 0.8

@@ -6,14 +6,14 @@ from functools import partial
 
 from can.typechecking import CanFilters
 
-from drivers.timebase import NEVER, Instant
-from drivers.wire.frame_port import EchoBasis, FramePort, accepts
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.judge import Direction, Judge
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.core.native import HostPlace
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import NEVER, Instant
+from servobench.drivers.wire.frame_port import EchoBasis, FramePort, accepts
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.judge import Direction, Judge
+from servobench.virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.core.native import HostPlace
+from servobench.virtual_bus.frame import Frame
 
 
 class HostPort(FramePort):

@@ -1,7 +1,7 @@
 """python-can's view of a hub: a CAN bus in real time between the processes of one user.
 
 ``can.Bus(interface="hub", channel="bench", bitrate=1_000_000)``. The first to join starts
-the hub's broker (virtual_bus.bus.hub_process), which leaves after the last one.
+the hub's broker (servobench.virtual_bus.bus.hub_process), which leaves after the last one.
 """
 
 import errno
@@ -13,7 +13,7 @@ import subprocess
 import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
-from drivers.timebase import (
+from servobench.drivers.timebase import (
     NEVER,
     NS_PER_MS,
     NS_PER_S,
@@ -23,11 +23,11 @@ from drivers.timebase import (
     MonotonicClock,
     instant_after,
 )
-from drivers.wire.message import frame_of, message_of
-from virtual_bus.bus.error_message import bus_state
-from virtual_bus.bus.hub_place import HubPlace, known_hubs
-from virtual_bus.bus.hub_port import HubPort
-from virtual_bus.bus.hub_protocol import (
+from servobench.drivers.wire.message import frame_of, message_of
+from servobench.virtual_bus.bus.error_message import bus_state
+from servobench.virtual_bus.bus.hub_place import HubPlace, known_hubs
+from servobench.virtual_bus.bus.hub_port import HubPort
+from servobench.virtual_bus.bus.hub_protocol import (
     PACKET_BYTES_MAX,
     Hello,
     HubStatus,
@@ -37,7 +37,7 @@ from virtual_bus.bus.hub_protocol import (
     decode_answer,
     encode_hello,
 )
-from virtual_bus.child_python import python_command, python_environment
+from servobench.virtual_bus.child_python import python_command, python_environment
 
 
 class HubBus(can.BusABC):
@@ -239,7 +239,7 @@ def _answered(
 
 def _start(place: HubPlace, bitrate_bit_s: int) -> None:
     """Start the broker; it runs when this returns. Call it under the hub's lock."""
-    command = python_command("virtual_bus.bus.hub_process", place.name, str(bitrate_bit_s))
+    command = python_command("servobench.virtual_bus.bus.hub_process", place.name, str(bitrate_bit_s))
     with place.log.open("wb") as log:
         try:
             status = subprocess.run(

@@ -25,11 +25,11 @@ import socket
 import sys
 from typing import Final
 
-from drivers.timebase import NEVER, NS_PER_MS, NS_PER_S, Clock, Instant
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.hub_client import OUTBOX_MAX, Client, WireImage
-from virtual_bus.bus.hub_place import HubPlace, try_lock
-from virtual_bus.bus.hub_protocol import (
+from servobench.drivers.timebase import NEVER, NS_PER_MS, NS_PER_S, Clock, Instant
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.hub_client import OUTBOX_MAX, Client, WireImage
+from servobench.virtual_bus.bus.hub_place import HubPlace, try_lock
+from servobench.virtual_bus.bus.hub_protocol import (
     ACTIONS,
     PACKET_BYTES_MAX,
     Hello,
@@ -41,9 +41,9 @@ from virtual_bus.bus.hub_protocol import (
     encode_status,
     encode_welcome,
 )
-from virtual_bus.bus.port import Port
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.timeline import Event, Timeline
+from servobench.virtual_bus.bus.port import Port
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.timeline import Event, Timeline
 
 CLIENTS_MAX: Final = 64
 """More than a lab has on one bus; each costs the broker a copy of every frame."""

@@ -5,12 +5,12 @@ from collections import deque
 from itertools import islice
 from typing import Final
 
-from drivers.timebase import NEVER, Instant
-from virtual_bus.bus.hub_protocol import BATCH_FRAMES_MAX, ECHO_HELD_NS, FRAME_BYTES, encode_frame
-from virtual_bus.bus.listener import Listener
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
-from virtual_bus.frame import Frame
-from virtual_bus.timeline import Event
+from servobench.drivers.timebase import NEVER, Instant
+from servobench.virtual_bus.bus.hub_protocol import BATCH_FRAMES_MAX, ECHO_HELD_NS, FRAME_BYTES, encode_frame
+from servobench.virtual_bus.bus.listener import Listener
+from servobench.virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.timeline import Event
 
 OUTBOX_MAX: Final = 8_192
 """Frames kept for a client beyond what its socket holds: about a second of a full bus at 1 Mbit/s."""

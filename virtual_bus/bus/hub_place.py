@@ -9,8 +9,8 @@ from pathlib import Path
 
 import can
 
-from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
-from drivers.wire.adapters import HUB_NAME, HUB_NAME_EXPECTED
+from servobench.drivers.timebase import NS_PER_MS, Clock, Duration, Instant
+from servobench.drivers.wire.adapters import HUB_NAME, HUB_NAME_EXPECTED
 
 _SOCKET_PATH_BYTES_MAX = 107
 _LOCK_RETRY_NS = 5 * NS_PER_MS

@@ -9,10 +9,10 @@ from typing import Final, NoReturn
 import can
 from can.typechecking import CanFilters
 
-from drivers.timebase import NS_PER_S, Clock, Instant, instant_after
-from drivers.wire.frame_port import EchoBasis, FramePort, accepts
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.hub_protocol import (
+from servobench.drivers.timebase import NS_PER_S, Clock, Instant, instant_after
+from servobench.drivers.wire.frame_port import EchoBasis, FramePort, accepts
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.hub_protocol import (
     FRAME_BYTES,
     PACKET_BYTES_MAX,
     HubStatus,
@@ -25,7 +25,7 @@ from virtual_bus.bus.hub_protocol import (
     is_own,
     split_batch,
 )
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.frame import Frame
 
 _WAIT_MAX_S: Final = 3_600.0
 """Of one ``poll``, whose milliseconds are a C int; the wait goes on after it."""

@@ -7,13 +7,14 @@ import resource
 import signal
 import sys
 
-from drivers.timebase import MonotonicClock
-from virtual_bus.bus.hub_broker import Broker, listen
-from virtual_bus.bus.hub_place import HubPlace, try_lock
+from servobench.drivers.timebase import MonotonicClock
+from servobench.virtual_bus.bus.hub_broker import Broker, listen
+from servobench.virtual_bus.bus.hub_place import HubPlace, try_lock
 
 _PR_SET_TIMERSLACK = 29
 _FIFO_PRIORITY = 60
-"""Above a control loop (hil.machine.realtime): the bus has to be on time before anybody on it can be."""
+"""Above a control loop (servobench.hil.machine.realtime): the bus has to be on time before anybody on it can
+be."""
 _BUSY_US_MAX = 100_000
 """CPU time without once sleeping, after which the process is put back among the ordinary ones."""
 
@@ -44,7 +45,8 @@ def _run_as_others() -> None:
 
 
 def main() -> None:
-    """``python -m virtual_bus.bus.hub_process NAME BITRATE``: returns once the hub can be joined."""
+    """``python -m servobench.virtual_bus.bus.hub_process NAME BITRATE``: returns once the hub can be
+    joined."""
     name, bitrate = sys.argv[1:]
     place = HubPlace(name)
     alive = try_lock(place.alive)

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from drivers.timebase import NS_PER_US, Instant
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.port import Port
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import NS_PER_US, Instant
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.port import Port
+from servobench.virtual_bus.frame import Frame
 
 VERSION = 5
 PACKET_BYTES_MAX: Final = 512

@@ -6,8 +6,8 @@ from typing import Final
 
 from mypy_extensions import mypyc_attr
 
-from drivers.timebase import Duration, Instant
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import Duration, Instant
+from servobench.virtual_bus.frame import Frame
 
 LOST: Final = -1
 """The frame does not go on as it is."""

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 from mypy_extensions import mypyc_attr
 
-from drivers.timebase import Instant
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.frame import Frame
 
 OnFrame = Callable[[Frame, Instant], None]
 

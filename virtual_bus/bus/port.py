@@ -6,11 +6,11 @@ from typing import Final, Protocol
 
 import can
 
-from drivers.timebase import Instant
-from virtual_bus.bus.controller import CanController, ErrorState
-from virtual_bus.bus.listener import Listener as Listener
-from virtual_bus.bus.listener import OnFrame as OnFrame
-from virtual_bus.core import native
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.bus.controller import CanController, ErrorState
+from servobench.virtual_bus.bus.listener import Listener as Listener
+from servobench.virtual_bus.bus.listener import OnFrame as OnFrame
+from servobench.virtual_bus.core import native
 
 OnErrorState = Callable[[ErrorState, Instant], None]
 

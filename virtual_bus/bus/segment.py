@@ -2,18 +2,18 @@
 
 Unless asked for something else, every frame is acknowledged and none is corrupted: disturbed frames,
 error counters, bus-off, missing acknowledgement, unplugged nodes and the like are the business of
-:mod:`virtual_bus.bus.error_handling`, which takes over once any of them is used.
+:mod:`servobench.virtual_bus.bus.error_handling`, which takes over once any of them is used.
 """
 
 from typing import Self
 
-from drivers.timebase import Duration, Instant
-from virtual_bus.bus.disturbance import Disturb, OnError
-from virtual_bus.bus.error_handling import ErrorHandling
-from virtual_bus.bus.listener import Listener
-from virtual_bus.bus.port import Medium, Port
-from virtual_bus.core.native import HostPlace
-from virtual_bus.timeline import Timeline
+from servobench.drivers.timebase import Duration, Instant
+from servobench.virtual_bus.bus.disturbance import Disturb, OnError
+from servobench.virtual_bus.bus.error_handling import ErrorHandling
+from servobench.virtual_bus.bus.listener import Listener
+from servobench.virtual_bus.bus.port import Medium, Port
+from servobench.virtual_bus.core.native import HostPlace
+from servobench.virtual_bus.timeline import Timeline
 
 
 class CanSegment(Medium):

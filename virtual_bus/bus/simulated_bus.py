@@ -10,13 +10,13 @@ from can.broadcastmanager import (
 )
 from can.typechecking import CanFilters
 
-from drivers.timebase import NEVER, Instant, instant_after
-from drivers.wire.message import frame_of, message_of
-from virtual_bus.bus.error_message import bus_state
-from virtual_bus.bus.host_port import HostPort
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.timeline import Event, Timeline
+from servobench.drivers.timebase import NEVER, Instant, instant_after
+from servobench.drivers.wire.message import frame_of, message_of
+from servobench.virtual_bus.bus.error_message import bus_state
+from servobench.virtual_bus.bus.host_port import HostPort
+from servobench.virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.timeline import Event, Timeline
 
 
 class TimelineCyclicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, RestartableCyclicTaskABC):

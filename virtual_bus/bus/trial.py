@@ -6,12 +6,12 @@ Where nothing can go wrong the outcome is known without a look at single bits.
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from virtual_bus.bus.bit_length import frame_bits
-from virtual_bus.bus.controller import CanController, ErrorState
-from virtual_bus.bus.disturbance import Disturbance, ErrorKind
-from virtual_bus.bus.error_frame import BITS_MAX, Node, attempt
-from virtual_bus.bus.frame_image import FrameImage, frame_image, resampled
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.bus.bit_length import frame_bits
+from servobench.virtual_bus.bus.controller import CanController, ErrorState
+from servobench.virtual_bus.bus.disturbance import Disturbance, ErrorKind
+from servobench.virtual_bus.bus.error_frame import BITS_MAX, Node, attempt
+from servobench.virtual_bus.bus.frame_image import FrameImage, frame_image, resampled
+from servobench.virtual_bus.frame import Frame
 
 
 class Trial(NamedTuple):

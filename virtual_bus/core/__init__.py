@@ -4,7 +4,7 @@ There is one implementation. Where the core is not built, or was built from othe
 it, importing this package raises BadInput, which says what to do.
 """
 
-from design.core.build import LIBRARY, check_built
-from drivers.errors import BadInput
+from servobench.design.core.build import LIBRARY, check_built
+from servobench.drivers.errors import BadInput
 
 check_built("virtual_bus", lambda found, expected: BadInput("the native core", LIBRARY, found, expected))

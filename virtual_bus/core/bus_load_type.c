@@ -64,7 +64,7 @@ static PyType_Slot slots[] = {
 };
 
 PyType_Spec load_spec = {
-    .name = "virtual_bus.core.native.BusLoad",
+    .name = "servobench.virtual_bus.core.native.BusLoad",
     .basicsize = sizeof(LoadObject),
     .flags = Py_TPFLAGS_DEFAULT,
     .slots = slots,

@@ -7,7 +7,7 @@
 
 PyTypeObject *held_type;
 
-static const int64_t NEVER = ((int64_t)1 << 62) - 1; /* drivers.timebase */
+static const int64_t NEVER = ((int64_t)1 << 62) - 1; /* servobench.drivers.timebase */
 
 static HeldObject *held_of(PyObject *self) { return (HeldObject *)self; }
 
@@ -112,7 +112,7 @@ static PyType_Slot slots[] = {
 };
 
 PyType_Spec held_spec = {
-    .name = "virtual_bus.core.native.HeldFrames",
+    .name = "servobench.virtual_bus.core.native.HeldFrames",
     .basicsize = sizeof(HeldObject),
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC,
     .slots = slots,

@@ -197,7 +197,7 @@ static PyType_Slot slots[] = {
 };
 
 PyType_Spec place_spec = {
-    .name = "virtual_bus.core.native.HostPlace",
+    .name = "servobench.virtual_bus.core.native.HostPlace",
     .basicsize = sizeof(PlaceObject),
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC,
     .slots = slots,

@@ -307,7 +307,7 @@ static PyType_Slot slots[] = {
 };
 
 PyType_Spec inner_loops_spec = {
-    .name = "virtual_bus.core.native.InnerLoops",
+    .name = "servobench.virtual_bus.core.native.InnerLoops",
     .basicsize = sizeof(InnerLoopsObject),
     .flags = Py_TPFLAGS_DEFAULT,
     .slots = slots,

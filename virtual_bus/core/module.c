@@ -1,4 +1,4 @@
-/* The module virtual_bus.core.native; native.pyi says what it holds. */
+/* The module servobench.virtual_bus.core.native; native.pyi says what it holds. */
 #include "actual_values.h"
 #include "arguments.h"
 #include "host_place.h"

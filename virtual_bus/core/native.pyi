@@ -3,11 +3,11 @@
 from collections.abc import Callable, Sequence, Sized
 from typing import Any, Protocol, Self
 
-from drivers.timebase import Duration, Instant
-from drivers.wire.frame_port import WireFrame
+from servobench.drivers.timebase import Duration, Instant
+from servobench.drivers.wire.frame_port import WireFrame
 
 SOURCES_DIGEST: str
-"""Of the C that the core was built from (design.core.build)."""
+"""Of the C that the core was built from (servobench.design.core.build)."""
 
 def sine_cosine(angle_rad: float, /) -> tuple[float, float]:
     """Sine and cosine, error below 4e-16 for magnitudes up to 1000 rad."""
@@ -15,8 +15,8 @@ def sine_cosine(angle_rad: float, /) -> tuple[float, float]:
 def wire_bits(field: int, data: bytes, /) -> int:
     """Bits from start of frame to end of frame, with all stuff bits.
 
-    ``field``: the arbitration key (virtual_bus.bus.bit_length) and below it the four bits of the DLC;
-    ``data``: its octets. Error: ValueError for more than eight octets.
+    ``field``: the arbitration key (servobench.virtual_bus.bus.bit_length) and below it the four bits of the
+    DLC; ``data``: its octets. Error: ValueError for more than eight octets.
     """
 
 def clipped(value: float, bits: int, /) -> int:
@@ -344,7 +344,7 @@ class Port:
 
     @property
     def key(self) -> int | None:
-        """Its arbitration key (virtual_bus.bus.bit_length)."""
+        """Its arbitration key (servobench.virtual_bus.bus.bit_length)."""
 
     def send(self, frame: WireFrame, /) -> None:
         """Queue ``frame``. Raises what ``refusal()`` of the class on top returns, if it is full, off or
@@ -381,7 +381,7 @@ class HeldFrames:
         """Forget all that is held."""
 
 class FrameJudge(Protocol):
-    """See virtual_bus.bus.judge."""
+    """See servobench.virtual_bus.bus.judge."""
 
     def hold(self, way: int, can_id: int, now: Instant, extended: bool, /) -> int: ...
     def replacements(self, frame: WireFrame, /) -> Sequence[tuple[WireFrame, Duration]]: ...

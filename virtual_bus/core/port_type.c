@@ -187,7 +187,7 @@ static PyType_Slot slots[] = {
 };
 
 PyType_Spec port_spec = {
-    .name = "virtual_bus.core.native.Port",
+    .name = "servobench.virtual_bus.core.native.Port",
     .basicsize = sizeof(PortObject),
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_BASETYPE | Py_TPFLAGS_HAVE_GC,
     .slots = slots,

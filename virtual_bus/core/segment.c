@@ -1,6 +1,6 @@
 /* Unless asked for something else, every frame is acknowledged and none is corrupted: disturbed frames, error
    counters, bus-off, missing acknowledgement, unplugged nodes and the like are the business of
-   virtual_bus.bus.error_handling, which takes over once any of them is used. A port that sends sees its own frame's
+   servobench.virtual_bus.bus.error_handling, which takes over once any of them is used. A port that sends sees its own frame's
    end through on_sent. Two ports that send the same identifier at the same time are served in the order in which
    they were attached (on a real bus their data would collide).
 

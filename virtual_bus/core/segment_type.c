@@ -198,7 +198,7 @@ static PyType_Slot slots[] = {
 };
 
 PyType_Spec segment_spec = {
-    .name = "virtual_bus.core.native.Segment",
+    .name = "servobench.virtual_bus.core.native.Segment",
     .basicsize = sizeof(SegmentObject),
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_BASETYPE | Py_TPFLAGS_HAVE_GC,
     .slots = slots,

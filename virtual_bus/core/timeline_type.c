@@ -114,7 +114,7 @@ static PyType_Slot timeline_slots[] = {
 };
 
 PyType_Spec timeline_spec = {
-    .name = "virtual_bus.core.native.Timeline",
+    .name = "servobench.virtual_bus.core.native.Timeline",
     .basicsize = sizeof(TimelineObject),
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_BASETYPE | Py_TPFLAGS_HAVE_GC,
     .slots = timeline_slots,
@@ -174,7 +174,7 @@ static PyType_Slot event_slots[] = {
 };
 
 PyType_Spec event_spec = {
-    .name = "virtual_bus.core.native.Event",
+    .name = "servobench.virtual_bus.core.native.Event",
     .basicsize = sizeof(EventObject),
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC | Py_TPFLAGS_DISALLOW_INSTANTIATION,
     .slots = event_slots,
@@ -253,7 +253,7 @@ static PyType_Slot clock_slots[] = {
 };
 
 PyType_Spec clock_spec = {
-    .name = "virtual_bus.core.native.SimulatedClock",
+    .name = "servobench.virtual_bus.core.native.SimulatedClock",
     .basicsize = sizeof(ClockObject),
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC,
     .slots = clock_slots,

@@ -1,10 +1,10 @@
 """Between the CANopen device engine and what the device does: the interface of an application.
 
-The engine (:mod:`virtual_bus.device.canopen_device`) owns communication, CiA 301. The application owns the
-device's purpose, for a drive CiA 402. It fills its part of the object dictionary in
+The engine (:mod:`servobench.virtual_bus.device.canopen_device`) owns communication, CiA 301. The application
+owns the device's purpose, for a drive CiA 402. It fills its part of the object dictionary in
 :meth:`Application.attach`, keeps the values of its variables up to date in
 :meth:`Application.advance`, and acts on what the master writes through the ``check`` and
-``on_write`` hooks of its variables (:class:`virtual_bus.device.object_dictionary.Variable`).
+``on_write`` hooks of its variables (:class:`servobench.virtual_bus.device.object_dictionary.Variable`).
 
 Order of calls, all on one thread, ``now`` never running backwards:
 
@@ -22,10 +22,10 @@ from typing import Protocol
 
 from mypy_extensions import mypyc_attr
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import Instant
-from virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 
 
 class CommunicationLoss(Enum):

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from math import log
 from typing import Final, Literal
 
-from drivers.timebase import Duration, Instant
-from virtual_bus.faults.fault_streams import uniform_stream
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import Duration, Instant
+from servobench.virtual_bus.faults.fault_streams import uniform_stream
+from servobench.virtual_bus.frame import Frame
 
 CATCH_UP_MAX: Final = 64
 """Frames that a late wake-up sends at once; what was due beyond that is skipped and counted."""

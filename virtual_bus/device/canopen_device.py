@@ -4,7 +4,7 @@
           <-- frames, wake_at -----------
 
 The device is put together from parts that share a
-:class:`virtual_bus.device.station.Station`; each part reads
+:class:`servobench.virtual_bus.device.station.Station`; each part reads
 its parameters from the dictionary and hooks its checks into it. An object that the dictionary has not
 got switches its feature off.
 """
@@ -12,26 +12,26 @@ got switches its feature off.
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED, NmtState
-from drivers.canopen.objects301 import FIRST_OBJECT, Cia301
-from drivers.timebase import NEVER, NS_PER_MS, Instant
-from drivers.vendors.families import stamp_for
-from virtual_bus.device.application import Application, CommunicationLoss
-from virtual_bus.device.communication_objects import add_communication_objects
-from virtual_bus.device.device_clock import DeviceClock
-from virtual_bus.device.device_options import DeviceOptions
-from virtual_bus.device.emergency import EmergencyProducer
-from virtual_bus.device.heartbeat import HeartbeatConsumers, HeartbeatProducer, NodeGuarding
-from virtual_bus.device.lss_slave import LssSlave
-from virtual_bus.device.nmt import NmtSlave
-from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.device.parameter_storage import MemoryStore, ParameterStorage, ParameterStore
-from virtual_bus.device.pdo_engine import PdoEngine
-from virtual_bus.device.sdo_server import SdoServer
-from virtual_bus.device.station import Handler, Station
-from virtual_bus.device.sync_consumer import SyncConsumer
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED, NmtState
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301
+from servobench.drivers.timebase import NEVER, NS_PER_MS, Instant
+from servobench.drivers.vendors.families import stamp_for
+from servobench.virtual_bus.device.application import Application, CommunicationLoss
+from servobench.virtual_bus.device.communication_objects import add_communication_objects
+from servobench.virtual_bus.device.device_clock import DeviceClock
+from servobench.virtual_bus.device.device_options import DeviceOptions
+from servobench.virtual_bus.device.emergency import EmergencyProducer
+from servobench.virtual_bus.device.heartbeat import HeartbeatConsumers, HeartbeatProducer, NodeGuarding
+from servobench.virtual_bus.device.lss_slave import LssSlave
+from servobench.virtual_bus.device.nmt import NmtSlave
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.device.parameter_storage import MemoryStore, ParameterStorage, ParameterStore
+from servobench.virtual_bus.device.pdo_engine import PdoEngine
+from servobench.virtual_bus.device.sdo_server import SdoServer
+from servobench.virtual_bus.device.station import Handler, Station
+from servobench.virtual_bus.device.sync_consumer import SyncConsumer
+from servobench.virtual_bus.frame import Frame
 
 RECOVERED_FROM_BUS_OFF: Final = 0x8140
 """EMCY (CiA 301, table 26)."""
@@ -42,7 +42,8 @@ _APPLICATION: Final = (0x2000, 0xFFFF)
 
 
 class CanopenDevice:
-    """One device; implements :class:`virtual_bus.frame.Device` and the application's DeviceServices."""
+    """One device; implements :class:`servobench.virtual_bus.frame.Device` and the application's
+    DeviceServices."""
 
     def __init__(
         self,
@@ -118,15 +119,15 @@ class CanopenDevice:
         return self._station.dictionary
 
     def raise_error(self, code: int, register: ErrorRegister, information: bytes = b"") -> None:
-        """See :class:`virtual_bus.device.application.DeviceServices`."""
+        """See :class:`servobench.virtual_bus.device.application.DeviceServices`."""
         self._emergency.raise_error(code, register, information)
 
     def repeat_error(self, code: int, register: ErrorRegister) -> None:
-        """See :class:`virtual_bus.device.application.DeviceServices`."""
+        """See :class:`servobench.virtual_bus.device.application.DeviceServices`."""
         self._emergency.repeat_error(code, register)
 
     def clear_error(self, code: int) -> None:
-        """See :class:`virtual_bus.device.application.DeviceServices`."""
+        """See :class:`servobench.virtual_bus.device.application.DeviceServices`."""
         self._emergency.clear_error(code)
 
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:

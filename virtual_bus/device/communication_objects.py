@@ -2,18 +2,18 @@
 
 from typing import Any
 
-from drivers.canopen.cob_ids import EMERGENCY, SDO_ANSWER, SDO_REQUEST, SYNC
-from drivers.canopen.data_types import DataType
-from drivers.canopen.objects301 import (
+from servobench.drivers.canopen.cob_ids import EMERGENCY, SDO_ANSWER, SDO_REQUEST, SYNC
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import (
     MAPPING_OFFSET,
     RPDO_COMMUNICATION,
     SDO_SERVER,
     TPDO_COMMUNICATION,
     Cia301,
 )
-from virtual_bus.device.device_options import DeviceOptions, PdoDefault
-from virtual_bus.device.eds_export import export_eds
-from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
+from servobench.virtual_bus.device.device_options import DeviceOptions, PdoDefault
+from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
 
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
 UNCOMPRESSED = 0

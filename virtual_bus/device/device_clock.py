@@ -9,8 +9,8 @@ Devices differ in all of it. CiA 301 (7.5.2.16) asks for microseconds and for no
 
 from collections.abc import Callable
 
-from drivers.timebase import NS_PER_S, Instant
-from virtual_bus.device.device_options import StampOptions
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.virtual_bus.device.device_options import StampOptions
 
 
 class DeviceClock:
@@ -37,7 +37,7 @@ class DeviceClock:
         self, offset_ns: int, drift_ppb: int, stamp: StampOptions, tick_after: Callable[[Instant], Instant]
     ) -> None:
         """``offset_ns``: what it shows at power-on and after each reset. ``tick_after``: see
-        :class:`virtual_bus.device.application.Application`."""
+        :class:`servobench.virtual_bus.device.application.Application`."""
         self._first_ns = offset_ns
         self._offset_ns = offset_ns
         self._drift_ppb = drift_ppb

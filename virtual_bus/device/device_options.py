@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from drivers.canopen.cob_ids import NO_RTR, NOT_VALID
-from drivers.timebase import NS_PER_US
+from servobench.drivers.canopen.cob_ids import NO_RTR, NOT_VALID
+from servobench.drivers.timebase import NS_PER_US
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from drivers.canopen.objects301 import (
+from servobench.drivers.canopen.objects301 import (
     MANDATORY,
     MANUFACTURER,
     RPDO_COMMUNICATION,
@@ -11,8 +11,8 @@ from drivers.canopen.objects301 import (
     TPDO_MAPPING,
     Cia301,
 )
-from drivers.sheets.eds.types import TEXT_TYPES
-from virtual_bus.device.object_dictionary import (
+from servobench.drivers.sheets.eds.types import TEXT_TYPES
+from servobench.virtual_bus.device.object_dictionary import (
     DictionaryObject,
     ObjectCode,
     ObjectDictionary,

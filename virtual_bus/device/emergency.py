@@ -6,15 +6,15 @@ cause is told apart by ``source`` where one code has several (two lost heartbeat
 
 from collections import deque
 
-from drivers.canopen import cob_ids
-from drivers.canopen.error_codes import NO_ERROR, ErrorRegister
-from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.objects301 import Cia301
-from drivers.timebase import NS_PER_100_US, Instant
-from virtual_bus.device.object_dictionary import Provider
-from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
-from virtual_bus.device.station import Station
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen import cob_ids
+from servobench.drivers.canopen.error_codes import NO_ERROR, ErrorRegister
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.timebase import NS_PER_100_US, Instant
+from servobench.virtual_bus.device.object_dictionary import Provider
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from servobench.virtual_bus.device.station import Station
+from servobench.virtual_bus.frame import Frame
 
 _MAY_SEND = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 _QUEUE_MAX = 32

@@ -3,8 +3,8 @@
 import struct
 from typing import Any
 
-from drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, STRUCT_CODES, DataType
-from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from servobench.drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, STRUCT_CODES, DataType
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
 
 def byte_length(data_type: DataType) -> int | None:

@@ -17,15 +17,15 @@ It is the host's controller that runs at that rate; where the host cannot set on
 from collections.abc import Callable
 from enum import IntEnum
 
-from drivers.canopen.cob_ids import LSS_ANSWER, LSS_REQUEST
-from drivers.canopen.lss import SCAN_RESET
-from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
-from drivers.canopen.objects301 import Cia301
-from drivers.errors import BenchError
-from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.parameter_storage import ParameterStore
-from virtual_bus.device.station import Station
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.cob_ids import LSS_ANSWER, LSS_REQUEST
+from servobench.drivers.canopen.lss import SCAN_RESET
+from servobench.drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.errors import BenchError
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.device.parameter_storage import ParameterStore
+from servobench.virtual_bus.device.station import Station
+from servobench.virtual_bus.frame import Frame
 
 NODE_ID_KEY = (0x0000, 1)
 """Where the node-ID is kept in the parameter store: no object has this index."""

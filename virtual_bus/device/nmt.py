@@ -13,14 +13,14 @@ node-ID stays there until LSS gives it one.
 
 from collections.abc import Callable
 
-from drivers.canopen import cob_ids
-from drivers.canopen.cob_ids import ERROR_CONTROL
-from drivers.canopen.nmt_states import NmtCommand, NmtState
-from drivers.canopen.objects301 import Cia301
-from drivers.timebase import Instant
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.device.station import Station
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen import cob_ids
+from servobench.drivers.canopen.cob_ids import ERROR_CONTROL
+from servobench.drivers.canopen.nmt_states import NmtCommand, NmtState
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.device.station import Station
+from servobench.virtual_bus.frame import Frame
 
 TARGETS: dict[int, NmtState] = {
     NmtCommand.START: NmtState.OPERATIONAL,

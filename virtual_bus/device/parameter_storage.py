@@ -18,12 +18,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from drivers.bounded_file import NoSuchFile, parse_json, read_text
-from drivers.canopen.objects301 import FIRST_OBJECT, Cia301
-from drivers.errors import BadInput, BenchError
-from virtual_bus.device.encoding import decode, encode
-from virtual_bus.device.object_dictionary import Check, ObjectDictionary, Variable
-from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from servobench.drivers.bounded_file import NoSuchFile, parse_json, read_text
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT, Cia301
+from servobench.drivers.errors import BadInput, BenchError
+from servobench.virtual_bus.device.encoding import decode, encode
+from servobench.virtual_bus.device.object_dictionary import Check, ObjectDictionary, Variable
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
 SAVE = int.from_bytes(b"save", "little")
 LOAD = int.from_bytes(b"load", "little")

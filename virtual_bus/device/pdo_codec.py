@@ -9,10 +9,10 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, STRUCT_CODES
-from virtual_bus.device.encoding import decode, encode
-from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
-from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, STRUCT_CODES
+from servobench.virtual_bus.device.encoding import decode, encode
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary, Variable
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
 PDO_BITS_MAX: Final = 64
 

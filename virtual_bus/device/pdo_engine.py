@@ -2,14 +2,19 @@
 
 from typing import Final
 
-from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.objects301 import MAPPING_OFFSET, PDOS_MAX, RPDO_COMMUNICATION, TPDO_COMMUNICATION
-from drivers.timebase import NEVER, NS_PER_MS, Instant
-from virtual_bus.device.emergency import EmergencyProducer
-from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.device.rpdo import ReceivePdo
-from virtual_bus.device.station import Station
-from virtual_bus.device.tpdo import TransmitPdo
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.objects301 import (
+    MAPPING_OFFSET,
+    PDOS_MAX,
+    RPDO_COMMUNICATION,
+    TPDO_COMMUNICATION,
+)
+from servobench.drivers.timebase import NEVER, NS_PER_MS, Instant
+from servobench.virtual_bus.device.emergency import EmergencyProducer
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.device.rpdo import ReceivePdo
+from servobench.virtual_bus.device.station import Station
+from servobench.virtual_bus.device.tpdo import TransmitPdo
 
 LOOK_NS: Final = NS_PER_MS
 """A mapped value that changes by time or motion is looked at no later than that after the last look."""

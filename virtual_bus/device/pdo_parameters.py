@@ -6,12 +6,12 @@ words; mapping count = n; COB-ID bit 31 = 0. Any other order is refused and chan
 
 from collections.abc import Sequence
 
-from drivers.canopen import cob_ids
-from drivers.canopen.objects301 import PDO_ENTRIES_MAX
-from drivers.wire.identifiers import EXTENDED_ID_MAX
-from virtual_bus.device.pdo_codec import Field, resolve, resolve_all
-from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
-from virtual_bus.device.station import Station
+from servobench.drivers.canopen import cob_ids
+from servobench.drivers.canopen.objects301 import PDO_ENTRIES_MAX
+from servobench.drivers.wire.identifiers import EXTENDED_ID_MAX
+from servobench.virtual_bus.device.pdo_codec import Field, resolve, resolve_all
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from servobench.virtual_bus.device.station import Station
 
 
 class PdoParameters:

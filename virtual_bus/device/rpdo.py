@@ -2,17 +2,17 @@
 
 from typing import Final
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.objects301 import RPDO_COMMUNICATION, RPDO_MAPPING
-from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.application import CommunicationLoss
-from virtual_bus.device.emergency import EmergencyProducer
-from virtual_bus.device.object_dictionary import Variable
-from virtual_bus.device.pdo_codec import byte_length, compile_unpacker
-from virtual_bus.device.pdo_parameters import PdoParameters
-from virtual_bus.device.station import Station
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.objects301 import RPDO_COMMUNICATION, RPDO_MAPPING
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.device.application import CommunicationLoss
+from servobench.virtual_bus.device.emergency import EmergencyProducer
+from servobench.virtual_bus.device.object_dictionary import Variable
+from servobench.virtual_bus.device.pdo_codec import byte_length, compile_unpacker
+from servobench.virtual_bus.device.pdo_parameters import PdoParameters
+from servobench.virtual_bus.device.station import Station
+from servobench.virtual_bus.frame import Frame
 
 PDO_TOO_SHORT: Final = 0x8210
 PDO_TOO_LONG: Final = 0x8220

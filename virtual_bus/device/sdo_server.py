@@ -16,14 +16,14 @@ out of place is aborted with 05040001h. Messages that are not 8 bytes long are n
 from collections.abc import Callable
 from functools import partial
 
-from drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
-from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.objects301 import SDO_SERVER
-from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.encoding import byte_length
-from virtual_bus.device.object_dictionary import Variable
-from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
-from virtual_bus.device.sdo_transfer import (
+from servobench.drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.objects301 import SDO_SERVER
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.device.encoding import byte_length
+from servobench.virtual_bus.device.object_dictionary import Variable
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from servobench.virtual_bus.device.sdo_transfer import (
     ABORT_COMMAND,
     BLOCK_SIZE_MAX,
     Commit,
@@ -34,8 +34,8 @@ from virtual_bus.device.sdo_transfer import (
     segmented_download,
     segmented_upload,
 )
-from virtual_bus.device.station import Station
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.device.station import Station
+from servobench.virtual_bus.frame import Frame
 
 _SERVED_IN = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 _NO_MULTIPLEXER = bytes(3)

@@ -12,7 +12,7 @@ value 0.
 from binascii import crc_hqx
 from collections.abc import Callable, Container, Generator, Sequence
 
-from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
 Commit = Callable[[bytes], object]
 """Writes the received bytes into the dictionary. Error: SdoAbort."""

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
-from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import NEVER, Instant
-from virtual_bus.device.application import Application
-from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.timebase import NEVER, Instant
+from servobench.virtual_bus.device.application import Application
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.frame import Frame
 
 Handler = Callable[[Frame, Instant], None]
 

@@ -6,19 +6,19 @@
 from collections import deque
 from typing import Final
 
-from drivers.canopen import cob_ids
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.objects301 import Cia301
-from drivers.timebase import NS_PER_US, Instant
-from virtual_bus.device.device_clock import DeviceClock
-from virtual_bus.device.device_options import SyncOptions
-from virtual_bus.device.emergency import EmergencyProducer
-from virtual_bus.device.pdo_engine import PdoEngine
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.device.station import Station
-from virtual_bus.device.sync_task import SyncTask
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen import cob_ids
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.timebase import NS_PER_US, Instant
+from servobench.virtual_bus.device.device_clock import DeviceClock
+from servobench.virtual_bus.device.device_options import SyncOptions
+from servobench.virtual_bus.device.emergency import EmergencyProducer
+from servobench.virtual_bus.device.pdo_engine import PdoEngine
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.device.station import Station
+from servobench.virtual_bus.device.sync_task import SyncTask
+from servobench.virtual_bus.frame import Frame
 
 SYNC_LENGTH: Final = 0x8240
 """EMCY: unexpected SYNC data length (CiA 301, table 26)."""

@@ -10,9 +10,9 @@ Lenze ECS (C1122).
 
 from typing import Final
 
-from drivers.timebase import Instant
-from virtual_bus.device.device_options import SyncOptions
-from virtual_bus.faults.fault_streams import UniformStream
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.device.device_options import SyncOptions
+from servobench.virtual_bus.faults.fault_streams import UniformStream
 
 PHASE_GAIN: Final = 1.0 / 16.0
 """By what part of its error the cycle is moved with each SYNC: a fifth of the spread of a jitter is left."""

@@ -10,22 +10,22 @@ A remote request (allowed by bit 30 = 0 of the COB-ID) of the other types sends 
 synchronous PDO, or a fresh one of an event-driven PDO.
 
 The event of types 0, 254 and 255 is that a mapped object holds another value than at the last look. The
-device looks whenever it has done something (:class:`virtual_bus.device.pdo_engine.PdoEngine`). 1013h is no
-event: a clock that runs tells nothing.
+device looks whenever it has done something (:class:`servobench.virtual_bus.device.pdo_engine.PdoEngine`).
+1013h is no event: a clock that runs tells nothing.
 """
 
 from typing import Any, Final
 
-from drivers.canopen import cob_ids
-from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.objects301 import TPDO_COMMUNICATION, TPDO_MAPPING, Cia301
-from drivers.timebase import NS_PER_100_US, NS_PER_MS, Instant
-from virtual_bus.device.object_dictionary import Variable
-from virtual_bus.device.pdo_codec import compile_packer
-from virtual_bus.device.pdo_parameters import PdoParameters
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.device.station import Station
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen import cob_ids
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.objects301 import TPDO_COMMUNICATION, TPDO_MAPPING, Cia301
+from servobench.drivers.timebase import NS_PER_100_US, NS_PER_MS, Instant
+from servobench.virtual_bus.device.object_dictionary import Variable
+from servobench.virtual_bus.device.pdo_codec import compile_packer
+from servobench.virtual_bus.device.pdo_parameters import PdoParameters
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.device.station import Station
+from servobench.virtual_bus.frame import Frame
 
 SYNCHRONOUS_ACYCLIC: Final = 0
 SYNCHRONOUS_CYCLIC_MAX: Final = 240

@@ -4,12 +4,12 @@ are seldom asked for, which are computed when they are.
 
 from typing import Any, Final
 
-from drivers.cia402.profile import Status
-from virtual_bus.core.native import clipped
-from virtual_bus.drive.axis import SimulatedAxis
-from virtual_bus.drive.firmware import Firmware, InnerControl
-from virtual_bus.drive.servo_objects import ServoObjects
-from virtual_bus.drive.user_units import UserUnits, wrapped
+from servobench.drivers.cia402.profile import Status
+from servobench.virtual_bus.core.native import clipped
+from servobench.virtual_bus.drive.axis import SimulatedAxis
+from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
+from servobench.virtual_bus.drive.servo_objects import ServoObjects
+from servobench.virtual_bus.drive.user_units import UserUnits, wrapped
 
 INTERNAL_LIMIT_ACTIVE: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
 _SPEED: Final = int(InnerControl.SPEED.value)

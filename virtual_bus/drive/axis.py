@@ -11,12 +11,12 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import HaltOption
-from drivers.rotation import RAD_S_PER_RPM
-from virtual_bus.drive.firmware import Firmware, InnerControl
-from virtual_bus.drive.machine import SimulatedMachine
-from virtual_bus.drive.motion_objects import (
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import HaltOption
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
+from servobench.virtual_bus.drive.machine import SimulatedMachine
+from servobench.virtual_bus.drive.motion_objects import (
     HIGHEST,
     LOWEST,
     NO_WINDOW,
@@ -24,9 +24,9 @@ from virtual_bus.drive.motion_objects import (
     MotionObjects,
     VelocityRamp,
 )
-from virtual_bus.drive.servo_objects import ServoObjects
-from virtual_bus.drive.trajectory import MoveLimits
-from virtual_bus.drive.user_units import UserUnits
+from servobench.virtual_bus.drive.servo_objects import ServoObjects
+from servobench.virtual_bus.drive.trajectory import MoveLimits
+from servobench.virtual_bus.drive.user_units import UserUnits
 
 POSITION_BANDWIDTH: Final = 0.25
 """Gain of the position loop, 1/s, beside the bandwidth w of the speed loop, rad/s. With it both poles of

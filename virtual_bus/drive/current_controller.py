@@ -6,8 +6,8 @@ import numpy as np
 import scipy  # loads scipy.linalg when it is used first
 from numpy.typing import NDArray
 
-from design.statespace import StateSpace
-from virtual_bus.core.native import InnerLoops
+from servobench.design.statespace import StateSpace
+from servobench.virtual_bus.core.native import InnerLoops
 
 CONTROLLER_ORDER_MAX: Final = 8
 """Of core/inner_loops.h."""

@@ -14,11 +14,11 @@ In IP: interpolation is active; 0 too while the way is barred, or a halt is comm
 
 from typing import Final
 
-from drivers.cia402.profile import Control, Status
-from virtual_bus.drive.axis import SimulatedAxis, WindowTimer
-from virtual_bus.drive.firmware import InnerControl
-from virtual_bus.drive.motion_objects import NO_WINDOW
-from virtual_bus.drive.operation_mode import HaltedMode, OperationMode
+from servobench.drivers.cia402.profile import Control, Status
+from servobench.virtual_bus.drive.axis import SimulatedAxis, WindowTimer
+from servobench.virtual_bus.drive.firmware import InnerControl
+from servobench.virtual_bus.drive.motion_objects import NO_WINDOW
+from servobench.virtual_bus.drive.operation_mode import HaltedMode, OperationMode
 
 _LATE: Final = 1.5
 """Interpolation periods after which a set-point without a follower is the end of the motion."""

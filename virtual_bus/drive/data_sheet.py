@@ -5,17 +5,17 @@ from typing import Final
 
 import canopen.objectdictionary as od
 
-from design.motor import PmsmParameters
-from drivers.canopen.objects301 import Cia301
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_plans import NEEDED_OBJECTS
-from drivers.cia402.profile import Mode, supported_mode_bit, tells_modes
-from drivers.cia402.scaling import ENCODER_COUNTS_MIN
-from drivers.sheets.dictionary import held_number
-from drivers.vendors.families import motor_objects_for, quirks_for
-from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
-from virtual_bus.device.vendor_dictionary import overlay
-from virtual_bus.drive.servo_parameters import current_per_rms
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_plans import NEEDED_OBJECTS
+from servobench.drivers.cia402.profile import Mode, supported_mode_bit, tells_modes
+from servobench.drivers.cia402.scaling import ENCODER_COUNTS_MIN
+from servobench.drivers.sheets.dictionary import held_number
+from servobench.drivers.vendors.families import motor_objects_for, quirks_for
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary, Variable
+from servobench.virtual_bus.device.vendor_dictionary import overlay
+from servobench.virtual_bus.drive.servo_parameters import current_per_rms
 
 _BOUNDLESS: Final = 0xFFFF_FFFF
 _RAMPS: Final = (
@@ -31,8 +31,8 @@ _RATINGS: Final = (Object.MOTOR_RATED_TORQUE, Object.MOTOR_RATED_CURRENT)
 def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     """Make the simulated drive's ``dictionary`` what ``vendor``, loaded for BASE_NODE_ID, says.
 
-    Beyond :func:`virtual_bus.device.vendor_dictionary.overlay`, where a drive of the sheet would differ from
-    the simulated one in what it can do:
+    Beyond :func:`servobench.virtual_bus.device.vendor_dictionary.overlay`, where a drive of the sheet would
+    differ from the simulated one in what it can do:
 
     6502h   the simulated drive's modes that the sheet tells, or does not deny; 6060h takes those whose object
             for a set-point, or for the method of homing, is there, and begins with the first, or with the
@@ -147,7 +147,7 @@ def tell_motor(dictionary: ObjectDictionary, motor: PmsmParameters) -> None:
 
 
 def motor_figures(motor: PmsmParameters) -> dict[str, float]:
-    """By quantity of :data:`drivers.vendors.motor_objects.QUANTITIES`."""
+    """By quantity of :data:`servobench.drivers.vendors.motor_objects.QUANTITIES`."""
     per_rms = current_per_rms(motor)
     return {
         "pole_pairs": float(motor.pole_pairs),

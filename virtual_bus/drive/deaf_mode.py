@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from drivers.cia402.profile import Status
-from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
-from virtual_bus.drive.operation_mode import OperationMode
+from servobench.drivers.cia402.profile import Status
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary, Variable
+from servobench.virtual_bus.drive.operation_mode import OperationMode
 
 _POSITIONS: Final = ((0x607A, 0), (0x60C1, 1))
 """Target position, and the set-point of interpolated position."""

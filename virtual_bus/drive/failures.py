@@ -3,11 +3,11 @@
 
 from typing import Final
 
-from drivers.canopen.error_codes import HEARTBEAT_ERROR, ErrorRegister
-from virtual_bus.device.application import CommunicationLoss, DeviceServices
-from virtual_bus.device.canopen_device import RECOVERED_FROM_BUS_OFF
-from virtual_bus.device.object_dictionary import Variable
-from virtual_bus.device.rpdo import PDO_DEADLINE
+from servobench.drivers.canopen.error_codes import HEARTBEAT_ERROR, ErrorRegister
+from servobench.virtual_bus.device.application import CommunicationLoss, DeviceServices
+from servobench.virtual_bus.device.canopen_device import RECOVERED_FROM_BUS_OFF
+from servobench.virtual_bus.device.object_dictionary import Variable
+from servobench.virtual_bus.device.rpdo import PDO_DEADLINE
 
 COMMUNICATION_ERROR: Final = 0x8100
 LOSS_CODES: dict[CommunicationLoss, int] = {

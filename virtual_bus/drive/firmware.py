@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
 
-from design.motor import PmsmParameters
-from design.statespace import StateSpace
-from drivers.timebase import NS_PER_S, Instant
-from virtual_bus.core.native import InnerLoops
-from virtual_bus.drive.current_bandwidth import current_bandwidth_hz
-from virtual_bus.drive.current_controller import check_controller, fill_controllers
-from virtual_bus.drive.load_table import LoadTable
+from servobench.design.motor import PmsmParameters
+from servobench.design.statespace import StateSpace
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.virtual_bus.core.native import InnerLoops
+from servobench.virtual_bus.drive.current_bandwidth import current_bandwidth_hz
+from servobench.virtual_bus.drive.current_controller import check_controller, fill_controllers
+from servobench.virtual_bus.drive.load_table import LoadTable
 
 _STEP_ANGLE_MAX = 0.25
 """Largest (R/L + electrical speed) * step, rad: keeps the error of a step below 1e-5 of the signal."""
@@ -34,9 +34,10 @@ _OVERSPEED = 2.0
 def fill_machine(inner: InnerLoops, motor: PmsmParameters, period_s: float) -> None:
     """Give ``inner`` the motor and the number of integration steps per ``period_s``.
 
-    The core integrates the equations of :mod:`design.motor`, in the rotor's dq frame, with the mechanics.
-    Coulomb friction holds a resting shaft until the other torques exceed it. The load torque is an active
-    one: it acts against positive speed whether the shaft turns or not. The position counts turns without end.
+    The core integrates the equations of :mod:`servobench.design.motor`, in the rotor's dq frame, with the
+    mechanics. Coulomb friction holds a resting shaft until the other torques exceed it. The load torque is an
+    active one: it acts against positive speed whether the shaft turns or not. The position counts turns
+    without end.
     """
     inner.resistance_ohm = motor.resistance_ohm
     inner.inductance_d_h = motor.inductance_d_h

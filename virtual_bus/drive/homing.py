@@ -1,4 +1,5 @@
-"""HM, homing mode (CiA 402-2): the methods of :mod:`virtual_bus.drive.homing_methods`, carried out.
+"""HM, homing mode (CiA 402-2): the methods of :mod:`servobench.virtual_bus.drive.homing_methods`, carried
+out.
 
     SEARCH   at 6099h:1 until the edge of the switch is passed, in whatever direction
     RETURN   at 6099h:2 back over the edge, where it was passed in the direction of the last crossing
@@ -15,10 +16,16 @@ the home plus 607Ch, so that the position of the home is minus 607Ch. "Positive"
 from enum import Enum
 from typing import Final
 
-from drivers.cia402.profile import Control, Status
-from virtual_bus.drive.axis import SimulatedAxis
-from virtual_bus.drive.homing_methods import HOMING_METHODS, TURNS_AT_LIMIT, HomingMethod, Sensor, SwitchEdge
-from virtual_bus.drive.operation_mode import HaltedMode
+from servobench.drivers.cia402.profile import Control, Status
+from servobench.virtual_bus.drive.axis import SimulatedAxis
+from servobench.virtual_bus.drive.homing_methods import (
+    HOMING_METHODS,
+    TURNS_AT_LIMIT,
+    HomingMethod,
+    Sensor,
+    SwitchEdge,
+)
+from servobench.virtual_bus.drive.operation_mode import HaltedMode
 
 START: Final = Control.MODE_4
 TRAVEL_TURNS_MAX: Final = 1000

@@ -9,9 +9,9 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.canopen.objects301 import MANDATORY, TPDO_COMMUNICATION, TPDO_MAPPING, is_mapping
-from virtual_bus.device.object_dictionary import DictionaryObject, ObjectDictionary
-from virtual_bus.device.tpdo import REMOTE_EVENT
+from servobench.drivers.canopen.objects301 import MANDATORY, TPDO_COMMUNICATION, TPDO_MAPPING, is_mapping
+from servobench.virtual_bus.device.object_dictionary import DictionaryObject, ObjectDictionary
+from servobench.virtual_bus.device.tpdo import REMOTE_EVENT
 
 TPDO_EVENTS: Final = "tpdo events"
 PATTERN: Final = rf"^([0-9A-Fa-f]{{4}}(:[0-9]{{1,3}})?|{TPDO_EVENTS})$"

@@ -3,7 +3,7 @@
 from enum import IntEnum
 from typing import Final
 
-from drivers.canopen.write_list import Product
+from servobench.drivers.canopen.write_list import Product
 
 SIMULATED_DRIVE: Final = Product(0, 0x0001_0402, "servobench simulated servo drive")
 """The simulated drive by its 1018h and 1008h. In any other product 2100h is another object."""

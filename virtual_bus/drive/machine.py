@@ -16,10 +16,10 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
-from drivers.canopen.data_types import DataType
-from drivers.cia402.objects402 import INTERLOCK, Object
-from virtual_bus.device.object_dictionary import Access, ObjectDictionary
-from virtual_bus.drive.homing_methods import Sensor, SwitchEdge
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.cia402.objects402 import INTERLOCK, Object
+from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary
+from servobench.virtual_bus.drive.homing_methods import Sensor, SwitchEdge
 
 MACHINE: Final = 0x2110
 """Manufacturer-specific."""

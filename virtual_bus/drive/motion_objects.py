@@ -7,14 +7,14 @@ the velocity mode rev/min.
 import math
 from typing import Final
 
-from design.motor import PmsmParameters
-from drivers.canopen.data_types import DataType
-from drivers.cia402.objects402 import Object
-from drivers.rotation import RAD_S_PER_RPM
-from virtual_bus.device.object_dictionary import Access, Check, ObjectDictionary, Variable
-from virtual_bus.drive.homing_methods import HOMING_METHODS
-from virtual_bus.drive.servo_objects import add_profile_object, one_of
-from virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.virtual_bus.device.object_dictionary import Access, Check, ObjectDictionary, Variable
+from servobench.virtual_bus.drive.homing_methods import HOMING_METHODS
+from servobench.virtual_bus.drive.servo_objects import add_profile_object, one_of
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 
 _I8, _I16, _I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
 _U8, _U16, _U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32

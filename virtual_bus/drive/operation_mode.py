@@ -2,8 +2,8 @@
 
 from mypy_extensions import mypyc_attr
 
-from drivers.cia402.profile import Control, Status
-from virtual_bus.drive.axis import SimulatedAxis
+from servobench.drivers.cia402.profile import Control, Status
+from servobench.virtual_bus.drive.axis import SimulatedAxis
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

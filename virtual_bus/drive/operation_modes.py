@@ -2,18 +2,18 @@
 
 from collections.abc import Callable
 
-from drivers.cia402.profile import Mode
-from virtual_bus.drive.axis import SimulatedAxis
-from virtual_bus.drive.cyclic_modes import (
+from servobench.drivers.cia402.profile import Mode
+from servobench.virtual_bus.drive.axis import SimulatedAxis
+from servobench.virtual_bus.drive.cyclic_modes import (
     CyclicSynchronousPosition,
     CyclicSynchronousTorque,
     CyclicSynchronousVelocity,
     InterpolatedPosition,
 )
-from virtual_bus.drive.homing import Homing
-from virtual_bus.drive.operation_mode import OperationMode
-from virtual_bus.drive.profile_modes import ProfilePosition, ProfileTorque, ProfileVelocity
-from virtual_bus.drive.velocity_mode import VelocityMode
+from servobench.virtual_bus.drive.homing import Homing
+from servobench.virtual_bus.drive.operation_mode import OperationMode
+from servobench.virtual_bus.drive.profile_modes import ProfilePosition, ProfileTorque, ProfileVelocity
+from servobench.virtual_bus.drive.velocity_mode import VelocityMode
 
 MODES: dict[Mode, Callable[[SimulatedAxis], OperationMode]] = {
     Mode.PROFILE_POSITION: ProfilePosition,

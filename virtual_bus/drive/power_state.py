@@ -1,7 +1,7 @@
 """The CiA 402 state machine of a drive: commands, faults and rest in, state and what the motor does out.
 
-The arrows are those of :data:`drivers.cia402.profile.TRANSITIONS`. Those that leave a turning motor behind
-ask an option code how to stop it:
+The arrows are those of :data:`servobench.drivers.cia402.profile.TRANSITIONS`. Those that leave a turning
+motor behind ask an option code how to stop it:
 
     arrow  from -> to                             option    while stopping the state is
     5      OPERATION_ENABLED -> SWITCHED_ON       605Ch     OPERATION_ENABLED
@@ -21,8 +21,8 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import (
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import (
     TRANSITION_OF,
     Control,
     DriveCommand,

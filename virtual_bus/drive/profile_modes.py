@@ -21,11 +21,11 @@ PT: to the target torque (6071h) by the torque slope (6087h).
 
 from typing import Final
 
-from drivers.cia402.profile import CHANGE_AT_ONCE, NEW_SET_POINT, RELATIVE, Status
-from virtual_bus.drive.axis import SimulatedAxis, WindowTimer
-from virtual_bus.drive.motion_objects import NO_WINDOW
-from virtual_bus.drive.operation_mode import HaltedMode
-from virtual_bus.drive.trajectory import MoveLimits, plan_move, plan_speed, plan_stop
+from servobench.drivers.cia402.profile import CHANGE_AT_ONCE, NEW_SET_POINT, RELATIVE, Status
+from servobench.virtual_bus.drive.axis import SimulatedAxis, WindowTimer
+from servobench.virtual_bus.drive.motion_objects import NO_WINDOW
+from servobench.virtual_bus.drive.operation_mode import HaltedMode
+from servobench.virtual_bus.drive.trajectory import MoveLimits, plan_move, plan_speed, plan_stop
 
 CHANGE_ON_SET_POINT: Final = 1 << 9
 

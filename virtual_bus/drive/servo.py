@@ -10,11 +10,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from design.motor import PmsmParameters
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.nmt_states import NmtState
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import (
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import (
     STATUS_PATTERNS,
     AbortConnectionOption,
     DriveCommand,
@@ -23,30 +23,31 @@ from drivers.cia402.profile import (
     State,
     Status,
 )
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.device.parameter_storage import ParameterStore
-from virtual_bus.drive.actual_values import INTERNAL_LIMIT_ACTIVE, ActualValues, provide_slow_values
-from virtual_bus.drive.axis import REST_S, SimulatedAxis
-from virtual_bus.drive.deaf_mode import DeafMode, set_points
-from virtual_bus.drive.failures import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES, Failures
-from virtual_bus.drive.firmware import Firmware, InnerControl
-from virtual_bus.drive.lacks import take_away
-from virtual_bus.drive.machine import SimulatedMachine
-from virtual_bus.drive.motion_objects import MotionObjects
-from virtual_bus.drive.operation_mode import OperationMode
-from virtual_bus.drive.operation_modes import MODES
-from virtual_bus.drive.power_state import MotorAction, PowerStateMachine
-from virtual_bus.drive.servo_objects import ServoObjects
-from virtual_bus.drive.servo_parameters import DriveParameters, device_options
-from virtual_bus.drive.simulated_load import SimulatedLoad
-from virtual_bus.drive.user_units import UserUnits
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.device.parameter_storage import ParameterStore
+from servobench.virtual_bus.drive import actual_values
+from servobench.virtual_bus.drive.actual_values import INTERNAL_LIMIT_ACTIVE, ActualValues
+from servobench.virtual_bus.drive.axis import REST_S, SimulatedAxis
+from servobench.virtual_bus.drive.deaf_mode import DeafMode, set_points
+from servobench.virtual_bus.drive.failures import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES, Failures
+from servobench.virtual_bus.drive.firmware import Firmware, InnerControl
+from servobench.virtual_bus.drive.lacks import take_away
+from servobench.virtual_bus.drive.machine import SimulatedMachine
+from servobench.virtual_bus.drive.motion_objects import MotionObjects
+from servobench.virtual_bus.drive.operation_mode import OperationMode
+from servobench.virtual_bus.drive.operation_modes import MODES
+from servobench.virtual_bus.drive.power_state import MotorAction, PowerStateMachine
+from servobench.virtual_bus.drive.servo_objects import ServoObjects
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters, device_options
+from servobench.virtual_bus.drive.simulated_load import SimulatedLoad
+from servobench.virtual_bus.drive.user_units import UserUnits
 
 _WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS
-"""The period of profiles and position loop (virtual_bus.drive.firmware); rest is seen within it."""
+"""The period of profiles and position loop (drive.firmware); rest is seen within it."""
 _WAKE_NS: Final = 20 * NS_PER_MS
 """Without frames the motor is still carried along, so that none finds a long way to go."""
 
@@ -107,7 +108,7 @@ class ServoApplication(Application):
             variable.on_write = lambda _value: self._take_guards()
         self.units.changed = self._actual.take_units
         self.machine.changed = self._on_inputs
-        provide_slow_values(self.axis)
+        actual_values.provide_slow_values(self.axis)
         needed = objects.max_torque, objects.max_current, motion.following_window, motion.vl_most
         self._own_defaults = [(variable, variable.default) for variable in needed]
         take_away(dictionary, self.drive.lacks)
@@ -378,7 +379,7 @@ class ServoApplication(Application):
 
 
 class SimulatedServo(CanopenDevice):
-    """A servo drive on the bus, without I/O; :mod:`virtual_bus.hosting.devices` puts it on one."""
+    """A servo drive on the bus, without I/O; :mod:`servobench.virtual_bus.hosting.devices` puts it on one."""
 
     def __init__(
         self,
@@ -390,8 +391,8 @@ class SimulatedServo(CanopenDevice):
         vendor: Callable[[ObjectDictionary], None] | None = None,
     ) -> None:
         """``seed``: of everything random in the drive, a stream for each use and node. ``store``,
-        ``vendor``: as in :class:`virtual_bus.device.canopen_device.CanopenDevice`. Error: ValueError for a
-        lack that cannot be."""
+        ``vendor``: as in :class:`servobench.virtual_bus.device.canopen_device.CanopenDevice`.
+        Error: ValueError for a lack that cannot be."""
         drive = drive or DriveParameters()
         self.drive = ServoApplication(motor, drive)
         super().__init__(node_id, self.drive, device_options(node_id, drive, seed), store, vendor)

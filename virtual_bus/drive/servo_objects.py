@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable
 from enum import IntEnum
 from typing import Any
 
-from design.motor import PmsmParameters
-from drivers.canopen.data_types import DataType
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import (
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import (
     AbortConnectionOption,
     DisableOperationOption,
     FaultReactionOption,
@@ -22,10 +22,10 @@ from drivers.cia402.profile import (
     ShutdownOption,
     supported_mode_bit,
 )
-from drivers.rotation import RAD_S_PER_RPM
-from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.drive.load_object import (
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.drive.load_object import (
     LOAD_ACTUAL_SUB,
     LOAD_COURSE_SUB,
     LOAD_DELAY_SUB,
@@ -34,7 +34,7 @@ from virtual_bus.drive.load_object import (
     LOAD_TORQUE_SUB,
     LoadCourse,
 )
-from virtual_bus.drive.servo_parameters import DriveParameters, current_per_rms
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters, current_per_rms
 
 I8, I16, I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32

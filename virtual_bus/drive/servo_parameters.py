@@ -6,14 +6,14 @@ from typing import Final
 
 import numpy as np
 
-from design.motor import PmsmParameters, Transform
-from drivers.canopen.cob_ids import NO_RTR
-from drivers.canopen.objects301 import Cia301, mapping_word
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import AbortConnectionOption
-from drivers.timebase import NS_PER_US
-from drivers.vendors.families import Quirk
-from virtual_bus.device.device_options import (
+from servobench.design.motor import PmsmParameters, Transform
+from servobench.drivers.canopen.cob_ids import NO_RTR
+from servobench.drivers.canopen.objects301 import Cia301, mapping_word
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import AbortConnectionOption
+from servobench.drivers.timebase import NS_PER_US
+from servobench.drivers.vendors.families import Quirk
+from servobench.virtual_bus.device.device_options import (
     DeviceIdentity,
     DeviceOptions,
     PdoDefault,
@@ -23,9 +23,9 @@ from virtual_bus.device.device_options import (
     unmapped_rpdos,
     unmapped_tpdos,
 )
-from virtual_bus.drive.firmware import FirmwareParameters
-from virtual_bus.drive.load_object import SIMULATED_DRIVE
-from virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.firmware import FirmwareParameters
+from servobench.virtual_bus.drive.load_object import SIMULATED_DRIVE
+from servobench.virtual_bus.drive.load_table import LoadTable
 
 SERVO_DRIVE: Final = 0x0002_0192
 """Device type 1000h: device profile 402, servo drive (CiA 402-1)."""
@@ -61,7 +61,8 @@ class DriveParameters(FirmwareParameters):
     stamp_bits: int = 32
     """1013h counts modulo 2^stamp_bits."""
     stamp_latched: StampLatch = "sampling"
-    """At which instant 1013h is latched, see :data:`virtual_bus.device.device_options.StampLatch`."""
+    """At which instant 1013h is latched, see
+    :data:`servobench.virtual_bus.device.device_options.StampLatch`."""
     stamp_late_us: float = 0.0
     """So much later than that."""
     stamp_runs: bool = True
@@ -71,9 +72,10 @@ class DriveParameters(FirmwareParameters):
     sync_phase_us: float | None = None
     """It acts so long behind the SYNC as a phase-locked loop filters it; None: it has no such loop."""
     lacks: tuple[str, ...] = ()
-    """What it does without, see :mod:`virtual_bus.drive.lacks`."""
+    """What it does without, see :mod:`servobench.virtual_bus.drive.lacks`."""
     makers_units: tuple[tuple[str, Quirk], ...] = ()
-    """Meanings of its maker's objects beside CiA 402-2, by :func:`drivers.vendors.families.quirks_for`."""
+    """Meanings of its maker's objects beside CiA 402-2, by
+    :func:`servobench.drivers.vendors.families.quirks_for`."""
     load: LoadTable | None = None
     """What the shaft can be made to bear by 2100h:3; None: nothing over time."""
 

@@ -1,12 +1,12 @@
 """The load machine on a simulated drive's shaft, as 2100h commands it."""
 
-from drivers.timebase import NS_PER_US, Instant
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.drive.actual_values import LOAD_NM
-from virtual_bus.drive.firmware import Firmware
-from virtual_bus.drive.load_object import LoadCourse
-from virtual_bus.drive.load_table import LoadTable
-from virtual_bus.drive.servo_objects import ServoObjects
+from servobench.drivers.timebase import NS_PER_US, Instant
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.drive.actual_values import LOAD_NM
+from servobench.virtual_bus.drive.firmware import Firmware
+from servobench.virtual_bus.drive.load_object import LoadCourse
+from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.servo_objects import ServoObjects
 
 
 class SimulatedLoad:

@@ -14,14 +14,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from design.motor import PmsmParameters, Transform
-from design.motor_figures import motor_figures
-from drivers.cia402.objects402 import Object, Unit, unit_word
-from drivers.rotation import RAD_S_PER_RPM
-from virtual_bus.device.object_dictionary import Variable
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters, current_per_rms
-from virtual_bus.drive.user_units import POSITION_POLARITY, VELOCITY_POLARITY
+from servobench.design.motor import PmsmParameters, Transform
+from servobench.design.motor_figures import motor_figures
+from servobench.drivers.cia402.objects402 import Object, Unit, unit_word
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.virtual_bus.device.object_dictionary import Variable
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters, current_per_rms
+from servobench.virtual_bus.drive.user_units import POSITION_POLARITY, VELOCITY_POLARITY
 
 _COUNTS: Final = (4000, 4096, 8192, 10_000, 16_384, 65_536, 131_072, 1_048_576)
 """Per turn: encoders of 1000, 1024, 2048 and 2500 lines, and of 14 to 20 bits."""

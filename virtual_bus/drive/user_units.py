@@ -6,23 +6,23 @@
     60ABh              is kept, and scales nothing: no profile here has a jerk
     607Eh              bit 7 turns the sign of positions, bit 6 that of velocities
 
-The drive reads its own objects by the rules of :mod:`drivers.cia402.scaling`. Of a unit word and a factor
-that say different things the one written last rules: a factor that is written clears the unit word.
+The drive reads its own objects by the rules of :mod:`servobench.drivers.cia402.scaling`. Of a unit word and a
+factor that say different things the one written last rules: a factor that is written clears the unit word.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from drivers.canopen.data_types import DataType
-from drivers.cia402.objects402 import Object, Unit, unit_parts, unit_word
-from drivers.cia402.quirky_units import apply_quirks
-from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
-from drivers.errors import PeerFault
-from drivers.vendors.families import Quirk
-from virtual_bus.core.native import user_position
-from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
-from virtual_bus.device.sdo_abort import AbortCode
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.cia402.objects402 import Object, Unit, unit_parts, unit_word
+from servobench.drivers.cia402.quirky_units import apply_quirks
+from servobench.drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.vendors.families import Quirk
+from servobench.virtual_bus.core.native import user_position
+from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
+from servobench.virtual_bus.device.sdo_abort import AbortCode
 
 POSITION_POLARITY: Final = 0x80
 VELOCITY_POLARITY: Final = 0x40

@@ -8,10 +8,10 @@ A target of 0 is none below the least amount: the shaft stands. 604Ah is the qui
 has no bits of its own in the statusword; bit 10 says that the shaft stands during a halt.
 """
 
-from drivers.cia402.profile import Control
-from virtual_bus.drive.axis import SimulatedAxis
-from virtual_bus.drive.operation_mode import HaltedMode
-from virtual_bus.drive.trajectory import plan_speed
+from servobench.drivers.cia402.profile import Control
+from servobench.virtual_bus.drive.axis import SimulatedAxis
+from servobench.virtual_bus.drive.operation_mode import HaltedMode
+from servobench.virtual_bus.drive.trajectory import plan_speed
 
 
 class VelocityMode(HaltedMode):

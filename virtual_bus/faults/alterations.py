@@ -9,8 +9,8 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from drivers.timebase import NS_PER_S
-from virtual_bus.faults.fault_streams import UniformStream
+from servobench.drivers.timebase import NS_PER_S
+from servobench.virtual_bus.faults.fault_streams import UniformStream
 
 Change = Callable[[int, int, float], float]
 """From the raw value, the ns since the window opened, and a number drawn from the normal distribution of mean

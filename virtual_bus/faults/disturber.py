@@ -6,19 +6,19 @@ so at a probability p a frame takes 1 / (1 - p) attempts in the mean.
 
 from collections.abc import Callable
 
-from drivers.timebase import Instant
-from drivers.wire.identifiers import EXTENDED_FLAG
-from virtual_bus.bus.bit_length import frame_bits
-from virtual_bus.bus.disturbance import Disturbance
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.fault_log import KIND_CODES, FaultLog
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.fault_streams import UniformStream
-from virtual_bus.faults.frame_fault import node_of
-from virtual_bus.faults.kinds.corruption import ERROR_FRAME, Corruption
-from virtual_bus.faults.replay import RecordedFaults
-from virtual_bus.faults.strikes import NumberedStrike
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG
+from servobench.virtual_bus.bus.bit_length import frame_bits
+from servobench.virtual_bus.bus.disturbance import Disturbance
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultLog
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.fault_streams import UniformStream
+from servobench.virtual_bus.faults.frame_fault import node_of
+from servobench.virtual_bus.faults.kinds.corruption import ERROR_FRAME, Corruption
+from servobench.virtual_bus.faults.replay import RecordedFaults
+from servobench.virtual_bus.faults.strikes import NumberedStrike
+from servobench.virtual_bus.frame import Frame
 
 _ERROR_FRAME = KIND_CODES[ERROR_FRAME]
 

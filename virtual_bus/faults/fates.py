@@ -9,14 +9,14 @@ from typing import Final
 
 from mypy_extensions import mypyc_attr
 
-from drivers.timebase import Duration, Instant
-from drivers.wire.identifiers import EXTENDED_FLAG
-from virtual_bus.bus.judge import LOST, Direction, Judge
-from virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultLog
-from virtual_bus.faults.frame_fault import node_of
-from virtual_bus.faults.log_kind import NONE, UNDAMAGED
-from virtual_bus.faults.register import LOG_KINDS
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import Duration, Instant
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG
+from servobench.virtual_bus.bus.judge import LOST, Direction, Judge
+from servobench.virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultLog
+from servobench.virtual_bus.faults.frame_fault import node_of
+from servobench.virtual_bus.faults.log_kind import NONE, UNDAMAGED
+from servobench.virtual_bus.faults.register import LOG_KINDS
+from servobench.virtual_bus.frame import Frame
 
 _DELAY: Final = KIND_CODES["delay"]
 

@@ -6,15 +6,15 @@ moves on by every frame that the fault selects, in its window or not, lost by an
 not. So a change of one fault never shifts the draws of another.
 """
 
-from drivers.timebase import Instant
-from drivers.wire.identifiers import EXTENDED_FLAG, STANDARD_ID_MAX
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.fates import FateSource, Queue, Route
-from virtual_bus.faults.fault_log import FaultLog
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.fault_streams import UniformStream
-from virtual_bus.faults.frame_fault import FrameFault, node_of
-from virtual_bus.faults.strikes import Hold, Strike
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG, STANDARD_ID_MAX
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.fates import FateSource, Queue, Route
+from servobench.virtual_bus.faults.fault_log import FaultLog
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.fault_streams import UniformStream
+from servobench.virtual_bus.faults.frame_fault import FrameFault, node_of
+from servobench.virtual_bus.faults.strikes import Hold, Strike
 
 
 class _DrawnRoute(Route):
@@ -46,7 +46,7 @@ class FaultInjector(FateSource):
     connections to them apart; ``node``: see :class:`FateSource`.
 
     ``error_frames``: the bus itself can disturb a frame on the wire, so the corruptions with that effect are
-    left to it (:mod:`virtual_bus.faults.disturber`); without, such a frame is lost.
+    left to it (:mod:`servobench.virtual_bus.faults.disturber`); without, such a frame is lost.
     """
 
     def __init__(

@@ -35,12 +35,12 @@ from typing import Any, Final, NamedTuple
 
 from librt.strings import BytesWriter, write_i64_le
 
-from drivers.bounded_file import parse_json
-from drivers.errors import BadInput
-from drivers.wire.identifiers import EXTENDED_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.log_kind import NONE, LogNumber
-from virtual_bus.faults.register import LOG_KINDS
+from servobench.drivers.bounded_file import parse_json
+from servobench.drivers.errors import BadInput
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.log_kind import NONE, LogNumber
+from servobench.virtual_bus.faults.register import LOG_KINDS
 
 FAULTS_FILE = "faults.jsonl"
 """Its name in the folder of a run."""

@@ -54,16 +54,16 @@ from typing import Any, get_args
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from drivers.errors import MISSING, BadInput
-from drivers.key_advice import unknown_key
-from drivers.timebase import Duration
-from virtual_bus.faults.fault_table import A_NUMBER, A_WHOLE_NUMBER, FaultTable
-from virtual_bus.faults.frame_fault import FrameFault, LinkFault, Side
-from virtual_bus.faults.kinds.host_stall import HostStall
-from virtual_bus.faults.kinds.signal import SignalFault
-from virtual_bus.faults.node_fault import NodeFault
-from virtual_bus.faults.outage import AdapterOutage
-from virtual_bus.faults.register import TABLES
+from servobench.drivers.errors import MISSING, BadInput
+from servobench.drivers.key_advice import unknown_key
+from servobench.drivers.timebase import Duration
+from servobench.virtual_bus.faults.fault_table import A_NUMBER, A_WHOLE_NUMBER, FaultTable
+from servobench.virtual_bus.faults.frame_fault import FrameFault, LinkFault, Side
+from servobench.virtual_bus.faults.kinds.host_stall import HostStall
+from servobench.virtual_bus.faults.kinds.signal import SignalFault
+from servobench.virtual_bus.faults.node_fault import NodeFault
+from servobench.virtual_bus.faults.outage import AdapterOutage
+from servobench.virtual_bus.faults.register import TABLES
 
 _EXPECTED = {
     "float_type": A_NUMBER,

@@ -9,10 +9,10 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from drivers.canopen.nmt_states import NODE_ID_MAX
-from drivers.errors import MISSING, BadInput
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration
-from virtual_bus.faults.log_kind import LogKind
+from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
+from servobench.drivers.errors import MISSING, BadInput
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration
+from servobench.virtual_bus.faults.log_kind import LogKind
 
 DELAY_MAX = Duration(10 * NS_PER_S)
 """No field bus holds a frame longer; what is held takes memory."""

@@ -19,18 +19,18 @@ import can
 import can.typechecking
 from can.broadcastmanager import CyclicSendTaskABC
 
-from drivers.timebase import NEVER, NS_PER_S, Clock, Instant
-from drivers.wire.frame_port import FramePort
-from drivers.wire.identifiers import ERROR_FLAG
-from drivers.wire.message import frame_of, message_of
-from drivers.wire.message_port import MessagePort, StampSource
-from virtual_bus.bus.host_port import HostPort
-from virtual_bus.bus.judge import Direction
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.core.native import HeldFrames
-from virtual_bus.faults.fates import FateSource
-from virtual_bus.faults.frame_fault import Side
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import NEVER, NS_PER_S, Clock, Instant
+from servobench.drivers.wire.frame_port import FramePort
+from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.message import frame_of, message_of
+from servobench.drivers.wire.message_port import MessagePort, StampSource
+from servobench.virtual_bus.bus.host_port import HostPort
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.core.native import HeldFrames
+from servobench.virtual_bus.faults.fates import FateSource
+from servobench.virtual_bus.faults.frame_fault import Side
+from servobench.virtual_bus.frame import Frame
 
 POLL_MAX = 4096
 """Frames looked at in one call after its deadline, so that a babbling bus cannot hold the caller."""

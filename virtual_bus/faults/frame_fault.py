@@ -5,14 +5,14 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import Field, PlainValidator, model_validator
 
-from drivers.canopen.nmt_states import NODE_ID_MAX
-from drivers.errors import BadInput
-from drivers.timebase import NEVER
-from drivers.wire.identifiers import EXTENDED_ID_MAX, STANDARD_ID_MAX
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.fault_streams import UniformStream
-from virtual_bus.faults.fault_table import NodeIds, TimeWindow, require
-from virtual_bus.faults.strikes import Hold, Strike
+from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NEVER
+from servobench.drivers.wire.identifiers import EXTENDED_ID_MAX, STANDARD_ID_MAX
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.fault_streams import UniformStream
+from servobench.virtual_bus.faults.fault_table import NodeIds, TimeWindow, require
+from servobench.virtual_bus.faults.strikes import Hold, Strike
 
 BROADCAST: Final = 0
 """Stands for the node of a frame that belongs to no single one."""

@@ -8,16 +8,16 @@ An altered frame meets the other faults as any frame does. Where no plan has a s
 from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol
 
-from drivers.timebase import Duration, Instant
-from virtual_bus.bus.judge import LOST, Direction
-from virtual_bus.faults.alterations import Alteration, saturated
-from virtual_bus.faults.fates import FateSource, Route
-from virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultEntry, FaultLog
-from virtual_bus.faults.fault_streams import UniformStream
-from virtual_bus.faults.kinds.signal import BITS_AT, SignalFault
-from virtual_bus.faults.register import LOG_KINDS
-from virtual_bus.faults.seen_mappings import SeenMappings, SeenObject
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import Duration, Instant
+from servobench.virtual_bus.bus.judge import LOST, Direction
+from servobench.virtual_bus.faults.alterations import Alteration, saturated
+from servobench.virtual_bus.faults.fates import FateSource, Route
+from servobench.virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultEntry, FaultLog
+from servobench.virtual_bus.faults.fault_streams import UniformStream
+from servobench.virtual_bus.faults.kinds.signal import BITS_AT, SignalFault
+from servobench.virtual_bus.faults.register import LOG_KINDS
+from servobench.virtual_bus.faults.seen_mappings import SeenMappings, SeenObject
+from servobench.virtual_bus.frame import Frame
 
 _NOWHERE: Final = KIND_CODES["signal_nowhere"]
 _KINDS: Final = [kind.name for kind in LOG_KINDS if kind.alters]
@@ -82,7 +82,8 @@ class Mangler(FateSource):
         return self._inner.route(way, can_id, extended)
 
     def hold(self, way: int, can_id: int, now: Instant, extended: bool) -> int:
-        """See :class:`virtual_bus.bus.judge.Judge`: a frame whose data matter does not go on as it is."""
+        """See :class:`servobench.virtual_bus.bus.judge.Judge`: a frame whose data matter does not go on as it
+        is."""
         held = self._inner.hold(way, can_id, now, extended)
         self._looked_at = not extended and self._source.needs(way, can_id)
         if not self._looked_at:
@@ -91,7 +92,7 @@ class Mangler(FateSource):
         return LOST
 
     def replacements(self, frame: Frame) -> Sequence[tuple[Frame, Duration]]:
-        """See :class:`virtual_bus.bus.judge.Judge`."""
+        """See :class:`servobench.virtual_bus.bus.judge.Judge`."""
         if not self._looked_at:
             return self._inner.replacements(frame)
         way, now, held = self._met

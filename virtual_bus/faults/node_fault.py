@@ -10,10 +10,18 @@ from typing import ClassVar, NamedTuple, Protocol
 
 from pydantic import model_validator
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.errors import MISSING
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from virtual_bus.faults.fault_table import FaultTable, NodeIds, Number, Seconds, TimeWindow, ns, require
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.errors import MISSING
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.virtual_bus.faults.fault_table import (
+    FaultTable,
+    NodeIds,
+    Number,
+    Seconds,
+    TimeWindow,
+    ns,
+    require,
+)
 
 EVERY_MIN = Duration(100 * NS_PER_US)
 """No cycle is shorter; after a pause each strike that was missed is looked at."""
@@ -64,7 +72,7 @@ class StruckNode(Protocol):
         """The drive goes back to the mode of 6060h, if it still is in ``mode``."""
 
     def turn_deaf(self, zero: bool, hides_bit_12: bool, now: Instant) -> None:
-        """The drive ignores set-points, see :class:`virtual_bus.drive.deaf_mode.DeafMode`."""
+        """The drive ignores set-points, see :class:`servobench.virtual_bus.drive.deaf_mode.DeafMode`."""
 
     def hear_again(self, now: Instant) -> None:
         """The drive follows set-points again."""

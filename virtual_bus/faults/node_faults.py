@@ -4,13 +4,13 @@ from collections.abc import Iterator
 from functools import partial
 from heapq import merge
 
-from drivers.timebase import NEVER, Duration
-from virtual_bus.faults.fault_log import FRAME_KINDS
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.fault_streams import uniform_stream
-from virtual_bus.faults.node_fault import NodeEvent, NodeFault, Slowness
-from virtual_bus.faults.register import LOG_KINDS, TABLE_OF
-from virtual_bus.faults.replay import RecordedFaults
+from servobench.drivers.timebase import NEVER, Duration
+from servobench.virtual_bus.faults.fault_log import FRAME_KINDS
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.fault_streams import uniform_stream
+from servobench.virtual_bus.faults.node_fault import NodeEvent, NodeFault, Slowness
+from servobench.virtual_bus.faults.register import LOG_KINDS, TABLE_OF
+from servobench.virtual_bus.faults.replay import RecordedFaults
 
 
 class Events:

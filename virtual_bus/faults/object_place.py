@@ -5,8 +5,8 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, PlainValidator
 
-from drivers.cia402.objects402 import Object
-from drivers.key_advice import nearest
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.key_advice import nearest
 
 _BY_NAME: Final = {entry.name.lower(): int(entry) for entry in Object}
 _BY_NUMBER: Final = re.compile(r"([0-9A-Fa-f]{4})(?::([0-9]{1,3}))?")

@@ -2,8 +2,8 @@
 
 from typing import ClassVar
 
-from virtual_bus.faults.fault_table import Lasting, ns
-from virtual_bus.faults.node_fault import Draw, Occasion
+from servobench.virtual_bus.faults.fault_table import Lasting, ns
+from servobench.virtual_bus.faults.node_fault import Draw, Occasion
 
 
 class AdapterOutage(Occasion):

@@ -10,21 +10,21 @@ from typing import Any
 import can
 from can.broadcastmanager import CyclicSendTaskABC
 
-from drivers.timebase import NEVER, Clock, Instant
-from drivers.wire.frame_port import FramePort, Trouble, WireFrame
-from drivers.wire.link import StampSource
-from drivers.wire.message import frame_of
-from drivers.wire.message_port import MessagePort
-from virtual_bus.faults.fault_log import KIND_CODES, FaultLog
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.fault_streams import uniform_stream
-from virtual_bus.faults.kinds.full_queue import FullQueue
-from virtual_bus.faults.kinds.link_down import LinkDown
-from virtual_bus.faults.kinds.receive_overflow import ReceiveOverflow
-from virtual_bus.faults.node_fault import NodeEvent
-from virtual_bus.faults.node_faults import Events
-from virtual_bus.faults.outage import AdapterOutage
-from virtual_bus.faults.replay import RecordedFaults
+from servobench.drivers.timebase import NEVER, Clock, Instant
+from servobench.drivers.wire.frame_port import FramePort, Trouble, WireFrame
+from servobench.drivers.wire.link import StampSource
+from servobench.drivers.wire.message import frame_of
+from servobench.drivers.wire.message_port import MessagePort
+from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultLog
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.fault_streams import uniform_stream
+from servobench.virtual_bus.faults.kinds.full_queue import FullQueue
+from servobench.virtual_bus.faults.kinds.link_down import LinkDown
+from servobench.virtual_bus.faults.kinds.receive_overflow import ReceiveOverflow
+from servobench.virtual_bus.faults.node_fault import NodeEvent
+from servobench.virtual_bus.faults.node_faults import Events
+from servobench.virtual_bus.faults.outage import AdapterOutage
+from servobench.virtual_bus.faults.replay import RecordedFaults
 
 KINDS: dict[str, type[AdapterOutage]] = {kind.kind: kind for kind in (FullQueue, LinkDown, ReceiveOverflow)}
 

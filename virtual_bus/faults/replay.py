@@ -5,13 +5,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.bounded_file import NamedBy, read_lines
-from drivers.timebase import Duration
-from drivers.wire.identifiers import EXTENDED_FLAG
-from virtual_bus.faults.fates import FateSource, Queue, Route
-from virtual_bus.faults.fault_log import FRAME_KINDS, HOST_KINDS, NODE_KINDS, FaultEntry, FaultLog, read_line
-from virtual_bus.faults.kinds.corruption import ERROR_FRAME
-from virtual_bus.faults.register import LOG_KINDS
+from servobench.drivers.bounded_file import NamedBy, read_lines
+from servobench.drivers.timebase import Duration
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG
+from servobench.virtual_bus.faults.fates import FateSource, Queue, Route
+from servobench.virtual_bus.faults.fault_log import (
+    FRAME_KINDS,
+    HOST_KINDS,
+    NODE_KINDS,
+    FaultEntry,
+    FaultLog,
+    read_line,
+)
+from servobench.virtual_bus.faults.kinds.corruption import ERROR_FRAME
+from servobench.virtual_bus.faults.register import LOG_KINDS
 
 SIZE_MAX_BYTES = 4_000_000_000
 """Three hours at 1 kHz in which every frame is delayed."""

@@ -7,7 +7,7 @@ parameters back to values that nobody has seen.
 
 from typing import Final, NamedTuple
 
-from drivers.canopen.cob_ids import (
+from servobench.drivers.canopen.cob_ids import (
     CAN_ID,
     ERROR_CONTROL,
     EXTENDED,
@@ -18,7 +18,7 @@ from drivers.canopen.cob_ids import (
     SDO_REQUEST,
     TPDOS,
 )
-from drivers.canopen.objects301 import (
+from servobench.drivers.canopen.objects301 import (
     FIRST_OBJECT,
     MAPPING_OFFSET,
     PDO_PARAMETERS,
@@ -26,8 +26,8 @@ from drivers.canopen.objects301 import (
     TPDO_MAPPING,
     is_mapping,
 )
-from virtual_bus.bus.judge import Direction
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.frame import Frame
 
 _PREDEFINED: Final = {Direction.HOST_TO_DRIVE: tuple(RPDOS), Direction.DRIVE_TO_HOST: tuple(TPDOS)}
 _DOWNLOAD, _DOWNLOADED, _UPLOADED = 0x20, 0x60, 0x40

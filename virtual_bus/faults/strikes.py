@@ -10,7 +10,7 @@ from itertools import accumulate
 
 from mypy_extensions import mypyc_attr
 
-from virtual_bus.faults.fault_streams import UniformStream
+from servobench.virtual_bus.faults.fault_streams import UniformStream
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

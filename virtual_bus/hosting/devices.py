@@ -7,17 +7,17 @@ from typing import Final
 
 import can
 
-from drivers.errors import BusDown
-from drivers.timebase import NEVER, NS_PER_MS, Clock, Instant
-from drivers.wire.frame_port import FramePort
-from drivers.wire.identifiers import ERROR_FLAG
-from drivers.wire.message_port import MessagePort, StampSource
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.error_message import told_bus_off
-from virtual_bus.bus.listener import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.frame import Device, Frame
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NEVER, NS_PER_MS, Clock, Instant
+from servobench.drivers.wire.frame_port import FramePort
+from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.message_port import MessagePort, StampSource
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.error_message import told_bus_off
+from servobench.virtual_bus.bus.listener import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.frame import Device, Frame
 
 POLL_NS: Final = 50 * NS_PER_MS
 """Longest time in one ``receive``, so that ``stop`` is noticed."""

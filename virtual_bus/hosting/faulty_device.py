@@ -14,24 +14,24 @@ from enum import IntEnum
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, cast
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.objects301 import is_mapping
-from drivers.timebase import NEVER, Instant
-from drivers.wire.identifiers import EXTENDED_FLAG
-from virtual_bus.bus.judge import Direction
-from virtual_bus.bus.port import Port
-from virtual_bus.core.native import HeldFrames
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.device.object_dictionary import Check
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.faults.fates import FateSource, Queue
-from virtual_bus.faults.fault_log import KIND_CODES, FaultLog
-from virtual_bus.faults.node_fault import NodeEvent
-from virtual_bus.faults.node_faults import NodeSource, node_kind
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.objects301 import is_mapping
+from servobench.drivers.timebase import NEVER, Instant
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.bus.port import Port
+from servobench.virtual_bus.core.native import HeldFrames
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.device.object_dictionary import Check
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.faults.fates import FateSource, Queue
+from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultLog
+from servobench.virtual_bus.faults.node_fault import NodeEvent
+from servobench.virtual_bus.faults.node_faults import NodeSource, node_kind
+from servobench.virtual_bus.frame import Frame
 
 if TYPE_CHECKING:
-    from virtual_bus.drive.servo import ServoApplication
+    from servobench.virtual_bus.drive.servo import ServoApplication
 
 _NOTHING: tuple[Frame, ...] = ()
 _LATE, _BOOT = KIND_CODES["late"], KIND_CODES["boot"]
@@ -231,7 +231,7 @@ class FaultyDevice:
             self._log.flush()  # rare, and to be told at once
         node_kind(kind).befall(self, now, event)
 
-    # What a fault can do to a node, see :class:`virtual_bus.faults.node_fault.StruckNode`.
+    # What a fault can do to a node, see :class:`servobench.virtual_bus.faults.node_fault.StruckNode`.
 
     def silence(self, until: int) -> None:
         """Neither hear nor send."""

@@ -10,23 +10,23 @@ hil simulate               none: at its own connection;     at its own connectio
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from drivers.errors import BadInput
-from drivers.timebase import Duration, Instant
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.faults.disturber import Disturber, disturber
-from virtual_bus.faults.fates import FateSource
-from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_log import KIND_CODES, FaultLog
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.fault_streams import uniform_stream
-from virtual_bus.faults.frame_fault import Side
-from virtual_bus.faults.kinds.host_stall import HostStall
-from virtual_bus.faults.mangler import DrawnSignals, Mangler, ReplayedSignals
-from virtual_bus.faults.node_faults import DrawnNode, Events, node_source
-from virtual_bus.faults.outage_bus import KINDS as OUTAGES
-from virtual_bus.faults.outage_bus import Outages
-from virtual_bus.faults.replay import RecordedFaults, ReplayedFates
-from virtual_bus.hosting.faulty_device import FaultyDevice
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Duration, Instant
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.faults.disturber import Disturber, disturber
+from servobench.virtual_bus.faults.fates import FateSource
+from servobench.virtual_bus.faults.fault_injector import FaultInjector
+from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultLog
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.fault_streams import uniform_stream
+from servobench.virtual_bus.faults.frame_fault import Side
+from servobench.virtual_bus.faults.kinds.host_stall import HostStall
+from servobench.virtual_bus.faults.mangler import DrawnSignals, Mangler, ReplayedSignals
+from servobench.virtual_bus.faults.node_faults import DrawnNode, Events, node_source
+from servobench.virtual_bus.faults.outage_bus import KINDS as OUTAGES
+from servobench.virtual_bus.faults.outage_bus import Outages
+from servobench.virtual_bus.faults.replay import RecordedFaults, ReplayedFates
+from servobench.virtual_bus.hosting.faulty_device import FaultyDevice
 
 _STALL = KIND_CODES[HostStall.kind]
 
@@ -109,7 +109,7 @@ class Injection:
             source = DrawnNode(FaultPlan(), node, self._seed)
         if source.needs_drive:
             # A host of other devices does without it.
-            from virtual_bus.drive.servo import ServoApplication
+            from servobench.virtual_bus.drive.servo import ServoApplication
 
             if not isinstance(device.application, ServoApplication):
                 expected = "a simulated drive, with a motor inside"

@@ -7,5 +7,5 @@
     information.py what a file says of itself: file, device, configuration
     model.py       objects -> the object dictionary of python canopen
 
-Every stage tells a :class:`drivers.sheets.eds.repairs.RepairLog` what it had to mend.
+Every stage tells a :class:`servobench.drivers.sheets.eds.repairs.RepairLog` what it had to mend.
 """

@@ -7,9 +7,9 @@ files somebody has put a node-ID in the place of $NODEID: they have the COB-IDs 
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from drivers.canopen.cob_ids import CAN_ID, EMERGENCY, NOT_VALID, RPDOS, TPDOS
-from drivers.canopen.data_types import DataType
-from drivers.canopen.objects301 import (
+from servobench.drivers.canopen.cob_ids import CAN_ID, EMERGENCY, NOT_VALID, RPDOS, TPDOS
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import (
     MAPPING_OFFSET,
     PDO_ENTRIES_MAX,
     PDOS_MAX,
@@ -17,14 +17,14 @@ from drivers.canopen.objects301 import (
     TPDO_COMMUNICATION,
     Cia301,
 )
-from drivers.sheets.eds import types
-from drivers.sheets.eds.entries import Entry
-from drivers.sheets.eds.information import DeviceInformation
-from drivers.sheets.eds.numbers import Formula
-from drivers.sheets.eds.objects import EdsObject
-from drivers.sheets.eds.repairs import RepairLog
-from drivers.sheets.eds.sections import Sections, section_name
-from drivers.sheets.eds.values import Value
+from servobench.drivers.sheets.eds import types
+from servobench.drivers.sheets.eds.entries import Entry
+from servobench.drivers.sheets.eds.information import DeviceInformation
+from servobench.drivers.sheets.eds.numbers import Formula
+from servobench.drivers.sheets.eds.objects import EdsObject
+from servobench.drivers.sheets.eds.repairs import RepairLog
+from servobench.drivers.sheets.eds.sections import Sections, section_name
+from servobench.drivers.sheets.eds.values import Value
 
 _PREDEFINED: Final[dict[tuple[int, int], int]] = {
     (Cia301.EMCY_COB_ID, 0): EMERGENCY,

@@ -3,12 +3,12 @@
 import re
 from dataclasses import dataclass, field
 
-from drivers.canopen.data_types import BITS, DataType
-from drivers.canopen.objects301 import Cia301
-from drivers.sheets.eds import types
-from drivers.sheets.eds.numbers import Spelled, integer
-from drivers.sheets.eds.sections import EdsSection, Option, Sections, section_name
-from drivers.sheets.eds.values import NOTHING, Place, Scalar, Value, read_value
+from servobench.drivers.canopen.data_types import BITS, DataType
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.sheets.eds import types
+from servobench.drivers.sheets.eds.numbers import Spelled, integer
+from servobench.drivers.sheets.eds.sections import EdsSection, Option, Sections, section_name
+from servobench.drivers.sheets.eds.values import NOTHING, Place, Scalar, Value, read_value
 
 ACCESS_TYPES = ("ro", "wo", "rw", "rwr", "rww", "const")
 _SPELLINGS = {

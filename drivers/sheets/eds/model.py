@@ -6,13 +6,13 @@ from typing import Any, cast
 
 import canopen.objectdictionary as od
 
-from drivers.canopen.cob_ids import EXTENDED, NO_RTR, NOT_VALID
-from drivers.sheets.eds import types
-from drivers.sheets.eds.entries import Entry
-from drivers.sheets.eds.information import Commissioning, DeviceInformation
-from drivers.sheets.eds.numbers import Formula
-from drivers.sheets.eds.objects import EdsObject
-from drivers.sheets.eds.values import Scalar
+from servobench.drivers.canopen.cob_ids import EXTENDED, NO_RTR, NOT_VALID
+from servobench.drivers.sheets.eds import types
+from servobench.drivers.sheets.eds.entries import Entry
+from servobench.drivers.sheets.eds.information import Commissioning, DeviceInformation
+from servobench.drivers.sheets.eds.numbers import Formula
+from servobench.drivers.sheets.eds.objects import EdsObject
+from servobench.drivers.sheets.eds.values import Scalar
 
 _FLAGS = NOT_VALID | NO_RTR | EXTENDED
 

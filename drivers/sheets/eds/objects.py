@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, field, replace
 
-from drivers.canopen.data_types import DataType
-from drivers.canopen.objects301 import FIRST_OBJECT
-from drivers.sheets.eds import types
-from drivers.sheets.eds.entries import Entry, EntryReader
-from drivers.sheets.eds.numbers import integer
-from drivers.sheets.eds.repairs import NoDataSheet, RepairLog
-from drivers.sheets.eds.sections import (
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT
+from servobench.drivers.sheets.eds import types
+from servobench.drivers.sheets.eds.entries import Entry, EntryReader
+from servobench.drivers.sheets.eds.numbers import integer
+from servobench.drivers.sheets.eds.repairs import NoDataSheet, RepairLog
+from servobench.drivers.sheets.eds.sections import (
     COMMISSIONING,
     EdsSection,
     Option,
@@ -17,7 +17,7 @@ from drivers.sheets.eds.sections import (
     section_name,
     table_of,
 )
-from drivers.sheets.eds.values import Place, Value, read_value
+from servobench.drivers.sheets.eds.values import Place, Value, read_value
 
 _SUBS_MAX = 254
 """A sub-index is an UNSIGNED8, and FFh is no entry: it tells the structure of the object (CiA 301)."""

@@ -5,9 +5,9 @@ import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from drivers.printable import printable
-from drivers.sheets.eds.numbers import Spelled, integer
-from drivers.sheets.eds.repairs import RepairLog
+from servobench.drivers.printable import printable
+from servobench.drivers.sheets.eds.numbers import Spelled, integer
+from servobench.drivers.sheets.eds.repairs import RepairLog
 
 
 class Option(NamedTuple):

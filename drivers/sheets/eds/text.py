@@ -11,7 +11,7 @@ import re
 import unicodedata
 from collections.abc import Iterable, Iterator
 
-from drivers.sheets.eds.repairs import RepairLog
+from servobench.drivers.sheets.eds.repairs import RepairLog
 
 _CODE_PAGES = {
     "cp1252": "Windows code page 1252",

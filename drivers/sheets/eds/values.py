@@ -4,12 +4,20 @@ import struct
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, TIME_BITS, UNSIGNED_BITS, DataType
-from drivers.canopen.objects301 import Cia301, is_communication, is_mapping
-from drivers.cia402.profile import DRIVE_PROFILE
-from drivers.sheets.eds import types
-from drivers.sheets.eds.numbers import LENGTH_MAX, Formula, Spelled, formula, integer, is_formula, real
-from drivers.sheets.eds.sections import EdsSection, Option
+from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, TIME_BITS, UNSIGNED_BITS, DataType
+from servobench.drivers.canopen.objects301 import Cia301, is_communication, is_mapping
+from servobench.drivers.cia402.profile import DRIVE_PROFILE
+from servobench.drivers.sheets.eds import types
+from servobench.drivers.sheets.eds.numbers import (
+    LENGTH_MAX,
+    Formula,
+    Spelled,
+    formula,
+    integer,
+    is_formula,
+    real,
+)
+from servobench.drivers.sheets.eds.sections import EdsSection, Option
 
 Scalar = int | float | str | bytes
 _NO_NUMBER = frozenset({"-", "--", "n/a", "na", "none", "null", "?", "unknown", "var", "variable"})

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 from xml.parsers import expat
 
-from drivers.printable import printable
-from drivers.sheets.eds.repairs import RepairLog
-from drivers.sheets.eds.sections import COMMISSIONING, EdsSection, Option, Sections, section_name
+from servobench.drivers.printable import printable
+from servobench.drivers.sheets.eds.repairs import RepairLog
+from servobench.drivers.sheets.eds.sections import COMMISSIONING, EdsSection, Option, Sections, section_name
 
 ROOT: Final = "ISO15745ProfileContainer"
 _DEPTH_MAX: Final = 64

@@ -3,8 +3,7 @@
 import pytest
 from spindle_control import SpindleController
 
-from drivers.cia402.profile import State
-from drivers.errors import DriveInFault, LimitExceeded
+from servobench import DriveInFault, LimitExceeded, State
 
 
 def test_speed_settles_after_the_step_and_after_the_load(servo_bench, bench, controller):

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from drivers.cia402.motion import MoveProfile
-from drivers.cia402.pdo_planner import all_modes_plan
-from drivers.cia402.profile import State
+from servobench.drivers.cia402.motion import MoveProfile
+from servobench.drivers.cia402.pdo_planner import all_modes_plan
+from servobench.drivers.cia402.profile import State
 
 
 def test_enabling_sends_these_controlwords_and_nothing_else(spindle):

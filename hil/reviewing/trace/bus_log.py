@@ -14,19 +14,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, Final, cast
 
-from drivers.errors import BadInput
-from drivers.printable import printable
-from hil.reviewing.trace.candump_lines import frame_of_line, is_remark
-from hil.reviewing.trace.capture_file import (
+from servobench.drivers.errors import BadInput
+from servobench.drivers.printable import printable
+from servobench.hil.reviewing.trace.candump_lines import frame_of_line, is_remark
+from servobench.hil.reviewing.trace.capture_file import (
     PCAP_MAGICS,
     PCAPNG_MAGIC,
     BrokenCapture,
     OtherPacket,
     capture_packets,
 )
-from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.log_window import Hold, LogWindow, lines_of_window
-from hil.reviewing.trace.other_logs import SUFFIXES, BrokenLog, kind_of, other_frames
+from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.log_window import Hold, LogWindow, lines_of_window
+from servobench.hil.reviewing.trace.other_logs import SUFFIXES, BrokenLog, kind_of, other_frames
 
 STDIN: Final = Path("-")
 KINDS: Final = f"a log of candump, a pcap or pcapng, or one of {', '.join(SUFFIXES)}"

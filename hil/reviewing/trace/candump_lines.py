@@ -12,9 +12,9 @@ import re
 from datetime import UTC, datetime
 from typing import Final
 
-from drivers.timebase import NS_PER_S
-from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
-from hil.reviewing.trace.log_frame import CLASSICAL_BYTES_MAX, FD_BYTES_MAX, LogFrame
+from servobench.drivers.timebase import NS_PER_S
+from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
+from servobench.hil.reviewing.trace.log_frame import CLASSICAL_BYTES_MAX, FD_BYTES_MAX, LogFrame
 
 _STAMP: Final = rb"\((?:(?P<date>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)|(?P<s>\d{1,12}))\.(?P<part>\d{1,9})\)"
 _ID: Final = rb"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"

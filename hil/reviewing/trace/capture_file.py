@@ -12,9 +12,15 @@ from collections.abc import Iterator
 from struct import Struct
 from typing import BinaryIO, Final, NamedTuple
 
-from drivers.timebase import NS_PER_S
-from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_ID_MAX, REMOTE_FLAG, STANDARD_ID_MAX
-from hil.reviewing.trace.log_frame import CLASSICAL_BYTES_MAX, FD_BYTES_MAX, LogFrame
+from servobench.drivers.timebase import NS_PER_S
+from servobench.drivers.wire.identifiers import (
+    ERROR_FLAG,
+    EXTENDED_FLAG,
+    EXTENDED_ID_MAX,
+    REMOTE_FLAG,
+    STANDARD_ID_MAX,
+)
+from servobench.hil.reviewing.trace.log_frame import CLASSICAL_BYTES_MAX, FD_BYTES_MAX, LogFrame
 
 PCAP_MAGICS: Final = {
     b"\xd4\xc3\xb2\xa1": ("<", 1000),

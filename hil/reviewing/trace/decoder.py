@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from typing import Final
 
-from drivers.canopen.cob_ids import (
+from servobench.drivers.canopen.cob_ids import (
     EMERGENCY,
     ERROR_CONTROL,
     LSS_ANSWER,
@@ -15,24 +15,24 @@ from drivers.canopen.cob_ids import (
     SYNC,
     TIME,
 )
-from drivers.canopen.objects301 import PDO_PARAMETERS, Cia301
-from drivers.canopen.sdo import abort_text, object_name
-from drivers.wire.error_frames import error_frame_text
-from hil.reviewing.trace.known_nodes import KnownNodes
-from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.log_window import EVER_NS
-from hil.reviewing.trace.node_objects import NodeObjects
-from hil.reviewing.trace.object_value import ObjectValue
-from hil.reviewing.trace.pdo_book import PdoBook
-from hil.reviewing.trace.sdo_transfer import SdoChannel, SdoTransfer
-from hil.reviewing.trace.service_words import (
+from servobench.drivers.canopen.objects301 import PDO_PARAMETERS, Cia301
+from servobench.drivers.canopen.sdo import abort_text, object_name
+from servobench.drivers.wire.error_frames import error_frame_text
+from servobench.hil.reviewing.trace.known_nodes import KnownNodes
+from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.log_window import EVER_NS
+from servobench.hil.reviewing.trace.node_objects import NodeObjects
+from servobench.hil.reviewing.trace.object_value import ObjectValue
+from servobench.hil.reviewing.trace.pdo_book import PdoBook
+from servobench.hil.reviewing.trace.sdo_transfer import SdoChannel, SdoTransfer
+from servobench.hil.reviewing.trace.service_words import (
     emergency_text,
     error_control_text,
     lss_text,
     nmt_text,
     time_text,
 )
-from hil.reviewing.trace.trace_entry import TraceEntry
+from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 
 _NO_OBJECT: Final = (0x0602_0000, 0x0609_0011)
 """Abort codes of an object or a sub-index that is not there (CiA 301 table 22)."""

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from drivers.canopen.objects301 import Cia301
-from drivers.cia402.scaling import ScaleOverride
-from drivers.sheets.dictionary import load_dictionary
-from hil.reviewing.trace.node_objects import NodeObjects
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.drivers.sheets.dictionary import load_dictionary
+from servobench.hil.reviewing.trace.node_objects import NodeObjects
 
 NodeKey = tuple[str, int]
 """Channel, empty for every one, and node-ID."""

@@ -1,7 +1,8 @@
 """A window of a long candump log in order of time: its lines, and of the others those that they rest on.
 
-Those are told by the index beside a recording's log (:mod:`hil.rows.frames_index`). Without one they are
-looked for in arrays of bytes: everything else outside of the window, nearly all of a log, is never decoded.
+Those are told by the index beside a recording's log (:mod:`servobench.hil.rows.frames_index`). Without one
+they are looked for in arrays of bytes: everything else outside of the window, nearly all of a log, is never
+decoded.
 """
 
 import re
@@ -13,9 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_MS, NS_PER_S
-from drivers.wire.identifiers import STANDARD_ID_MAX
-from hil.rows.frames_index import (
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
+from servobench.drivers.wire.identifiers import STANDARD_ID_MAX
+from servobench.hil.rows.frames_index import (
     BORDER,
     INDEX_DTYPE,
     TellingFrames,
@@ -23,7 +24,7 @@ from hil.rows.frames_index import (
     needed_behind,
     read_index,
 )
-from hil.rows.run_files import FRAMES_FILE
+from servobench.hil.rows.run_files import FRAMES_FILE
 
 _STAMP: Final = re.compile(rb"\((\d{1,12})\.(\d{1,9})\)")
 _CHUNK: Final = 1 << 22

@@ -6,18 +6,24 @@ from typing import Final, NamedTuple
 
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable
 
-from drivers.canopen.error_codes import fault_text, history_text, register_text
-from drivers.canopen.objects301 import MANDATORY, PDO_PARAMETERS, TPDO_COMMUNICATION, Cia301, is_mapping
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, commands_in, state_of
-from drivers.cia402.quirky_units import apply_quirks
-from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
-from drivers.errors import PeerFault
-from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
-from drivers.sheets.dictionary import held_by
-from drivers.sheets.eds.types import COB_ID_OBJECTS, VARIABLE, standard_object_type, standard_type
-from drivers.vendors.families import known_families, quirks_for
-from hil.reviewing.trace.object_value import ObjectValue, value_of
+from servobench.drivers.canopen.error_codes import fault_text, history_text, register_text
+from servobench.drivers.canopen.objects301 import (
+    MANDATORY,
+    PDO_PARAMETERS,
+    TPDO_COMMUNICATION,
+    Cia301,
+    is_mapping,
+)
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, commands_in, state_of
+from servobench.drivers.cia402.quirky_units import apply_quirks
+from servobench.drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
+from servobench.drivers.sheets.dictionary import held_by
+from servobench.drivers.sheets.eds.types import COB_ID_OBJECTS, VARIABLE, standard_object_type, standard_type
+from servobench.drivers.vendors.families import known_families, quirks_for
+from servobench.hil.reviewing.trace.object_value import ObjectValue, value_of
 
 _RATED: Final = Object.MOTOR_RATED_TORQUE
 _POSITIONS: Final = frozenset(

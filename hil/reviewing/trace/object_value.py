@@ -5,10 +5,10 @@ import struct
 from dataclasses import dataclass
 from typing import Any, Final
 
-from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, UNSIGNED_BITS, DataType
-from drivers.canopen.sdo import object_name
-from drivers.printable import printable
-from drivers.sheets.eds.types import BYTE_TYPES, TEXT_TYPES
+from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, UNSIGNED_BITS, DataType
+from servobench.drivers.canopen.sdo import object_name
+from servobench.drivers.printable import printable
+from servobench.drivers.sheets.eds.types import BYTE_TYPES, TEXT_TYPES
 
 Number = int | float
 _INTEGER_BYTES: Final = 8

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from drivers.timebase import NS_PER_US
-from hil.reviewing.trace.log_frame import LogFrame
+from servobench.drivers.timebase import NS_PER_US
+from servobench.hil.reviewing.trace.log_frame import LogFrame
 
 if TYPE_CHECKING:
     from can import Message

@@ -4,12 +4,12 @@ import struct
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from drivers.canopen.cob_ids import CAN_ID, EXTENDED, NOT_VALID
-from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS
-from drivers.canopen.objects301 import FIRST_OBJECT, PDO_ENTRIES_MAX
-from drivers.canopen.pdo import PdoDirection, key_of
-from hil.reviewing.trace.node_objects import NodeObjects
-from hil.reviewing.trace.object_value import ObjectValue
+from servobench.drivers.canopen.cob_ids import CAN_ID, EXTENDED, NOT_VALID
+from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT, PDO_ENTRIES_MAX
+from servobench.drivers.canopen.pdo import PdoDirection, key_of
+from servobench.hil.reviewing.trace.node_objects import NodeObjects
+from servobench.hil.reviewing.trace.object_value import ObjectValue
 
 _PREDEFINED: Final = 4
 """Lower indices are data types: what they map is a gap."""

@@ -9,16 +9,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cia402.scaling import ScaleOverride
-from drivers.errors import BadInput, BenchError
-from drivers.timebase import Instant
-from hil.configuration.bench_file import load_bench
-from hil.reviewing.trace.bus_log import BusLog
-from hil.reviewing.trace.known_nodes import KnownNodes, NodeKey, SheetFile
-from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.log_window import Hold, LogWindow
-from hil.rows.records_file import read_metadata, refuse_later_format
-from hil.rows.run_files import (
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.drivers.errors import BadInput, BenchError
+from servobench.drivers.timebase import Instant
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.reviewing.trace.bus_log import BusLog
+from servobench.hil.reviewing.trace.known_nodes import KnownNodes, NodeKey, SheetFile
+from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.log_window import Hold, LogWindow
+from servobench.hil.rows.records_file import read_metadata, refuse_later_format
+from servobench.hil.rows.run_files import (
     BENCH_FILE,
     DIRECTION_BYTES,
     DIRECTIONS_FILE,
@@ -27,8 +27,8 @@ from hil.rows.run_files import (
     INDEX_FILE,
     RECORDS_FILE,
 )
-from hil.rows.seal import SealedFiles
-from hil.rows.side_rows import FRAME_DTYPE, frame_row
+from servobench.hil.rows.seal import SealedFiles
+from servobench.hil.rows.side_rows import FRAME_DTYPE, frame_row
 
 _CHUNK: Final = 1 << 16
 """Lines of which are held at once what is asked for."""

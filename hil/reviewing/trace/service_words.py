@@ -3,11 +3,11 @@
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
-from drivers.canopen.error_codes import fault_text
-from drivers.canopen.lss import SCAN_RESET
-from drivers.canopen.nmt import parse_emergency
-from drivers.canopen.nmt_states import UNCONFIGURED, NmtCommand, NmtState
-from drivers.timebase import Instant
+from servobench.drivers.canopen.error_codes import fault_text
+from servobench.drivers.canopen.lss import SCAN_RESET
+from servobench.drivers.canopen.nmt import parse_emergency
+from servobench.drivers.canopen.nmt_states import UNCONFIGURED, NmtCommand, NmtState
+from servobench.drivers.timebase import Instant
 
 _EPOCH: Final = datetime(1984, 1, 1, tzinfo=UTC)
 """TIME_OF_DAY counts its days from here (CiA 301 7.1.6.6)."""

@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import Any, Final, NamedTuple
 
-from drivers.timebase import NS_PER_S
-from hil.reviewing.trace.log_window import EVER_NS, LogWindow
-from hil.reviewing.trace.object_value import ObjectValue
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.reviewing.trace.log_window import EVER_NS, LogWindow
+from servobench.hil.reviewing.trace.object_value import ObjectValue
 
 KINDS: Final = ("nmt", "sync", "emcy", "time", "heartbeat", "guarding", "sdo", "pdo", "lss", "error", "other")
 

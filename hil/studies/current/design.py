@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from design.current.current_design import (
+from servobench.design.current.current_design import (
     AxisDesign,
     axis_gamma_min,
     axis_inductance_h,
@@ -14,14 +14,14 @@ from design.current.current_design import (
     roots,
     rule_weights,
 )
-from design.hinf.fixed_structure import Structure, tune
-from design.hinf.mixed_sensitivity import axis_plant
-from design.hinf.reduction import Method
-from design.motor import PmsmParameters
-from design.statespace import StateSpace, zpk
-from drivers.errors import BadInput
-from hil.configuration.toml_text import toml_text
-from hil.studies.current.figures import CurrentRequest, OtherAxis, robust_figures, sampled_design
+from servobench.design.hinf.fixed_structure import Structure, tune
+from servobench.design.hinf.mixed_sensitivity import axis_plant
+from servobench.design.hinf.reduction import Method
+from servobench.design.motor import PmsmParameters
+from servobench.design.statespace import StateSpace, zpk
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.studies.current.figures import CurrentRequest, OtherAxis, robust_figures, sampled_design
 
 GAMMA = 1.0
 """The demand (40), if nothing else is asked for."""

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from design.current.coupled_robustness import coupled_robustness, worst_motor
-from design.current.current_design import AxisDesign, axis_inductance_h
-from design.current.current_loop import (
+from servobench.design.current.coupled_robustness import coupled_robustness, worst_motor
+from servobench.design.current.current_design import AxisDesign, axis_inductance_h
+from servobench.design.current.current_loop import (
     SampledFigures,
     discrete_design,
     discrete_plant,
@@ -15,16 +15,21 @@ from design.current.current_loop import (
     lowest_rate_hz,
     sampled_figures,
 )
-from design.current.dq_loop import Decoupling, lowest_coupled_rate_hz, nominal_decoupling, spectral_radius
-from design.hinf.bilinear import to_bilinear, tustin
-from design.hinf.reduction import Method
-from design.hinf.robustness import axis_robustness
-from design.hinf.synthesis import verified_norm
-from design.hinf.weights import Weights
-from design.motor import PmsmParameters
-from design.statespace import StateSpace
-from drivers.errors import BadInput
-from hil.studies.numbers import finite
+from servobench.design.current.dq_loop import (
+    Decoupling,
+    lowest_coupled_rate_hz,
+    nominal_decoupling,
+    spectral_radius,
+)
+from servobench.design.hinf.bilinear import to_bilinear, tustin
+from servobench.design.hinf.reduction import Method
+from servobench.design.hinf.robustness import axis_robustness
+from servobench.design.hinf.synthesis import verified_norm
+from servobench.design.hinf.weights import Weights
+from servobench.design.motor import PmsmParameters
+from servobench.design.statespace import StateSpace
+from servobench.drivers.errors import BadInput
+from servobench.hil.studies.numbers import finite
 
 FACTOR = 1.05
 """Of gamma_min of the sampled plant, if nothing else is asked for and 1 is out of reach."""

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from design.current.current_design import AxisDesign, complementary
-from design.hinf.mixed_sensitivity import loop_functions
-from design.hinf.step_response import step_response
-from design.papers.azaiz2007 import DriveRun
-from design.statespace import series
-from hil.studies.drawing import draw_all, picture
+from servobench.design.current.current_design import AxisDesign, complementary
+from servobench.design.hinf.mixed_sensitivity import loop_functions
+from servobench.design.hinf.step_response import step_response
+from servobench.design.papers.azaiz2007 import DriveRun
+from servobench.design.statespace import series
+from servobench.hil.studies.drawing import draw_all, picture
 
 
 def draw_bounds(design: AxisDesign, path: Path) -> None:

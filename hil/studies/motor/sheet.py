@@ -4,15 +4,15 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from design.data_sheet import DataSheet, InconsistentSheet, at_temperature, of_phase
-from design.flux_constants import CONVENTIONS
-from drivers.errors import MISSING, BadInput
-from drivers.rotation import RAD_S_PER_RPM
-from hil.configuration.config_errors import BadInputs
-from hil.configuration.motor_file import MotorFile, MotorMechanics, Rating, Windings
-from hil.configuration.toml_text import toml_text
-from hil.studies.motor.figures import GROUPS, SEVERAL, missing, option, ways
-from hil.studies.numbers import short
+from servobench.design.data_sheet import DataSheet, InconsistentSheet, at_temperature, of_phase
+from servobench.design.flux_constants import CONVENTIONS
+from servobench.drivers.errors import MISSING, BadInput
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.configuration.config_errors import BadInputs
+from servobench.hil.configuration.motor_file import MotorFile, MotorMechanics, Rating, Windings
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.studies.motor.figures import GROUPS, SEVERAL, missing, option, ways
+from servobench.hil.studies.numbers import short
 
 SOURCE = "hil motor new"
 WINDING_C = 20.0

@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from design.delay.delay_response import DelayResponse
-from design.papers.ling2012 import (
+from servobench.design.delay.delay_response import DelayResponse
+from servobench.design.papers.ling2012 import (
     DELAY_S,
     LOAD_ON_S,
     SPEED_RAD_S,
     load_pulse,
     start_up,
 )
-from drivers.rotation import RAD_S_PER_RPM
-from hil.studies.drawing import draw_all, picture
-from hil.studies.papers.reproduction import LOAD_AT_S, PaperRun
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.studies.drawing import draw_all, picture
+from servobench.hil.studies.papers.reproduction import LOAD_AT_S, PaperRun
 
 _LABELS = {
     "stamp": "stamp, 5 of 6 lost",

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from design.delay.speed_loop import Units
-from design.motor import PmsmParameters
-from design.papers.ling2012 import (
+from servobench.design.delay.speed_loop import Units
+from servobench.design.motor import PmsmParameters
+from servobench.design.papers.ling2012 import (
     BANDS,
     DELAY_S,
     LOAD_NM,
@@ -39,20 +39,20 @@ from design.papers.ling2012 import (
     published_design,
     table2_row,
 )
-from design.papers.ling2012 import (
+from servobench.design.papers.ling2012 import (
     K as PUBLISHED_GAIN,
 )
-from design.sampled.held_loop import SampledNetwork, Strategy
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_S
-from hil.configuration.bench_file import load_bench
-from hil.execution.bench import run_bench
-from hil.machine.examples import examples_folder
-from hil.machine.stopping import Interrupted
-from hil.rows.records_file import read_records
-from hil.rows.run_files import RECORDS_FILE
-from hil.studies.speed.analysis import LoopRequest, sampled_figures
-from hil.verdict.verdict import VerdictKind
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.execution.bench import run_bench
+from servobench.hil.machine.examples import examples_folder
+from servobench.hil.machine.stopping import Interrupted
+from servobench.hil.rows.records_file import read_records
+from servobench.hil.rows.run_files import RECORDS_FILE
+from servobench.hil.studies.speed.analysis import LoopRequest, sampled_figures
+from servobench.hil.verdict.verdict import VerdictKind
 
 VARIANTS = (
     ("case1", "stamp"),

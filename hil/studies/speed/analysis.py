@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from design.delay.certificate import (
+from servobench.design.delay.certificate import (
     CLOSE_ENOUGH,
     ORDER_MAX,
     CertifiedGain,
@@ -15,20 +15,20 @@ from design.delay.certificate import (
     certified_gain,
     certified_gain_auto,
 )
-from design.delay.delay_loop import Array, DelayLoop
-from design.delay.delay_norm import hinf_norm, hinf_peak, largest_stable_delay_s
-from design.delay.delay_response import step_peak
-from design.delay.lmi import SOLVED, SOLVER
-from design.delay.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
-from design.errors import NoSolution
-from design.motor import PmsmParameters
-from design.papers.as_printed import theorem_3_1, theorem_3_3
-from design.sampled.admissible_steps import deliveries_of
-from design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
-from design.sampled.held_loop import SampledNetwork, Strategy
-from design.sampled.loss_patterns import Pattern
-from design.speed.monte_carlo import Chance, Estimate, diverged, quantile, run_many
-from hil.studies.numbers import finite
+from servobench.design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_norm import hinf_norm, hinf_peak, largest_stable_delay_s
+from servobench.design.delay.delay_response import step_peak
+from servobench.design.delay.lmi import SOLVED, SOLVER
+from servobench.design.delay.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
+from servobench.design.errors import NoSolution
+from servobench.design.motor import PmsmParameters
+from servobench.design.papers.as_printed import theorem_3_1, theorem_3_3
+from servobench.design.sampled.admissible_steps import deliveries_of
+from servobench.design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.design.sampled.loss_patterns import Pattern
+from servobench.design.speed.monte_carlo import Chance, Estimate, diverged, quantile, run_many
+from servobench.hil.studies.numbers import finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,24 +5,24 @@ from typing import Any
 
 import numpy as np
 
-from design.delay.lmi import SOLVER
-from design.motor import PmsmParameters
-from design.sampled.analysis import SampledAnalysis
-from design.sampled.bandwidth_range import BandwidthRange
-from design.sampled.held_loop import SampledNetwork, Strategy
-from drivers.timebase import US_PER_S
-from hil.configuration.config_files import Section
-from hil.configuration.controller_kinds import StateFeedbackController
-from hil.configuration.speed_controller_file import (
+from servobench.design.delay.lmi import SOLVER
+from servobench.design.motor import PmsmParameters
+from servobench.design.sampled.analysis import SampledAnalysis
+from servobench.design.sampled.bandwidth_range import BandwidthRange
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.drivers.timebase import US_PER_S
+from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.controller_kinds import StateFeedbackController
+from servobench.hil.configuration.speed_controller_file import (
     Certificate,
     CurrentLoop,
     DesignPlant,
     MadeFor,
     SequenceProof,
 )
-from hil.configuration.toml_text import toml_text
-from hil.studies.numbers import finite
-from hil.studies.speed.synthesis import DesignResult
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.studies.numbers import finite
+from servobench.hil.studies.speed.synthesis import DesignResult
 
 
 def whole_us(time_s: float) -> int:

@@ -7,28 +7,33 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from design.delay.lmi import SOLVER
-from design.motor import PmsmParameters
-from design.sampled.analysis import SampledAnalysis
-from design.speed.hinf_design import HinfDesign, design_hinf, hinf_robustness, uncertainty_norm
-from design.speed.loop_robustness import LoopRobustness
-from design.speed.loss_certificate import hinf_losses, predictor_losses, with_losses
-from design.speed.predictor_design import (
+from servobench.design.delay.lmi import SOLVER
+from servobench.design.motor import PmsmParameters
+from servobench.design.sampled.analysis import SampledAnalysis
+from servobench.design.speed.hinf_design import HinfDesign, design_hinf, hinf_robustness, uncertainty_norm
+from servobench.design.speed.loop_robustness import LoopRobustness
+from servobench.design.speed.loss_certificate import hinf_losses, predictor_losses, with_losses
+from servobench.design.speed.predictor_design import (
     PredictorDesign,
     PredictorRequest,
     design_predictor,
     losses_gain,
     predictor_robustness,
 )
-from design.speed.predictor_plant import encoder_noise_rad_s
-from design.speed.predictor_trial import Walks
-from drivers.timebase import US_PER_S
-from hil.configuration.config_files import Section
-from hil.configuration.hinf_section import HinfSection
-from hil.configuration.predictor_section import PredictorController
-from hil.configuration.speed_controller_file import CurrentLoop, LoopFigures, LossCertificate, MadeFor
-from hil.studies.numbers import finite, margin_figures, short
-from hil.studies.speed.controller_text import begun_us, plant_of, sequence_proof, whole_us
+from servobench.design.speed.predictor_plant import encoder_noise_rad_s
+from servobench.design.speed.predictor_trial import Walks
+from servobench.drivers.timebase import US_PER_S
+from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.hinf_section import HinfSection
+from servobench.hil.configuration.predictor_section import PredictorController
+from servobench.hil.configuration.speed_controller_file import (
+    CurrentLoop,
+    LoopFigures,
+    LossCertificate,
+    MadeFor,
+)
+from servobench.hil.studies.numbers import finite, margin_figures, short
+from servobench.hil.studies.speed.controller_text import begun_us, plant_of, sequence_proof, whole_us
 
 ENCODER_COUNTS = 65_536
 SPEED_FILTER_HZ = 500.0

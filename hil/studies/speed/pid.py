@@ -1,17 +1,17 @@
-"""``hil design pid``: what :mod:`design.speed.speed_pid` goes by, its figures and its file."""
+"""``hil design pid``: what :mod:`servobench.design.speed.speed_pid` goes by, its figures and its file."""
 
 import math
 from dataclasses import asdict
 from typing import Any
 
-from design.motor import PmsmParameters
-from design.speed.speed_pid import SpeedPid, first_order_current_loop
-from design.statespace import StateSpace
-from hil.configuration.controller_kinds import PidController, TunedFor
-from hil.configuration.current_controller_file import CurrentController
-from hil.configuration.drive_current_loop import closed_loop
-from hil.configuration.drive_file import LoopOfDrive
-from hil.studies.numbers import finite, short
+from servobench.design.motor import PmsmParameters
+from servobench.design.speed.speed_pid import SpeedPid, first_order_current_loop
+from servobench.design.statespace import StateSpace
+from servobench.hil.configuration.controller_kinds import PidController, TunedFor
+from servobench.hil.configuration.current_controller_file import CurrentController
+from servobench.hil.configuration.drive_current_loop import closed_loop
+from servobench.hil.configuration.drive_file import LoopOfDrive
+from servobench.hil.studies.numbers import finite, short
 
 
 def current_loop_of(

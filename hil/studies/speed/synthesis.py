@@ -5,10 +5,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from design.delay.certificate import CertifiedGain, certified_gain, certified_gain_auto
-from design.delay.delay_norm import hinf_norm
-from design.delay.lmi import SOLVED, SOLVER
-from design.delay.speed_loop import (
+from servobench.design.delay.certificate import CertifiedGain, certified_gain, certified_gain_auto
+from servobench.design.delay.delay_norm import hinf_norm
+from servobench.design.delay.lmi import SOLVED, SOLVER
+from servobench.design.delay.speed_loop import (
     Feedback,
     SpeedModel,
     current_rate_rad_s,
@@ -16,18 +16,22 @@ from design.delay.speed_loop import (
     percent_of_speed,
     speed_model,
 )
-from design.errors import DesignError, NoSolution
-from design.motor import PmsmParameters
-from design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
-from design.sampled.bandwidth_range import BandwidthRange, bandwidth_range, constant_bandwidth_range
-from design.sampled.held_loop import HeldLoop, SampledNetwork
-from design.speed.cone_complementarity import largest_ccl_delay
-from design.speed.lmi_design import largest_certified_delay, least_certified_gain
-from design.speed.sampled_design import least_sampled_gain
-from design.speed.speed_design import SpeedDesign, largest_delay, least_gain
-from design.speed.speed_robustness import speed_robustness
-from hil.studies.numbers import finite, margin_figures
-from hil.studies.speed.analysis import network_figures, sequence_figures
+from servobench.design.errors import DesignError, NoSolution
+from servobench.design.motor import PmsmParameters
+from servobench.design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
+from servobench.design.sampled.bandwidth_range import (
+    BandwidthRange,
+    bandwidth_range,
+    constant_bandwidth_range,
+)
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork
+from servobench.design.speed.cone_complementarity import largest_ccl_delay
+from servobench.design.speed.lmi_design import largest_certified_delay, least_certified_gain
+from servobench.design.speed.sampled_design import least_sampled_gain
+from servobench.design.speed.speed_design import SpeedDesign, largest_delay, least_gain
+from servobench.design.speed.speed_robustness import speed_robustness
+from servobench.hil.studies.numbers import finite, margin_figures
+from servobench.hil.studies.speed.analysis import network_figures, sequence_figures
 
 _CCL_BISECTIONS = 12
 """The first is at the upper end; eleven halvings leave 1/4096 of the least certified gain."""

@@ -6,11 +6,11 @@ from contextlib import contextmanager
 
 import can
 
-from drivers.timebase import MonotonicClock
+from servobench.drivers.timebase import MonotonicClock
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.hosting.devices import serve
 from tests.contract.conformance.rig import NODE
 from tests.motors import LING
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.hosting.devices import serve
 
 END_LIMIT_S = 20.0
 

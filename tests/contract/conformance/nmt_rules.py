@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.nmt_states import NmtState
 from tests.contract.conformance.rig import (
     BOOT_UP,
     GUARD,

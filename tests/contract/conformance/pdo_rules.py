@@ -2,10 +2,10 @@
 
 import pytest
 
-from drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.virtual_bus.frame import Frame
 from tests.contract.conformance.rig import NODE, RESET_NODE, Rig
 from tests.contract.conformance.rule import Rules
-from virtual_bus.frame import Frame
 
 RULES = Rules()
 rule = RULES.of

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import can
 
-from drivers.canopen.nmt_states import NmtState
-from drivers.wire.message import frame_of
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.wire.message import frame_of
+from servobench.virtual_bus.frame import Frame
 
 NODE = 5
 GUARD = 0x700 + NODE

@@ -6,14 +6,14 @@ from pathlib import Path
 import can
 import pytest
 
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import Timeline
 from tests.contract.conformance.live_device import live_servo
 from tests.contract.conformance.rig import NODE, Rig
 from tests.contract.conformance.suite import ConformanceSuite
 from tests.motors import LING
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import Timeline
 
 
 class TestInSimulatedTime(ConformanceSuite):

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.canopen.nmt_states import NODE_ID_MAX, NmtState
-from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from servobench.drivers.canopen.nmt_states import NODE_ID_MAX, NmtState
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
 from tests.contract.conformance.rig import GUARD, NODE, SDO_REQUEST, initiate
 from tests.motors import LING
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
 
 EXAMPLES, FRAMES = 250, 400
 """10^5 frames in all."""

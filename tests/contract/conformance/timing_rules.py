@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.nmt_states import NmtState
 from tests.contract.conformance.pdo_rules import (
     EMCY,
     EXTENDED,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from design.delay.delay_loop import Array, DelayLoop
+from servobench.design.delay.delay_loop import Array, DelayLoop
 
 
 def generator_abscissa(loop: DelayLoop, nodes: int = 40) -> float:

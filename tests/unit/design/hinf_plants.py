@@ -3,9 +3,9 @@
 import numpy as np
 import scipy.stats
 
-from design.hinf.bilinear import to_bilinear
-from design.hinf.plant import GeneralisedPlant
-from design.statespace import StateSpace
+from servobench.design.hinf.bilinear import to_bilinear
+from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.statespace import StateSpace
 
 
 def random_plant(seed: int) -> GeneralisedPlant:

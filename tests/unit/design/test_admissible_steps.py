@@ -5,10 +5,10 @@ import random
 import numpy as np
 import pytest
 
-from design.hinf.mixed_sensitivity import loop_functions
-from design.sampled.admissible_steps import Delivery, deliveries_of, steps_of
-from design.sampled.held_loop import SampledNetwork, Strategy
-from design.statespace import StateSpace
+from servobench.design.hinf.mixed_sensitivity import loop_functions
+from servobench.design.sampled.admissible_steps import Delivery, deliveries_of, steps_of
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.design.statespace import StateSpace
 
 H = 0.01
 

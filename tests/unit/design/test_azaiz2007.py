@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-from design.papers.azaiz2007 import (
+from servobench.design.papers.azaiz2007 import (
     KD,
     KI,
     KP,
@@ -26,7 +26,7 @@ from design.papers.azaiz2007 import (
     run_figures,
     simulate_drive,
 )
-from design.statespace import StateSpace
+from servobench.design.statespace import StateSpace
 
 pytestmark = pytest.mark.xdist_group("azaiz2007")
 

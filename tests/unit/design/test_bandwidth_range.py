@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
-from design.delay.delay_norm import hinf_norm
-from design.delay.speed_loop import SpeedModel, speed_model
-from design.sampled.analysis import analyse_sampled, regular_patterns
-from design.sampled.bandwidth_range import BandwidthRange, bandwidth_range, constant_bandwidth_range
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.sampled.loss_patterns import pattern_of, worst_gain
-from hil.configuration.speed_controller_file import CurrentLoop
+from servobench.design.delay.delay_norm import hinf_norm
+from servobench.design.delay.speed_loop import SpeedModel, speed_model
+from servobench.design.sampled.analysis import analyse_sampled, regular_patterns
+from servobench.design.sampled.bandwidth_range import (
+    BandwidthRange,
+    bandwidth_range,
+    constant_bandwidth_range,
+)
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from servobench.design.sampled.loss_patterns import pattern_of, worst_gain
+from servobench.hil.configuration.speed_controller_file import CurrentLoop
 from tests.motors import LING
 
 NETWORK = SampledNetwork(Strategy.ARRIVAL, 0.001, 0, 0.001)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from design.delay.certificate import (
+from servobench.design.delay.certificate import (
     CLOSE_ENOUGH,
     certified_delay_s,
     certified_gain,
@@ -15,12 +15,12 @@ from design.delay.certificate import (
     certified_stable,
     proved,
 )
-from design.delay.delay_lmi import gain_problem, scaled
-from design.delay.delay_norm import hinf_norm, largest_stable_delay_s, rough_norm
-from design.delay.lmi import solve
-from design.delay.speed_loop import speed_model
-from design.errors import NoSolution
-from design.papers.as_printed import theorem_3_1, theorem_3_3
+from servobench.design.delay.delay_lmi import gain_problem, scaled
+from servobench.design.delay.delay_norm import hinf_norm, largest_stable_delay_s, rough_norm
+from servobench.design.delay.lmi import solve
+from servobench.design.delay.speed_loop import speed_model
+from servobench.design.errors import NoSolution
+from servobench.design.papers.as_printed import theorem_3_1, theorem_3_3
 from tests.motors import AZAIZ, LING
 from tests.unit.design.delay_oracles import generator_abscissa, magnitudes
 from tests.unit.design.random_loops import order_is_found

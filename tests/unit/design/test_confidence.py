@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from design.confidence import CONFIDENCE, clopper_pearson, rank_above, share_within_largest
+from servobench.design.confidence import CONFIDENCE, clopper_pearson, rank_above, share_within_largest
 
 
 @pytest.mark.parametrize(("events", "trials"), [(1, 20), (7, 20), (19, 20), (3, 10_000)])

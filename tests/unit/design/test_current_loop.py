@@ -8,15 +8,15 @@ import pytest
 import scipy.linalg
 import scipy.signal
 
-from design.current.current_design import design_axis, reduced_design, rule_weights
-from design.current.current_loop import (
+from servobench.design.current.current_design import design_axis, reduced_design, rule_weights
+from servobench.design.current.current_loop import (
     discrete_design,
     gamma_min_over_rates,
     held,
     lowest_rate_hz,
     sampled_figures,
 )
-from design.current.dq_loop import (
+from servobench.design.current.dq_loop import (
     Decoupling,
     closed_loop_matrix,
     lowest_coupled_rate_hz,
@@ -24,17 +24,17 @@ from design.current.dq_loop import (
     rotation,
     spectral_radius,
 )
-from design.errors import InfeasibleDesign
-from design.hinf.bilinear import from_bilinear, to_bilinear, tustin
-from design.hinf.fixed_structure import Structure, tune
-from design.hinf.margins import margins
-from design.hinf.mixed_sensitivity import axis_plant
-from design.hinf.reduction import Method, hankel_singular_values, reduce
-from design.hinf.step_response import step_figures
-from design.hinf.system_norm import hinf_norm
-from design.hinf.weights import crossing_weight, error_weight, slope_weight
-from design.papers.azaiz2007 import MOTOR, paper_design, printed_figures
-from design.statespace import StateSpace, connect, from_zpk, series, state_space, zeros, zpk
+from servobench.design.errors import InfeasibleDesign
+from servobench.design.hinf.bilinear import from_bilinear, to_bilinear, tustin
+from servobench.design.hinf.fixed_structure import Structure, tune
+from servobench.design.hinf.margins import margins
+from servobench.design.hinf.mixed_sensitivity import axis_plant
+from servobench.design.hinf.reduction import Method, hankel_singular_values, reduce
+from servobench.design.hinf.step_response import step_figures
+from servobench.design.hinf.system_norm import hinf_norm
+from servobench.design.hinf.weights import crossing_weight, error_weight, slope_weight
+from servobench.design.papers.azaiz2007 import MOTOR, paper_design, printed_figures
+from servobench.design.statespace import StateSpace, connect, from_zpk, series, state_space, zeros, zpk
 
 Q, Q_REDUCED = paper_design("q")
 D, D_REDUCED = paper_design("d")

@@ -8,9 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from design.delay.delay_loop import DelayLoop
-from design.delay.delay_norm import hinf_norm, hinf_peak, is_stable, largest_stable_delay_s, norm_between
-from design.delay.speed_loop import (
+from servobench.design.delay.delay_loop import DelayLoop
+from servobench.design.delay.delay_norm import (
+    hinf_norm,
+    hinf_peak,
+    is_stable,
+    largest_stable_delay_s,
+    norm_between,
+)
+from servobench.design.delay.speed_loop import (
     Feedback,
     Units,
     gain_for_error,

@@ -10,11 +10,11 @@ import scipy.linalg
 import scipy.optimize
 from scipy.optimize import OptimizeResult
 
-from design.delay.delay_loop import Array
-from design.errors import InfeasibleDesign
-from design.papers.ling2012 import MOTOR
-from design.speed.conditioned import Conditioned, conditioned, truncated
-from design.speed.hinf_design import (
+from servobench.design.delay.delay_loop import Array
+from servobench.design.errors import InfeasibleDesign
+from servobench.design.papers.ling2012 import MOTOR
+from servobench.design.speed.conditioned import Conditioned, conditioned, truncated
+from servobench.design.speed.hinf_design import (
     HinfDesign,
     HinfWeights,
     design_controller,
@@ -23,10 +23,10 @@ from design.speed.hinf_design import (
     sampled_uncertainty,
     shaft_of,
 )
-from design.speed.hinf_loop import HinfLoop
-from design.speed.predictor_design import PredictorRequest
-from design.speed.predictor_plant import encoder_noise_rad_s, plant_of
-from design.statespace import state_space
+from servobench.design.speed.hinf_loop import HinfLoop
+from servobench.design.speed.predictor_design import PredictorRequest
+from servobench.design.speed.predictor_plant import encoder_noise_rad_s, plant_of
+from servobench.design.statespace import state_space
 
 PERIOD_S = 1e-3
 PLANT = plant_of(MOTOR, math.tau * 800.0, 500.0)

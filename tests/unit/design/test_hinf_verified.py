@@ -5,13 +5,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from design.errors import NoSolution, SingularPlant
-from design.hinf import synthesis
-from design.hinf.plant import GeneralisedPlant
-from design.hinf.riccati import RiccatiSolution, stabilising_solution
-from design.hinf.synthesis import gamma_min, synthesise, verified_norm
-from design.hinf.system_norm import hinf_norm, norm_is_below
-from design.statespace import state_space
+from servobench.design.errors import NoSolution, SingularPlant
+from servobench.design.hinf import synthesis
+from servobench.design.hinf.plant import GeneralisedPlant
+from servobench.design.hinf.riccati import RiccatiSolution, stabilising_solution
+from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
+from servobench.design.hinf.system_norm import hinf_norm, norm_is_below
+from servobench.design.statespace import state_space
 from tests.unit.design.hinf_plants import (
     badly_scaled,
     random_plant,

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from design.delay.speed_loop import Units
-from design.papers.ling2012 import (
+from servobench.design.delay.speed_loop import Units
+from servobench.design.papers.ling2012 import (
     DISAGREEMENTS,
     MOTOR,
     TABLE_2,

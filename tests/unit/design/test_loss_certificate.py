@@ -7,13 +7,13 @@ from functools import partial
 import numpy as np
 import pytest
 
-from design.delay.delay_loop import Array
-from design.sampled.analysis import SampledAnalysis
-from design.sampled.held_loop import PeriodStep, Switch
-from design.sampled.lifting import lifted_gain
-from design.sampled.lossy_loop import LossyLoop
-from design.speed.hinf_design import HinfDesign, design_hinf
-from design.speed.loss_certificate import (
+from servobench.design.delay.delay_loop import Array
+from servobench.design.sampled.analysis import SampledAnalysis
+from servobench.design.sampled.held_loop import PeriodStep, Switch
+from servobench.design.sampled.lifting import lifted_gain
+from servobench.design.sampled.lossy_loop import LossyLoop
+from servobench.design.speed.hinf_design import HinfDesign, design_hinf
+from servobench.design.speed.loss_certificate import (
     hinf_losses,
     losses_of,
     lossy_hinf,
@@ -21,11 +21,11 @@ from design.speed.loss_certificate import (
     predictor_losses,
     with_losses,
 )
-from design.speed.predictor_design import PredictorDesign, losses_gain
-from design.speed.predictor_gains import GainBoxes
-from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
-from hil.control.load_filter import FilterNoise, LoadFilter
-from hil.studies.speed.dynamic import loss_certificate, loss_figures
+from servobench.design.speed.predictor_design import PredictorDesign, losses_gain
+from servobench.design.speed.predictor_gains import GainBoxes
+from servobench.design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
+from servobench.hil.control.load_filter import FilterNoise, LoadFilter
+from servobench.hil.studies.speed.dynamic import loss_certificate, loss_figures
 from tests.unit.design.test_predictor import KALMAN, NOISE_RAD_S, PERIOD_S, PLANT, REQUEST
 
 pytestmark = [pytest.mark.long, pytest.mark.xdist_group("loss certificate")]

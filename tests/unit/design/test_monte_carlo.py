@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from design.delay.speed_loop import speed_model
-from design.errors import UnsuitableNetwork
-from design.sampled.held_loop import SampledNetwork, Strategy
-from design.speed.monte_carlo import Chance, diverged, quantile, run_many, share
+from servobench.design.delay.speed_loop import speed_model
+from servobench.design.errors import UnsuitableNetwork
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.design.speed.monte_carlo import Chance, diverged, quantile, run_many, share
 from tests.motors import LING
 
 pytestmark = pytest.mark.long

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.sampled.loss_patterns import slowest_pattern
-from design.sampled.sequence_certificate import certify_decay
-from design.speed.position_loop import (
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from servobench.design.sampled.loss_patterns import slowest_pattern
+from servobench.design.sampled.sequence_certificate import certify_decay
+from servobench.design.speed.position_loop import (
     SENSITIVITY_PEAK,
     closed_loop,
     design_position,

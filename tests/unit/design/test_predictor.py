@@ -6,22 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from design.errors import InfeasibleDesign
-from design.papers.ling2012 import MOTOR
-from design.speed.predictor_design import (
+from servobench.design.errors import InfeasibleDesign
+from servobench.design.papers.ling2012 import MOTOR
+from servobench.design.speed.predictor_design import (
     PredictorDesign,
     PredictorRequest,
     design_predictor,
     losses_gain,
     predictor_robustness,
 )
-from design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
-from design.speed.predictor_plant import encoder_noise_rad_s, kalman_model, plant_of
-from design.speed.predictor_trial import STEP_SIGMAS, AdaptiveFilter, Walks, load_step
-from hil.control import load_filter
-from hil.control.load_filter import FilterNoise, LoadFilter
+from servobench.design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
+from servobench.design.speed.predictor_plant import encoder_noise_rad_s, kalman_model, plant_of
+from servobench.design.speed.predictor_trial import STEP_SIGMAS, AdaptiveFilter, Walks, load_step
+from servobench.hil.control import load_filter
+from servobench.hil.control.load_filter import FilterNoise, LoadFilter
+from servobench.virtual_bus.drive.firmware import FirmwareParameters
 from tests.random_motors import speed_noise_rad_s
-from virtual_bus.drive.firmware import FirmwareParameters
 
 PERIOD_S = 1e-3
 PLANT = plant_of(MOTOR, math.tau * 800.0, 500.0)

@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
-from design.delay.delay_norm import hinf_norm
-from design.delay.speed_loop import SpeedModel, speed_model
-from design.errors import UnsuitableNetwork
-from design.sampled.admissible_steps import Delivery, Family, families, steps_of
-from design.sampled.analysis import SampledAnalysis, analyse_sampled, regular_patterns
-from design.sampled.held_loop import HeldLoop, PeriodStep, SampledNetwork, Strategy
-from design.sampled.lifting import lifted_gain
-from design.sampled.loss_patterns import (
+from servobench.design.delay.delay_norm import hinf_norm
+from servobench.design.delay.speed_loop import SpeedModel, speed_model
+from servobench.design.errors import UnsuitableNetwork
+from servobench.design.sampled.admissible_steps import Delivery, Family, families, steps_of
+from servobench.design.sampled.analysis import SampledAnalysis, analyse_sampled, regular_patterns
+from servobench.design.sampled.held_loop import HeldLoop, PeriodStep, SampledNetwork, Strategy
+from servobench.design.sampled.lifting import lifted_gain
+from servobench.design.sampled.loss_patterns import (
     chain_of,
     pattern_gains,
     pattern_of,
@@ -27,10 +27,10 @@ from design.sampled.loss_patterns import (
     slowest_pattern,
     worst_gain,
 )
-from design.sampled.sequence_certificate import certify_gain
-from design.sampled.sequence_graph import between_deliveries, edges_of
-from design.sampled.step_maps import corners_of, step_maps
-from design.sampled.value_map import ValueMap
+from servobench.design.sampled.sequence_certificate import certify_gain
+from servobench.design.sampled.sequence_graph import between_deliveries, edges_of
+from servobench.design.sampled.step_maps import corners_of, step_maps
+from servobench.design.sampled.value_map import ValueMap
 from tests.motors import LING
 from tests.unit.design.random_loops import random_bounds
 

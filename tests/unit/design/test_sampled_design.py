@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from design.delay.speed_loop import Feedback
-from design.errors import NoSolution
-from design.papers.ling2012 import MODEL
-from design.sampled.analysis import analyse_sampled, regular_patterns
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.sampled.loss_patterns import slowest_pattern, worst_gain
-from design.speed.sampled_design import least_sampled_gain
-from design.speed.speed_design import SpeedDesign, least_gain
+from servobench.design.delay.speed_loop import Feedback
+from servobench.design.errors import NoSolution
+from servobench.design.papers.ling2012 import MODEL
+from servobench.design.sampled.analysis import analyse_sampled, regular_patterns
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from servobench.design.sampled.loss_patterns import slowest_pattern, worst_gain
+from servobench.design.speed.sampled_design import least_sampled_gain
+from servobench.design.speed.speed_design import SpeedDesign, least_gain
 
 pytestmark = [pytest.mark.long, pytest.mark.xdist_group("sampled design")]
 
@@ -58,7 +58,7 @@ def test_history_waits_and_so_reaches_less(by_speed: SpeedDesign) -> None:
 
 
 def test_what_no_pattern_lets_be_stable_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("design.speed.sampled_design._DECAY", 1e4)
-    monkeypatch.setattr("design.speed.sampled_design._EXCHANGES", 1)
+    monkeypatch.setattr("servobench.design.speed.sampled_design._DECAY", 1e4)
+    monkeypatch.setattr("servobench.design.speed.sampled_design._EXCHANGES", 1)
     with pytest.raises(NoSolution, match="no gain was found"):
         least_sampled_gain(MODEL, NETWORK, Feedback.SPEED)

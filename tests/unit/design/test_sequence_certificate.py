@@ -7,13 +7,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns
-from design.delay.speed_loop import speed_model
-from design.sampled import sequence_certificate
-from design.sampled.analysis import analyse_sampled, regular_patterns
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.sampled.sequence_certificate import SequenceCertificate, certify_gain
-from design.sampled.sequence_inequalities import Inequalities, exchanged
+from servobench.design.delay.lmi import LmiProblem, MatrixInequality, Unknowns
+from servobench.design.delay.speed_loop import speed_model
+from servobench.design.sampled import sequence_certificate
+from servobench.design.sampled.analysis import analyse_sampled, regular_patterns
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from servobench.design.sampled.sequence_certificate import SequenceCertificate, certify_gain
+from servobench.design.sampled.sequence_inequalities import Inequalities, exchanged
 from tests.motors import LING
 
 

@@ -3,14 +3,18 @@
 import numpy as np
 import pytest
 
-from design.delay.certificate import certified_gain
-from design.delay.delay_norm import hinf_norm, is_stable
-from design.delay.speed_loop import Feedback, speed_model
-from design.errors import NoSolution
-from design.motor import PmsmParameters
-from design.speed.cone_complementarity import largest_ccl_delay
-from design.speed.lmi_design import certified_delay_within, largest_certified_delay, least_certified_gain
-from design.speed.speed_design import delay_within, largest_delay, least_gain
+from servobench.design.delay.certificate import certified_gain
+from servobench.design.delay.delay_norm import hinf_norm, is_stable
+from servobench.design.delay.speed_loop import Feedback, speed_model
+from servobench.design.errors import NoSolution
+from servobench.design.motor import PmsmParameters
+from servobench.design.speed.cone_complementarity import largest_ccl_delay
+from servobench.design.speed.lmi_design import (
+    certified_delay_within,
+    largest_certified_delay,
+    least_certified_gain,
+)
+from servobench.design.speed.speed_design import delay_within, largest_delay, least_gain
 from tests.motors import AZAIZ, LING
 
 pytestmark = pytest.mark.long

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from design.current.current_design import complementary
-from design.errors import InfeasibleDesign
-from design.papers.azaiz2007 import MOTOR, paper_design
-from design.speed.speed_pid import SpeedPid, first_order_current_loop, pid_by_rule
+from servobench.design.current.current_design import complementary
+from servobench.design.errors import InfeasibleDesign
+from servobench.design.papers.azaiz2007 import MOTOR, paper_design
+from servobench.design.speed.speed_pid import SpeedPid, first_order_current_loop, pid_by_rule
 
 Q = paper_design("q")[1]
 T_I, CROSSOVER = complementary(Q.plant, Q.controller), Q.margins.phase_margin_rad_s

@@ -5,13 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from design.delay.delay_norm import is_stable
-from design.delay.speed_loop import SpeedModel, speed_model
-from design.motor import PmsmParameters
-from design.sampled.admissible_steps import Delivery
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.sampled.loss_patterns import repeated
-from design.speed.speed_robustness import SpeedRobustness, loop_margins, noise_gain, speed_robustness
+from servobench.design.delay.delay_norm import is_stable
+from servobench.design.delay.speed_loop import SpeedModel, speed_model
+from servobench.design.motor import PmsmParameters
+from servobench.design.sampled.admissible_steps import Delivery
+from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from servobench.design.sampled.loss_patterns import repeated
+from servobench.design.speed.speed_robustness import (
+    SpeedRobustness,
+    loop_margins,
+    noise_gain,
+    speed_robustness,
+)
 from tests.motors import LING
 
 MODEL = speed_model(LING, current_bandwidth_hz=800.0)

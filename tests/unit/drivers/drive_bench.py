@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.servo import ServoDrive
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
 SETTINGS = DriveSettings(Duration(NS_PER_MS), torque_max_nm=5.0, speed_max_rad_s=250.0)

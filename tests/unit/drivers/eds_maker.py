@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from drivers.sheets.dictionary import LoadedDictionary, parse_dictionary
+from servobench.drivers.sheets.dictionary import LoadedDictionary, parse_dictionary
 
 I8, I16, I32, U8, U16, U32 = 2, 3, 4, 5, 6, 7
 NODE = 5

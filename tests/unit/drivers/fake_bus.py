@@ -7,8 +7,8 @@ from typing import Any
 
 import can
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.profile import (
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.profile import (
     STATUS_PATTERNS,
     TRANSITION_OF,
     DriveCommand,
@@ -16,10 +16,10 @@ from drivers.cia402.profile import (
     State,
     commands_in,
 )
-from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
-from drivers.wire.frame_port import FramePort, WireFrame
-from drivers.wire.link import BusLink, StampSource
-from hil.write_lists import RIG
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from servobench.drivers.wire.frame_port import FramePort, WireFrame
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.hil.write_lists import RIG
 
 PDOS = 4
 ANSWER_AFTER_NS = 100 * NS_PER_US

@@ -1,7 +1,7 @@
 """The scripted node with the profile modes and homing of CiA 402-2: hand-shakes and times, no motor."""
 
-from drivers.cia402.profile import Mode, State
-from drivers.timebase import NS_PER_MS
+from servobench.drivers.cia402.profile import Mode, State
+from servobench.drivers.timebase import NS_PER_MS
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo
 
 REACHED, ACKNOWLEDGED, FAILED = 1 << 10, 1 << 12, 1 << 13

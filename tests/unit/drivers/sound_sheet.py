@@ -1,6 +1,6 @@
 """A sound data sheet, and what tests of the reader ask of one."""
 
-from drivers.sheets.dictionary import LoadedDictionary, parse_dictionary
+from servobench.drivers.sheets.dictionary import LoadedDictionary, parse_dictionary
 
 SOUND = """[FileInfo]
 FileName=sound.eds

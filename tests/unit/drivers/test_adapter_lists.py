@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from drivers.wire.attached import CanLink, can_links, link_advice, parse_links, serial_adapters
+from servobench.drivers.wire.attached import CanLink, can_links, link_advice, parse_links, serial_adapters
 
 DESCRIBED = json.dumps(
     [
@@ -87,7 +87,7 @@ def test_usb_serial_ports_are_listed_with_what_they_may_be(
         ),
         SimpleNamespace(device="/dev/ttyUSB9", vid=0x0403, pid=0x6001, description="n/a", serial_number=None),
     ]
-    monkeypatch.setattr("drivers.wire.attached.list_ports.comports", lambda: ports)
+    monkeypatch.setattr("servobench.drivers.wire.attached.list_ports.comports", lambda: ports)
     unknown, canable = serial_adapters()
     assert unknown.spec == "slcan:/dev/ttyUSB9"
     assert (unknown.usb_id, unknown.hint, unknown.description) == ("0403:6001", "", "")

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import BadInput, BusDown
-from drivers.wire import adapters
-from drivers.wire.adapters import (
+from servobench.drivers.errors import BadInput, BusDown
+from servobench.drivers.wire import adapters
+from servobench.drivers.wire.adapters import (
     BusSpec,
     known_interfaces,
     link_up_command,
@@ -19,7 +19,7 @@ from drivers.wire.adapters import (
     parse_bus_spec,
     socketcan_links,
 )
-from drivers.wire.link import StampSource
+from servobench.drivers.wire.link import StampSource
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import can
 import pytest
 
-from drivers.errors import BadInput, BusDown
-from drivers.timebase import NS_PER_S, Duration, Instant
-from drivers.wire.adapters import BusSpec
-from drivers.wire.bitrate import (
+from servobench.drivers.errors import BadInput, BusDown
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant
+from servobench.drivers.wire.adapters import BusSpec
+from servobench.drivers.wire.bitrate import (
     CANDIDATES_BIT_S,
     LISTEN_NS,
     Detection,

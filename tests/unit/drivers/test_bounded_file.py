@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.bounded_file import (
+from servobench.drivers.bounded_file import (
     INTEGER_MAX,
     SIZE_MAX_BYTES,
     WORD_MAX,
@@ -19,10 +19,10 @@ from drivers.bounded_file import (
     read_text,
     read_toml,
 )
-from drivers.errors import BadInput
-from drivers.printable import printable
-from drivers.sheets.dictionary import load_dictionary, parse_dictionary
-from drivers.written_file import write_file, writing
+from servobench.drivers.errors import BadInput
+from servobench.drivers.printable import printable
+from servobench.drivers.sheets.dictionary import load_dictionary, parse_dictionary
+from servobench.drivers.written_file import write_file, writing
 from tests.mutants.mutant import PROCESSOR_S_MAX, processor_s
 
 SHEET = b"[1000]\nParameterName=Device type\nObjectType=7\nDataType=7\nAccessType=ro\nDefaultValue=%s\n"

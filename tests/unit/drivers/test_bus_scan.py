@@ -4,24 +4,24 @@ from collections.abc import Sequence
 
 import pytest
 
-from drivers.canopen.bus_scan import BusScan, NodeFound
-from drivers.canopen.lss import BOOT_NS, LssAddress, LssMaster
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import NoAnswer, PeerFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.frame_port import FramePort
-from drivers.wire.link import BusLink, StampSource
-from hil.configuration.motor_file import LING2012
-from hil.write_lists import RIG
+from servobench.drivers.canopen.bus_scan import BusScan, NodeFound
+from servobench.drivers.canopen.lss import BOOT_NS, LssAddress, LssMaster
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import NoAnswer, PeerFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.frame_port import FramePort
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.write_lists import RIG
+from servobench.virtual_bus.bus.port import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 from tests.hearing import Hearing
-from virtual_bus.bus.port import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import SimulatedClock, Timeline
 
 UNCONFIGURED = 255
 

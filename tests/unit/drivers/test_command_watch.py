@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from drivers.cia402.command_watch import (
+from servobench.drivers.cia402.command_watch import (
     ACTUAL_MARGIN_RAW,
     ACTUAL_SHARE,
     DEMAND_MARGIN_RAW,

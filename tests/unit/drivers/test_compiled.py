@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.compiled import MANIFEST, PURE, SUFFIX, SourcesOf, digest_of, look, notice, remedy
+from servobench.drivers.compiled import MANIFEST, PURE, SUFFIX, SourcesOf, digest_of, look, notice, remedy
 
 WIRE, LOOP, BUS, DEVICE = "drivers/a.py", "hil/b.py", "virtual_bus/c.py", "virtual_bus/d.py"
 AGAINST = {"wire": [], "loop": ["wire"], "bus": ["wire"], "device": ["bus"]}
@@ -104,16 +104,16 @@ def test_pure_was_asked_for_and_is_not_told(built: Path, monkeypatch: pytest.Mon
 def test_modules_of_a_group_taken_back_are_found_as_sources(built: Path) -> None:
     (built / LOOP).write_text("x = 2\n")
     finder = SourcesOf(look(built))
-    found = finder.find_spec("hil.b", [str(built / "hil")])
+    found = finder.find_spec("servobench.hil.b", [str(built / "hil")])
     assert found is not None
     assert found.origin == str(built / LOOP)
     for name, folder in [
-        ("drivers.a", "drivers"),
-        ("drivers.compiled_wire__mypyc", "drivers"),
+        ("servobench.drivers.a", "drivers"),
+        ("servobench.drivers.compiled_wire__mypyc", "drivers"),
         ("json.b", "hil"),
     ]:
         assert finder.find_spec(name, [str(built / folder)]) is None
-    assert finder.find_spec("hil", None) is None
+    assert finder.find_spec("servobench", None) is None
 
 
 def test_the_remedy_is_one_that_is_there(tmp_path: Path) -> None:

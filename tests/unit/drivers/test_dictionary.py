@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import BadInput
-from drivers.sheets.dictionary import LoadedDictionary, load_dictionary, parse_dictionary
+from servobench.drivers.errors import BadInput
+from servobench.drivers.sheets.dictionary import LoadedDictionary, load_dictionary, parse_dictionary
 from tests.unit.drivers.sound_sheet import SOUND, line_of, parse, repairs, value
 
 

@@ -6,14 +6,14 @@ from itertools import pairwise
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import State
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import DriveInFault, NoAnswer, PowerLost
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import DriveInFault, NoAnswer, PowerLost
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
 PERIOD = Duration(NS_PER_MS)

@@ -5,12 +5,12 @@ from itertools import chain, repeat
 
 import pytest
 
-from drivers.errors import NoAnswer, PeerFault
-from drivers.instruments.dynamometer import ATTEMPTS_MAX, Dynamometer, DynamometerSettings
-from drivers.instruments.magtrol import TORQUE_UNITS_NM, dialect
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.serial_line import LineFull, LineGone
+from servobench.drivers.errors import NoAnswer, PeerFault
+from servobench.drivers.instruments.dynamometer import ATTEMPTS_MAX, Dynamometer, DynamometerSettings
+from servobench.drivers.instruments.magtrol import TORQUE_UNITS_NM, dialect
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.serial_line import LineFull, LineGone
 
 TIMEOUT = Duration(100 * NS_PER_MS)
 SETTINGS = DynamometerSettings(baud=9600, answer_timeout=TIMEOUT, reading_every=Duration(10 * NS_PER_MS))

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.sheets.eds.numbers import formula, integer, is_formula
+from servobench.drivers.sheets.eds.numbers import formula, integer, is_formula
 
 
 @given(st.integers(-(2**63), 2**64))

@@ -2,8 +2,8 @@
 
 import pytest
 
-from drivers.sheets.eds.repairs import Repair, RepairLog
-from drivers.sheets.eds.text import lines_of
+from servobench.drivers.sheets.eds.repairs import Repair, RepairLog
+from servobench.drivers.sheets.eds.text import lines_of
 
 
 def read(data: bytes) -> tuple[list[str], tuple[Repair, ...]]:

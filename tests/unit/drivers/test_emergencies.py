@@ -1,7 +1,7 @@
 """EMCYs that come again and again, as one."""
 
-from drivers.canopen.nmt import Emergency, condensed
-from drivers.timebase import Instant
+from servobench.drivers.canopen.nmt import Emergency, condensed
+from servobench.drivers.timebase import Instant
 
 
 def emcy(node: int, code: int, at: int, manufacturer: int = 0) -> Emergency:

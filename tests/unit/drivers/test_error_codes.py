@@ -2,17 +2,17 @@
 
 import pytest
 
-from drivers.canopen.error_codes import (
+from servobench.drivers.canopen.error_codes import (
     ERROR_TEXTS,
     error_text,
     fault_text,
     history_text,
     register_text,
 )
-from drivers.canopen.nmt import Emergency
-from drivers.errors import BadInput
-from drivers.timebase import Instant
-from drivers.vendors.families import known_families, read_family
+from servobench.drivers.canopen.nmt import Emergency
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Instant
+from servobench.drivers.vendors.families import known_families, read_family
 
 MAXON = 0xFB
 

@@ -6,7 +6,7 @@ from typing import Any
 import can
 import pytest
 
-from drivers.wire.frame_port import WireFrame, accepts
+from servobench.drivers.wire.frame_port import WireFrame, accepts
 
 
 class Nowhere(can.BusABC):

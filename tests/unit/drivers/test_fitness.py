@@ -2,9 +2,9 @@
 
 import pytest
 
-from drivers.cia402.profile import Mode
-from drivers.sheets.fitness import Fitness, assess
-from hil.commissioning.drive_port import QUANTITY_OF_MODE
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.sheets.fitness import Fitness, assess
+from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
 from tests.unit.drivers.eds_maker import I8, NODE, U8, U16, U32, Pdo, four_pdos, sheet, sub, variable
 
 

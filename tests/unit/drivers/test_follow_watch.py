@@ -2,9 +2,9 @@
 
 import pytest
 
-from drivers.cia402.follow_watch import FOLLOWS_BIT, OLDER_MAX, FollowWatch, Lapse
-from drivers.cia402.profile import Mode
-from drivers.timebase import NS_PER_S, Instant
+from servobench.drivers.cia402.follow_watch import FOLLOWS_BIT, OLDER_MAX, FollowWatch, Lapse
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.timebase import NS_PER_S, Instant
 
 CST, PV = Mode.CYCLIC_SYNCHRONOUS_TORQUE, Mode.PROFILE_VELOCITY
 FOLLOWS, IGNORES, LIMITED, CUT, DISABLED = 0x1237, 0x0237, 0x1A37, 0x0A37, 0x0250

@@ -5,16 +5,16 @@ from collections.abc import Callable
 import can
 import pytest
 
-from drivers.canopen.cob_ids import SYNC
-from drivers.canopen.frame_pump import FramePump
-from drivers.timebase import NEVER, NS_PER_MS, Instant
-from drivers.wire.frame_port import EchoBasis, FramePort, WireFrame
-from drivers.wire.link import BusLink
-from virtual_bus.bus.port import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.frame import Frame
-from virtual_bus.timeline import SimulatedClock, Timeline
+from servobench.drivers.canopen.cob_ids import SYNC
+from servobench.drivers.canopen.frame_pump import FramePump
+from servobench.drivers.timebase import NEVER, NS_PER_MS, Instant
+from servobench.drivers.wire.frame_port import EchoBasis, FramePort, WireFrame
+from servobench.drivers.wire.link import BusLink
+from servobench.virtual_bus.bus.port import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 
 TPDO, RPDO = 0x181, 0x201
 MS = NS_PER_MS

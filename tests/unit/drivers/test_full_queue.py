@@ -7,10 +7,10 @@ from typing import Any, Final
 import can
 import pytest
 
-from drivers.errors import BusDown
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from drivers.wire.frame_port import FramePort, WireFrame
-from drivers.wire.link import BusLink
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.drivers.wire.frame_port import FramePort, WireFrame
+from servobench.drivers.wire.link import BusLink
 
 FRAME_NS: Final = 130 * NS_PER_US
 """A frame of 8 bytes at 1 Mbit/s."""

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.errors import BadInput
-from drivers.sheets.dictionary import LoadedDictionary, parse_dictionary
+from servobench.drivers.errors import BadInput
+from servobench.drivers.sheets.dictionary import LoadedDictionary, parse_dictionary
 from tests.unit.drivers.sound_sheet import parse, repairs
 from tests.unit.drivers.sound_sheet import value as value_of
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from drivers.key_advice import converted, nearest, same_quantity, split_unit, unknown_key
+from servobench.drivers.key_advice import converted, nearest, same_quantity, split_unit, unknown_key
 
 KNOWN = ("delay_us", "probability", "from_s", "speed_max_rpm")
 

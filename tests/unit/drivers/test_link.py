@@ -6,10 +6,10 @@ from typing import Any
 import can
 import pytest
 
-from drivers.errors import BusDown
-from drivers.timebase import NS_PER_S, Instant, wall_clock_offset
-from drivers.wire.frame_port import EchoBasis
-from drivers.wire.link import BusLink, StampSource
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NS_PER_S, Instant, wall_clock_offset
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.drivers.wire.link import BusLink, StampSource
 
 
 class StillClock:

@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.canopen.lss import LssAddress, LssMaster
-from drivers.errors import NoAnswer, PeerFault
-from drivers.timebase import NS_PER_S, Instant
+from servobench.drivers.canopen.lss import LssAddress, LssMaster
+from servobench.drivers.errors import NoAnswer, PeerFault
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.virtual_bus.frame import Frame
 from tests.hearing import Hearing
 from tests.unit.drivers.test_bus_scan import UNCONFIGURED, Bench
-from virtual_bus.frame import Frame
 
 SERIALS = [0x00000002, 0x00000003, 0x40000002, 0x80000001]
 Answerer = Callable[[bytes], bytes | None]

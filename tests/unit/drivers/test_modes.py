@@ -7,19 +7,19 @@ from struct import unpack_from
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects import SettingRefused
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.motion import HomingSetup, MoveProfile
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import all_modes_plan
-from drivers.cia402.profile import Mode, State
-from drivers.cia402.scaling import ScaleOverride
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import DriveInFault, PeerFault, TransferAborted
-from drivers.exchange import Command, PositionCommand, SpeedCommand
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.link import Direction
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.motion import HomingSetup, MoveProfile
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_planner import all_modes_plan
+from servobench.drivers.cia402.profile import Mode, State
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import DriveInFault, PeerFault, TransferAborted
+from servobench.drivers.exchange import Command, PositionCommand, SpeedCommand
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.link import Direction
 from tests.unit.drivers.fake_bus import FakeBus, make_network
 from tests.unit.drivers.profile_servo import ProfileServo
 

@@ -6,12 +6,12 @@ from struct import unpack
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.exchange import PositionCommand
-from drivers.timebase import Instant
-from hil.pytest_plugin import MakeDrive
-from hil.testing.drive_rig import DriveRig
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.exchange import PositionCommand
+from servobench.drivers.timebase import Instant
+from servobench.hil.pytest_plugin import MakeDrive
+from servobench.hil.testing.drive_rig import DriveRig
 
 SUB_MODE = Object.INTERPOLATION_SUB_MODE_SELECT
 COUNT = math.tau / 65536

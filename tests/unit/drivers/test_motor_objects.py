@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.objects import RemoteObjects
-from drivers.cia402.told_motor import ToldMotor, read_told_motor
-from drivers.errors import BadInput
-from drivers.vendors.families import known_families, motor_objects_for, read_family
-from drivers.vendors.motor_objects import MotorObject, NotTold
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.cia402.told_motor import ToldMotor, read_told_motor
+from servobench.drivers.errors import BadInput
+from servobench.drivers.vendors.families import known_families, motor_objects_for, read_family
+from servobench.drivers.vendors.motor_objects import MotorObject, NotTold
 from tests.unit.drivers.fake_bus import FakeServo, make_network
 
 MAXON, TRINAMIC, NOVANTA, SYNAPTICON, FESTO, NANOTEC = 0xFB, 0x286, 0x29C, 0x22D2, 0x1D, 0x26C

@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt import Emergency
-from drivers.canopen.nmt_states import NmtCommand, NmtState
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.sdo import TransferPost
-from drivers.errors import BusDown, NoAnswer, TransferAborted
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt import Emergency
+from servobench.drivers.canopen.nmt_states import NmtCommand, NmtState
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.sdo import TransferPost
+from servobench.drivers.errors import BusDown, NoAnswer, TransferAborted
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
 MS = Duration(NS_PER_MS)

@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan
-from drivers.cia402.observed import NUMBERS, Observed, with_observed
+from servobench.drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan
+from servobench.drivers.cia402.observed import NUMBERS, Observed, with_observed
 
 SIZES = {"b": 8, "h": 16, "i": 32, "q": 64}
 

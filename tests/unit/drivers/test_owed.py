@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.owed import ANSWER_LATE_MAX, Owed, OwedAnswers
-from drivers.timebase import Instant
+from servobench.drivers.canopen.owed import ANSWER_LATE_MAX, Owed, OwedAnswers
+from servobench.drivers.timebase import Instant
 
 DUE_MAX = 8
 

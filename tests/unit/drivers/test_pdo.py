@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects import RemoteObjects, SettingRefused
-from drivers.canopen.pdo import (
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects import RemoteObjects, SettingRefused
+from servobench.drivers.canopen.pdo import (
     PdoDirection,
     PdoEntry,
     PdoMap,
@@ -14,11 +14,11 @@ from drivers.canopen.pdo import (
     differences,
     write_plan,
 )
-from drivers.canopen.pdo_budget import budget_of, frame_bits_max
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import Features, PlanWish
-from drivers.cia402.profile import Mode
-from drivers.timebase import NS_PER_MS, Duration
+from servobench.drivers.canopen.pdo_budget import budget_of, frame_bits_max
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import Features, PlanWish
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.timebase import NS_PER_MS, Duration
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
 PLAN = mode_plan(1, PlanWish())

@@ -2,14 +2,14 @@
 
 import pytest
 
-from drivers.canopen.pdo import PdoMap
-from drivers.canopen.pdo_budget import budget_of, content_of
-from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, mode_plan, plan_pdos
-from drivers.cia402.pdo_plans import Features, PlanWish, features_of
-from drivers.cia402.profile import Mode
-from drivers.sheets.capability import capability_of
-from drivers.sheets.dictionary import parse_dictionary
-from drivers.timebase import NS_PER_MS, Duration
+from servobench.drivers.canopen.pdo import PdoMap
+from servobench.drivers.canopen.pdo_budget import budget_of, content_of
+from servobench.drivers.cia402.pdo_planner import PlanImpossible, PlanResult, mode_plan, plan_pdos
+from servobench.drivers.cia402.pdo_plans import Features, PlanWish, features_of
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.sheets.capability import capability_of
+from servobench.drivers.sheets.dictionary import parse_dictionary
+from servobench.drivers.timebase import NS_PER_MS, Duration
 from tests.unit.drivers.eds_maker import I16, NODE, U32, Pdo, four_pdos, sheet, sheet_text, variable
 
 STATUS, SPEED, TORQUE, POSITION = 0x60410010, 0x606C0020, 0x60770010, 0x60640020

@@ -4,9 +4,9 @@ import itertools
 
 import pytest
 
-from drivers.canopen.error_codes import error_text
-from drivers.cia402.objects402 import Unit, unit_parts, unit_word
-from drivers.cia402.profile import (
+from servobench.drivers.canopen.error_codes import error_text
+from servobench.drivers.cia402.objects402 import Unit, unit_parts, unit_word
+from servobench.drivers.cia402.profile import (
     COMMAND_PATTERNS,
     CONTROLWORDS,
     STATUS_PATTERNS,

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.objects import RemoteObjects
-from drivers.cia402.drive_setup import read_scaling
-from drivers.cia402.quirky_units import Applied, apply_quirks
-from drivers.cia402.scaling import ScaleOverride, scaling_from
-from drivers.errors import BadInput
-from drivers.vendors.families import DriveFamily, Quirk, known_families, quirks_for, read_family
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.cia402.drive_setup import read_scaling
+from servobench.drivers.cia402.quirky_units import Applied, apply_quirks
+from servobench.drivers.cia402.scaling import ScaleOverride, scaling_from
+from servobench.drivers.errors import BadInput
+from servobench.drivers.vendors.families import DriveFamily, Quirk, known_families, quirks_for, read_family
 from tests.unit.drivers.fake_bus import FakeServo, make_network
 
 MAXON, TECHNOSOFT, NANOTEC = 0xFB, 0x1A3, 0x26C

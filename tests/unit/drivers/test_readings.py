@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.follow_watch import FollowWatch
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import Features, PlanWish
-from drivers.cia402.profile import Mode
-from drivers.cia402.readings import LastStatusword, ReadingAssembler
-from drivers.cia402.scaling import Scaling
-from drivers.exchange import DemandChange, Readback, Reading
-from drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.cia402.follow_watch import FollowWatch
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import Features, PlanWish
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.readings import LastStatusword, ReadingAssembler
+from servobench.drivers.cia402.scaling import Scaling
+from servobench.drivers.exchange import DemandChange, Readback, Reading
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, make_network
 
 SCALING = Scaling(0.001, 1.0, 1.0, 1000.0, 1.0)

@@ -4,11 +4,11 @@ import inspect
 
 import pytest
 
-from drivers.exchange import Command, DemandChange, Readback, Reading, SpeedCommand
-from drivers.record import Record, replaced, values_of
-from drivers.timebase import Instant
-from drivers.wire.frame_port import WireFrame
-from hil.loop.samples import CycleRecord, Dropout, Sample, Sending, StateEstimate
+from servobench.drivers.exchange import Command, DemandChange, Readback, Reading, SpeedCommand
+from servobench.drivers.record import Record, replaced, values_of
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import WireFrame
+from servobench.hil.loop.samples import CycleRecord, Dropout, Sample, Sending, StateEstimate
 
 KINDS = (
     *(WireFrame, Reading, Readback, DemandChange, Command, SpeedCommand),

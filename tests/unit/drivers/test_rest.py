@@ -6,12 +6,12 @@ from typing import cast
 
 import pytest
 
-from drivers.canopen.objects import RemoteObjects
-from drivers.cia402 import rest
-from drivers.cia402.readings import ReadingAssembler
-from drivers.cia402.rest import REST_FOR, REST_RAD_S, resting_since, slow
-from drivers.errors import DriveInFault, PeerFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.cia402 import rest
+from servobench.drivers.cia402.readings import ReadingAssembler
+from servobench.drivers.cia402.rest import REST_FOR, REST_RAD_S, resting_since, slow
+from servobench.drivers.errors import DriveInFault, PeerFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.drive_bench import Bench, configured_drive
 
 

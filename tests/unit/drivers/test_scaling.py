@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.cia402.objects402 import Unit, unit_word
-from drivers.cia402.scaling import ScaleOverride, Scaling, scaling_from
-from drivers.errors import PeerFault
+from servobench.drivers.cia402.objects402 import Unit, unit_word
+from servobench.drivers.cia402.scaling import ScaleOverride, Scaling, scaling_from
+from servobench.drivers.errors import PeerFault
 
 RATED = {(0x6076, 0): 2000}
 ENCODER = {(0x608F, 1): 65536, (0x608F, 2): 1}

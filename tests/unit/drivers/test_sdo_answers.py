@@ -5,12 +5,12 @@ from contextlib import suppress
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.polls import Polled
-from drivers.canopen.sdo import SDO_ATTEMPTS
-from drivers.errors import AnswersTwice, NoAnswer
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.polls import Polled
+from servobench.drivers.canopen.sdo import SDO_ATTEMPTS
+from servobench.drivers.errors import AnswersTwice, NoAnswer
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
 Rig = tuple[FakeBus, FakeServo, CanopenNetwork]

@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects import SettingRefused
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.profile import State
-from drivers.cia402.rest import REST_FOR
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import DriveInFault, NoAnswer, PeerFault, TransferAborted
-from drivers.exchange import Command, SpeedCommand
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.frame_port import UNTOLD
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.cia402.rest import REST_FOR
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import DriveInFault, NoAnswer, PeerFault, TransferAborted
+from servobench.drivers.exchange import Command, SpeedCommand
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.frame_port import UNTOLD
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
 PERIOD = Duration(NS_PER_MS)

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.mode_control import MODE_BITS
-from drivers.cia402.profile import Mode, State
-from drivers.cia402.servo import ServoDrive
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.mode_control import MODE_BITS
+from servobench.drivers.cia402.profile import Mode, State
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, make_network
 from tests.unit.drivers.profile_servo import ProfileServo
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from drivers.cia402.profile import BENCH_RULE
-from drivers.errors import NoAnswer, PeerFault
+from servobench.drivers.cia402.profile import BENCH_RULE
+from servobench.drivers.errors import NoAnswer, PeerFault
 from tests.unit.drivers.test_servo import SETTINGS, Bench, bench, soon
 
 __all__ = ["bench"]

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.cia402.pdo_planner import all_modes_plan
-from drivers.cia402.scaling import Scaling
-from drivers.cia402.setpoint import SetPointFrames
-from drivers.exchange import SentCommand
-from drivers.timebase import Instant
-from drivers.wire.frame_port import UNTOLD
+from servobench.drivers.cia402.pdo_planner import all_modes_plan
+from servobench.drivers.cia402.scaling import Scaling
+from servobench.drivers.cia402.setpoint import SetPointFrames
+from servobench.drivers.exchange import SentCommand
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import UNTOLD
 from tests.unit.drivers.fake_bus import FakeBus, make_network
 
 TORQUE, POSITION, VELOCITY = 0x201, 0x301, 0x401

@@ -7,14 +7,14 @@ from typing import Final
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects import SettingRefused
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.pdo_planner import PlanImpossible
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import TransferAborted
-from drivers.sheets.capability import capability_of
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.pdo_planner import PlanImpossible
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import TransferAborted
+from servobench.drivers.sheets.capability import capability_of
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.eds_maker import four_pdos, sheet
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from drivers.sheets.capability import capability_of
-from drivers.sheets.fitness import doubts
+from servobench.drivers.sheets.capability import capability_of
+from servobench.drivers.sheets.fitness import doubts
 from tests.unit.drivers.eds_maker import U8, U32, Pdo, sheet, sub
 
 

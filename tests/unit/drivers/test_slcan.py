@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator
 import can
 import pytest
 
-from drivers.errors import BusDown
-from drivers.timebase import NS_PER_S, Instant, MonotonicClock
-from drivers.wire.adapters import open_bus, parse_bus_spec
-from drivers.wire.frame_port import WireFrame
-from drivers.wire.link import BusLink, StampSource
-from drivers.wire.slcan import REFUSALS_MAX, SlcanBus
-from drivers.wire.slcan_protocol import SlcanStatus
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from servobench.drivers.wire.adapters import open_bus, parse_bus_spec
+from servobench.drivers.wire.frame_port import WireFrame
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.drivers.wire.slcan import REFUSALS_MAX, SlcanBus
+from servobench.drivers.wire.slcan_protocol import SlcanStatus
 from tests.ports import fetched
 
 CLOCK = MonotonicClock()
@@ -109,7 +109,7 @@ def test_listening_only_opens_so_and_sends_nothing(scripted: Make) -> None:
 
 
 def test_a_port_where_nobody_answers_is_named(scripted: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.wire.slcan.OPENING_ATTEMPTS", 1)
+    monkeypatch.setattr("servobench.drivers.wire.slcan.OPENING_ATTEMPTS", 1)
     adapter = scripted(lambda line: b"")
     with pytest.raises(BusDown, match=r"no SLCAN adapter answers on /dev/pts/.*line speed"):
         open_bus(parse_bus_spec(f"slcan:{adapter.path}"), 500_000)

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.wire.frame_port import WireFrame
-from drivers.wire.slcan_protocol import (
+from servobench.drivers.wire.frame_port import WireFrame
+from servobench.drivers.wire.slcan_protocol import (
     LINE_LENGTH_MAX,
     LineSplitter,
     SlcanLine,

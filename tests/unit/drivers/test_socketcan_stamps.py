@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant, MonotonicClock, wall_between
-from drivers.wire.frame_port import EchoBasis, WireFrame
-from drivers.wire.identifiers import ERROR_FLAG
-from drivers.wire.socketcan import SocketcanPort
-from drivers.wire.socketcan_stamps import (
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant, MonotonicClock, wall_between
+from servobench.drivers.wire.frame_port import EchoBasis, WireFrame
+from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.socketcan import SocketcanPort
+from servobench.drivers.wire.socketcan_stamps import (
     ANCILLARY_BYTES,
     REORDERED_MAX_NS,
     SO_RXQ_OVFL,
@@ -275,7 +275,7 @@ def test_the_first_frame_does_not_hang_on_one_comparison_that_was_interrupted(
         after = wall_read_at + (NS_PER_MS // 2 if comparisons == 1 else READING_NS)
         return Instant(before), EPOCH + wall_read_at, Instant(after)
 
-    monkeypatch.setattr("drivers.wire.socketcan.wall_between", interrupted_once)
+    monkeypatch.setattr("servobench.drivers.wire.socketcan.wall_between", interrupted_once)
     port = SocketcanPort(fake, MonotonicClock(), receive_own=False, channel="can0")
     at = NS_PER_S + NS_PER_MS
     fake.bring(0x181, b"", [software(EPOCH + at)])

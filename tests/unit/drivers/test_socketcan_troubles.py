@@ -11,11 +11,11 @@ from typing import Any
 import can
 import pytest
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock, wall_between
-from drivers.wire.frame_port import EchoBasis, WireFrame
-from drivers.wire.identifiers import ERROR_FLAG
-from drivers.wire.socketcan import SocketcanPort
-from drivers.wire.socketcan_stamps import (
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock, wall_between
+from servobench.drivers.wire.frame_port import EchoBasis, WireFrame
+from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.drivers.wire.socketcan import SocketcanPort
+from servobench.drivers.wire.socketcan_stamps import (
     SO_RXQ_OVFL,
     SO_TIMESTAMPING,
     SO_TIMESTAMPING_NEW,

@@ -5,14 +5,14 @@ from typing import Any
 
 import pytest
 
-from drivers.cia402.follow_watch import FollowWatch
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import PlanWish
-from drivers.cia402.readings import LastStatusword, ReadingAssembler
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, Duration
-from drivers.vendors.families import read_family, stamp_for
-from drivers.vendors.stamps import STANDARD_STAMP, StampProfile
+from servobench.drivers.cia402.follow_watch import FollowWatch
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.cia402.readings import LastStatusword, ReadingAssembler
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.drivers.vendors.families import read_family, stamp_for
+from servobench.drivers.vendors.stamps import STANDARD_STAMP, StampProfile
 from tests.unit.drivers.fake_bus import make_network
 from tests.unit.drivers.test_readings import SCALING, SPEED
 

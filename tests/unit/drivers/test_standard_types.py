@@ -2,9 +2,9 @@
 
 import pytest
 
-from drivers.canopen.data_types import DataType
-from drivers.sheets.eds import types
-from drivers.sheets.eds.types import standard_object_type, standard_type
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.sheets.eds import types
+from servobench.drivers.sheets.eds.types import standard_object_type, standard_type
 
 I8, I32 = DataType.INTEGER8, DataType.INTEGER32
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32

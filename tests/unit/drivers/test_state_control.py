@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.cia402.profile import DriveCommand, State
-from drivers.cia402.servo import ServoDrive
-from drivers.cia402.state_control import NONE_SENT
-from drivers.errors import DriveInFault
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.cia402.profile import DriveCommand, State
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.cia402.state_control import NONE_SENT
+from servobench.drivers.errors import DriveInFault
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from tests.unit.drivers.drive_bench import Bench, configured_drive
 from tests.unit.drivers.fake_bus import ANSWER_AFTER_NS, FakeBus, FakeServo, make_network
 

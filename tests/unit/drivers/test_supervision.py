@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.profile import Mode
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import DriveInFault
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import DriveInFault
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, make_network
 from tests.unit.drivers.profile_servo import ProfileServo
 

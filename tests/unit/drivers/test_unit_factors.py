@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from drivers.cia402.unit_factors import MOTION_SLIPS, TORQUE_SLIPS, likely_slip
+from servobench.drivers.cia402.unit_factors import MOTION_SLIPS, TORQUE_SLIPS, likely_slip
 
 RPM = math.tau / 60.0
 

@@ -7,9 +7,9 @@ import canopen.objectdictionary as od
 import pytest
 from canopen.objectdictionary.eds import import_eds
 
-from drivers.sheets.dictionary import load_dictionary
-from drivers.sheets.fitness import assess
-from hil.commissioning.drive_port import QUANTITY_OF_MODE
+from servobench.drivers.sheets.dictionary import load_dictionary
+from servobench.drivers.sheets.fitness import assess
+from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
 
 FOLDER = Path(__file__).parents[4] / "shared" / "eds"
 FILES = (

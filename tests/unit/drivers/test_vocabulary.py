@@ -10,12 +10,12 @@ from canopen.lss import LssMaster
 from canopen.objectdictionary import datatypes
 from canopen.profiles.p402 import OperationMode
 
-from drivers.canopen import cob_ids
-from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, UNSIGNED_BITS, DataType
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.nmt_states import NmtCommand, NmtState
-from drivers.cia402 import profile
-from drivers.cia402.objects402 import Object, Unit
+from servobench.drivers.canopen import cob_ids
+from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, UNSIGNED_BITS, DataType
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.nmt_states import NmtCommand, NmtState
+from servobench.drivers.cia402 import profile
+from servobench.drivers.cia402.objects402 import Object, Unit
 from tests.told import hold
 
 TOLD = Path(__file__).with_name("told")

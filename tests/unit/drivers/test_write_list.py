@@ -11,20 +11,27 @@ from canopen.sdo.exceptions import SdoError
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.cob_ids import SDO_REQUEST
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.sdo import PumpedSdoClient
-from drivers.canopen.write_list import ListedWrite, Product, UnlistedWrite, WriteList
-from drivers.cia402.drive_setup import read_identity
-from drivers.cia402.objects402 import Object
-from drivers.cia402.written_objects import CONTROL, SET_UP, listed
-from drivers.errors import BadInput, PeerFault
-from drivers.wire.link import BusLink, StampSource
-from hil.configuration.drive_file import load_drive_file
-from hil.restoring.journal import DriveMark, Journal, JournaledNetwork, JournalHead, ObjectKey, read_journal
-from hil.restoring.journal import ObjectWrite as Change
-from hil.write_lists import COMMANDS, RUN, writes_of
+from servobench.drivers.canopen.cob_ids import SDO_REQUEST
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.sdo import PumpedSdoClient
+from servobench.drivers.canopen.write_list import ListedWrite, Product, UnlistedWrite, WriteList
+from servobench.drivers.cia402.drive_setup import read_identity
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.written_objects import CONTROL, SET_UP, listed
+from servobench.drivers.errors import BadInput, PeerFault
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.hil.configuration.drive_file import load_drive_file
+from servobench.hil.restoring.journal import (
+    DriveMark,
+    Journal,
+    JournaledNetwork,
+    JournalHead,
+    ObjectKey,
+    read_journal,
+)
+from servobench.hil.restoring.journal import ObjectWrite as Change
+from servobench.hil.write_lists import COMMANDS, RUN, writes_of
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo
 
 ROOT = Path(__file__).parents[3]

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import BadInput
-from drivers.written_file import DiskFull, write_file, written
+from servobench.drivers.errors import BadInput
+from servobench.drivers.written_file import DiskFull, write_file, written
 
 
 def names(folder: Path) -> list[str]:
@@ -98,7 +98,7 @@ def test_a_device_stays_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize("redirected", ["pipe", "file"])
 def test_stdout_goes_where_the_shell_has_led_it(tmp_path: Path, redirected: str) -> None:
     code = (
-        "import sys; from pathlib import Path; from drivers.written_file import write_file\n"
+        "import sys; from pathlib import Path; from servobench.drivers.written_file import write_file\n"
         "print('first', flush=True); write_file('--out', Path('/dev/stdout'), 'second\\n')"
     )
     with (tmp_path / "out").open("wb") as file:

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput
-from drivers.sheets.dictionary import LoadedDictionary, parse_dictionary
-from hil.cli import app
+from servobench.drivers.errors import BadInput
+from servobench.drivers.sheets.dictionary import LoadedDictionary, parse_dictionary
+from servobench.hil.cli import app
 from tests.unit.drivers.made_xdd import COMMISSIONED, HEAD, OBJECTS, xdd_text
 from tests.unit.drivers.sound_sheet import parse, repairs, value
 

@@ -5,9 +5,9 @@ from typing import Any
 
 from typer.testing import CliRunner, Result
 
-from design.errors import DesignError
-from hil.cli import app
-from hil.configuration.motor_file import LING2012
+from servobench.design.errors import DesignError
+from servobench.hil.cli import app
+from servobench.hil.configuration.motor_file import LING2012
 from tests.told import ROOT
 
 MOTOR = LING2012.parameters

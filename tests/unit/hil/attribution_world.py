@@ -12,12 +12,12 @@ from functools import partial
 from heapq import heappop, heappush
 from itertools import count
 
-from drivers.timebase import NS_PER_S, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.order_attribution import OrderAttribution
-from hil.loop.samples import Sample
-from hil.loop.stamp_attribution import StampAttribution
-from hil.loop.syncs import SyncLog
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.order_attribution import OrderAttribution
+from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.stamp_attribution import StampAttribution
+from servobench.hil.loop.syncs import SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
 
 CALIBRATION = 16

@@ -3,16 +3,16 @@
 import math
 from collections.abc import Callable
 
-from drivers.exchange import Command, DemandChange, Readback, Reading, SentCommand
-from drivers.timebase import Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.axis import Axis
-from hil.loop.axis_roles import Compensator, Controller
-from hil.loop.context import Context
-from hil.loop.decision import Tick
-from hil.loop.safety import TorqueLimits
-from hil.loop.samples import AT_REST, CycleRecord, Sample, StateEstimate
-from hil.loop.syncs import SyncLog
+from servobench.drivers.exchange import Command, DemandChange, Readback, Reading, SentCommand
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.axis_roles import Compensator, Controller
+from servobench.hil.loop.context import Context
+from servobench.hil.loop.decision import Tick
+from servobench.hil.loop.safety import TorqueLimits
+from servobench.hil.loop.samples import AT_REST, CycleRecord, Sample, StateEstimate
+from servobench.hil.loop.syncs import SyncLog
 from tests.unit.hil.loop_fakes import (
     COMMAND_LATENCY,
     DEVICE_CLOCK_OFFSET_NS,

@@ -1,11 +1,11 @@
 """Cycles for controllers and compensators without a loop around them."""
 
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, TorqueSetPoint
-from hil.loop.samples import AT_REST, StateEstimate
-from hil.loop.scenario import ReferenceProfile
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, TorqueSetPoint
+from servobench.hil.loop.samples import AT_REST, StateEstimate
+from servobench.hil.loop.scenario import ReferenceProfile
 
 PERIOD = Duration(NS_PER_MS)
 START = Instant(0)

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from hil.recording import logger as module
-from hil.recording.log_files import Keeper
-from hil.recording.logger import Logger
-from hil.recording.logger_process import LineReader
-from hil.recording.ring import RingWriter
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW, Rows
-from hil.rows.side_rows import EVENT, FRAME, RunEvent, event_row
-from hil.verdict.summary import Summary
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.hil.recording import logger as module
+from servobench.hil.recording.log_files import Keeper
+from servobench.hil.recording.logger import Logger
+from servobench.hil.recording.logger_process import LineReader
+from servobench.hil.recording.ring import RingWriter
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import ROW, Rows
+from servobench.hil.rows.side_rows import EVENT, FRAME, RunEvent, event_row
+from servobench.hil.verdict.summary import Summary
+from servobench.virtual_bus.faults.fault_log import BLOCK, KIND_CODES
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.test_frame_keepers import blocks
-from virtual_bus.faults.fault_log import BLOCK, KIND_CODES
 
 ROWS, FRAMES, EVENTS, FAULTS = 4_096, 4, 8, 4
 OUTCOME: Final = json.dumps(asdict(whole_outcome(0)))

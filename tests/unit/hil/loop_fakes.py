@@ -5,20 +5,20 @@ from dataclasses import replace
 from functools import partial
 from heapq import heappop, heappush
 
-from drivers.errors import DriveInFault
-from drivers.exchange import Command, Drive, Master, Readback, Reading, SentCommand
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from drivers.wire.frame_port import UNTOLD, EchoBasis
-from hil.control.compensation import Arrival
-from hil.loop.axis import Axis, AxisParts
-from hil.loop.axis_roles import Compensator, Controller
-from hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
-from hil.loop.loop import Actuation, Loop, LoopTiming
-from hil.loop.pace import OwnSync
-from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
-from hil.loop.samples import CycleRecord
-from hil.loop.scenario import LevelStep, Quantity, ReferenceProfile
-from hil.loop.syncs import SyncLog
+from servobench.drivers.errors import DriveInFault
+from servobench.drivers.exchange import Command, Drive, Master, Readback, Reading, SentCommand
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.wire.frame_port import UNTOLD, EchoBasis
+from servobench.hil.control.compensation import Arrival
+from servobench.hil.loop.axis import Axis, AxisParts
+from servobench.hil.loop.axis_roles import Compensator, Controller
+from servobench.hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
+from servobench.hil.loop.loop import Actuation, Loop, LoopTiming
+from servobench.hil.loop.pace import OwnSync
+from servobench.hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
+from servobench.hil.loop.samples import CycleRecord
+from servobench.hil.loop.scenario import LevelStep, Quantity, ReferenceProfile
+from servobench.hil.loop.syncs import SyncLog
 
 PERIOD = Duration(NS_PER_MS)
 SYNC_LATENCY = Duration(50_000)

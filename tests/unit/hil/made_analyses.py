@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from design.hinf.margins import Margins
-from design.sampled.admissible_steps import Delivery, steps_of
-from design.sampled.analysis import SampledAnalysis
-from design.sampled.held_loop import SampledNetwork, Strategy
-from design.sampled.loss_patterns import Pattern, WorstGain
-from design.sampled.sequence_certificate import SequenceCertificate
+from servobench.design.hinf.margins import Margins
+from servobench.design.sampled.admissible_steps import Delivery, steps_of
+from servobench.design.sampled.analysis import SampledAnalysis
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.design.sampled.loss_patterns import Pattern, WorstGain
+from servobench.design.sampled.sequence_certificate import SequenceCertificate
 
 STAMP = SampledNetwork(Strategy.STAMP, 0.01, 2, 0.004, 0.01)
 ARRIVAL = SampledNetwork(Strategy.ARRIVAL, 0.002, 1, 0.0005)

@@ -4,12 +4,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.configuration.bench_file import load_bench
-from hil.configuration.config import BenchConfig
-from hil.recorded.recorded_run import RecordedRun
-from hil.rows.recording_plan import AxisPlan, ReviewPlan
-from hil.rows.records import Rows
-from hil.verdict.verdict import VerdictLimits
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.recorded.recorded_run import RecordedRun
+from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
+from servobench.hil.rows.records import Rows
+from servobench.hil.verdict.verdict import VerdictLimits
 from tests.unit.hil.test_report import summary
 
 BENCH: BenchConfig = load_bench(Path(__file__).parents[3] / "examples" / "ling2012.toml")

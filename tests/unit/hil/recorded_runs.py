@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from hil.configuration.bench_file import load_bench
-from hil.execution.bench import run_bench
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.execution.bench import run_bench
 
 BENCH = Path(__file__).parents[3] / "examples" / "ling2012.toml"
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from hil.verdict.verdict import DriveEnd, RunOutcome, VerdictLimits
+from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from servobench.hil.verdict.verdict import DriveEnd, RunOutcome, VerdictLimits
 from tests.unit.hil.synthetic_run import DEADLINE
 
 RESTING = DriveEnd("axis1", "operation enabled", "switch on disabled", at_rest=True)

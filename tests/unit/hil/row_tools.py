@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from drivers.exchange import Command, Reading
-from drivers.timebase import Duration, Instant
-from hil.loop.context import CHANNELS_MAX
-from hil.loop.samples import CycleRecord, Dropout, Sample, Sending, StateEstimate
-from hil.rows.records import (
+from servobench.drivers.exchange import Command, Reading
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.context import CHANNELS_MAX
+from servobench.hil.loop.samples import CycleRecord, Dropout, Sample, Sending, StateEstimate
+from servobench.hil.rows.records import (
     CAUSES,
     COMMAND_FATES,
     FATE_SAMPLE,

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.written_objects import CONTROL
-from drivers.timebase import NS_PER_MS, Instant
-from drivers.wire.adapters import parse_bus_spec
-from hil.execution.world import World, WorldPlan, open_world
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.written_objects import CONTROL
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.execution.world import World, WorldPlan, open_world
+from servobench.virtual_bus.frame import Frame
 from tests.scenario.foreign_node import put_on_the_bus
-from virtual_bus.frame import Frame
 
 DISABLED, READY, SWITCHED_ON, ENABLED = 0x0240, 0x0221, 0x0223, 0x0227
 """Statuswords as drives tell them, with bits beside those of the state."""

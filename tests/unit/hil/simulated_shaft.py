@@ -12,21 +12,21 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from drivers.canopen.objects import SettingRefused
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.cia402.scaling import Scaling
-from drivers.record import values_of
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.commissioning.excitation import SpeedReference
-from hil.commissioning.exercise import Recording
-from hil.commissioning.findings import Findings
-from hil.commissioning.identify import Mechanics
-from hil.commissioning.request import Nameplate, motion_limits
-from hil.commissioning.session import Session
-from hil.execution.segments import timing_without_bench
-from hil.loop.samples import StateEstimate
-from hil.loop.scenario import Quantity, ReferenceProfile, Segment
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.scaling import Scaling
+from servobench.drivers.record import values_of
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.commissioning.excitation import SpeedReference
+from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.findings import Findings
+from servobench.hil.commissioning.identify import Mechanics
+from servobench.hil.commissioning.request import Nameplate, motion_limits
+from servobench.hil.commissioning.session import Session
+from servobench.hil.execution.segments import timing_without_bench
+from servobench.hil.loop.samples import StateEstimate
+from servobench.hil.loop.scenario import Quantity, ReferenceProfile, Segment
 from tests.unit.hil.cycles import advance, in_cycle
 
 PERIOD: Final = Duration(NS_PER_MS)

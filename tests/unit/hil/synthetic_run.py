@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from drivers.exchange import Command, Reading
-from drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
-from hil.loop.samples import (
+from servobench.drivers.exchange import Command, Reading
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
+from servobench.hil.loop.samples import (
     CommandFate,
     CycleRecord,
     Dropout,

@@ -5,11 +5,11 @@ import json
 import pytest
 from typer.testing import Result
 
-from design.errors import DesignError
-from design.sampled.held_loop import SampledNetwork, Strategy
-from design.speed.monte_carlo import Chance
-from drivers.rotation import RAD_S_PER_RPM
-from hil.studies.speed import analysis
+from servobench.design.errors import DesignError
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.design.speed.monte_carlo import Chance
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.studies.speed import analysis
 from tests.unit.hil.asked_studies import FILE, MOTOR, RATED, SIMULATED, Studies, hil, refusal
 
 

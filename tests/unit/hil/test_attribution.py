@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.syncs import ECHO_ERROR, GIVEN_UP_AFTER_PERIODS, REMEMBERED, SyncLog
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.syncs import ECHO_ERROR, GIVEN_UP_AFTER_PERIODS, REMEMBERED, SyncLog
 from tests.unit.hil.attribution_world import Network, Outcome, play
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, reading_at
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from drivers.exchange import DemandChange
-from drivers.timebase import Duration, Instant
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, SetPoint, TorqueSetPoint
-from hil.loop.order_question import PROBE_AFTER
-from hil.loop.samples import CommandFate
+from servobench.drivers.exchange import DemandChange
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.hil.loop.order_question import PROBE_AFTER
+from servobench.hil.loop.samples import CommandFate
 from tests.unit.hil.axis_rig import DELAY, HORIZON, TAUGHT, Rig
 from tests.unit.hil.loop_fakes import (
     DEVICE_CLOCK_OFFSET_NS,

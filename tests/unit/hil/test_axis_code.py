@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import BadInput
-from hil.configuration.bench_file import load_bench
-from hil.execution.axis_code import axis_code
-from hil.execution.recorded_bench import keep_files, recording_plan
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.execution.axis_code import axis_code
+from servobench.hil.execution.recorded_bench import keep_files, recording_plan
 
 FIRST = Path(__file__).parents[3] / "examples" / "first"
 

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.errors import LimitExceeded
-from drivers.exchange import Command
-from drivers.timebase import Duration, Instant
-from hil.loop.axis import Axis
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, PositionSetPoint, SetPoint, TorqueSetPoint
-from hil.loop.safety import PositionLimits, SafetyGuard, TorqueLimits
-from hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
-from hil.loop.scenario import LevelStep, Quantity, Ramp, ReferenceProfile
+from servobench.drivers.errors import LimitExceeded
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, PositionSetPoint, SetPoint, TorqueSetPoint
+from servobench.hil.loop.safety import PositionLimits, SafetyGuard, TorqueLimits
+from servobench.hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
+from servobench.hil.loop.scenario import LevelStep, Quantity, Ramp, ReferenceProfile
 from tests.unit.hil.axis_rig import DECIDED, DELAY, HORIZON, Rig
 from tests.unit.hil.loop_fakes import (
     COMMAND_LATENCY,

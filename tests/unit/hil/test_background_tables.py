@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_US, Duration
-from hil.configuration.background import Background, load_background
-from virtual_bus.device.background import Stream
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_US, Duration
+from servobench.hil.configuration.background import Background, load_background
+from servobench.virtual_bus.device.background import Stream
 
 HOUR_US = 3_600_000_000
 

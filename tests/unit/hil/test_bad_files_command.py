@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
-from hil.verdict.verdict import ExitStatus
+from servobench.hil.cli import app
+from servobench.hil.verdict.verdict import ExitStatus
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 BENCH = str(EXAMPLES / "ling2012.toml")

@@ -9,26 +9,26 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.cia402.drive_setup import DriveSettings, Identity
-from drivers.cia402.profile import BENCH_MODES, Mode, QuickStopOption
-from drivers.cia402.scaling import ScaleOverride
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import NoAnswer, PeerFault
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.config import BenchConfig
-from hil.execution.assembly import (
+from servobench.drivers.cia402.drive_setup import DriveSettings, Identity
+from servobench.drivers.cia402.profile import BENCH_MODES, Mode, QuickStopOption
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import NoAnswer, PeerFault
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution.assembly import (
     command_duration,
     command_latency,
     loop_timing,
     shortest_transit,
     sync_latency,
 )
-from hil.execution.drives import connect, data_sheets, drive_settings, stop_all
-from hil.execution.recorded_bench import recording_plan, review_plan
-from hil.loop.loop import Actuation
-from hil.machine.stopping import Interrupted, StopRequest
-from hil.rows.recording_plan import AxisPlan, CertifiedPlan, PlannedSetPoint
+from servobench.hil.execution.drives import connect, data_sheets, drive_settings, stop_all
+from servobench.hil.execution.recorded_bench import recording_plan, review_plan
+from servobench.hil.loop.loop import Actuation
+from servobench.hil.machine.stopping import Interrupted, StopRequest
+from servobench.hil.rows.recording_plan import AxisPlan, CertifiedPlan, PlannedSetPoint
 from tests.unit.hil.test_config import load, tables
 
 Change = Callable[[dict[str, Any]], object]

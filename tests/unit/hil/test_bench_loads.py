@@ -8,25 +8,25 @@ from typing import Any, cast
 
 import pytest
 
-from design.motor import PmsmParameters
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import BadInput, NoAnswer, PeerFault
-from drivers.instruments.dynamometer import LoadReading
-from drivers.timebase import Duration
-from hil.configuration.config import BenchConfig
-from hil.load import load_machines
-from hil.load.load_machines import (
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import BadInput, NoAnswer, PeerFault
+from servobench.drivers.instruments.dynamometer import LoadReading
+from servobench.drivers.timebase import Duration
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.load import load_machines
+from servobench.hil.load.load_machines import (
     InstrumentLoadMachine,
     LoadMachines,
     ObjectLoadMachine,
 )
-from hil.load.simulated_load import SimulatedLoadMachine, load_table, load_tables
-from hil.recording.run_recorder import RunRecorder
+from servobench.hil.load.simulated_load import SimulatedLoadMachine, load_table, load_tables
+from servobench.hil.recording.run_recorder import RunRecorder
+from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
 from tests.motors import LING
 from tests.unit.hil.test_shaft_loads import MS, STEP, ZERO, Dictionary, Instrument, network, signal_file
 from tests.unit.hil.test_signal_file import written
-from virtual_bus.instruments.serial_line.device_line import LineFaults
 
 # ---- all of a bench -----------------------------------------------------------------------------------
 

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-import hil
-from drivers.errors import BadInput, BusDown, LimitExceeded
-from hil.configuration.bench_tables import Bench
-from hil.configuration.motor_file import LING2012, load_motor
-from hil.machine.stopping import Interrupted, StopRequest
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.recording.recorder import recorder_of
-from hil.testing import bench_runs, campaign_runs
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.campaign_runs import CampaignRunner
-from hil.testing.signals import with_signals
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import Finding, VerdictKind
+import servobench
+from servobench.drivers.errors import BadInput, BusDown, LimitExceeded
+from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.configuration.motor_file import LING2012, load_motor
+from servobench.hil.machine.stopping import Interrupted, StopRequest
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.recording.recorder import recorder_of
+from servobench.hil.testing import bench_runs, campaign_runs
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.campaign_runs import CampaignRunner
+from servobench.hil.testing.signals import with_signals
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import Finding, VerdictKind
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_report import summary
 
@@ -65,7 +65,7 @@ class Host:
 def runs(monkeypatch: pytest.MonkeyPatch) -> Runs:
     made = Runs()
     monkeypatch.setattr(bench_runs, "run_bench", made)
-    monkeypatch.setattr("hil.execution.bench.run_bench", made)
+    monkeypatch.setattr("servobench.hil.execution.bench.run_bench", made)
     return made
 
 
@@ -243,7 +243,7 @@ def test_campaigns_run_a_sweep_or_its_tables_side_by_side(
 
 def test_a_bench_is_run_from_python_in_memory_or_recorded(runs: Runs, tmp_path: Path) -> None:
     stop, network = StopRequest(), tmp_path / "n.toml"
-    done = hil.run(
+    done = servobench.run(
         LING,
         {"loop.deadline_us": 900},
         record=tmp_path / "run",
@@ -286,7 +286,7 @@ def test_a_folder_is_chosen_for_a_recording_that_names_none(
             self.plan = plan
             made.append(self)
 
-    monkeypatch.setattr("hil.recording.memory_recorder.MemoryRecorder", Noted)
+    monkeypatch.setattr("servobench.hil.recording.memory_recorder.MemoryRecorder", Noted)
     call = runs.__call__
 
     def run_bench(config: Any, **asked: Any) -> Summary:
@@ -294,8 +294,8 @@ def test_a_folder_is_chosen_for_a_recording_that_names_none(
             asked["recording"](plan_for(tmp_path))
         return call(config, **asked)
 
-    monkeypatch.setattr("hil.execution.bench.run_bench", run_bench)
-    done = hil.run(LING, record=record)
+    monkeypatch.setattr("servobench.hil.execution.bench.run_bench", run_bench)
+    done = servobench.run(LING, record=record)
     assert (runs.asked[0]["record"], runs.asked[0]["keep"], runs.asked[0]["network"]) == (None, keep, None)
     assert len(made) == (not record)
     assert vars(done)["_kept"] == (Path("runs/x") if record else made[0])
@@ -303,9 +303,9 @@ def test_a_folder_is_chosen_for_a_recording_that_names_none(
 
 def test_in_real_time_a_run_needs_a_folder(runs: Runs) -> None:
     with pytest.raises(BadInput) as caught:
-        hil.run(LING, bus="hub:x")
+        servobench.run(LING, bus="hub:x")
     told = "a folder: on a bus in real time another process records"
     assert str(caught.value) == f"run: record: found False, expected {told}"
     assert runs.asked == []
-    hil.run(LING, record=True, bus="hub:x")
+    servobench.run(LING, record=True, bus="hub:x")
     assert SimpleNamespace(**runs.asked[0]).bus_spec == "hub:x"

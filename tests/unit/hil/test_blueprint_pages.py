@@ -8,10 +8,16 @@ from typing import Any, Final
 import pytest
 import rerun.blueprint as rrb
 
-from drivers.timebase import NS_PER_S
-from hil.recording.blueprint import Whole, layout
-from hil.recording.page_series import AXIS_COLORS
-from hil.rows.recording_plan import AxisPlan, ObservedDrive, ObservedSignal, RecordingPlan, ReviewPlan
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.recording.blueprint import Whole, layout
+from servobench.hil.recording.page_series import AXIS_COLORS
+from servobench.hil.rows.recording_plan import (
+    AxisPlan,
+    ObservedDrive,
+    ObservedSignal,
+    RecordingPlan,
+    ReviewPlan,
+)
 from tests.unit.hil.recording_tools import plan_for
 
 SPEED: Final = AxisPlan("left", 1.0)

@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.canopen.objects import RemoteObjects
-from drivers.errors import PeerFault
-from drivers.timebase import Duration
-from hil.restoring.restore import bring_to_rest
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.timebase import Duration
+from servobench.hil.restoring.restore import bring_to_rest
 from tests.unit.hil.scripted_drive import (
     DISABLE_VOLTAGE,
     DISABLED,

@@ -6,15 +6,15 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt import Emergency
-from drivers.canopen.pdo import EVERY_SYNC, PdoDirection, PdoEntry, PdoMap
-from drivers.cia402.servo import ServoDrive
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.configuration.config import Foreign, Guard
-from hil.execution.bus_guard import OBJECTS_TOLD, BusGuard, ForeignTraffic
-from hil.loop.syncs import SyncLog
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt import Emergency
+from servobench.drivers.canopen.pdo import EVERY_SYNC, PdoDirection, PdoEntry, PdoMap
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.configuration.config import Foreign, Guard
+from servobench.hil.execution.bus_guard import OBJECTS_TOLD, BusGuard, ForeignTraffic
+from servobench.hil.loop.syncs import SyncLog
 
 MADE_AT: Final = Instant(1_000_000)
 AT: Final = Instant(5_000)

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 from scipy.stats import binom, norm
 
-from drivers.errors import BadInput
-from hil.campaign.adaptive import NOMINAL_SHARE, Drawn, Rounds
-from hil.campaign.statistics import ConfidenceInterval, weighted_rate
-from hil.campaign.sweep_file import Adaptive, sweep_from
+from servobench.drivers.errors import BadInput
+from servobench.hil.campaign.adaptive import NOMINAL_SHARE, Drawn, Rounds
+from servobench.hil.campaign.statistics import ConfidenceInterval, weighted_rate
+from servobench.hil.campaign.sweep_file import Adaptive, sweep_from
 
 Floats = NDArray[np.float64]
 RARE = 1e-3

@@ -10,10 +10,10 @@ import pyarrow as pa
 import pytest
 from scipy.stats import binomtest
 
-from hil.campaign import figures
-from hil.campaign.campaign import Campaign, CounterExample, NothingCertified
-from hil.campaign.figures import failure_line
-from hil.campaign.statistics import ConfidenceInterval, anytime
+from servobench.hil.campaign import figures
+from servobench.hil.campaign.campaign import Campaign, CounterExample, NothingCertified
+from servobench.hil.campaign.figures import failure_line
+from servobench.hil.campaign.statistics import ConfidenceInterval, anytime
 
 KEPT, EXCEEDED, LEFT = "kept", "exceeded", "premises left"
 

@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BusDown
-from drivers.timebase import NS_PER_S, Instant
-from hil.campaign import on_dask
-from hil.campaign.chunks import RunRefused, WorkerDied
-from hil.campaign.identity import SourceFiles
-from hil.campaign.on_dask import ClusterLost, Order, order_of, rows_on_dask, run_chunk
-from hil.campaign.worker import NotTheSame
-from hil.machine.stopping import Interrupted, StopRequest
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.campaign import on_dask
+from servobench.hil.campaign.chunks import RunRefused, WorkerDied
+from servobench.hil.campaign.identity import SourceFiles
+from servobench.hil.campaign.on_dask import ClusterLost, Order, order_of, rows_on_dask, run_chunk
+from servobench.hil.campaign.worker import NotTheSame
+from servobench.hil.machine.stopping import Interrupted, StopRequest
 
 HERE = Order("client-1", "/sweep.toml", '"abc"', json.dumps([0, [[], 1.0, True], {"run": 0, "x": 1.5}]))
 PLAN: Any = SimpleNamespace(

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from hil.campaign import campaign, figures, page, plan, report
-from hil.campaign.campaign import Campaign, CampaignProgress, CounterExample
-from hil.cli import app
+from servobench.hil.campaign import campaign, figures, page, plan, report
+from servobench.hil.campaign.campaign import Campaign, CampaignProgress, CounterExample
+from servobench.hil.cli import app
 
 POINTS = [
     {"point": "load 1", "runs": 40, "passed": 39, "rate": 0.975, "low": 0.86837, "high": 0.99936},

@@ -11,11 +11,11 @@ import pyarrow as pa
 import pytest
 from numpy.typing import NDArray
 
-from hil.campaign.campaign import Campaign
-from hil.campaign.cells import cell_maps
-from hil.campaign.figures import PEAK, figures_of, worst_runs
-from hil.campaign.plan import GridAxis
-from hil.campaign.worker import FIGURES
+from servobench.hil.campaign.campaign import Campaign
+from servobench.hil.campaign.cells import cell_maps
+from servobench.hil.campaign.figures import PEAK, figures_of, worst_runs
+from servobench.hil.campaign.plan import GridAxis
+from servobench.hil.campaign.worker import FIGURES
 
 LOAD = GridAxis("load.nm", (), ("0.1", "0.2"), (0.1, 0.2))
 CONTROLLER = GridAxis("drive.a.controller", (), ("pi", "hinf", "mpc"), None)

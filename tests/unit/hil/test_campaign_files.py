@@ -9,14 +9,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from drivers.errors import BadInput
-from hil.campaign.adaptive import Proposal, fitted
-from hil.campaign.plan import CampaignPlan
-from hil.campaign.store import open_campaign, plan_in, schema_of
-from hil.campaign.sweep_file import sweep_from
-from hil.campaign.worker import FIGURES
-from hil.configuration.config_errors import bad_inputs_of
-from hil.configuration.toml_text import toml_text
+from servobench.drivers.errors import BadInput
+from servobench.hil.campaign.adaptive import Proposal, fitted
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.store import open_campaign, plan_in, schema_of
+from servobench.hil.campaign.sweep_file import sweep_from
+from servobench.hil.campaign.worker import FIGURES
+from servobench.hil.configuration.config_errors import bad_inputs_of
+from servobench.hil.configuration.toml_text import toml_text
 from tests.unit.hil.test_campaign_plan import GAIN, INERTIA, LING, LOSS, plan, tables
 
 KEY = "loop.deadline_us"

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import beta, bootstrap, rankdata
 from scipy.stats import t as student
 
-from hil.campaign.statistics import (
+from servobench.hil.campaign.statistics import (
     RESAMPLES,
     ConfidenceInterval,
     anytime,

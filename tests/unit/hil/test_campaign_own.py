@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import BadInput, BusDown
-from hil.campaign.own_functions import EXPECTED, OwnFunctions
-from hil.campaign.sweep_file import Own
-from hil.control.own_code import OwnCodeFailed
+from servobench.drivers.errors import BadInput, BusDown
+from servobench.hil.campaign.own_functions import EXPECTED, OwnFunctions
+from servobench.hil.campaign.sweep_file import Own
+from servobench.hil.control.own_code import OwnCodeFailed
 
 CODE = """
-from drivers.errors import BenchError
+from servobench.drivers.errors import BenchError
 
 class Mine(BenchError):
     exit_status = 0

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from drivers.errors import BadInput
-from hil.campaign.campaign import Enough
-from hil.campaign.plan import CampaignPlan
-from hil.campaign.statistics import anytime
-from hil.campaign.sweep_file import sweep_from
-from hil.configuration.config_errors import BadInputs
-from virtual_bus.faults.fault_plan import FaultPlan
+from servobench.drivers.errors import BadInput
+from servobench.hil.campaign.campaign import Enough
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.statistics import anytime
+from servobench.hil.campaign.sweep_file import sweep_from
+from servobench.hil.configuration.config_errors import BadInputs
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
 
 LING = Path(__file__).parents[3] / "examples" / "ling2012.toml"
 LOSS: dict[str, Any] = {"key": "faults.loss.0.probability", "values": [0.0, 0.1, 0.2]}

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, NS_PER_S
-from hil.campaign import pool
-from hil.campaign.chunks import Chunks, RunRefused, WorkerDied
-from hil.campaign.identity import SourceFiles
-from hil.campaign.pool import WorkerPool, rows_of
-from hil.machine.stopping import Interrupted, StopRequest
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
+from servobench.hil.campaign import pool
+from servobench.hil.campaign.chunks import Chunks, RunRefused, WorkerDied
+from servobench.hil.campaign.identity import SourceFiles
+from servobench.hil.campaign.pool import WorkerPool, rows_of
+from servobench.hil.machine.stopping import Interrupted, StopRequest
 
 
 def plan(known: int = 10_000, source: Path = Path("sweep.toml")) -> Any:

@@ -15,12 +15,12 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from rerun.chunk import RrdReader
 
-from hil.campaign import page, report
-from hil.campaign.campaign import Campaign
-from hil.campaign.cells import CellMap, cell_maps
-from hil.campaign.figures import PEAK
-from hil.campaign.plan import GridAxis
-from hil.campaign.worker import FIGURES
+from servobench.hil.campaign import page, report
+from servobench.hil.campaign.campaign import Campaign
+from servobench.hil.campaign.cells import CellMap, cell_maps
+from servobench.hil.campaign.figures import PEAK
+from servobench.hil.campaign.plan import GridAxis
+from servobench.hil.campaign.worker import FIGURES
 from tests.page_text import page_text
 
 LOAD = GridAxis("load.nm", (), ("0.1", "0.2", "0.4"), (0.1, 0.2, 0.4))

@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput, BusDown
-from drivers.timebase import NS_PER_S, Instant
-from hil.campaign import campaign as runner
-from hil.campaign.campaign import Campaign, CampaignProgress, Enough, run_campaign
-from hil.campaign.plan import CampaignPlan
-from hil.campaign.statistics import anytime
-from hil.campaign.worker import FIGURES, NotTheSame
-from hil.configuration.toml_text import toml_text
+from servobench.drivers.errors import BadInput, BusDown
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.campaign import campaign as runner
+from servobench.hil.campaign.campaign import Campaign, CampaignProgress, Enough, run_campaign
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.statistics import anytime
+from servobench.hil.campaign.worker import FIGURES, NotTheSame
+from servobench.hil.configuration.toml_text import toml_text
 from tests.unit.hil.test_campaign_plan import LOSS, tables
 
 pytestmark = pytest.mark.usefixtures("forked_children")

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import beta as beta_function
 from scipy.stats import binom
 
-from hil.campaign.statistics import (
+from servobench.hil.campaign.statistics import (
     ConfidenceInterval,
     anytime,
     clopper_pearson,

@@ -10,11 +10,11 @@ from typing import Any
 import pyarrow as pa
 import pytest
 
-from drivers.errors import BadInput
-from hil.campaign.plan import CampaignPlan
-from hil.campaign.store import RunStore, open_campaign, plan_in, stored_runs
-from hil.campaign.sweep_file import sweep_from
-from hil.campaign.worker import FIGURES
+from servobench.drivers.errors import BadInput
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.store import RunStore, open_campaign, plan_in, stored_runs
+from servobench.hil.campaign.sweep_file import sweep_from
+from servobench.hil.campaign.worker import FIGURES
 
 LING = Path(__file__).parents[3] / "examples" / "ling2012.toml"
 KEY = "faults.loss.0.probability"

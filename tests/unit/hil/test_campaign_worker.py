@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput, BusDown
-from hil.campaign import worker
-from hil.campaign.adaptive import Drawn
-from hil.campaign.plan import CampaignPlan, PlannedRun
-from hil.campaign.worker import (
+from servobench.drivers.errors import BadInput, BusDown
+from servobench.hil.campaign import worker
+from servobench.hil.campaign.adaptive import Drawn
+from servobench.hil.campaign.plan import CampaignPlan, PlannedRun
+from servobench.hil.campaign.worker import (
     FIGURES,
     Finished,
     Workshop,
@@ -24,12 +24,12 @@ from hil.campaign.worker import (
     refusal,
     row_of_run,
 )
-from hil.configuration.toml_text import toml_text
-from hil.control.own_code import OwnCodeFailed
-from hil.machine.stopping import Interrupted, StopRequest
-from hil.recording.recorder import recorder_of
-from hil.verdict.summary import StepResponse, Summary
-from hil.verdict.verdict import Finding, VerdictKind
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.control.own_code import OwnCodeFailed
+from servobench.hil.machine.stopping import Interrupted, StopRequest
+from servobench.hil.recording.recorder import recorder_of
+from servobench.hil.verdict.summary import StepResponse, Summary
+from servobench.hil.verdict.verdict import Finding, VerdictKind
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_campaign_plan import LOSS, plan, tables
 from tests.unit.hil.test_report import summary

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
-from hil.recording.candump import candump_lines, direction_lines
-from hil.rows.side_rows import FRAME, FRAME_DTYPE
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG, REMOTE_FLAG
+from servobench.hil.recording.candump import candump_lines, direction_lines
+from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
 
 Row = tuple[int, int, int, int, bytes]
 

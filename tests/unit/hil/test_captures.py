@@ -5,8 +5,8 @@ from struct import pack
 
 import pytest
 
-from hil.reviewing.trace.capture_file import BrokenCapture, OtherPacket, capture_packets
-from hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.capture_file import BrokenCapture, OtherPacket, capture_packets
+from servobench.hil.reviewing.trace.log_frame import LogFrame
 
 SECOND = 1_000_000_000
 ORDERS = ("<", ">")

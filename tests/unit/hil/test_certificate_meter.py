@@ -6,15 +6,15 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
-from hil.loop.samples import CommandFate
-from hil.reviewing.certificate_meter import CertificateMeter
-from hil.reviewing.network_meter import AxisNetworkMeter
-from hil.reviewing.review import Review
-from hil.rows.recording_plan import AxisPlan, CertifiedPlan, ReviewPlan
-from hil.rows.records import COMMAND_FATES, Rows
-from hil.verdict.plain_values import from_plain
-from hil.verdict.summary_text import certificate_lines
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from servobench.hil.loop.samples import CommandFate
+from servobench.hil.reviewing.certificate_meter import CertificateMeter
+from servobench.hil.reviewing.network_meter import AxisNetworkMeter
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.recording_plan import AxisPlan, CertifiedPlan, ReviewPlan
+from servobench.hil.rows.records import COMMAND_FATES, Rows
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.summary_text import certificate_lines
 from tests.unit.hil.row_tools import plain_rows
 
 SETTLING = Duration(100 * NS_PER_MS)

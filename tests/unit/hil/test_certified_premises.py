@@ -5,15 +5,15 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput, LimitExceeded
-from drivers.record import replaced
-from drivers.timebase import Duration, Instant
-from hil.configuration.motor_file import LING2012
-from hil.configuration.network_file import Network
-from hil.configuration.speed_controller_file import MadeFor
-from hil.execution.network_guard import REMEDY, Allowed, Certificates, allowed
-from hil.loop.samples import CommandFate, CycleRecord, Sample, Sending
-from hil.rows.recording_plan import CertifiedPlan
+from servobench.drivers.errors import BadInput, LimitExceeded
+from servobench.drivers.record import replaced
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.configuration.network_file import Network
+from servobench.hil.configuration.speed_controller_file import MadeFor
+from servobench.hil.execution.network_guard import REMEDY, Allowed, Certificates, allowed
+from servobench.hil.loop.samples import CommandFate, CycleRecord, Sample, Sending
+from servobench.hil.rows.recording_plan import CertifiedPlan
 from tests.unit.hil.loop_fakes import reading_at
 from tests.unit.hil.test_network_guard import LIMITS, MADE_FOR, PERIOD, REAL, Watched, bench, record
 

@@ -8,11 +8,11 @@ from typing import Any, get_type_hints
 import numpy as np
 import pytest
 
-from drivers.cia402.profile import State
-from hil.campaign import Campaign
-from hil.testing.drive_rig import DriveRig
-from hil.testing.run import Run
-from hil.testing.wire import Wire
+from servobench.drivers.cia402.profile import State
+from servobench.hil.campaign.campaign import Campaign
+from servobench.hil.testing.drive_rig import DriveRig
+from servobench.hil.testing.run import Run
+from servobench.hil.testing.wire import Wire
 
 ROOMS = (Run, Wire, DriveRig, Campaign)
 NO_NUMBERS = (math.nan, -math.inf, -1.0, True, "1.0", np.float64(math.nan))

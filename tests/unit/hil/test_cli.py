@@ -10,17 +10,17 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from drivers.errors import BadInput, BusDown, DriveInFault, NoAnswer
-from hil.cli import app
-from hil.configuration.config import BenchConfig
-from hil.configuration.motor_file import LING2012
-from hil.machine.doctor import Capability
-from hil.machine.stopping import Interrupted
-from hil.recording.logger_process import RecordingFailed
-from hil.terminal.node_list import node_ids, serial_numbers
-from hil.verdict.plain_values import from_plain
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import ExitStatus, Finding, VerdictKind
+from servobench.drivers.errors import BadInput, BusDown, DriveInFault, NoAnswer
+from servobench.hil.cli import app
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.machine.doctor import Capability
+from servobench.hil.machine.stopping import Interrupted
+from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.terminal.node_list import node_ids, serial_numbers
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import ExitStatus, Finding, VerdictKind
 from tests.unit.hil.test_report import summary
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -59,15 +59,15 @@ class Bench:
 def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     found = Bench()
     stand_ins = {
-        "hil.execution.bench": ("run_bench", found.run_bench),
-        "hil.execution.simulated_drives": ("simulate", found.simulate),
-        "hil.rows.seal": ("check_seal", lambda _folder: "sealed"),
+        "servobench.hil.execution.bench": ("run_bench", found.run_bench),
+        "servobench.hil.execution.simulated_drives": ("simulate", found.simulate),
+        "servobench.hil.rows.seal": ("check_seal", lambda _folder: "sealed"),
     }
     for name, (function, stand_in) in stand_ins.items():
         module = ModuleType(name)
         setattr(module, function, stand_in)
         monkeypatch.setitem(sys.modules, name, module)
-    sys.modules["hil.rows.seal"].SEALED = "sealed"  # type: ignore[attr-defined]
+    sys.modules["servobench.hil.rows.seal"].SEALED = "sealed"  # type: ignore[attr-defined]
     return found
 
 
@@ -314,7 +314,7 @@ def checks(monkeypatch: pytest.MonkeyPatch) -> None:
         ),
         Capability("disk space", "ok", "50 GB free", "recordings"),
     ]
-    monkeypatch.setattr("hil.machine.doctor.run_checks", lambda: found)
+    monkeypatch.setattr("servobench.hil.machine.doctor.run_checks", lambda: found)
 
 
 @pytest.mark.usefixtures("checks")
@@ -383,6 +383,6 @@ def test_version_and_help() -> None:
 
 def test_help_loads_nothing_heavy() -> None:
     heavy = {"numpy", "pydantic", "rerun", "can", "canopen", "scipy"}
-    program = f"import sys, hil.cli; print(sorted({heavy!r} & set(sys.modules)))"
+    program = f"import sys, servobench.hil.cli; print(sorted({heavy!r} & set(sys.modules)))"
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"

@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from drivers.timebase import Instant
-from hil.loop.clock_map import STAMP_RESOLUTION, ClockMap
+from servobench.drivers.timebase import Instant
+from servobench.hil.loop.clock_map import STAMP_RESOLUTION, ClockMap
 
 OFFSET_NS = 123_456_789_012
 PERIOD_NS = 1_000_000

@@ -4,18 +4,18 @@ from random import Random
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.clock_map import STAMP_RESOLUTION
-from hil.loop.clock_question import (
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.clock_map import STAMP_RESOLUTION
+from servobench.hil.loop.clock_question import (
     DRIFT_WITHIN,
     ClockQuestion,
     Line,
     Suspect,
 )
-from hil.loop.drive_stamps import MATCH_NS as MATCH
-from hil.loop.drive_stamps import DriveStamps
-from hil.loop.syncs import SURPLUS, SyncLog
+from servobench.hil.loop.drive_stamps import MATCH_NS as MATCH
+from servobench.hil.loop.drive_stamps import DriveStamps
+from servobench.hil.loop.syncs import SURPLUS, SyncLog
 
 PERIOD = Duration(NS_PER_MS)
 TRANSIT = Duration(76_000)

@@ -2,10 +2,10 @@
 
 import pytest
 
-from hil.loop.drive_stamps import MATCH_NS
-from hil.loop.samples import Sample
-from hil.loop.stamp_attribution import AGREEING
-from hil.loop.syncs import REMEMBERED
+from servobench.hil.loop.drive_stamps import MATCH_NS
+from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.stamp_attribution import AGREEING
+from servobench.hil.loop.syncs import REMEMBERED
 from tests.unit.hil.loop_fakes import PERIOD, TRANSIT
 from tests.unit.hil.test_stamp_attribution import DELAY, FIRST, OFFSET, Rig
 

@@ -10,12 +10,12 @@ from itertools import product
 
 import pytest
 
-from drivers.exchange import SentCommand
-from drivers.timebase import NS_PER_US, Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.command_meter import CommandMeter
-from hil.loop.samples import CommandFate, Sending
-from hil.loop.syncs import SyncLog
+from servobench.drivers.exchange import SentCommand
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.command_meter import CommandMeter
+from servobench.hil.loop.samples import CommandFate, Sending
+from servobench.hil.loop.syncs import SyncLog
 
 TICK = 250 * NS_PER_US
 PERIOD = 4

@@ -4,14 +4,14 @@ import random
 
 import pytest
 
-from drivers.exchange import SentCommand
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.command_meter import CommandMeter
-from hil.loop.delay import UNHEARD_MAX
-from hil.loop.followed_command import PASSES_WATCHED
-from hil.loop.samples import CommandFate, Sending
-from hil.loop.syncs import SyncLog
+from servobench.drivers.exchange import SentCommand
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.command_meter import CommandMeter
+from servobench.hil.loop.delay import UNHEARD_MAX
+from servobench.hil.loop.followed_command import PASSES_WATCHED
+from servobench.hil.loop.samples import CommandFate, Sending
+from servobench.hil.loop.syncs import SyncLog
 
 HORIZON = 20
 PERIOD = NS_PER_MS

@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput
-from hil.terminal.commands import add_commands
+from servobench.drivers.errors import BadInput
+from servobench.hil.terminal.commands import add_commands
 
 Text = Annotated[str, typer.Option("--text", help="What is said.")]
 Times = Annotated[int, typer.Option("--times", min=1, help="How often.")]

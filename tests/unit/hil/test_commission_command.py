@@ -10,24 +10,31 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.canopen.write_list import WriteList
-from drivers.cia402.drive_setup import Identity
-from drivers.cia402.profile import State
-from drivers.cia402.supervision import Release
-from drivers.errors import BadInput, PeerFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.commissioning import commission as module
-from hil.commissioning.commission import _rest, _store, check_mark, run_command, run_restore
-from hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
-from hil.commissioning.drive_left import DriveLeft
-from hil.commissioning.outcome import StepOutcome, StepRecord, StepVerdict
-from hil.commissioning.report import Commissioned, as_json
-from hil.commissioning.request import CommissionRequest, Nameplate
-from hil.commissioning.session import Session
-from hil.restoring.journal import DriveMark, Journal, JournalHead, ObjectKey, ObjectWrite, read_journal
-from hil.restoring.restore import Restoration
-from hil.write_lists import RESTORE
-from virtual_bus.drive.unknown_drive import unknown_drive
+from servobench.drivers.canopen.write_list import WriteList
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.cia402.supervision import Release
+from servobench.drivers.errors import BadInput, PeerFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.commissioning import commission as module
+from servobench.hil.commissioning.commission import _rest, _store, check_mark, run_command, run_restore
+from servobench.hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
+from servobench.hil.commissioning.drive_left import DriveLeft
+from servobench.hil.commissioning.outcome import StepOutcome, StepRecord, StepVerdict
+from servobench.hil.commissioning.report import Commissioned, as_json
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.hil.commissioning.session import Session
+from servobench.hil.restoring.journal import (
+    DriveMark,
+    Journal,
+    JournalHead,
+    ObjectKey,
+    ObjectWrite,
+    read_journal,
+)
+from servobench.hil.restoring.restore import Restoration
+from servobench.hil.write_lists import RESTORE
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 
 SEED = 5
 SHEET = Path(__file__).parents[2] / "contract/conformance/rehearsed.eds"

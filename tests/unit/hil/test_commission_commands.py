@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from hil.cli import app
-from hil.commissioning import commission, rehearsal
-from hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
+from servobench.hil.cli import app
+from servobench.hil.commissioning import commission, rehearsal
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
 
 SEPARATE = {"yes": False, "rehearse": None, "rehearse_eds": None, "plate_given": False}
 

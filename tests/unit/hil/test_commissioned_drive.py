@@ -5,15 +5,15 @@ from typing import cast
 
 import pytest
 
-from drivers.canopen.objects import SettingRefused
-from drivers.cia402.drive_setup import Identity
-from drivers.cia402.scaling import ScaleOverride
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import BadInput, BenchError, PeerFault
-from hil.configuration.bench_file import load_bench
-from hil.configuration.drive_file import DriveFile, load_drive_file
-from hil.execution.assembly import loop_timing
-from hil.execution.drives import drive_settings, write_commissioned
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import BadInput, BenchError, PeerFault
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.configuration.drive_file import DriveFile, load_drive_file
+from servobench.hil.execution.assembly import loop_timing
+from servobench.hil.execution.drives import drive_settings, write_commissioned
 
 FILE = """
 [drive]

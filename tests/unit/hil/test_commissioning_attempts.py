@@ -9,21 +9,21 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.canopen.pdo import PdoPlan
-from drivers.canopen.pdo_budget import budget_of
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import PlanWish
-from drivers.cia402.profile import Mode, QuickStopOption, State
-from drivers.cia402.scaling import ScaleOverride
-from drivers.errors import PeerFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from hil.commissioning import session as module
-from hil.commissioning.exercise import EnergyMeter
-from hil.commissioning.findings import Findings
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.request import CommissionRequest, cautious
-from hil.commissioning.session import PERIODS_US, Session
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.canopen.pdo_budget import budget_of
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.cia402.profile import Mode, QuickStopOption, State
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.hil.commissioning import session as module
+from servobench.hil.commissioning.exercise import EnergyMeter
+from servobench.hil.commissioning.findings import Findings
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.request import CommissionRequest, cautious
+from servobench.hil.commissioning.session import PERIODS_US, Session
 from tests.unit.hil.simulated_shaft import LIMITS, Objects
 
 CST = Mode.CYCLIC_SYNCHRONOUS_TORQUE

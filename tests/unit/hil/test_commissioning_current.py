@@ -8,22 +8,22 @@ from typing import Any, Final, cast
 import numpy as np
 import pytest
 
-from drivers.canopen.objects import SettingRefused
-from drivers.canopen.objects301 import Cia301
-from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.cia402.told_motor import ToldFigure, ToldMotor
-from drivers.errors import TransferAborted
-from drivers.exchange import Reading
-from drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
-from hil.commissioning.exercise import Recording
-from hil.commissioning.identify import Array, slope_error
-from hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
-from hil.commissioning.request import Nameplate
-from hil.commissioning.session import Session
-from hil.commissioning.steps_current import TorqueConstant, _paired, _plan_with_current, _swing
-from hil.loop.scenario import Quantity
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.canopen.objects301 import Cia301
+from servobench.drivers.canopen.pdo import PdoPlan
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.told_motor import ToldFigure, ToldMotor
+from servobench.drivers.errors import TransferAborted
+from servobench.drivers.exchange import Reading
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
+from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.identify import Array, slope_error
+from servobench.hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
+from servobench.hil.commissioning.request import Nameplate
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_current import TorqueConstant, _paired, _plan_with_current, _swing
+from servobench.hil.loop.scenario import Quantity
 from tests.unit.hil.simulated_shaft import LIMITS, PERIOD_S, RATED_NM, Objects, Shaft, session_of, shaft_of
 
 TRUTH = shaft_of(2e-3, 2e-3, 0.05)

@@ -3,8 +3,8 @@
 from canopen.objectdictionary import ObjectDictionary as Dictionary
 from canopen.objectdictionary import ODArray, ODVariable
 
-from hil.commissioning.files import dcf_text
-from hil.restoring.journal import ObjectKey
+from servobench.hil.commissioning.files import dcf_text
+from servobench.hil.restoring.journal import ObjectKey
 from tests.unit.hil.test_commissioning_files import IDENTITY
 
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import PlanWish
-from drivers.timebase import NS_PER_MS, Duration
-from hil.commissioning.identify import Mechanics
-from hil.commissioning.outcome import StepOutcome
-from hil.commissioning.request import PlateRating
-from hil.commissioning.steps_design import Suggest
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.commissioning.identify import Mechanics
+from servobench.hil.commissioning.outcome import StepOutcome
+from servobench.hil.commissioning.request import PlateRating
+from servobench.hil.commissioning.steps_design import Suggest
 
 J, B, RATED_NM = 2e-3, 4e-3, 2.0
 LAG_US, READING_US, EFFECT_US = 800.0, 400.0, 700.0

@@ -7,14 +7,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from drivers.timebase import NS_PER_MS, Duration
-from hil.commissioning.exercise import Recording
-from hil.commissioning.frequency import FrequencyResponse, StepLag
-from hil.commissioning.identify import Array, Mechanics
-from hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
-from hil.commissioning.session import Session
-from hil.commissioning.steps_design import Verify, rounded
-from hil.commissioning.steps_dynamics import (
+from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.frequency import FrequencyResponse, StepLag
+from servobench.hil.commissioning.identify import Array, Mechanics
+from servobench.hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_design import Verify, rounded
+from servobench.hil.commissioning.steps_dynamics import (
     Delays,
     Response,
     _bandwidth_hz,
@@ -23,7 +23,7 @@ from hil.commissioning.steps_dynamics import (
     _roomy,
     total_delay_s,
 )
-from hil.loop.scenario import Quantity
+from servobench.hil.loop.scenario import Quantity
 from tests.unit.hil.simulated_shaft import LIMITS, VELOCITY_RAD_S, Shaft, session_of, shaft_of
 
 TRUTH = shaft_of(2e-3, 2e-3, 0.05)

@@ -7,20 +7,20 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.errors import LimitExceeded
-from drivers.exchange import Command, SentCommand, SpeedCommand
-from drivers.timebase import NS_PER_MS, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.commissioning import exercise
-from hil.commissioning.exercise import EnergyMeter, Exerciser, speed_limits, torque_limits
-from hil.commissioning.request import Nameplate, motion_limits
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, SetPoint, TorqueSetPoint
-from hil.loop.pace import CALIBRATION_SYNCS
-from hil.loop.safety import SafetyGuard
-from hil.loop.scenario import LevelStep, Quantity
-from hil.loop.syncs import SyncLog
-from hil.machine.stopping import Interrupted
+from servobench.drivers.errors import LimitExceeded
+from servobench.drivers.exchange import Command, SentCommand, SpeedCommand
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.commissioning import exercise
+from servobench.hil.commissioning.exercise import EnergyMeter, Exerciser, speed_limits, torque_limits
+from servobench.hil.commissioning.request import Nameplate, motion_limits
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.hil.loop.pace import CALIBRATION_SYNCS
+from servobench.hil.loop.safety import SafetyGuard
+from servobench.hil.loop.scenario import LevelStep, Quantity
+from servobench.hil.loop.syncs import SyncLog
+from servobench.hil.machine.stopping import Interrupted
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TIMING, FakeBus, FakeDrive
 
 LIMITS = motion_limits(Nameplate(), 2.0, 3000.0)

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hil.commissioning.exercise import Recording, smooth_speed
-from hil.commissioning.frequency import frequency_response, lines_hz, step_lag
-from hil.commissioning.identify import (
+from servobench.hil.commissioning.exercise import Recording, smooth_speed
+from servobench.hil.commissioning.frequency import frequency_response, lines_hz, step_lag
+from servobench.hil.commissioning.identify import (
     Mechanics,
     NotIdentifiable,
     identify_mechanics,
@@ -19,9 +19,9 @@ from hil.commissioning.identify import (
     ratio_of,
     slope_error,
 )
-from hil.commissioning.outcome import ReadingsLost, refuse_losses
-from hil.commissioning.ripple import torque_by_angle
-from hil.reviewing.network_meter import runs_of
+from servobench.hil.commissioning.outcome import ReadingsLost, refuse_losses
+from servobench.hil.commissioning.ripple import torque_by_angle
+from servobench.hil.reviewing.network_meter import runs_of
 
 Array = NDArray[Any]
 J, B, T_C, T_0 = 8e-4, 2e-3, 0.05, 0.01

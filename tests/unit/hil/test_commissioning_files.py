@@ -8,26 +8,26 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.cia402.drive_setup import Identity
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, QuickStopOption, run_words
-from drivers.cia402.scaling import ScaleOverride
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_MS, Duration
-from hil.commissioning.files import (
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, QuickStopOption, run_words
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.commissioning.files import (
     _motor_text,
     dcf_text,
     drive_tables,
     set_objects,
     write_files,
 )
-from hil.commissioning.findings import Stated
-from hil.commissioning.identify import Mechanics
-from hil.commissioning.request import Nameplate
-from hil.commissioning.session import Session
-from hil.configuration.bench_file import load_bench
-from hil.configuration.network_file import Network, load_network
-from hil.restoring.journal import ObjectKey
+from servobench.hil.commissioning.findings import Stated
+from servobench.hil.commissioning.identify import Mechanics
+from servobench.hil.commissioning.request import Nameplate
+from servobench.hil.commissioning.session import Session
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.configuration.network_file import Network, load_network
+from servobench.hil.restoring.journal import ObjectKey
 from tests.unit.hil.simulated_shaft import LIMITS, RATED_NM, Shaft, session_of, shaft_of
 
 IDENTITY = Identity("a drive", 7, 8, 1, 9, 0)

@@ -7,14 +7,14 @@ from typing import Any, cast
 import pytest
 from canopen.objectdictionary import ObjectDictionary
 
-from drivers.cia402.drive_setup import Identity
-from drivers.cia402.profile import Mode
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant
-from hil.commissioning import steps_static as module
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.session import Session
-from hil.commissioning.steps_static import BusCheck, DumpStep, IdentityCheck
-from hil.restoring.journal import DriveMark, Journal, JournalHead, read_journal
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant
+from servobench.hil.commissioning import steps_static as module
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_static import BusCheck, DumpStep, IdentityCheck
+from servobench.hil.restoring.journal import DriveMark, Journal, JournalHead, read_journal
 from tests.unit.hil.simulated_shaft import Shaft, session_of, shaft_of
 from tests.unit.hil.test_known_objects import Node, sheet, variable
 

@@ -9,15 +9,15 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, Status
-from drivers.errors import PeerFault
-from drivers.exchange import Reading
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from hil.commissioning import turn
-from hil.commissioning.session import Session
-from hil.commissioning.turn import _jump, _ramp, _search, can_home, hand_turn, index_turn
-from hil.machine.stopping import Interrupted
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, Status
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.exchange import Reading
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.hil.commissioning import turn
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.turn import _jump, _ramp, _search, can_home, hand_turn, index_turn
+from servobench.hil.machine.stopping import Interrupted
 from tests.unit.hil.scripted_drive import ENABLED
 from tests.unit.hil.simulated_shaft import (
     PERIOD,

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import BadInput
-from hil.restoring.journal import (
+from servobench.drivers.errors import BadInput
+from servobench.hil.restoring.journal import (
     DriveMark,
     Journal,
     JournalHead,

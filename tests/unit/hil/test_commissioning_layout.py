@@ -9,13 +9,13 @@ import pytest
 import rerun as rr
 import rerun.blueprint as rrb
 
-from drivers.cia402.objects402 import Object
-from drivers.timebase import NS_PER_S
-from hil.recorded import commissioning_page as commissioned
-from hil.recorded.commissioning_page import _Bus, _Figures, _Step
-from hil.reviewing.envelope import Envelope
-from hil.reviewing.trace.known_nodes import KnownNodes
-from hil.reviewing.trace.trace_entry import TraceEntry
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.recorded import commissioning_page as commissioned
+from servobench.hil.recorded.commissioning_page import _Bus, _Figures, _Step
+from servobench.hil.reviewing.envelope import Envelope
+from servobench.hil.reviewing.trace.known_nodes import KnownNodes
+from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from tests.unit.hil.test_blueprint_pages import names, parts, paths, value_range, window_s
 
 GREEN, RED, GREY, BLUE = 0x1E6B35FF, 0xB3202AFF, 0x50555CFF, 0x1F5FA8FF

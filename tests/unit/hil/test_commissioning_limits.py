@@ -8,23 +8,29 @@ from typing import cast
 
 import pytest
 
-from drivers.errors import BadInput, BenchError, LimitExceeded
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_S, Instant
-from hil.commissioning.drive_port import DrivePort
-from hil.commissioning.excitation import Pulse, SpeedGuide, TimedTorque
-from hil.commissioning.exercise import BLIND_MAX_S, EnergyMeter, Watched, speed_limits, torque_limits
-from hil.commissioning.identify import Mechanics
-from hil.commissioning.request import (
+from servobench.drivers.errors import BadInput, BenchError, LimitExceeded
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.commissioning.drive_port import DrivePort
+from servobench.hil.commissioning.excitation import Pulse, SpeedGuide, TimedTorque
+from servobench.hil.commissioning.exercise import (
+    BLIND_MAX_S,
+    EnergyMeter,
+    Watched,
+    speed_limits,
+    torque_limits,
+)
+from servobench.hil.commissioning.identify import Mechanics
+from servobench.hil.commissioning.request import (
     CommissionRequest,
     MotionLimits,
     Nameplate,
     load_nameplate,
     motion_limits,
 )
-from hil.loop.axis_roles import Controller
-from hil.loop.context import Context, SetPoint, TorqueSetPoint
-from hil.loop.samples import StateEstimate
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
+from servobench.hil.loop.samples import StateEstimate
 from tests.unit.hil.cycles import advance, torque_of
 
 PERIOD_NS = 1_000_000

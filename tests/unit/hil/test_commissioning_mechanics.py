@@ -8,12 +8,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from hil.commissioning.exercise import Recording
-from hil.commissioning.identify import Array, Mechanics, NotIdentifiable, identify_mechanics
-from hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
-from hil.commissioning.steps_mechanics import (
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.identify import Array, Mechanics, NotIdentifiable, identify_mechanics
+from servobench.hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
+from servobench.hil.commissioning.steps_mechanics import (
     MechanicsStep,
     _by_command,
     _held_s,
@@ -24,7 +24,7 @@ from hil.commissioning.steps_mechanics import (
     tells_torque,
     top_speed,
 )
-from hil.loop.scenario import Quantity
+from servobench.hil.loop.scenario import Quantity
 from tests.unit.hil.simulated_shaft import LIMITS, Objects, Shaft, session_of, shaft_of
 
 TRUTH = shaft_of(8e-4, 2e-3, 0.05, 0.01)

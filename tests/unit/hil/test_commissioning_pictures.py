@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from hil.commissioning.exercise import Recording
-from hil.commissioning.frequency import FrequencyResponse, StepLag
-from hil.commissioning.plots import (
+from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.frequency import FrequencyResponse, StepLag
+from servobench.hil.commissioning.plots import (
     draw_angle,
     draw_current,
     draw_delays,
@@ -18,7 +18,7 @@ from hil.commissioning.plots import (
     draw_response,
     draw_verification,
 )
-from hil.commissioning.ripple import TorqueByAngle
+from servobench.hil.commissioning.ripple import TorqueByAngle
 from tests.unit.hil.simulated_shaft import shaft_of
 
 RPM: Final = 30.0 / math.pi

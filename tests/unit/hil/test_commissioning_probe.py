@@ -10,16 +10,16 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.exchange import Command, Reading, SentCommand
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from hil.commissioning.command_probe import CommandProbe, TorqueSlope, switches, torque_slope
-from hil.commissioning.frequency import StepLag
-from hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
-from hil.commissioning.session import Session
-from hil.commissioning.steps_dynamics import Delays
-from hil.execution.segments import timing_without_bench
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.exchange import Command, Reading, SentCommand
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.hil.commissioning.command_probe import CommandProbe, TorqueSlope, switches, torque_slope
+from servobench.hil.commissioning.frequency import StepLag
+from servobench.hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_dynamics import Delays
+from servobench.hil.execution.segments import timing_without_bench
 from tests.unit.hil.simulated_shaft import LIMITS, PERIOD, RATED_NM, Shaft, session_of, shaft_of
 
 DEAD_US: Final = 300.0

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
-from hil.recorded.commissioning_page import commissioning_page
-from hil.rows.run_files import COMMISSIONING_RECORDING, DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE
+from servobench.hil.cli import app
+from servobench.hil.recorded.commissioning_page import commissioning_page
+from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE
 from tests.commissioning import unknown_world
 from tests.rrd_columns import columns, numbers
 

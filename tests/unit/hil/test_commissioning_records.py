@@ -5,12 +5,20 @@ import math
 import numpy as np
 import pytest
 
-from drivers.exchange import Command, Reading
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.commissioning.exercise import Recording, recording_of
-from hil.commissioning.identify import Array, Mechanics, identify_mechanics, plain_ratio, ratio_of
-from hil.commissioning.ripple import torque_by_angle
-from hil.loop.samples import CommandFate, CycleRecord, Dropout, DropoutCause, Observation, Sample, Sending
+from servobench.drivers.exchange import Command, Reading
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.commissioning.exercise import Recording, recording_of
+from servobench.hil.commissioning.identify import Array, Mechanics, identify_mechanics, plain_ratio, ratio_of
+from servobench.hil.commissioning.ripple import torque_by_angle
+from servobench.hil.loop.samples import (
+    CommandFate,
+    CycleRecord,
+    Dropout,
+    DropoutCause,
+    Observation,
+    Sample,
+    Sending,
+)
 from tests.unit.hil.test_commissioning_figures import T_0, T_C, B, J, record
 
 FIRST = Instant(5 * NS_PER_MS)

@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from drivers.cia402.told_motor import ToldFigure
-from drivers.errors import NoAnswer
-from hil.commissioning.drive_left import DriveLeft
-from hil.commissioning.findings import BY_NAMEPLATE, Findings, Stated
-from hil.commissioning.outcome import StatedFigure, StepOutcome, StepRecord, StepVerdict
-from hil.commissioning.report import Commissioned, header_of, write_report
-from hil.commissioning.request import CommissionRequest
-from hil.restoring.journal import ObjectKey
-from hil.restoring.restore import Restoration
+from servobench.drivers.cia402.told_motor import ToldFigure
+from servobench.drivers.errors import NoAnswer
+from servobench.hil.commissioning.drive_left import DriveLeft
+from servobench.hil.commissioning.findings import BY_NAMEPLATE, Findings, Stated
+from servobench.hil.commissioning.outcome import StatedFigure, StepOutcome, StepRecord, StepVerdict
+from servobench.hil.commissioning.report import Commissioned, header_of, write_report
+from servobench.hil.commissioning.request import CommissionRequest
+from servobench.hil.restoring.journal import ObjectKey
+from servobench.hil.restoring.restore import Restoration
 
 DONE = StepRecord(
     "one",

@@ -10,16 +10,22 @@ from typing import IO, Any, cast
 
 import pytest
 
-from drivers.errors import BusDown, LimitExceeded
-from hil.commissioning.dialog import Choice, Dialog, EmergencyStop, Idle, Terminal
-from hil.commissioning.outcome import ReadingsLost, StepFailed, StepOutcome, StepRecord, StepVerdict
-from hil.commissioning.sequence import Abandoned, Step, run_sequence
-from hil.commissioning.session import Session
-from hil.commissioning.steps import all_steps
-from hil.commissioning.steps_static import DumpStep
-from hil.commissioning.steps_stopping import StopProof
-from hil.commissioning.steps_units import Turn
-from hil.machine.stopping import Interrupted, StopRequest
+from servobench.drivers.errors import BusDown, LimitExceeded
+from servobench.hil.commissioning.dialog import Choice, Dialog, EmergencyStop, Idle, Terminal
+from servobench.hil.commissioning.outcome import (
+    ReadingsLost,
+    StepFailed,
+    StepOutcome,
+    StepRecord,
+    StepVerdict,
+)
+from servobench.hil.commissioning.sequence import Abandoned, Step, run_sequence
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.commissioning.steps_static import DumpStep
+from servobench.hil.commissioning.steps_stopping import StopProof
+from servobench.hil.commissioning.steps_units import Turn
+from servobench.hil.machine.stopping import Interrupted, StopRequest
 
 
 class Played(Step):

@@ -7,13 +7,13 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.errors import BusDown, DriveInFault, NoAnswer
-from drivers.timebase import NS_PER_S, Duration
-from hil.commissioning.dialog import EmergencyStop
-from hil.commissioning.outcome import StepFailed
-from hil.commissioning.request import Nameplate
-from hil.commissioning.session import EmergencyStopped, Session
-from hil.machine.stopping import Interrupted
+from servobench.drivers.errors import BusDown, DriveInFault, NoAnswer
+from servobench.drivers.timebase import NS_PER_S, Duration
+from servobench.hil.commissioning.dialog import EmergencyStop
+from servobench.hil.commissioning.outcome import StepFailed
+from servobench.hil.commissioning.request import Nameplate
+from servobench.hil.commissioning.session import EmergencyStopped, Session
+from servobench.hil.machine.stopping import Interrupted
 
 
 class Stop:

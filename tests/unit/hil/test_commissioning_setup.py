@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.canopen.pdo_budget import budget_of
-from drivers.cia402.mode_control import ModeRefused
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import PlanImpossible, mode_plan
-from drivers.cia402.pdo_plans import PlanWish
-from drivers.cia402.profile import Mode
-from drivers.errors import NoAnswer
-from hil.commissioning.exercise import Recording
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.session import Session
-from hil.commissioning.steps_setup import EnableAtZero, SetUp, _extra_limits
-from hil.loop.scenario import Quantity
+from servobench.drivers.canopen.pdo_budget import budget_of
+from servobench.drivers.cia402.mode_control import ModeRefused
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_planner import PlanImpossible, mode_plan
+from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.errors import NoAnswer
+from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_setup import EnableAtZero, SetUp, _extra_limits
+from servobench.hil.loop.scenario import Quantity
 from tests.unit.hil.simulated_shaft import (
     LIMITS,
     PERIOD,

@@ -8,15 +8,15 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from drivers.cia402.profile import QuickStopOption
-from drivers.exchange import Reading
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from hil.commissioning import steps_stopping
-from hil.commissioning.exercise import Recording
-from hil.commissioning.identify import Array
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.session import Session
-from hil.commissioning.steps_stopping import (
+from servobench.drivers.cia402.profile import QuickStopOption
+from servobench.drivers.exchange import Reading
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.hil.commissioning import steps_stopping
+from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.identify import Array
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_stopping import (
     SlowStop,
     StopProof,
     _computed_s,

@@ -6,11 +6,11 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import QuickStopOption
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.session import Session
-from hil.commissioning.steps_stopping import (
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import QuickStopOption
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_stopping import (
     StopProof,
     StopSettings,
     _proof_speed,

@@ -5,22 +5,22 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.wire.adapters import parse_bus_spec
-from hil.commissioning.commission import commission
-from hil.commissioning.dialog import Dialog, EmergencyStop
-from hil.commissioning.outcome import StepRecord
-from hil.commissioning.report import Commissioned
-from hil.commissioning.request import CommissionRequest, Nameplate
-from hil.commissioning.sequence import Step
-from hil.commissioning.steps import all_steps
-from hil.configuration.drive_file import load_drive_file
-from hil.execution.world import WorldPlan, open_world
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.commissioning.commission import commission
+from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
+from servobench.hil.commissioning.outcome import StepRecord
+from servobench.hil.commissioning.report import Commissioned
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.hil.commissioning.sequence import Step
+from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.configuration.drive_file import load_drive_file
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.virtual_bus.device.object_dictionary import Access, Variable
+from servobench.virtual_bus.drive.lacks import take_away
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.scenario.test_commissioning_host_gaps import Halting, Standstill
-from virtual_bus.device.object_dictionary import Access, Variable
-from virtual_bus.drive.lacks import take_away
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.unknown_drive import unknown_drive
 
 pytestmark = pytest.mark.long
 

@@ -6,18 +6,18 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.cia402.drive_setup import Identity
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.cia402.scaling import ScaleOverride, Scaling, UnitNotTold
-from drivers.sheets.fitness import told_by_sheet
-from drivers.timebase import NS_PER_MS, Duration
-from hil.commissioning import steps_static as module
-from hil.commissioning.drive_port import QUANTITY_OF_MODE
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.request import Nameplate
-from hil.commissioning.session import Session
-from hil.commissioning.steps_static import UnitsTold
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.scaling import ScaleOverride, Scaling, UnitNotTold
+from servobench.drivers.sheets.fitness import told_by_sheet
+from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.commissioning import steps_static as module
+from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.request import Nameplate
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_static import UnitsTold
 from tests.unit.drivers.eds_maker import four_pdos
 from tests.unit.drivers.eds_maker import sheet as sheet_of
 from tests.unit.hil.simulated_shaft import LIMITS, Shaft, session_of, shaft_of

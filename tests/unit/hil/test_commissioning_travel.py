@@ -10,22 +10,22 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from drivers.record import values_of
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from hil.commissioning.excitation import SpeedReference
-from hil.commissioning.identify import Mechanics
-from hil.commissioning.outcome import StepFailed
-from hil.commissioning.request import Nameplate, motion_limits
-from hil.commissioning.session import Session
-from hil.commissioning.steps_design import Verify
-from hil.commissioning.steps_dynamics import Response
-from hil.commissioning.steps_mechanics import _coasts, _ramps, top_speed
-from hil.commissioning.steps_setup import _extra_limits
-from hil.commissioning.steps_units import Turn, pulses
-from hil.loop.samples import StateEstimate
-from hil.loop.scenario import Quantity, ReferenceProfile, Segment
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.record import values_of
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.hil.commissioning.excitation import SpeedReference
+from servobench.hil.commissioning.identify import Mechanics
+from servobench.hil.commissioning.outcome import StepFailed
+from servobench.hil.commissioning.request import Nameplate, motion_limits
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_design import Verify
+from servobench.hil.commissioning.steps_dynamics import Response
+from servobench.hil.commissioning.steps_mechanics import _coasts, _ramps, top_speed
+from servobench.hil.commissioning.steps_setup import _extra_limits
+from servobench.hil.commissioning.steps_units import Turn, pulses
+from servobench.hil.loop.samples import StateEstimate
+from servobench.hil.loop.scenario import Quantity, ReferenceProfile, Segment
 from tests.unit.hil.cycles import advance, in_cycle
 
 PERIOD_S = 1e-3

@@ -5,8 +5,8 @@ from typing import cast
 
 import pytest
 
-from hil.commissioning import turn
-from hil.commissioning.session import Session
+from servobench.hil.commissioning import turn
+from servobench.hil.commissioning.session import Session
 
 TURN = 6.25
 """What a turn is worth, in the wrong unit."""

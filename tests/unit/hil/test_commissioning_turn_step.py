@@ -5,12 +5,12 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from hil.commissioning.identify import SpeedRatio
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.request import Nameplate
-from hil.commissioning.session import Session
-from hil.commissioning.steps_units import Turn, _unmeasured
+from servobench.drivers.cia402.objects402 import Object
+from servobench.hil.commissioning.identify import SpeedRatio
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.request import Nameplate
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_units import Turn, _unmeasured
 from tests.unit.hil.simulated_shaft import POSITION_RAD, VELOCITY_RAD_S, Shaft, session_of, shaft_of
 from tests.unit.hil.test_commissioning_units import TRUTH, run, times_configured
 

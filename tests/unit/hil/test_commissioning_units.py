@@ -7,15 +7,15 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
-from hil.commissioning import steps_units
-from hil.commissioning.exercise import Recording
-from hil.commissioning.identify import Array, SpeedRatio
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.session import Session
-from hil.commissioning.steps_units import MotionUnits, Polarity, _nudges
-from hil.loop.scenario import Quantity
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.hil.commissioning import steps_units
+from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.identify import Array, SpeedRatio
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_units import MotionUnits, Polarity, _nudges
+from servobench.hil.loop.scenario import Quantity
 from tests.unit.hil.simulated_shaft import (
     LIMITS,
     VELOCITY_RAD_S,

@@ -6,13 +6,13 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.rotation import RAD_S_PER_RPM
-from hil.commissioning.outcome import StepFailed, StepRecord, StepVerdict
-from hil.commissioning.request import Nameplate
-from hil.commissioning.session import Session
-from hil.commissioning.steps_voltage import VoltageConstant, dc_link_v
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.commissioning.outcome import StepFailed, StepRecord, StepVerdict
+from servobench.hil.commissioning.request import Nameplate
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_voltage import VoltageConstant, dc_link_v
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.commissioning import unknown_world
-from virtual_bus.drive.unknown_drive import unknown_drive
 
 pytestmark = pytest.mark.long
 

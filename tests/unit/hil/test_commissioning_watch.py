@@ -9,14 +9,14 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.cia402.profile import State
-from drivers.errors import PeerFault
-from drivers.exchange import Reading
-from drivers.timebase import NS_PER_MS, Instant
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.session import Session
-from hil.commissioning.steps_setup import Watchdog
-from hil.machine.stopping import Interrupted
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.exchange import Reading
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_setup import Watchdog
+from servobench.hil.machine.stopping import Interrupted
 from tests.unit.hil.scripted_drive import DISABLED, ENABLED, FAULT
 from tests.unit.hil.simulated_shaft import LIMITS, PERIOD, Shaft, session_of, shaft_of
 

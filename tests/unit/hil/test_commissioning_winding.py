@@ -5,13 +5,18 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.cia402.told_motor import ToldFigure, ToldMotor
-from hil.commissioning.files import _by_word
-from hil.commissioning.findings import Findings
-from hil.commissioning.nameplate import compare_constant, compare_ratings, rated_current, settle_winding
-from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.request import Nameplate
-from hil.commissioning.session import Session
+from servobench.drivers.cia402.told_motor import ToldFigure, ToldMotor
+from servobench.hil.commissioning.files import _by_word
+from servobench.hil.commissioning.findings import Findings
+from servobench.hil.commissioning.nameplate import (
+    compare_constant,
+    compare_ratings,
+    rated_current,
+    settle_winding,
+)
+from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.request import Nameplate
+from servobench.hil.commissioning.session import Session
 
 PLATE = {
     "motor": {"resistance_ohm": 0.5, "inductance_d_h": 1e-3, "inductance_q_h": 1e-3, "pole_pairs": 5},

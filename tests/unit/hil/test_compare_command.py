@@ -9,13 +9,13 @@ import pytest
 from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
-from drivers.timebase import Instant
-from hil.cli import app
-from hil.recorded.comparison import compare_runs
-from hil.recorded.recorded_run import open_run
-from hil.recording.sealer import Sealer
-from hil.rows.records import Rows
-from hil.rows.records_file import RecordsWriter, read_metadata, read_records
+from servobench.drivers.timebase import Instant
+from servobench.hil.cli import app
+from servobench.hil.recorded.comparison import compare_runs
+from servobench.hil.recorded.recorded_run import open_run
+from servobench.hil.recording.sealer import Sealer
+from servobench.hil.rows.records import Rows
+from servobench.hil.rows.records_file import RecordsWriter, read_metadata, read_records
 from tests.unit.hil.recorded_runs import short_run
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]

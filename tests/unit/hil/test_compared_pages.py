@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from drivers.cia402.objects402 import Object
-from drivers.errors import BadInput
-from drivers.rotation import RPM_PER_RAD_S
-from hil.recorded import commissioning_page as commissioned
-from hil.recorded import comparison_page
-from hil.recorded.commissioning_page import commissioning_page, is_commissioning
-from hil.recorded.comparison import compare_runs
-from hil.recorded.comparison_page import write_comparison
-from hil.recording.page_series import AXIS_COLORS, GREY, torque_scale
-from hil.rows.records import Rows
-from hil.verdict.plain_values import from_plain
-from hil.verdict.verdict import VerdictLimits
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.errors import BadInput
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.hil.recorded import commissioning_page as commissioned
+from servobench.hil.recorded import comparison_page
+from servobench.hil.recorded.commissioning_page import commissioning_page, is_commissioning
+from servobench.hil.recorded.comparison import compare_runs
+from servobench.hil.recorded.comparison_page import write_comparison
+from servobench.hil.recording.page_series import AXIS_COLORS, GREY, torque_scale
+from servobench.hil.rows.records import Rows
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.verdict import VerdictLimits
 from tests.page_text import page_text
 from tests.unit.hil.made_runs import MadeRun, made_run
 from tests.unit.hil.row_tools import plain_rows

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import BadInput
-from hil.configuration.config_errors import BadInputs
-from hil.recorded.comparison import (
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.config_errors import BadInputs
+from servobench.hil.recorded.comparison import (
     Against,
     Difference,
     Divergence,
@@ -20,8 +20,8 @@ from hil.recorded.comparison import (
     comparison_lines,
     load_tolerances,
 )
-from hil.recorded.recorded_run import RecordedRun
-from hil.rows.records import NAMES, Rows
+from servobench.hil.recorded.recorded_run import RecordedRun
+from servobench.hil.rows.records import NAMES, Rows
 from tests.unit.hil.made_runs import made_run
 from tests.unit.hil.row_tools import plain_rows
 

@@ -2,10 +2,10 @@
 
 import random
 
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.control.compensation import Arrival, Stamp
-from hil.loop.context import Context
-from hil.loop.samples import AT_REST, Sample
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.control.compensation import Arrival, Stamp
+from servobench.hil.loop.context import Context
+from servobench.hil.loop.samples import AT_REST, Sample
 from tests.unit.hil.cycles import in_cycle
 from tests.unit.hil.loop_fakes import reading_at
 

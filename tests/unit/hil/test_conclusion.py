@@ -4,20 +4,20 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.nmt import Emergency
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.config import LoopConfig
-from hil.execution.conclusion import Conclusion, named_emergencies
-from hil.loop.loop import LoopOutcome
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.canopen.nmt import Emergency
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.configuration.config import LoopConfig
+from servobench.hil.execution.conclusion import Conclusion, named_emergencies
+from servobench.hil.loop.loop import LoopOutcome
+from servobench.hil.verdict.verdict import VerdictKind
+from servobench.virtual_bus.faults.fault_log import KINDS, FaultEntry
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.kinds.bus_off import BusOff
+from servobench.virtual_bus.faults.kinds.drive_fault import DriveFailure, DriveFault
+from servobench.virtual_bus.faults.replay import RecordedFaults
+from servobench.virtual_bus.hosting.injection import Faults
 from tests.fates import keys
-from virtual_bus.faults.fault_log import KINDS, FaultEntry
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.kinds.bus_off import BusOff
-from virtual_bus.faults.kinds.drive_fault import DriveFailure, DriveFault
-from virtual_bus.faults.replay import RecordedFaults
-from virtual_bus.hosting.injection import Faults
 
 SECOND = Duration(NS_PER_S)
 ONCE = keys(at_s=1.0)

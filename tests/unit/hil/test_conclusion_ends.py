@@ -6,18 +6,18 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.canopen.nmt import Emergency
-from drivers.cia402.follow_watch import FollowWatch
-from drivers.cia402.profile import State
-from drivers.cia402.servo import ServoDrive
-from drivers.cia402.supervision import Release
-from drivers.errors import BadInput, DriveInFault, NoAnswer, PeerFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from hil.configuration.config import LoopConfig
-from hil.execution.conclusion import Conclusion
-from hil.loop.loop import LoopOutcome
-from hil.recording.logger_process import RecordingFailed
-from hil.verdict.verdict import DriveEnd, VerdictKind
+from servobench.drivers.canopen.nmt import Emergency
+from servobench.drivers.cia402.follow_watch import FollowWatch
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.cia402.supervision import Release
+from servobench.drivers.errors import BadInput, DriveInFault, NoAnswer, PeerFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.hil.configuration.config import LoopConfig
+from servobench.hil.execution.conclusion import Conclusion
+from servobench.hil.loop.loop import LoopOutcome
+from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.verdict.verdict import DriveEnd, VerdictKind
 from tests.unit.hil.test_conclusion import SETTINGS, plan
 
 

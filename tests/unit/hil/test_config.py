@@ -7,15 +7,15 @@ from typing import Any, get_args
 
 import pytest
 
-from drivers.errors import MISSING, BadInput
-from drivers.wire.slcan_protocol import BITRATE_CODES
-from hil.configuration.bench_file import bench_from, load_bench, load_faults
-from hil.configuration.config import BenchConfig, BitRate
-from hil.configuration.config_errors import BadInputs, bad_inputs_of
-from hil.configuration.controller_kinds import PidController
-from hil.configuration.motor_file import LING2012
-from hil.configuration.references import peak_level
-from hil.terminal.exit_status import error_text
+from servobench.drivers.errors import MISSING, BadInput
+from servobench.drivers.wire.slcan_protocol import BITRATE_CODES
+from servobench.hil.configuration.bench_file import bench_from, load_bench, load_faults
+from servobench.hil.configuration.config import BenchConfig, BitRate
+from servobench.hil.configuration.config_errors import BadInputs, bad_inputs_of
+from servobench.hil.configuration.controller_kinds import PidController
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.configuration.references import peak_level
+from servobench.hil.terminal.exit_status import error_text
 
 ROOT = Path(__file__).parents[3]
 EXAMPLES = ROOT / "examples"

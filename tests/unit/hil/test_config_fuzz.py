@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import BadInput
-from drivers.printable import printable
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config_errors import BadInputs, bad_inputs_of
-from hil.configuration.toml_text import toml_text
+from servobench.drivers.errors import BadInput
+from servobench.drivers.printable import printable
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config_errors import BadInputs, bad_inputs_of
+from servobench.hil.configuration.toml_text import toml_text
 from tests.unit.hil.test_toml_text import VALUES
 
 pytestmark = pytest.mark.long

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import BadInput
-from hil.configuration.bench_file import load_bench
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.bench_file import load_bench
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.pdo_budget import frame_bits_max
-from hil.configuration.bench_file import load_bench
-from virtual_bus.bus.bit_length import INTERMISSION_BITS, frame_bits
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.pdo_budget import frame_bits_max
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.virtual_bus.bus.bit_length import INTERMISSION_BITS, frame_bits
+from servobench.virtual_bus.frame import Frame
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 STUFFING_NOT_REACHED_BITS = 5

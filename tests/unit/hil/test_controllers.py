@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, Instant
-from hil.control.controllers import Pid, PidGains, StateFeedback
-from hil.loop.axis_roles import Controller
-from hil.loop.samples import StateEstimate
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.control.controllers import Pid, PidGains, StateFeedback
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.samples import StateEstimate
 from tests.unit.hil.cycles import advance, torque_of
 
 PERIOD_S = 0.001

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from design.errors import DesignError
-from design.hinf import synthesis
-from design.hinf.reduction import Method
-from design.statespace import state_space
-from drivers.bounded_file import NamedBy
-from drivers.rotation import RAD_S_PER_RPM
-from hil.cli import app
-from hil.configuration.current_controller_file import load_current_controller
-from hil.configuration.motor_file import load_motor
-from hil.configuration.weights_file import load_weights
-from hil.studies.current import design as studies
-from hil.studies.current import pictures
-from hil.studies.current.figures import CurrentRequest
+from servobench.design.errors import DesignError
+from servobench.design.hinf import synthesis
+from servobench.design.hinf.reduction import Method
+from servobench.design.statespace import state_space
+from servobench.drivers.bounded_file import NamedBy
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.cli import app
+from servobench.hil.configuration.current_controller_file import load_current_controller
+from servobench.hil.configuration.motor_file import load_motor
+from servobench.hil.configuration.weights_file import load_weights
+from servobench.hil.studies.current import design as studies
+from servobench.hil.studies.current import pictures
+from servobench.hil.studies.current.figures import CurrentRequest
 from tests.told import ROOT
 
 EXAMPLES = ROOT / "examples"

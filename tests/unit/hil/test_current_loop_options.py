@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import BadInput
-from hil.configuration.drive_current_loop import KnownLoop
-from hil.terminal.current_loop_options import CurrentLoopOptions
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.drive_current_loop import KnownLoop
+from servobench.hil.terminal.current_loop_options import CurrentLoopOptions
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from design.statespace import StateSpace
-from hil.studies.current import pictures
+from servobench.design.statespace import StateSpace
+from servobench.hil.studies.current import pictures
 from tests.unit.hil.made_analyses import MARGINS
 
 

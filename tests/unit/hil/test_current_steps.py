@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from hil.studies.current import design as studies
+from servobench.hil.studies.current import design as studies
 from tests.unit.hil.made_analyses import MARGINS
 from tests.unit.hil.test_current_studies import MOTOR, OTHER, request
 

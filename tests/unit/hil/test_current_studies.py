@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.current.dq_loop import Decoupling
-from design.hinf.reduction import Method
-from design.statespace import StateSpace
-from drivers.errors import BadInput
-from hil.configuration.motor_file import LING2012
-from hil.studies.current import design as studies
-from hil.studies.current import figures
-from hil.studies.current.figures import CurrentRequest, OtherAxis, robust_figures, sampled_design
+from servobench.design.current.dq_loop import Decoupling
+from servobench.design.hinf.reduction import Method
+from servobench.design.statespace import StateSpace
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.studies.current import design as studies
+from servobench.hil.studies.current import figures
+from servobench.hil.studies.current.figures import CurrentRequest, OtherAxis, robust_figures, sampled_design
 from tests.unit.hil.made_analyses import MARGINS
 
 MOTOR = LING2012.parameters

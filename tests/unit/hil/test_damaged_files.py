@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import BadInput
-from hil.campaign.store import plan_in
-from hil.recorded.commissioning_page import commissioning_page
-from hil.recording.run_folder import read_summary
+from servobench.drivers.errors import BadInput
+from servobench.hil.campaign.store import plan_in
+from servobench.hil.recorded.commissioning_page import commissioning_page
+from servobench.hil.recording.run_folder import read_summary
 
 READERS: dict[str, Callable[[Path], object]] = {
     "figures.json": commissioning_page,

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.scaling import ScaleOverride
-from hil.reviewing.trace.decoder import BusDecoder, decode
-from hil.reviewing.trace.known_nodes import KnownNodes, SheetFile
-from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.object_value import ObjectValue
-from hil.reviewing.trace.trace_entry import TraceEntry
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.hil.reviewing.trace.decoder import BusDecoder, decode
+from servobench.hil.reviewing.trace.known_nodes import KnownNodes, SheetFile
+from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.object_value import ObjectValue
+from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from tests.unit.drivers.eds_maker import NODE, Pdo, sheet_text
 from tests.unit.hil.test_trace_decoder import FACTORS, READ_SPEED, frames, traced
 

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.loop.delay import UNHEARD_MAX, DelayMeter
-from hil.loop.samples import Dropout, DropoutCause, Sample
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.loop.delay import UNHEARD_MAX, DelayMeter
+from servobench.hil.loop.samples import Dropout, DropoutCause, Sample
 from tests.unit.hil.loop_fakes import reading_at
 
 DEADLINE = Duration(2 * NS_PER_MS)

@@ -2,10 +2,10 @@
 
 import pytest
 
-from drivers.timebase import Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.command_meter import FOLLOWED_MAX, CommandMeter
-from hil.loop.samples import CommandFate, Sending
+from servobench.drivers.timebase import Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.command_meter import FOLLOWED_MAX, CommandMeter
+from servobench.hil.loop.samples import CommandFate, Sending
 from tests.unit.hil.test_command_meter import AT_REST, HANDED, HORIZON, ON_BUS, command, meter_on, sync_at
 
 ERROR = Duration(3_000)

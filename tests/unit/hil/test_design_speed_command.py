@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from typer.testing import Result
 
-from design.delay.speed_loop import Feedback, gain_for_error
-from design.errors import DesignError
-from design.sampled.held_loop import SampledNetwork, Strategy
-from drivers.rotation import RAD_S_PER_RPM
-from hil.studies.speed import controller_text, dynamic, synthesis
-from hil.studies.speed.synthesis import DesignRequest, Unreachable, Way
+from servobench.design.delay.speed_loop import Feedback, gain_for_error
+from servobench.design.errors import DesignError
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.studies.speed import controller_text, dynamic, synthesis
+from servobench.hil.studies.speed.synthesis import DesignRequest, Unreachable, Way
 from tests.unit.hil.asked_studies import FILE, MOTOR, RATED, SIMULATED, Studies, hil, refusal
 
 NETWORK = "[network]\nperiod_us = 2000\nlosses_in_a_row_max = 1\ndelay_max_us = 1000\n"

@@ -5,17 +5,17 @@ from pathlib import Path
 
 import pytest
 
-from design.motor import PmsmParameters
-from drivers.canopen.data_types import DataType
-from drivers.errors import BadInput
-from drivers.timebase import Instant
-from hil.execution.device_files import DeviceFiles
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Instant
+from servobench.hil.execution.device_files import DeviceFiles
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.frame import Frame
 from tests.motors import AZAIZ, LING
 from tests.rehearsals.made_sheet import MadeSheet
 from tests.unit.drivers.eds_maker import U8, U32, four_pdos, sheet_text, sub
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.frame import Frame
 
 
 def test_without_files_there_is_nothing_to_lay_over_or_to_keep() -> None:

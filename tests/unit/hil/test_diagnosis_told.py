@@ -5,8 +5,8 @@ from typing import Any, Final
 
 import pytest
 
-from drivers.cia402.profile import State
-from hil.inspecting.drive_fault import DriveDiagnosis, _asked
+from servobench.drivers.cia402.profile import State
+from servobench.hil.inspecting.drive_fault import DriveDiagnosis, _asked
 
 WHOLE: Final = DriveDiagnosis(
     3, "a drive", "fault", True, 0x2310, "continuous over-current", 0x03, ((0x12310, "x"), (0x3210, "y"))

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from hil.machine import doctor
-from hil.machine.doctor import CHECKS, Look, Machine, print_checks, run_checks
+from servobench.hil.machine import doctor
+from servobench.hil.machine.doctor import CHECKS, Look, Machine, print_checks, run_checks
 
 CheckFunction = Callable[[Machine], Look]
 RELEASE = "6.1.0-test"

@@ -12,10 +12,10 @@ from typing import Any, Final
 
 import pytest
 
-from drivers import compiled
-from hil.machine import doctor
-from hil.machine.doctor import Look, Machine
-from hil.machine.realtime import quiet_garbage_collector, realtime_process, timing_conditions
+from servobench.drivers import compiled
+from servobench.hil.machine import doctor
+from servobench.hil.machine.doctor import Look, Machine
+from servobench.hil.machine.realtime import quiet_garbage_collector, realtime_process, timing_conditions
 from tests.unit.hil.test_doctor import DOWN, RELEASE, UP, machine, put, put_interface, put_privilege
 
 __all__ = ["machine"]

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import pytest
 from typer.testing import CliRunner
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.profile import State
-from drivers.errors import DriveInFault
-from hil.cli import app
-from hil.inspecting.drive_fault import look_at_fault
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import DriveInFault
+from servobench.hil.cli import app
+from servobench.hil.inspecting.drive_fault import look_at_fault
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
 Bench = tuple[FakeBus, FakeServo, CanopenNetwork]

@@ -4,14 +4,14 @@ from typing import cast
 
 import pytest
 
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import PlanWish
-from drivers.cia402.profile import Mode
-from drivers.cia402.servo import ServoDrive
-from drivers.exchange import Command, Drive, PositionCommand, Reading, SpeedCommand
-from drivers.timebase import NS_PER_MS, Instant
-from hil.commissioning.drive_port import DrivePort
-from hil.loop.scenario import Quantity
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.exchange import Command, Drive, PositionCommand, Reading, SpeedCommand
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.commissioning.drive_port import DrivePort
+from servobench.hil.loop.scenario import Quantity
 
 NOW = Instant(0)
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import PeerFault
-from hil.testing import hosted
-from hil.testing.hosted import DriveProcess
+from servobench.drivers.errors import PeerFault
+from servobench.hil.testing import hosted
+from servobench.hil.testing.hosted import DriveProcess
 
 UP = "import signal, sys, time\nprint('on the bus; Ctrl-C ends it', flush=True)\n"
 WAITING = UP + "signal.sigwait([signal.SIGINT])\n"

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.write_list import UnlistedWrite
-from drivers.cia402.profile import State
-from drivers.errors import BadInput, PeerFault, PowerLost
-from drivers.exchange import Reading
-from drivers.timebase import NS_PER_MS, NS_PER_S
-from hil.configuration.motor_file import LING2012
-from hil.testing.drive_rig import DriveRig, drive_rig
-from hil.testing.hosted import DriveHost, DriveWish
+from servobench.drivers.canopen.write_list import UnlistedWrite
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import BadInput, PeerFault, PowerLost
+from servobench.drivers.exchange import Reading
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.testing.drive_rig import DriveRig, drive_rig
+from servobench.hil.testing.hosted import DriveHost, DriveWish
 
 Make = Callable[..., DriveRig]
 STO = {"safe_torque_off": [{"nodes": [1], "at_s": 0.3, "duration_s": 5.0}]}
@@ -197,7 +197,7 @@ class Commands:
             def finish(process) -> str:  # noqa: N805
                 return complaint
 
-        monkeypatch.setattr("hil.testing.hosted.DriveProcess", Process)
+        monkeypatch.setattr("servobench.hil.testing.hosted.DriveProcess", Process)
 
 
 def test_the_command_of_a_process_says_all_that_was_wished(

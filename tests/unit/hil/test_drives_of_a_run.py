@@ -6,18 +6,18 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.cia402.drive_setup import DriveSettings, Identity
-from drivers.cia402.observed import Observed
-from drivers.cia402.profile import Mode, QuickStopOption
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import BadInput, NoAnswer, PeerFault
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.sheets.dictionary import held
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.configuration.bench_file import load_bench
-from hil.execution.assembly import loop_timing
-from hil.execution.drives import connect, data_sheets, drive_settings, stop_all
-from hil.machine.stopping import Interrupted, StopRequest
+from servobench.drivers.cia402.drive_setup import DriveSettings, Identity
+from servobench.drivers.cia402.observed import Observed
+from servobench.drivers.cia402.profile import Mode, QuickStopOption
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import BadInput, NoAnswer, PeerFault
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.sheets.dictionary import held
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.execution.assembly import loop_timing
+from servobench.hil.execution.drives import connect, data_sheets, drive_settings, stop_all
+from servobench.hil.machine.stopping import Interrupted, StopRequest
 from tests.unit.drivers.eds_maker import four_pdos, sheet_text
 from tests.unit.hil.test_commissioned_drive import FILE, drive_file
 

@@ -7,22 +7,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.delay.lmi import SOLVER
-from design.sampled.analysis import SampledAnalysis
-from design.sampled.held_loop import SampledNetwork, Strategy
-from design.speed.hinf_design import HinfDesign
-from design.speed.loop_robustness import LoopRobustness
-from design.speed.predictor_design import PredictorDesign
-from design.speed.predictor_plant import encoder_noise_rad_s
-from design.speed.predictor_trial import Walks
-from hil.configuration.motor_file import LING2012
-from hil.configuration.speed_controller_file import CurrentLoop
-from hil.studies.numbers import short
-from hil.studies.speed import dynamic
-from hil.studies.speed.controller_text import (
+from servobench.design.delay.lmi import SOLVER
+from servobench.design.sampled.analysis import SampledAnalysis
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.design.speed.hinf_design import HinfDesign
+from servobench.design.speed.loop_robustness import LoopRobustness
+from servobench.design.speed.predictor_design import PredictorDesign
+from servobench.design.speed.predictor_plant import encoder_noise_rad_s
+from servobench.design.speed.predictor_trial import Walks
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.configuration.speed_controller_file import CurrentLoop
+from servobench.hil.studies.numbers import short
+from servobench.hil.studies.speed import dynamic
+from servobench.hil.studies.speed.controller_text import (
     plant_of,
 )
-from hil.studies.speed.dynamic import (
+from servobench.hil.studies.speed.dynamic import (
     HinfResult,
     PredictorResult,
     certified_of,

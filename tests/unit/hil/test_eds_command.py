@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.cia402.profile import BENCH_RULE
-from hil.cli import app
+from servobench.drivers.cia402.profile import BENCH_RULE
+from servobench.hil.cli import app
 from tests.unit.drivers.eds_maker import four_pdos, sheet_text
 
 LIMITS = Path(__file__).parents[3] / "docs" / "limits.md"

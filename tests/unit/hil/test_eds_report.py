@@ -6,20 +6,20 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.pdo import PdoDirection, PdoPlan
-from drivers.canopen.pdo_budget import Budget, BudgetLine
-from drivers.canopen.pdo_capability import PdoSlot
-from drivers.cia402.judgement import ModeFitness
-from drivers.cia402.pdo_planner import PlanResult
-from drivers.cia402.profile import Mode
-from drivers.sheets.dictionary import LoadedDictionary
-from drivers.sheets.eds.information import Commissioning, DeviceInformation, FileInformation
-from drivers.sheets.eds.repairs import Repair
-from drivers.sheets.fitness import FileIdentity, Fitness, Lack, assess
-from drivers.timebase import Duration
-from hil.commissioning.drive_port import QUANTITY_OF_MODE
-from hil.terminal.eds_report import print_sheet
-from hil.terminal.eds_sheet import Planned, plan_for, sheet, unit_lines
+from servobench.drivers.canopen.pdo import PdoDirection, PdoPlan
+from servobench.drivers.canopen.pdo_budget import Budget, BudgetLine
+from servobench.drivers.canopen.pdo_capability import PdoSlot
+from servobench.drivers.cia402.judgement import ModeFitness
+from servobench.drivers.cia402.pdo_planner import PlanResult
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.sheets.dictionary import LoadedDictionary
+from servobench.drivers.sheets.eds.information import Commissioning, DeviceInformation, FileInformation
+from servobench.drivers.sheets.eds.repairs import Repair
+from servobench.drivers.sheets.fitness import FileIdentity, Fitness, Lack, assess
+from servobench.drivers.timebase import Duration
+from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
+from servobench.hil.terminal.eds_report import print_sheet
+from servobench.hil.terminal.eds_sheet import Planned, plan_for, sheet, unit_lines
 from tests.unit.drivers.eds_maker import NODE, four_pdos
 from tests.unit.drivers.eds_maker import sheet as made_sheet
 

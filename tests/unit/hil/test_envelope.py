@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hil.reviewing.envelope import BUCKETS, LANE_BUCKETS, CodeLane, Envelope, bucket_width_ns
+from servobench.hil.reviewing.envelope import BUCKETS, LANE_BUCKETS, CodeLane, Envelope, bucket_width_ns
 
 PERIOD_NS = 1_000_000
 

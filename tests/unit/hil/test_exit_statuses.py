@@ -5,10 +5,10 @@ import pkgutil
 from collections import defaultdict
 from collections.abc import Iterator
 
-import drivers
-import hil
-from drivers.errors import BenchError
-from hil.verdict.verdict import ExitStatus
+import servobench.drivers
+import servobench.hil
+from servobench.drivers.errors import BenchError
+from servobench.hil.verdict.verdict import ExitStatus
 
 STATUSES = {
     ExitStatus.FAILED: {"Abandoned"},
@@ -37,12 +37,12 @@ def below(kind: type[BenchError]) -> Iterator[type[BenchError]]:
 
 
 def test_every_error_ends_a_command_with_the_status_of_its_kind() -> None:
-    for room in (drivers, hil):
+    for room in (servobench.drivers, servobench.hil):
         for module in pkgutil.walk_packages(room.__path__, f"{room.__name__}."):
             importlib.import_module(module.name)
     told = defaultdict(set)
     for error in below(BenchError):
-        if error.__module__.startswith(("drivers.", "hil.")):
+        if error.__module__.startswith("servobench."):
             told[error.exit_status].add(error.__name__)
     assert told == {int(status): names for status, names in STATUSES.items()}
 

@@ -12,12 +12,12 @@ import pytest
 from scipy.io import loadmat
 from typer.testing import CliRunner, Result
 
-from drivers.timebase import Instant
-from hil.cli import app
-from hil.reviewing.export import CHUNK_ROWS, RecordedRows
-from hil.rows.records import COLUMNS, ROW_DTYPE
-from hil.rows.records_file import RecordsWriter
-from hil.rows.run_files import RECORDS_FILE
+from servobench.drivers.timebase import Instant
+from servobench.hil.cli import app
+from servobench.hil.reviewing.export import CHUNK_ROWS, RecordedRows
+from servobench.hil.rows.records import COLUMNS, ROW_DTYPE
+from servobench.hil.rows.records_file import RecordsWriter
+from servobench.hil.rows.run_files import RECORDS_FILE
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 

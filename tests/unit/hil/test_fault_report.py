@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from drivers.canopen.nmt import Emergency
-from drivers.timebase import NS_PER_MS, Instant
-from hil.recording.fault_report import FAULT_FILE, FRAMES_MAX, last_frames, write_fault_report
+from servobench.drivers.canopen.nmt import Emergency
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.recording.fault_report import FAULT_FILE, FRAMES_MAX, last_frames, write_fault_report
 
 FRAMES = "(1.000000) can0 080#\n(1.000135) can0 181#2706000000000000\n(1.002000) can0 081#1023028000000000\n"
 

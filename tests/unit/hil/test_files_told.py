@@ -7,10 +7,10 @@ from typing import Any, Final
 
 import pytest
 
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config_files import Section, validated
-from hil.configuration.controller_kinds import ControllerFile
-from hil.configuration.motor_file import MotorFile
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config_files import Section, validated
+from servobench.hil.configuration.controller_kinds import ControllerFile
+from servobench.hil.configuration.motor_file import MotorFile
 from tests.told import ROOT, hold, struck
 
 EXAMPLES: Final = ROOT / "examples"

@@ -8,29 +8,29 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.timebase import Duration, Instant
-from hil.configuration.network_file import load_network
-from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
-from hil.recording.log_files import (
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.configuration.network_file import load_network
+from servobench.hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
+from servobench.hil.recording.log_files import (
     FaultsKeeper,
     FramesKeeper,
     NetworkKeeper,
 )
-from hil.recording.tail import FRAMES_TAIL_FILE, read_tail
-from hil.reviewing.review import Review
-from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from hil.rows.run_zero import RunZero
-from hil.rows.side_rows import (
+from servobench.hil.recording.tail import FRAMES_TAIL_FILE, read_tail
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from servobench.hil.rows.run_zero import RunZero
+from servobench.hil.rows.side_rows import (
     FRAME_DTYPE,
     BeginEvent,
     RunEvent,
     frame_row,
 )
+from servobench.virtual_bus.faults.fault_log import BLOCK_BYTES, KIND_CODES, FaultLog
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 from tests.unit.hil.test_log_files import summary_of
 from tests.unit.hil.test_recording_keepers import BEGIN, NO_FRAMES, NO_ROWS, STARTED, lines, plan, tell
-from virtual_bus.faults.fault_log import BLOCK_BYTES, KIND_CODES, FaultLog
 
 __all__ = ["plan"]
 

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_MS, NS_PER_S
-from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG
-from hil.rows.frame_order import JITTER_NS, SILENCE_NS, FrameOrder
-from hil.rows.side_rows import FRAME, FRAME_DTYPE
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
+from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG
+from servobench.hil.rows.frame_order import JITTER_NS, SILENCE_NS, FrameOrder
+from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
 
 SENT, RECEIVED, SENT_ON_SECOND, RECEIVED_ON_SECOND = 1, 0, 3, 2
 

@@ -4,16 +4,16 @@ from pathlib import Path
 
 import pytest
 
-from drivers.wire.adapters import parse_bus_spec
-from hil.commissioning.commission import commission
-from hil.commissioning.dialog import Dialog, EmergencyStop
-from hil.commissioning.request import CommissionRequest, Nameplate
-from hil.commissioning.steps import all_steps
-from hil.execution.world import WorldPlan, open_world
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.commissioning.commission import commission
+from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.hil.commissioning.steps import all_steps
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
+from servobench.virtual_bus.frame import Frame
 from tests.scenario.foreign_node import ForeignNode, put_on_the_bus
 from tests.scenario.measuring import measuring_rig
-from virtual_bus.drive.unknown_drive import unknown_drive
-from virtual_bus.frame import Frame
 
 STEPS = 7
 """From the first question to the drive enabled at rest."""

@@ -7,7 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from hil.cli import app
+from servobench.hil.cli import app
 
 _BRACKETS = re.compile(r"\[[^\[\]]+\]")
 

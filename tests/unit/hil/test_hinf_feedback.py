@@ -5,17 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import BadInput
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.configuration.bench_file import load_controller
-from hil.configuration.hinf_section import HinfSection
-from hil.configuration.motor_file import LING2012
-from hil.control.hinf import HinfFeedback
-from hil.control.setup import Setup
-from hil.loop.context import Context, TorqueSetPoint
-from hil.loop.samples import StateEstimate
-from hil.loop.scenario import Ramp, ReferenceProfile
+from servobench.drivers.errors import BadInput
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.configuration.bench_file import load_controller
+from servobench.hil.configuration.hinf_section import HinfSection
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.control.hinf import HinfFeedback
+from servobench.hil.control.setup import Setup
+from servobench.hil.loop.context import Context, TorqueSetPoint
+from servobench.hil.loop.samples import StateEstimate
+from servobench.hil.loop.scenario import Ramp, ReferenceProfile
 
 PERIOD = Duration(NS_PER_MS)
 A = ((0.5, 0.2, 0.0), (-0.2, 0.5, 0.0), (0.0, 0.1, 0.9))

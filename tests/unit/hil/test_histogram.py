@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.reviewing.histogram import TimeHistogram, _bucket_of, _bucket_range
+from servobench.hil.reviewing.histogram import TimeHistogram, _bucket_of, _bucket_range
 
 times = st.lists(st.integers(0, 2**50 - 1) | st.integers(0, 5_000), min_size=1, max_size=60)
 

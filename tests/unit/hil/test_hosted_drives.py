@@ -14,27 +14,32 @@ import can
 import numpy as np
 import pytest
 
-from drivers.canopen.nmt_states import UNCONFIGURED
-from drivers.errors import BadInput
-from drivers.timebase import Clock, Instant
-from drivers.wire.adapters import parse_bus_spec
-from drivers.wire.link import BusLink
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config import BenchConfig
-from hil.configuration.motor_file import LING2012
-from hil.configuration.toml_text import toml_text
-from hil.execution import simulated_drives as hosting
-from hil.execution.device_files import DeviceFiles
-from hil.execution.simulated_drives import drive_parameters, host_drives, simulate, simulated_drives
-from hil.execution.world import WorldPlan
+from servobench.drivers.canopen.nmt_states import UNCONFIGURED
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Clock, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.wire.link import BusLink
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.execution import simulated_drives as hosting
+from servobench.hil.execution.device_files import DeviceFiles
+from servobench.hil.execution.simulated_drives import (
+    drive_parameters,
+    host_drives,
+    simulate,
+    simulated_drives,
+)
+from servobench.hil.execution.world import WorldPlan
+from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
+from servobench.virtual_bus.frame import Device, Frame
 from tests.rehearsals.made_sheet import PRODUCT, REVISION, VENDOR, MadeSheet
 from tests.unit.hil.test_config import EXAMPLES, edited
 from tests.unit.hil.test_signal_file import written
-from virtual_bus.drive.load_table import LoadTable
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.drive.unknown_drive import unknown_drive
-from virtual_bus.frame import Device, Frame
 
 CONTROLLERS: Final = Path(EXAMPLES) / "controllers"
 SAMPLED: Final = """[current_controller]

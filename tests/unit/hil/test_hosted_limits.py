@@ -8,12 +8,12 @@ from typing import Any, Final
 
 import pytest
 
-from drivers.errors import PeerFault
-from drivers.timebase import NS_PER_MS, NS_PER_S
-from hil.configuration.motor_file import LING2012
-from hil.testing import hosted
-from hil.testing.hosted import DriveHost, DriveProcess, DriveWish
-from virtual_bus.timeline import SimulatedClock, Timeline
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.testing import hosted
+from servobench.hil.testing.hosted import DriveHost, DriveProcess, DriveWish
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 
 READY: Final = "on the bus; Ctrl-C ends it\n"
 

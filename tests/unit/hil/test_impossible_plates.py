@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from design.flux_constants import CONVENTIONS
-from hil.cli import app
-from hil.commissioning.outcome import StepRecord, StepVerdict
-from hil.commissioning.report import Commissioned
-from hil.commissioning.request import PlateMotor
-from hil.configuration.toml_text import toml_text
+from servobench.design.flux_constants import CONVENTIONS
+from servobench.hil.cli import app
+from servobench.hil.commissioning.outcome import StepRecord, StepVerdict
+from servobench.hil.commissioning.report import Commissioned
+from servobench.hil.commissioning.request import PlateMotor
+from servobench.hil.configuration.toml_text import toml_text
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.commissioning import unknown_world
-from virtual_bus.drive.unknown_drive import unknown_drive
 
 SEED = 7
 """Its drive tells twice its rated torque, so a plate that is mended by the drive has twice the torque."""

@@ -5,18 +5,18 @@ from typing import Final
 
 import pytest
 
-from drivers.canopen.nmt import Emergency
-from drivers.timebase import NS_PER_MS, Instant
-from hil.recording.fault_report import last_frames, write_fault_report
-from hil.recording.memory_recorder import KeptFrame, MemoryRecorder
-from hil.rows.injected_faults import InjectedFaults
-from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
+from servobench.drivers.canopen.nmt import Emergency
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.recording.fault_report import last_frames, write_fault_report
+from servobench.hil.recording.memory_recorder import KeptFrame, MemoryRecorder
+from servobench.hil.rows.injected_faults import InjectedFaults
+from servobench.hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultEntry
+from servobench.virtual_bus.faults.log_kind import NONE
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.fault_log import AT_NODE, KIND_CODES, FaultEntry
-from virtual_bus.faults.log_kind import NONE
 
 ZERO: Final = Instant(1_000 * NS_PER_MS)
 DOWN: Final = int(Direction.HOST_TO_DRIVE)

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import BadInput
-from hil.recorded import report as report_module
-from hil.recorded.judgement import Judged, _certified, judge_run, load_requirements
-from hil.recorded.recorded_run import signals_of
-from hil.recorded.report import limit_rows, write_report
-from hil.rows.records import Rows
-from hil.verdict.summary import Percentiles, Summary
-from hil.verdict.verdict import (
+from servobench.drivers.errors import BadInput
+from servobench.hil.recorded import report as report_module
+from servobench.hil.recorded.judgement import Judged, _certified, judge_run, load_requirements
+from servobench.hil.recorded.recorded_run import signals_of
+from servobench.hil.recorded.report import limit_rows, write_report
+from servobench.hil.rows.records import Rows
+from servobench.hil.verdict.summary import Percentiles, Summary
+from servobench.hil.verdict.verdict import (
     Check,
     Demand,
     Finding,

@@ -8,25 +8,25 @@ from typing import Final
 import numpy as np
 import pytest
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.recorded.recorded_run import RecordedRun, open_run, signals_of
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.recording.run_folder import write_summary
-from hil.recording.sealer import Sealer
-from hil.rows.recording_plan import PlannedSetPoint
-from hil.rows.records import NAMES
-from hil.rows.records_file import RecordsWriter
-from hil.rows.side_rows import BeginEvent, LoadEvent, StateEvent, TextEvent
-from hil.testing.run import Run
-from hil.testing.wire import SeenFrame
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.recorded.recorded_run import RecordedRun, open_run, signals_of
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.recording.run_folder import write_summary
+from servobench.hil.recording.sealer import Sealer
+from servobench.hil.rows.recording_plan import PlannedSetPoint
+from servobench.hil.rows.records import NAMES
+from servobench.hil.rows.records_file import RecordsWriter
+from servobench.hil.rows.side_rows import BeginEvent, LoadEvent, StateEvent, TextEvent
+from servobench.hil.testing.run import Run
+from servobench.hil.testing.wire import SeenFrame
+from servobench.virtual_bus.faults.fault_log import KIND_CODES
 from tests.unit.hil.made_runs import BENCH
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 from tests.unit.hil.test_frame_keepers import blocks
 from tests.unit.hil.test_report import summary
-from virtual_bus.faults.fault_log import KIND_CODES
 
 pytestmark = pytest.mark.usefixtures("forked_children")
 

@@ -5,11 +5,11 @@ from typing import Any
 import pytest
 from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable
 
-from drivers.cia402.drive_setup import Identity
-from drivers.errors import TransferAborted
-from hil.commissioning.files import dcf_text
-from hil.commissioning.known_objects import differing, dump, missing, variables
-from hil.restoring.journal import ObjectKey
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.errors import TransferAborted
+from servobench.hil.commissioning.files import dcf_text
+from servobench.hil.commissioning.known_objects import differing, dump, missing, variables
+from servobench.hil.restoring.journal import ObjectKey
 
 
 class Node:

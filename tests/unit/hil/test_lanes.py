@@ -8,9 +8,9 @@ from typing import Any, Final, cast
 import numpy as np
 import pytest
 
-from drivers.rotation import RPM_PER_RAD_S
-from drivers.timebase import NS_PER_MS
-from hil.recording.lanes import (
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.drivers.timebase import NS_PER_MS
+from servobench.hil.recording.lanes import (
     FaultWindows,
     dropout_lane,
     error_lane,
@@ -18,12 +18,12 @@ from hil.recording.lanes import (
     lane_colors,
     track_path,
 )
-from hil.reviewing.envelope import CodeLane, Envelope
-from hil.reviewing.review import Review
-from hil.reviewing.speed_error import SpeedErrorMeter
-from hil.rows.recording_plan import AxisPlan, ReviewPlan
-from hil.rows.row_states import LabelChange
-from hil.verdict.verdict import VerdictLimits
+from servobench.hil.reviewing.envelope import CodeLane, Envelope
+from servobench.hil.reviewing.review import Review
+from servobench.hil.reviewing.speed_error import SpeedErrorMeter
+from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
+from servobench.hil.rows.row_states import LabelChange
+from servobench.hil.verdict.verdict import VerdictLimits
 
 AXES: Final = ("axis1", "left arm")
 RED, GREEN, AMBER, DIM, DARK = 0xB3202AFF, 0x1E6B35FF, 0xA67C1BFF, 0x3F4650FF, 0x1B1E23FF

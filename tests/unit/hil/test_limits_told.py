@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from hil.verdict.summary import (
+from servobench.hil.verdict.summary import (
     NO_TIMES,
     DropoutCounts,
     Figures,
@@ -16,8 +16,8 @@ from hil.verdict.summary import (
     metric_title,
     summarise,
 )
-from hil.verdict.summary_text import certificate_lines, certificate_rows, timing_lines
-from hil.verdict.verdict import (
+from servobench.hil.verdict.summary_text import certificate_lines, certificate_rows, timing_lines
+from servobench.hil.verdict.verdict import (
     Check,
     CycleCount,
     Demand,

@@ -8,17 +8,17 @@ from typing import Any, Final
 import can
 import pytest
 
-from drivers.errors import BadInput, BusDown
-from drivers.timebase import Duration
-from drivers.wire.adapters import OpenBus, parse_bus_spec
-from drivers.wire.link import StampSource
-from hil.inspecting import live_trace
-from hil.inspecting.live_trace import live_frames
-from hil.inspecting.scanning import OpenedBus, ScanPlan
-from hil.reviewing.trace.log_frame import LogFrame
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.bus.hub_protocol import HubStatus
+from servobench.drivers.errors import BadInput, BusDown
+from servobench.drivers.timebase import Duration
+from servobench.drivers.wire.adapters import OpenBus, parse_bus_spec
+from servobench.drivers.wire.link import StampSource
+from servobench.hil.inspecting import live_trace
+from servobench.hil.inspecting.live_trace import live_frames
+from servobench.hil.inspecting.scanning import OpenedBus, ScanPlan
+from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.bus.hub_protocol import HubStatus
 
 _channels: Final = count()
 SPEC: Final = parse_bus_spec("virtual:looked-at")

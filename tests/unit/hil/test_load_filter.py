@@ -8,7 +8,7 @@ import pytest
 import scipy.linalg
 from numpy.typing import NDArray
 
-from hil.control.load_filter import STEP_SIGMAS, Covariance, FilterNoise, LoadFilter
+from servobench.hil.control.load_filter import STEP_SIGMAS, Covariance, FilterNoise, LoadFilter
 from tests.unit.hil.test_predictor import PLANT, generator
 
 Array = NDArray[np.float64]

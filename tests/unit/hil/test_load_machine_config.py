@@ -8,14 +8,14 @@ from typing import cast
 import numpy as np
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.errors import BenchError
-from drivers.instruments.dynamometer import LineCounts, LoadReading
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.bench_file import load_bench
-from hil.load.load_machines import InstrumentLoadMachine
-from hil.recording.verdict_text import verdict_markdown
-from hil.rows.side_rows import EVENT_DTYPE, LoadEvent, event_row, events_of
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.errors import BenchError
+from servobench.drivers.instruments.dynamometer import LineCounts, LoadReading
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.load.load_machines import InstrumentLoadMachine
+from servobench.hil.recording.verdict_text import verdict_markdown
+from servobench.hil.rows.side_rows import EVENT_DTYPE, LoadEvent, event_row, events_of
 from tests.scenario.processes import EXAMPLES
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_summary import summary_with

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.recording.log_files import FramesKeeper, LiveKeeper, RowBlocks, open_keepers
-from hil.reviewing.review import Review
-from hil.rows.records import ROW_DTYPE
-from hil.rows.side_rows import FRAME, FRAME_DTYPE
-from hil.verdict.summary import Figures, Summary, summarise
+from servobench.hil.recording.log_files import FramesKeeper, LiveKeeper, RowBlocks, open_keepers
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.records import ROW_DTYPE
+from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
+from servobench.hil.verdict.summary import Figures, Summary, summarise
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from drivers.record import replaced
-from drivers.timebase import Instant
-from hil.recording.logger import Logger
-from hil.recording.logger_process import LineReader
-from hil.rows.records import row_of
-from hil.rows.side_rows import TextEvent, frame_row
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.record import replaced
+from servobench.drivers.timebase import Instant
+from servobench.hil.recording.logger import Logger
+from servobench.hil.recording.logger_process import LineReader
+from servobench.hil.rows.records import row_of
+from servobench.hil.rows.side_rows import TextEvent, frame_row
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import VerdictKind
+from servobench.virtual_bus.faults.fault_log import BLOCK
 from tests.unit.hil.logger_fakes import Rings, made_rings
 from tests.unit.hil.recording_tools import files_below, plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
-from virtual_bus.faults.fault_log import BLOCK
 
 CYCLES = 300
 OUTCOME = json.dumps(asdict(whole_outcome(CYCLES))).encode() + b"\n"

@@ -4,12 +4,21 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.recording.log_files import Keeper
-from hil.recording.logger import Logger
-from hil.rows.recording_plan import PlannedSetPoint
-from hil.rows.records import ROW
-from hil.rows.side_rows import FRAME, BeginEvent, RunEvent, StateEvent, TextEvent, event_row, frame_row
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.recording.log_files import Keeper
+from servobench.hil.recording.logger import Logger
+from servobench.hil.rows.recording_plan import PlannedSetPoint
+from servobench.hil.rows.records import ROW
+from servobench.hil.rows.side_rows import (
+    FRAME,
+    BeginEvent,
+    RunEvent,
+    StateEvent,
+    TextEvent,
+    event_row,
+    frame_row,
+)
+from servobench.virtual_bus.faults.fault_log import BLOCK, KIND_CODES
 from tests.unit.hil.logger_fakes import (
     EVENTS,
     FAULTS,
@@ -30,7 +39,6 @@ from tests.unit.hil.logger_fakes import (
     rings,
 )
 from tests.unit.hil.row_tools import plain_rows
-from virtual_bus.faults.fault_log import BLOCK, KIND_CODES
 
 __all__ = ["clock", "keepers", "kept", "rings"]
 

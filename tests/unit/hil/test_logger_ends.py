@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import pytest
 
-from drivers.timebase import NS_PER_MS
-from hil.recording import logger as module
-from hil.recording.log_files import LIVE_VIEW, Keeper
-from hil.recording.logger import main
-from hil.rows.recording_plan import RecordingPlan
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.timebase import NS_PER_MS
+from servobench.hil.recording import logger as module
+from servobench.hil.recording.log_files import LIVE_VIEW, Keeper
+from servobench.hil.recording.logger import main
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.verdict.verdict import VerdictKind
 from tests.unit.hil.logger_fakes import (
     LOSS,
     NOTHING_KEPT,

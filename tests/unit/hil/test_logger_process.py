@@ -12,10 +12,16 @@ from typing import Any, Final
 
 import pytest
 
-from drivers.timebase import NS_PER_S, Instant
-from hil.recording import logger_process
-from hil.recording.logger_process import LoggerProcess, RecordingFailed, last_line, salvage, start_python
-from hil.rows.recording_plan import RecordingPlan
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.recording import logger_process
+from servobench.hil.recording.logger_process import (
+    LoggerProcess,
+    RecordingFailed,
+    last_line,
+    salvage,
+    start_python,
+)
+from servobench.hil.rows.recording_plan import RecordingPlan
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.test_report import summary
 
@@ -163,11 +169,11 @@ def test_it_is_started_with_the_rings_and_told_its_plan(
     process: ScriptedProcess, started: Started, plan: RecordingPlan, tmp_path: Path
 ) -> None:
     logger = LoggerProcess(plan, RINGS)
-    assert started == [("hil.recording.logger", RINGS, tmp_path / "logger.log")]
+    assert started == [("servobench.hil.recording.logger", RINGS, tmp_path / "logger.log")]
     assert process.heard == json.dumps(plan.as_json()) + "\n"
     assert logger.process_id == 4711
     LoggerProcess(replace(plan, folder=None), RINGS)
-    assert started[1] == ("hil.recording.logger", RINGS, None), "nothing is kept"
+    assert started[1] == ("servobench.hil.recording.logger", RINGS, None), "nothing is kept"
 
 
 def test_it_is_waited_for_until_it_drains(
@@ -331,10 +337,10 @@ def test_a_program_of_ours_inherits_the_rings_and_is_in_a_session_of_its_own(
     calls: list[tuple[list[str], dict[str, Any]]] = []
     monkeypatch.setattr(subprocess, "Popen", lambda command, **options: calls.append((command, options)))
     (tmp_path / "log").write_text("before\n")
-    start_python("hil.recording.logger", (3, 4), tmp_path / "log")
-    start_python("hil.recording.logger", (), None)
+    start_python("servobench.hil.recording.logger", (3, 4), tmp_path / "log")
+    start_python("servobench.hil.recording.logger", (), None)
     (command, options), (_, without) = calls
-    assert command[-4:] == ["-m", "hil.recording.logger", "3", "4"]
+    assert command[-4:] == ["-m", "servobench.hil.recording.logger", "3", "4"]
     assert (options["stdin"], options["stdout"]) == (subprocess.PIPE, subprocess.PIPE)
     assert (options["text"], options["start_new_session"]) == (True, True)
     assert options["pass_fds"] == (3, 4)
@@ -361,7 +367,7 @@ def test_a_dead_logger_s_recording_is_finished_by_another_process(
     process.says(json.dumps(summary().as_json()))
     process.closes()
     assert salvage(plan, RINGS, OUTCOME, "it died") == summary()
-    assert started == [("hil.recording.recovery", RINGS, tmp_path / "logger.log")]
+    assert started == [("servobench.hil.recording.recovery", RINGS, tmp_path / "logger.log")]
     assert json.loads(process.heard) == {
         "plan": json.loads(json.dumps(plan.as_json())),
         "outcome": json.loads(json.dumps(asdict(OUTCOME))),

@@ -6,15 +6,15 @@ from itertools import pairwise
 
 import pytest
 
-from drivers.errors import DriveInFault, LimitExceeded, NoAnswer
-from drivers.exchange import Command, SentCommand, SpeedCommand
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.control.compensation import Stamp
-from hil.loop.axis_roles import Controller
-from hil.loop.loop import Actuation, LoopOutcome
-from hil.loop.pace import CALIBRATION_SYNCS, CALIBRATION_SYNCS_MAX
-from hil.loop.safety import SpeedLimits, TorqueLimits
-from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
+from servobench.drivers.errors import DriveInFault, LimitExceeded, NoAnswer
+from servobench.drivers.exchange import Command, SentCommand, SpeedCommand
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.control.compensation import Stamp
+from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.loop import Actuation, LoopOutcome
+from servobench.hil.loop.pace import CALIBRATION_SYNCS, CALIBRATION_SYNCS_MAX
+from servobench.hil.loop.safety import SpeedLimits, TorqueLimits
+from servobench.hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
 from tests.unit.hil.loop_fakes import (
     DEVICE_CLOCK_OFFSET_NS,
     PERIOD,

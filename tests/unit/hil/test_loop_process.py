@@ -12,8 +12,13 @@ import pytest
 pytestmark = pytest.mark.long
 
 KEPT_OUT = {
-    "hil.execution.bench": {"rerun", "pyarrow", "matplotlib", "cvxpy", "scipy.optimize"},
-    "hil.recording.logger": {"scipy", "matplotlib", "cvxpy", "hil.configuration.config"},
+    "servobench.hil.execution.bench": {"rerun", "pyarrow", "matplotlib", "cvxpy", "scipy.optimize"},
+    "servobench.hil.recording.logger": {
+        "scipy",
+        "matplotlib",
+        "cvxpy",
+        "servobench.hil.configuration.config",
+    },
 }
 
 

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from design.confidence import clopper_pearson
-from hil.measuring.loss_model import (
+from servobench.design.confidence import clopper_pearson
+from servobench.hil.measuring.loss_model import (
     CAME,
     LOST,
     UNKNOWN,

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from hil.measuring.loss_model import (
+from servobench.hil.measuring.loss_model import (
     CAME,
     LOST,
     UNKNOWN,
@@ -18,7 +18,7 @@ from hil.measuring.loss_model import (
 
 
 def chain(truth: Parameters, frames: int, seed: int) -> Outcomes:
-    """What a link of these parameters loses, frame by frame, as virtual_bus.faults does it."""
+    """What a link of these parameters loses, frame by frame, as servobench.virtual_bus.faults does it."""
     random = np.random.default_rng(seed)
     moves, strikes = random.random(frames), random.random(frames)
     outcomes = np.zeros(frames, np.int8)

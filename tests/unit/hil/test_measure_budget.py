@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT
-from drivers.errors import BadInput
-from hil.measuring.subject import MeasureRequest, affordable
+from servobench.drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT
+from servobench.drivers.errors import BadInput
+from servobench.hil.measuring.subject import MeasureRequest, affordable
 
 ASKED = MeasureRequest("hub:x", (1,), 1000, 1000, 1_000_000, enable=False, speed_max_rad_s=10.0)
 SHORTEST = 250

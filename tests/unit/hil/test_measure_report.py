@@ -10,19 +10,19 @@ import pytest
 from matplotlib.figure import Figure
 from typer.testing import CliRunner, Result
 
-from design.confidence import Interval
-from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.wire.frame_port import EchoBasis
-from hil.cli import app
-from hil.configuration.motor_file import LING2012
-from hil.configuration.network_file import DelayFigures, Network, load_network
-from hil.measuring import measure, picture
-from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive, fault_plan_text
-from hil.measuring.loss_model import Losses, LossModel, Parameters
-from hil.measuring.stages import WAYS, stage
-from hil.measuring.subject import MeasureRequest
-from hil.terminal.measure_report import print_measured
+from servobench.design.confidence import Interval
+from servobench.drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.cli import app
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.configuration.network_file import DelayFigures, Network, load_network
+from servobench.hil.measuring import measure, picture
+from servobench.hil.measuring.figures import ClockFigures, Measured, MeasuredDrive, fault_plan_text
+from servobench.hil.measuring.loss_model import Losses, LossModel, Parameters
+from servobench.hil.measuring.stages import WAYS, stage
+from servobench.hil.measuring.subject import MeasureRequest
+from servobench.hil.terminal.measure_report import print_measured
 from tests.told import ROOT
 
 REQUEST = MeasureRequest("hub:x", (3, 4), 500, 1000, 1_000_000, enable=True, speed_max_rad_s=10.0)

@@ -9,13 +9,13 @@ from typing import Any, Final, cast
 import numpy as np
 import pytest
 
-from design.confidence import Interval, clopper_pearson
-from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
-from drivers.wire.frame_port import EchoBasis
-from hil.configuration.network_file import ClockHealth
-from hil.loop.axis import Axis
-from hil.loop.samples import CommandFate
-from hil.measuring.figures import (
+from servobench.design.confidence import Interval, clopper_pearson
+from servobench.drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.configuration.network_file import ClockHealth
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.samples import CommandFate
+from servobench.hil.measuring.figures import (
     ClockFigures,
     Measured,
     MeasuredDrive,
@@ -26,11 +26,11 @@ from hil.measuring.figures import (
     quantile_below_us,
     stage_json,
 )
-from hil.measuring.loss_model import LOST, Losses, LossModel, Parameters
-from hil.measuring.stages import Stage, command_stages, stage, ways
-from hil.measuring.stamp_probe import StampFigures
-from hil.measuring.subject import MeasureRequest
-from hil.rows.records import COMMAND_FATES, NOTHING, Rows
+from servobench.hil.measuring.loss_model import LOST, Losses, LossModel, Parameters
+from servobench.hil.measuring.stages import Stage, command_stages, stage, ways
+from servobench.hil.measuring.stamp_probe import StampFigures
+from servobench.hil.measuring.subject import MeasureRequest
+from servobench.hil.rows.records import COMMAND_FATES, NOTHING, Rows
 from tests.unit.hil.test_measuring import change, rows_of, sent
 
 REQUEST: Final = MeasureRequest("hub:x", (3,), 500, 1000, 1_000_000, enable=True, speed_max_rad_s=10.0)

@@ -7,31 +7,31 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_planner import mode_plan
-from drivers.cia402.pdo_plans import PlanWish, status_timer_ms
-from drivers.cia402.profile import Mode
-from drivers.cia402.servo import ServoDrive
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.adapters import parse_bus_spec
-from drivers.wire.frame_port import EchoBasis, FrameTap
-from hil.execution.world import WorldPlan, open_world
-from hil.loop.axis import Axis
-from hil.loop.loop import Actuation, LoopTiming
-from hil.loop.samples import AT_REST
-from hil.loop.scenario import Quantity
-from hil.loop.syncs import SyncLog
-from hil.measuring.subject import Excitation, MeasureRequest, Subject, timing_of
-from hil.write_lists import RIG
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.pdo_planner import mode_plan
+from servobench.drivers.cia402.pdo_plans import PlanWish, status_timer_ms
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.wire.frame_port import EchoBasis, FrameTap
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.loop import Actuation, LoopTiming
+from servobench.hil.loop.samples import AT_REST
+from servobench.hil.loop.scenario import Quantity
+from servobench.hil.loop.syncs import SyncLog
+from servobench.hil.measuring.subject import Excitation, MeasureRequest, Subject, timing_of
+from servobench.hil.write_lists import RIG
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.motors import LING
 from tests.unit.hil.cycles import in_cycle
 from tests.unit.hil.row_tools import record_of, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
 
 ASKED = MeasureRequest("simulated", (1,), 40, 1000, 1_000_000, enable=True, speed_max_rad_s=20.0, seed=5)
 DISABLED = replace(ASKED, enable=False)

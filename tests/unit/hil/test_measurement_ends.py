@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from drivers.cia402.supervision import Release
-from drivers.errors import PeerFault
-from hil.measuring import measure
-from hil.measuring.measure import Measurement
+from servobench.drivers.cia402.supervision import Release
+from servobench.drivers.errors import PeerFault
+from servobench.hil.measuring import measure
+from servobench.hil.measuring.measure import Measurement
 
 PUT_BACK = SimpleNamespace(complete=True, failures=[])
 

@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import BadInput
-from drivers.exchange import SentCommand
-from drivers.record import replaced
-from drivers.timebase import Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.configuration.network_file import load_network, network_text
-from hil.loop.samples import AT_REST, CommandFate
-from hil.measuring.figures import network_of
-from hil.measuring.loss_model import CAME, LOST, UNKNOWN
-from hil.measuring.probe import TimedDemandChange, acting
-from hil.measuring.stages import Stage, command_stages, host_stages, reading_stages, refined, ways
-from hil.measuring.subject import Excitation, steps_of
-from hil.rows.records import COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
+from servobench.drivers.errors import BadInput
+from servobench.drivers.exchange import SentCommand
+from servobench.drivers.record import replaced
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.configuration.network_file import load_network, network_text
+from servobench.hil.loop.samples import AT_REST, CommandFate
+from servobench.hil.measuring.figures import network_of
+from servobench.hil.measuring.loss_model import CAME, LOST, UNKNOWN
+from servobench.hil.measuring.probe import TimedDemandChange, acting
+from servobench.hil.measuring.stages import Stage, command_stages, host_stages, reading_stages, refined, ways
+from servobench.hil.measuring.subject import Excitation, steps_of
+from servobench.hil.rows.records import COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
 from tests.unit.hil.cycles import advance, torque_of
 
 PERIOD_NS = 1_000_000

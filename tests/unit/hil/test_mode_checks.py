@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config_errors import bad_inputs_of
-from hil.configuration.references import peak_rate
-from hil.loop.scenario import Quantity
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config_errors import bad_inputs_of
+from servobench.hil.configuration.references import peak_rate
+from servobench.hil.loop.scenario import Quantity
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 

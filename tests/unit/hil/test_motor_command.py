@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
-from hil.configuration.motor_file import load_motor
-from hil.studies.motor.figures import FIGURES, GROUPS, option
+from servobench.hil.cli import app
+from servobench.hil.configuration.motor_file import load_motor
+from servobench.hil.studies.motor.figures import FIGURES, GROUPS, option
 
 SHEET = {
     "--poles": 10, "--r-line-ohm": 1.8, "--l-line-mh": 5.4, "--kt-nm-arms": 0.8, "--ke-line-vrms-krpm": 48.4,
@@ -117,7 +117,7 @@ def test_a_file_that_is_there_is_kept(tmp_path: Path) -> None:
 
 
 def test_somebody_at_a_terminal_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.terminal.motor.at_terminal", lambda: True)
+    monkeypatch.setattr("servobench.hil.terminal.motor.at_terminal", lambda: True)
     gone = {"--poles": None, "--r-line-ohm": None, "--dc-bus-v": None}
     status, text = _new(tmp_path / "a.toml", dict.fromkeys(gone), text="2\n5\n1\n1.8\n325\n")
     assert status == 0, text

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from design.motor_figures import motor_figures
-from hil.cli import app
-from hil.configuration.motor_file import load_motor
-from hil.studies.motor.figures import FIGURES, GROUPS
+from servobench.design.motor_figures import motor_figures
+from servobench.hil.cli import app
+from servobench.hil.configuration.motor_file import load_motor
+from servobench.hil.studies.motor.figures import FIGURES, GROUPS
 from tests.picture_text import drawn
 from tests.unit.hil.test_motor_command import SHEET
 
@@ -27,7 +27,7 @@ def show(*arguments: str | Path) -> Result:
 
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.terminal.motor.at_terminal", lambda: True)
+    monkeypatch.setattr("servobench.hil.terminal.motor.at_terminal", lambda: True)
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from design.motor import Transform
-from drivers.errors import BadInput
-from hil.configuration.config_errors import BadInputs
-from hil.configuration.motor_file import LING2012, load_motor, speed_max_rpm
+from servobench.design.motor import Transform
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.config_errors import BadInputs
+from servobench.hil.configuration.motor_file import LING2012, load_motor, speed_max_rpm
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "motors"
 

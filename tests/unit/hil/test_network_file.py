@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import BadInput, BenchError
-from hil.configuration.network_file import ClockHealth, Network, load_network, network_text
-from hil.loop.samples import CommandFate
-from hil.recording.log_files import NetworkKeeper
-from hil.reviewing.network_meter import NetworkMeter
-from hil.reviewing.review import Review
-from hil.rows.recording_plan import AxisPlan, ReviewPlan
-from hil.rows.records import COMMAND_FATES, FATE_MISSED, NOTHING, ROW_DTYPE, Rows
+from servobench.drivers.errors import BadInput, BenchError
+from servobench.hil.configuration.network_file import ClockHealth, Network, load_network, network_text
+from servobench.hil.loop.samples import CommandFate
+from servobench.hil.recording.log_files import NetworkKeeper
+from servobench.hil.reviewing.network_meter import NetworkMeter
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
+from servobench.hil.rows.records import COMMAND_FATES, FATE_MISSED, NOTHING, ROW_DTYPE, Rows
+from servobench.virtual_bus.faults.fault_plan import read_fault_plan
 from tests.unit.hil.test_summary import summary_with, timing
-from virtual_bus.faults.fault_plan import read_fault_plan
 
 PERIOD_US, PERIOD_NS = 2_000, 2_000_000
 LOST = 1

@@ -5,16 +5,16 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput, BenchError, LimitExceeded
-from drivers.exchange import Command
-from drivers.timebase import Duration, Instant
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config import BenchConfig
-from hil.configuration.motor_file import LING2012
-from hil.configuration.network_file import Network
-from hil.configuration.speed_controller_file import MadeFor
-from hil.execution.network_guard import Allowed, Certificates, NetworkGuard, allowed
-from hil.loop.samples import (
+from servobench.drivers.errors import BadInput, BenchError, LimitExceeded
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.configuration.network_file import Network
+from servobench.hil.configuration.speed_controller_file import MadeFor
+from servobench.hil.execution.network_guard import Allowed, Certificates, NetworkGuard, allowed
+from servobench.hil.loop.samples import (
     CommandFate,
     CycleRecord,
     Dropout,
@@ -24,7 +24,7 @@ from hil.loop.samples import (
     Sending,
     StateEstimate,
 )
-from hil.studies.speed.controller_text import plant_of
+from servobench.hil.studies.speed.controller_text import plant_of
 from tests.unit.hil.loop_fakes import reading_at
 
 PERIOD = Duration(2_000_000)

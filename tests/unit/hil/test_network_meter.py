@@ -5,10 +5,10 @@ from itertools import groupby
 import numpy as np
 import pytest
 
-from hil.configuration.network_file import ClockHealth, DelayFigures, DelayHistogram, Network
-from hil.loop.samples import CommandFate, DropoutCause
-from hil.reviewing.histogram import TimeHistogram
-from hil.reviewing.network_meter import (
+from servobench.hil.configuration.network_file import ClockHealth, DelayFigures, DelayHistogram, Network
+from servobench.hil.loop.samples import CommandFate, DropoutCause
+from servobench.hil.reviewing.histogram import TimeHistogram
+from servobench.hil.reviewing.network_meter import (
     STAMPED_WITHIN,
     LossRuns,
     NetworkMeter,
@@ -18,7 +18,7 @@ from hil.reviewing.network_meter import (
     histogram_of,
     runs_of,
 )
-from hil.rows.records import CAUSES, COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
+from servobench.hil.rows.records import CAUSES, COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
 from tests.unit.hil.test_summary import summary_with, timing
 
 US = 1_000

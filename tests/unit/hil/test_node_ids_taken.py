@@ -4,17 +4,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
-from drivers.wire.link import BusLink, StampSource
-from hil.configuration.motor_file import LING2012
-from hil.execution.simulated_drives import refuse_taken
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.device.background import Stream, background_nodes
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import SimulatedClock, Timeline
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration
+from servobench.drivers.wire.link import BusLink, StampSource
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.execution.simulated_drives import refuse_taken
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.device.background import Stream, background_nodes
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 
 
 class Segment:

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from drivers.cia402.scaling import ScaleOverride
-from hil.reviewing.trace.node_objects import NodeObjects
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.hil.reviewing.trace.node_objects import NodeObjects
 
 U32 = 4
 RATED_NM, RATED_A = 1.27, 4.0

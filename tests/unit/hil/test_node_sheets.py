@@ -5,9 +5,9 @@ import math
 import pytest
 from canopen.objectdictionary import ODArray, ODVariable
 
-from drivers.canopen.data_types import DataType
-from drivers.cia402.scaling import ScaleOverride
-from hil.reviewing.trace.node_objects import NodeObjects
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.hil.reviewing.trace.node_objects import NodeObjects
 from tests.unit.hil.test_known_objects import sheet, variable
 
 RPM = 2.0 * math.pi / 60.0

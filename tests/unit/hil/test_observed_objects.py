@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from hil import Run, run
-from hil.cli import app
-from hil.configuration.motor_file import LING2012
-from hil.configuration.toml_text import toml_text
+from servobench import Run, run
+from servobench.hil.cli import app
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.configuration.toml_text import toml_text
 from tests.rrd_columns import numbers
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]

@@ -5,8 +5,13 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from drivers.canopen.pdo import PdoEntry
-from hil.configuration.observed_objects import ENTRIES_MAX, Observe, ObservedObject, observed_faults
+from servobench.drivers.canopen.pdo import PdoEntry
+from servobench.hil.configuration.observed_objects import (
+    ENTRIES_MAX,
+    Observe,
+    ObservedObject,
+    observed_faults,
+)
 
 TABLES: TypeAdapter[tuple[ObservedObject, ...]] = TypeAdapter(Observe)
 

@@ -2,20 +2,20 @@
 
 import pytest
 
-from drivers.timebase import NS_PER_US, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.attribution import HELD_MAX
-from hil.loop.order_attribution import (
+from servobench.drivers.timebase import NS_PER_US, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.attribution import HELD_MAX
+from servobench.hil.loop.order_attribution import (
     ASK_AGAIN_AFTER,
     HELD_UP,
     STRAYS_MAX,
     OrderAttribution,
 )
-from hil.loop.order_question import PROBE_AFTER
-from hil.loop.residuals import HIDDEN_PARTS
-from hil.loop.samples import Sample
-from hil.loop.syncs import SURPLUS, SyncLog
-from hil.loop.usual_delays import ALIKE_MIN, FIRST, KEPT, RESOLUTION_NS
+from servobench.hil.loop.order_question import PROBE_AFTER
+from servobench.hil.loop.residuals import HIDDEN_PARTS
+from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.syncs import SURPLUS, SyncLog
+from servobench.hil.loop.usual_delays import ALIKE_MIN, FIRST, KEPT, RESOLUTION_NS
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
 
 DELAY = 240_000

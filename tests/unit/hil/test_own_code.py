@@ -8,23 +8,23 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput
-from drivers.exchange import Command
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.configuration.motor_file import LING2012
-from hil.control.own_code import OwnCodeFailed, guarded_compensator, guarded_controller, source_of
-from hil.control.setup import Setup
-from hil.loop.axis_roles import Compensator, Controller
-from hil.loop.context import CHANNELS_MAX, TorqueSetPoint
-from hil.loop.samples import AT_REST
+from servobench.drivers.errors import BadInput
+from servobench.drivers.exchange import Command
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.control.own_code import OwnCodeFailed, guarded_compensator, guarded_controller, source_of
+from servobench.hil.control.setup import Setup
+from servobench.hil.loop.axis_roles import Compensator, Controller
+from servobench.hil.loop.context import CHANNELS_MAX, TorqueSetPoint
+from servobench.hil.loop.samples import AT_REST
 from tests.unit.hil.cycles import in_cycle
 
 SETUP = Setup("axis1", Duration(NS_PER_MS), LING2012.parameters, 5.0, 250.0, 60.0, "bench.toml")
 COMMAND = Command(1, 0.0, Instant(0), Instant(0))
 CODE = """
 import math
-from drivers.errors import BenchError
-from hil import Compensator, Controller, StateEstimate, TorqueSetPoint
+from servobench.drivers.errors import BenchError
+from servobench import Compensator, Controller, StateEstimate, TorqueSetPoint
 
 class Mute(Exception):
     def __repr__(self):
@@ -201,8 +201,8 @@ def test_a_call_that_does_not_come_back_is_interrupted(mine: Path, method: str) 
     [
         ("none.py:Mine", "FileNotFoundError"),
         ("mine.py:Absent", "AttributeError"),
-        ("mine.py:Own", "a class derived from hil.Controller"),
-        ("mine.py:math", "a class derived from hil.Controller"),
+        ("mine.py:Own", "a class derived from servobench.Controller"),
+        ("mine.py:math", "a class derived from servobench.Controller"),
     ],
 )
 def test_a_class_that_cannot_be_had_is_told_with_its_key(mine: Path, name: str, expected: str) -> None:
@@ -225,7 +225,7 @@ def test_an_error_out_of_a_library_without_python_has_no_line(
 ) -> None:
     path = tmp_path / "mine.py"
     path.write_text(
-        "import math\nfrom hil import Controller\n\n\nclass Root(Controller):\n"
+        "import math\nfrom servobench import Controller\n\n\nclass Root(Controller):\n"
         "    output = math.sqrt\n\n    def __init__(self, setup):\n        pass\n"
     )
     made = guarded_controller(f"{path}:Root", {}, SETUP)

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput
-from hil.control import setup
-from hil.control.own_code import (
+from servobench.drivers.errors import BadInput
+from servobench.hil.control import setup
+from servobench.hil.control.own_code import (
     OBJECT_PATTERN,
     OwnCodeFailed,
     guarded_compensator,
@@ -23,7 +23,7 @@ from hil.control.own_code import (
     object_of,
     source_of,
 )
-from hil.loop.context import TorqueSetPoint
+from servobench.hil.loop.context import TorqueSetPoint
 from tests.unit.hil.cycles import in_cycle
 from tests.unit.hil.test_own_code import CODE, SETUP, controller, line_of
 
@@ -100,7 +100,7 @@ def said(call: Callable[[], object]) -> tuple[str, str, Any, str, str]:
     ("role", "make"), [("Controller", guarded_controller), ("Compensator", guarded_compensator)]
 )
 def test_a_class_that_cannot_be_had(mine: Path, role: str, make: Callable[..., object]) -> None:
-    expected = f"a class derived from hil.{role}, as MODULE:NAME or FILE.py:NAME"
+    expected = f"a class derived from servobench.{role}, as MODULE:NAME or FILE.py:NAME"
     key = f"drive.axis1.{role.lower()}.object"
     name = f"{mine}:Absent"
     remedy = f"AttributeError: module 'controller file {mine}' has no attribute 'Absent'"
@@ -153,7 +153,7 @@ def test_what_names_an_object(text: str, names: bool) -> None:
 def test_the_source_of_a_module_is_its_file() -> None:
     path = Path(str(setup.__file__))
     digest = blake2b(path.read_bytes(), digest_size=16).hexdigest()
-    assert source_of("hil.control.setup:Setup") == (path, digest)
+    assert source_of("servobench.hil.control.setup:Setup") == (path, digest)
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import BadInput, BenchError, LimitExceeded
-from hil import run
-from hil.configuration.motor_file import LING2012, load_motor
-from hil.machine.stopping import StopRequest
-from hil.testing.bench_runs import BenchRunner
-from hil.testing.hosted import DriveHost
+from servobench import run
+from servobench.drivers.errors import BadInput, BenchError, LimitExceeded
+from servobench.hil.configuration.motor_file import LING2012, load_motor
+from servobench.hil.machine.stopping import StopRequest
+from servobench.hil.testing.bench_runs import BenchRunner
+from servobench.hil.testing.hosted import DriveHost
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from drivers.errors import NoAnswer, PeerFault
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.pace import CALIBRATION_LATE, HeardSync, OwnSync, Stall, Start
-from hil.loop.syncs import SyncLog
+from servobench.drivers.errors import NoAnswer, PeerFault
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.pace import CALIBRATION_LATE, HeardSync, OwnSync, Stall, Start
+from servobench.hil.loop.syncs import SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, FakeBus, FakeDrive, make_axis
 
 SETTLE = Duration(3 * NS_PER_MS)

@@ -6,14 +6,14 @@ from random import Random
 
 import pytest
 
-from drivers.errors import LimitExceeded, NoAnswer, PeerFault
-from drivers.timebase import NS_PER_US, Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.loop import Loop, LoopOutcome
-from hil.loop.pace import CALIBRATION_SPACINGS, PERIOD_ERROR_MAX, HeardSync, Stall
-from hil.loop.safety import TorqueLimits
-from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sample
-from hil.loop.syncs import SyncLog
+from servobench.drivers.errors import LimitExceeded, NoAnswer, PeerFault
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.loop import Loop, LoopOutcome
+from servobench.hil.loop.pace import CALIBRATION_SPACINGS, PERIOD_ERROR_MAX, HeardSync, Stall
+from servobench.hil.loop.safety import TorqueLimits
+from servobench.hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sample
+from servobench.hil.loop.syncs import SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TIMING, FakeBus, FakeDrive, make_axis
 
 FIRST_AT = 3 * PERIOD + 123_456

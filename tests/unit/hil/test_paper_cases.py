@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from design.delay.speed_loop import Units
-from design.papers.ling2012 import (
+from servobench.design.delay.speed_loop import Units
+from servobench.design.papers.ling2012 import (
     DELAY_S,
     LOAD_NM,
     LOAD_ON_S,
@@ -24,16 +24,16 @@ from design.papers.ling2012 import (
     TABLE_2,
     TAU_S,
 )
-from design.sampled.held_loop import SampledNetwork, Strategy
-from drivers.errors import BadInput
-from drivers.timebase import Instant
-from hil.configuration.motor_file import LING2012
-from hil.machine.stopping import Interrupted
-from hil.rows.records_file import RecordsWriter
-from hil.studies import drawing
-from hil.studies.papers import pictures, reproduction
-from hil.studies.papers.reproduction import LOAD_AT_S, PaperRun
-from hil.verdict.verdict import Finding, VerdictKind
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Instant
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.machine.stopping import Interrupted
+from servobench.hil.rows.records_file import RecordsWriter
+from servobench.hil.studies import drawing
+from servobench.hil.studies.papers import pictures, reproduction
+from servobench.hil.studies.papers.reproduction import LOAD_AT_S, PaperRun
+from servobench.hil.verdict.verdict import Finding, VerdictKind
 from tests.unit.hil.row_tools import plain_rows
 from tests.unit.hil.test_report import summary
 

@@ -8,12 +8,12 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from drivers.errors import BadInput
-from drivers.rotation import RPM_PER_RAD_S
-from hil.recorded.paper import histogram_figure, paper_figure, save_figure, svg_text
-from hil.recorded.recorded_run import RunSignals, signals_of
-from hil.rows.records import NOTHING, Rows
-from hil.verdict.verdict import VerdictLimits
+from servobench.drivers.errors import BadInput
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.hil.recorded.paper import histogram_figure, paper_figure, save_figure, svg_text
+from servobench.hil.recorded.recorded_run import RunSignals, signals_of
+from servobench.hil.rows.records import NOTHING, Rows
+from servobench.hil.verdict.verdict import VerdictLimits
 from tests.unit.hil.made_runs import made_run
 from tests.unit.hil.row_tools import plain_rows
 

@@ -5,9 +5,9 @@ import struct
 
 import pytest
 
-from drivers.canopen.data_types import DataType
-from hil.reviewing.trace.node_objects import NodeObjects
-from hil.reviewing.trace.pdo_book import MappedField, PdoBook, PdoLayout
+from servobench.drivers.canopen.data_types import DataType
+from servobench.hil.reviewing.trace.node_objects import NodeObjects
+from servobench.hil.reviewing.trace.pdo_book import MappedField, PdoBook, PdoLayout
 from tests.unit.hil.test_known_objects import sheet, variable
 
 FIRST = {

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.timebase import Instant
-from hil.cli import app
-from hil.recorded.recorded_run import open_run, signals_of
-from hil.recorded.viewer import _pages
-from hil.rows.run_files import RERUN_FILE
+from servobench.drivers.timebase import Instant
+from servobench.hil.cli import app
+from servobench.hil.recorded.recorded_run import open_run, signals_of
+from servobench.hil.recorded.viewer import _pages
+from servobench.hil.rows.run_files import RERUN_FILE
 from tests.unit.hil.recorded_runs import short_run
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]
@@ -84,7 +84,7 @@ def test_pages_are_found_in_a_layout_by_the_names_of_their_tabs() -> None:
 def test_without_a_display_view_says_where_the_file_is(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
-    monkeypatch.setattr("hil.recording.log_files.subprocess.Popen", None)
+    monkeypatch.setattr("servobench.hil.recording.log_files.subprocess.Popen", None)
     found = CliRunner().invoke(app, ["view", str(run)])
     assert found.exit_code == 0
     assert found.stdout.strip() == str(run / RERUN_FILE)
@@ -95,7 +95,7 @@ def test_with_a_display_view_starts_the_viewer(run: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("DISPLAY", ":0")
     started: list[list[str]] = []
     monkeypatch.setattr(
-        "hil.recording.log_files.subprocess.Popen", lambda command, **_: started.append(command)
+        "servobench.hil.recording.log_files.subprocess.Popen", lambda command, **_: started.append(command)
     )
     found = CliRunner().invoke(app, ["view", str(run)])
     assert found.exit_code == 0
@@ -104,7 +104,7 @@ def test_with_a_display_view_starts_the_viewer(run: Path, monkeypatch: pytest.Mo
 
 def test_a_viewer_that_cannot_run_is_told_with_what_to_install(run: Path, tmp_path: Path) -> None:
     """Vulkan finds no driver where it is told to look elsewhere."""
-    command = [sys.executable, "-m", "hil.cli", "picture", str(run), str(tmp_path / "page.png")]
+    command = [sys.executable, "-m", "servobench.hil.cli", "picture", str(run), str(tmp_path / "page.png")]
     nowhere = {"VK_DRIVER_FILES": "/dev/null", "VK_ICD_FILENAMES": "/dev/null", "LIBGL_DRIVERS_PATH": "/"}
     found = subprocess.run(
         command, env={**os.environ, **nowhere}, capture_output=True, text=True, check=False

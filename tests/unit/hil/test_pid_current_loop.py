@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.bounded_file import read_toml
-from hil.cli import app
-from hil.configuration.bench_file import bench_from, load_bench
-from hil.configuration.drive_current_loop import crossover_rad_s
-from hil.execution.network_guard import Certificates
+from servobench.drivers.bounded_file import read_toml
+from servobench.hil.cli import app
+from servobench.hil.configuration.bench_file import bench_from, load_bench
+from servobench.hil.configuration.drive_current_loop import crossover_rad_s
+from servobench.hil.execution.network_guard import Certificates
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 HINF = EXAMPLES / "azaiz2007_hinf.toml"

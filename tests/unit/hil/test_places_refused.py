@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput
-from hil.cli import app
-from hil.studies.drawing import draw_all
+from servobench.drivers.errors import BadInput
+from servobench.hil.cli import app
+from servobench.hil.studies.drawing import draw_all
 
 
 def refused(*arguments: str) -> str:

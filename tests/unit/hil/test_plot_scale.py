@@ -2,7 +2,7 @@
 
 import pytest
 
-from hil.recording.plot_scale import about, around_zero, plot_heights
+from servobench.hil.recording.plot_scale import about, around_zero, plot_heights
 
 LABEL_PX, TITLE_PX = 26, 58
 

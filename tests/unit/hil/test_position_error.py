@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
-from hil.reviewing.position_error import PositionErrorMeter
-from hil.reviewing.speed_error import worst
-from hil.rows.recording_plan import AxisPlan
-from hil.rows.records import NOTHING, Rows
-from hil.verdict.summary import NO_POSITIONS, PositionError
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from servobench.hil.reviewing.position_error import PositionErrorMeter
+from servobench.hil.reviewing.speed_error import worst
+from servobench.hil.rows.recording_plan import AxisPlan
+from servobench.hil.rows.records import NOTHING, Rows
+from servobench.hil.verdict.summary import NO_POSITIONS, PositionError
 from tests.unit.hil.row_tools import plain_rows
 
 PERIOD = Duration(NS_PER_MS)

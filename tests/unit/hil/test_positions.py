@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.control.positions import PositionLoop, SetPointStream
-from hil.loop.context import Context, PositionSetPoint, SpeedSetPoint, TorqueSetPoint
-from hil.loop.samples import StateEstimate
-from hil.loop.scenario import Quantity, Ramp, ReferenceProfile, Segment
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.control.positions import PositionLoop, SetPointStream
+from servobench.hil.loop.context import Context, PositionSetPoint, SpeedSetPoint, TorqueSetPoint
+from servobench.hil.loop.samples import StateEstimate
+from servobench.hil.loop.scenario import Quantity, Ramp, ReferenceProfile, Segment
 
 PERIOD = Duration(NS_PER_MS)
 DUE_AT = Instant(7_000 * NS_PER_MS)

@@ -8,15 +8,15 @@ import pytest
 import scipy.linalg
 from numpy.typing import NDArray
 
-from design.speed.predictor_plant import PredictorPlant
-from drivers.exchange import Command, Reading
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.control.load_filter import STEP_SIGMAS, FilterNoise
-from hil.control.motion import ShaftMotion
-from hil.control.predictor import LoadCancelling, Predictor
-from hil.loop.context import Context, TorqueSetPoint
-from hil.loop.samples import Sample, StateEstimate
-from hil.loop.scenario import Ramp, ReferenceProfile
+from servobench.design.speed.predictor_plant import PredictorPlant
+from servobench.drivers.exchange import Command, Reading
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.control.load_filter import STEP_SIGMAS, FilterNoise
+from servobench.hil.control.motion import ShaftMotion
+from servobench.hil.control.predictor import LoadCancelling, Predictor
+from servobench.hil.loop.context import Context, TorqueSetPoint
+from servobench.hil.loop.samples import Sample, StateEstimate
+from servobench.hil.loop.scenario import Ramp, ReferenceProfile
 
 Array = NDArray[np.float64]
 PERIOD = Duration(NS_PER_MS)

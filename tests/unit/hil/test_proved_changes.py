@@ -2,9 +2,9 @@
 
 import pytest
 
-from drivers.exchange import DemandChange, Reading
-from drivers.timebase import NS_PER_MS, Instant
-from hil.loop.readback_tie import ProvedChanges
+from servobench.drivers.exchange import DemandChange, Reading
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.loop.readback_tie import ProvedChanges
 
 SETTLED = 3
 

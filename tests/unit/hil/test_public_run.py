@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import hil
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_US
-from hil import Bench, Run, run
-from hil.testing.wire import ORIGIN
-from virtual_bus.faults.fault_plan import FaultPlan
+import servobench
+from servobench import Bench, Run, run
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_US
+from servobench.hil.testing.wire import ORIGIN
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
 
 pytestmark = pytest.mark.long
 
@@ -126,15 +126,15 @@ def test_real_time_needs_a_folder() -> None:
 
 def test_the_import_brings_nothing_heavy() -> None:
     heavy = "{'numpy', 'pydantic', 'scipy', 'rerun', 'pyarrow', 'can'}"
-    code = f"from hil import run; import sys; print(sorted({heavy} & set(sys.modules)))"
+    code = f"from servobench import run; import sys; print(sorted({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
 
 
 def test_every_public_name_is_there() -> None:
-    assert all(getattr(hil, name) is not None for name in hil.__all__)
+    assert all(getattr(servobench, name) is not None for name in servobench.__all__)
     with pytest.raises(AttributeError) as caught:
-        hil.__getattr__("Bensch")
-    assert str(caught.value) == "module 'hil' has no attribute 'Bensch'"
+        servobench.__getattr__("Bensch")
+    assert str(caught.value) == "module 'servobench' has no attribute 'Bensch'"
 
 
 def test_the_block_of_the_docs_runs(

@@ -18,10 +18,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from design.motor import PmsmParameters
-from drivers.rotation import RPM_PER_RAD_S
-from hil.cli import app
-from hil.configuration.motor_file import load_motor
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.hil.cli import app
+from servobench.hil.configuration.motor_file import load_motor
 
 Words = dict[str, float | str]
 

@@ -7,14 +7,14 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt_states import NmtCommand, NmtState
-from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.write_list import WriteGate
-from drivers.cia402.drive_setup import Identity
-from drivers.errors import BadInput, NoAnswer, PeerFault, TransferAborted
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.restoring.journal import (
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt_states import NmtCommand, NmtState
+from servobench.drivers.canopen.objects import RemoteObjects
+from servobench.drivers.canopen.write_list import WriteGate
+from servobench.drivers.cia402.drive_setup import Identity
+from servobench.drivers.errors import BadInput, NoAnswer, PeerFault, TransferAborted
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.hil.restoring.journal import (
     DriveMark,
     Journal,
     JournalContents,
@@ -23,8 +23,8 @@ from hil.restoring.journal import (
     ObjectWrite,
     read_journal,
 )
-from hil.restoring.restore import Restoration, await_answer, head_of, pdo_of, restore
-from hil.write_lists import RESTORE
+from servobench.hil.restoring.restore import Restoration, await_answer, head_of, pdo_of, restore
+from servobench.hil.write_lists import RESTORE
 
 NODE: Final = 7
 MARK: Final = DriveMark(1, 2, 3)

@@ -2,12 +2,12 @@
 
 import pytest
 
-from drivers.exchange import Readback
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.readback_tie import ReadbackTie
-from hil.loop.samples import Sample
-from hil.loop.syncs import SyncLog
+from servobench.drivers.exchange import Readback
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.readback_tie import ReadbackTie
+from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.syncs import SyncLog
 from tests.unit.hil.loop_fakes import reading_at
 
 PERIOD = Duration(NS_PER_MS)

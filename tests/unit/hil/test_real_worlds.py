@@ -9,16 +9,16 @@ from typing import Final
 import can
 import pytest
 
-from drivers.canopen.write_list import NOTHING
-from drivers.errors import BadInput, BusDown, LimitExceeded, NoAnswer
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock, wall_clock_offset
-from drivers.wire.adapters import parse_bus_spec
-from drivers.wire.link import BusLink
-from hil.configuration.background import Background
-from hil.configuration.config import BusSegment
-from hil.execution.world import World, WorldPlan, drive_network, open_world
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.kinds.loss import Loss
+from servobench.drivers.canopen.write_list import NOTHING
+from servobench.drivers.errors import BadInput, BusDown, LimitExceeded, NoAnswer
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock, wall_clock_offset
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.wire.link import BusLink
+from servobench.hil.configuration.background import Background
+from servobench.hil.configuration.config import BusSegment
+from servobench.hil.execution.world import World, WorldPlan, drive_network, open_world
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.kinds.loss import Loss
 
 SIMULATED: Final = WorldPlan(parse_bus_spec("simulated"), 1_000_000)
 SEGMENTS: Final = (BusSegment(name="second"), BusSegment(name="third"))

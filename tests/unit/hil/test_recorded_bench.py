@@ -8,14 +8,14 @@ from typing import Any, Final
 
 import pytest
 
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_MS, Duration
-from hil.configuration.bench_file import bench_from, load_bench
-from hil.configuration.config import BenchConfig
-from hil.execution.axis_code import axis_code
-from hil.execution.recorded_bench import keep_files, recording_plan, review_plan
-from hil.recording.logger_process import RecordingFailed
-from hil.rows.recording_plan import (
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.configuration.bench_file import bench_from, load_bench
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution.axis_code import axis_code
+from servobench.hil.execution.recorded_bench import keep_files, recording_plan, review_plan
+from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.rows.recording_plan import (
     AxisPlan,
     CertifiedPlan,
     ObservedDrive,
@@ -24,7 +24,7 @@ from hil.rows.recording_plan import (
     RecordingPlan,
     ReviewPlan,
 )
-from hil.verdict.verdict import VerdictLimits
+from servobench.hil.verdict.verdict import VerdictLimits
 from tests.unit.hil.test_signal_file import written
 
 EXAMPLES: Final = Path(__file__).parents[3] / "examples"

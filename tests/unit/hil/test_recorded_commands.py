@@ -12,10 +12,18 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from hil.cli import app
-from hil.recorded import comparison, comparison_page, judgement, paper, recorded_run, report, viewer
-from hil.recording import log_files
-from hil.terminal import view as view_command
+from servobench.hil.cli import app
+from servobench.hil.recorded import (
+    comparison,
+    comparison_page,
+    judgement,
+    paper,
+    recorded_run,
+    report,
+    viewer,
+)
+from servobench.hil.recording import log_files
+from servobench.hil.terminal import view as view_command
 
 
 def hil(*arguments: str | Path) -> Result:
@@ -243,7 +251,7 @@ def test_a_recording_is_opened_where_there_is_a_display(
     page = str(tmp_path / "one" / "run.rrd")
     assert started == [page]
     monkeypatch.setattr(view_command, "missing_display", lambda: True)
-    monkeypatch.setattr("hil.terminal.report.viewer_command", lambda: "rerun")
+    monkeypatch.setattr("servobench.hil.terminal.report.viewer_command", lambda: "rerun")
     told = hil("view", "one")
     assert (told.exit_code, told.stdout, len(started)) == (0, f"{page}\n", 1)
     assert told.stderr.splitlines() == [

@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import BadInput
-from drivers.record import replaced
-from drivers.timebase import Instant
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.recording.recorder import ROWS_CAPACITY, Recorder, new_folder, start_recording
-from hil.rows.records_file import read_records
-from hil.verdict.plain_values import from_plain
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.errors import BadInput
+from servobench.drivers.record import replaced
+from servobench.drivers.timebase import Instant
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.recording.recorder import ROWS_CAPACITY, Recorder, new_folder, start_recording
+from servobench.hil.rows.records_file import read_records
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import VerdictKind
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import record_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -176,7 +176,7 @@ def test_interrupts_do_not_end_the_logger(tmp_path: Path) -> None:
 
 def test_the_bench_file_is_in_utf_8_in_every_locale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(io, "text_encoding", lambda encoding, *_: encoding or "ascii")
-    monkeypatch.setattr("hil.recording.recorder.Recorder", lambda plan: plan)
+    monkeypatch.setattr("servobench.hil.recording.recorder.Recorder", lambda plan: plan)
     text = 'name = "Prüfstand"\n'
     start_recording(replace(plan_for(tmp_path), bench_toml=text))
     assert (tmp_path / "bench.toml").read_bytes() == text.encode()
@@ -204,8 +204,8 @@ def test_a_folder_that_cannot_be_made_is_bad_input(tmp_path: Path) -> None:
 WRITER = """
 import os, signal, sys
 from pathlib import Path
-from drivers.timebase import Instant
-from hil.recording.recorder import start_recording
+from servobench.drivers.timebase import Instant
+from servobench.hil.recording.recorder import start_recording
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 

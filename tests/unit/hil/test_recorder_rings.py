@@ -9,13 +9,13 @@ from typing import Final
 
 import pytest
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from hil.recording import recorder as module
-from hil.recording.faults_file import BLOCK_DTYPE
-from hil.recording.logger_process import RecordingFailed
-from hil.recording.memory_recorder import MemoryRecorder
-from hil.recording.recorder import (
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.hil.recording import recorder as module
+from servobench.hil.recording.faults_file import BLOCK_DTYPE
+from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.recording.memory_recorder import MemoryRecorder
+from servobench.hil.recording.recorder import (
     EVENTS_CAPACITY,
     FAULTS_CAPACITY,
     FRAMES_CAPACITY,
@@ -24,17 +24,17 @@ from hil.recording.recorder import (
     recorder_of,
     start_recording,
 )
-from hil.recording.ring import RingReader
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW_DTYPE
-from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, BeginEvent, TextEvent, events_of
-from hil.verdict.summary import Summary
-from hil.verdict.verdict import RunOutcome
+from servobench.hil.recording.ring import RingReader
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import ROW_DTYPE
+from servobench.hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, BeginEvent, TextEvent, events_of
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import RunOutcome
+from servobench.virtual_bus.faults.fault_log import BLOCK_BYTES
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 from tests.unit.hil.test_report import summary
-from virtual_bus.faults.fault_log import BLOCK_BYTES
 
 OUTCOME: Final = whole_outcome(4)
 RECORDS: Final = list(synthetic_records(8))

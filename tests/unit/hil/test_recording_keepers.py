@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_MS, Instant
-from hil.recording.log_files import (
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.recording.log_files import (
     EventsKeeper,
     Keeper,
     LiveKeeper,
@@ -21,13 +21,13 @@ from hil.recording.log_files import (
     RowBlocks,
     open_keepers,
 )
-from hil.recording.tail import TAIL_FILE, read_tail
-from hil.reviewing.review import Review
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import is_whole, read_metadata, read_records
-from hil.rows.run_zero import RunZero
-from hil.rows.side_rows import (
+from servobench.hil.recording.tail import TAIL_FILE, read_tail
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import ROW_DTYPE, Rows
+from servobench.hil.rows.records_file import is_whole, read_metadata, read_records
+from servobench.hil.rows.run_zero import RunZero
+from servobench.hil.rows.side_rows import (
     FRAME_DTYPE,
     BeginEvent,
     IdentityEvent,
@@ -36,7 +36,7 @@ from hil.rows.side_rows import (
     StateEvent,
     TextEvent,
 )
-from hil.verdict.summary import Summary
+from servobench.hil.verdict.summary import Summary
 from tests.unit.hil.recording_tools import files_below, plan_for
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records

@@ -6,13 +6,13 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.timebase import NS_PER_MS, Instant
-from hil.recording import watch as module
-from hil.recording.logger_process import RecordingFailed
-from hil.recording.run_recorder import RunRecorder
-from hil.recording.watch import RecordingWatch
-from virtual_bus.timeline import SimulatedClock, Timeline
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.recording import watch as module
+from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.recording.run_recorder import RunRecorder
+from servobench.hil.recording.watch import RecordingWatch
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 
 NOW: Final = Instant(5 * NS_PER_MS)
 

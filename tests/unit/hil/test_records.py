@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.exchange import Command, PositionCommand, Reading, SpeedCommand
-from drivers.record import AnyRecord, Record, replaced, values_of
-from drivers.timebase import Duration, Instant
-from hil.loop.samples import (
+from servobench.drivers.exchange import Command, PositionCommand, Reading, SpeedCommand
+from servobench.drivers.record import AnyRecord, Record, replaced, values_of
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.samples import (
     CommandFate,
     CycleRecord,
     Dropout,
@@ -21,7 +21,7 @@ from hil.loop.samples import (
     Sending,
     StateEstimate,
 )
-from hil.rows.records import NAMES, NOTHING, ROW, ROW_DTYPE, row_of
+from servobench.hil.rows.records import NAMES, NOTHING, ROW, ROW_DTYPE, row_of
 from tests.unit.hil.row_tools import record_of
 from tests.unit.hil.synthetic_run import synthetic_records
 

@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, Instant
-from hil.rows.records import COLUMNS, NAMES, NOTHING, Rows
-from hil.rows.records_file import (
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.rows.records import COLUMNS, NAMES, NOTHING, Rows
+from servobench.hil.rows.records_file import (
     PHASE_COLUMN,
     RecordsWriter,
     column_of,
@@ -26,9 +26,9 @@ from hil.rows.records_file import (
     refuse_later_format,
     rows_of_table,
 )
-from hil.rows.run_files import FORMAT
-from hil.rows.run_zero import RunZero
-from hil.rows.side_rows import BeginEvent, TextEvent
+from servobench.hil.rows.run_files import FORMAT
+from servobench.hil.rows.run_zero import RunZero
+from servobench.hil.rows.side_rows import BeginEvent, TextEvent
 from tests.told import ANEW, ROOT
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records

@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_MS, Instant
-from hil.configuration.network_file import load_network
-from hil.recording import recovery
-from hil.recording.faults_file import BLOCK_DTYPE
-from hil.recording.log_files import EventsKeeper, FramesKeeper, RecordsKeeper
-from hil.recording.recovery import recover
-from hil.recording.run_folder import Reserve, read_summary
-from hil.recording.sealer import Sealer
-from hil.recording.tail import TAIL_FILE
-from hil.recording.whole_records import Rings, first_cycle, whole_records
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import is_whole, read_metadata, read_records
-from hil.rows.side_rows import (
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.configuration.network_file import load_network
+from servobench.hil.recording import recovery
+from servobench.hil.recording.faults_file import BLOCK_DTYPE
+from servobench.hil.recording.log_files import EventsKeeper, FramesKeeper, RecordsKeeper
+from servobench.hil.recording.recovery import recover
+from servobench.hil.recording.run_folder import Reserve, read_summary
+from servobench.hil.recording.sealer import Sealer
+from servobench.hil.recording.tail import TAIL_FILE
+from servobench.hil.recording.whole_records import Rings, first_cycle, whole_records
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import ROW_DTYPE, Rows
+from servobench.hil.rows.records_file import is_whole, read_metadata, read_records
+from servobench.hil.rows.side_rows import (
     BeginEvent,
     IdentityEvent,
     LoadEvent,
@@ -33,13 +33,13 @@ from hil.rows.side_rows import (
     StateEvent,
     TextEvent,
 )
+from servobench.virtual_bus.faults.fault_log import KIND_CODES
 from tests.rrd_columns import columns, numbers
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 from tests.unit.hil.test_frame_keepers import blocks, frames_at, written
 from tests.unit.hil.test_recording_keepers import NO_FRAMES, NO_ROWS, lines
-from virtual_bus.faults.fault_log import KIND_CODES
 
 STARTED: Final = Instant(NS_PER_MS)
 BEGIN: Final = Instant(3 * NS_PER_MS)
@@ -303,7 +303,7 @@ def test_a_disk_without_room_keeps_the_run_rrd_that_is_there(
     (tmp_path / "run.rrd").write_bytes(b"old")
     needed = (4 << 20) + ROW_DTYPE.itemsize * COUNT
     usage: list[Any] = [SimpleNamespace(free=needed - 1)]
-    monkeypatch.setattr("hil.recording.recovery.shutil.disk_usage", lambda folder: usage[0])
+    monkeypatch.setattr("servobench.hil.recording.recovery.shutil.disk_usage", lambda folder: usage[0])
     summary = recover(plan, whole_outcome(COUNT), [])
     assert summary.recording_faults == (
         "run.rrd has no verdict and may lack the last seconds: less than 4 MB are free",

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.timebase import Instant
-from hil.cli import app
-from hil.configuration.bench_file import load_bench
-from hil.recording import recovery
-from hil.recording.log_files import EventsKeeper, RecordsKeeper
-from hil.recording.run_folder import Reserve
-from hil.rows.records import ROW_DTYPE
-from hil.rows.records_file import read_records
-from hil.rows.side_rows import FRAME_DTYPE, BeginEvent, StateEvent
-from hil.verdict.plain_values import from_plain
-from hil.verdict.summary import Summary
+from servobench.drivers.timebase import Instant
+from servobench.hil.cli import app
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.recording import recovery
+from servobench.hil.recording.log_files import EventsKeeper, RecordsKeeper
+from servobench.hil.recording.run_folder import Reserve
+from servobench.hil.rows.records import ROW_DTYPE
+from servobench.hil.rows.records_file import read_records
+from servobench.hil.rows.side_rows import FRAME_DTYPE, BeginEvent, StateEvent
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.summary import Summary
 from tests.rrd_columns import columns, numbers
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.row_tools import rows_of
@@ -38,8 +38,8 @@ WRITER = """
 import os, signal, sys, time
 from dataclasses import replace
 from pathlib import Path
-from drivers.timebase import Instant
-from hil.recording.recorder import start_recording
+from servobench.drivers.timebase import Instant
+from servobench.hil.recording.recorder import start_recording
 from tests.rrd_columns import columns, numbers
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.synthetic_run import synthetic_records

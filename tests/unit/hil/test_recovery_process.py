@@ -12,21 +12,21 @@ from typing import Final
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, Instant
-from hil.recording import recovery
-from hil.recording.faults_file import BLOCK_DTYPE
-from hil.recording.log_files import FaultsKeeper
-from hil.recording.recovery import _as_many_directions, main, recover
-from hil.recording.ring import RingReader
-from hil.recording.run_folder import read_summary
-from hil.recording.tail import TAIL_FILE
-from hil.recording.telemetry import Telemetry
-from hil.recording.whole_records import Rings, whole_records
-from hil.rows.recording_plan import ObservedDrive, RecordingPlan
-from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import RecordsWriter, is_whole
-from hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE
-from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, BeginEvent, TextEvent, frame_row
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.recording import recovery
+from servobench.hil.recording.faults_file import BLOCK_DTYPE
+from servobench.hil.recording.log_files import FaultsKeeper
+from servobench.hil.recording.recovery import _as_many_directions, main, recover
+from servobench.hil.recording.ring import RingReader
+from servobench.hil.recording.run_folder import read_summary
+from servobench.hil.recording.tail import TAIL_FILE
+from servobench.hil.recording.telemetry import Telemetry
+from servobench.hil.recording.whole_records import Rings, whole_records
+from servobench.hil.rows.recording_plan import ObservedDrive, RecordingPlan
+from servobench.hil.rows.records import ROW_DTYPE, Rows
+from servobench.hil.rows.records_file import RecordsWriter, is_whole
+from servobench.hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE
+from servobench.hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, BeginEvent, TextEvent, frame_row
 from tests.rrd_columns import columns
 from tests.unit.hil import test_drawn_rows as drawn
 from tests.unit.hil.logger_fakes import EVENTS, LOSS, ROWS, put_faults, rings

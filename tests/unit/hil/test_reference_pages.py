@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from virtual_bus.faults.register import TABLES
+from servobench.virtual_bus.faults.register import TABLES
 
 pytestmark = pytest.mark.long
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from drivers.rotation import RAD_S_PER_RPM
-from hil.configuration.references import (
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.configuration.references import (
     LoadStep,
     RampReference,
     Reference,
@@ -19,7 +19,7 @@ from hil.configuration.references import (
     peak_level,
     peak_rate,
 )
-from hil.loop.scenario import LevelStep, Quantity, Ramp, Sine, Table
+from servobench.hil.loop.scenario import LevelStep, Quantity, Ramp, Sine, Table
 
 
 def step(speed_rpm: float, at_s: float = 0.0) -> StepReference:

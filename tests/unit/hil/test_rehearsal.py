@@ -6,24 +6,24 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.pdo_plans import TARGETS
-from drivers.cia402.profile import Mode
-from drivers.cia402.scaling import ScaleOverride
-from drivers.cia402.servo import ServoDrive
-from drivers.sheets.capability import capability_of
-from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
-from drivers.sheets.fitness import assess
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.adapters import parse_bus_spec
-from hil.execution.world import WorldPlan, open_world
-from hil.write_lists import RIG
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.pdo_plans import TARGETS
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.sheets.capability import capability_of
+from servobench.drivers.sheets.dictionary import LoadedDictionary, load_dictionary
+from servobench.drivers.sheets.fitness import assess
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.hil.write_lists import RIG
+from servobench.virtual_bus.device.vendor_dictionary import BASE_NODE_ID, overlay
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING
 from tests.unit.drivers.eds_maker import I8, NODE, U32, Pdo, four_pdos, sheet_text, variable
 from tests.unit.drivers.test_vendor_files import FILES
-from virtual_bus.device.vendor_dictionary import BASE_NODE_ID, overlay
-from virtual_bus.drive.servo import SimulatedServo
 
 CYCLE = Duration(NS_PER_MS)
 UNITS = ScaleOverride(position_rad=1e-4, velocity_rad_s=0.1, rated_torque_nm=2.0)

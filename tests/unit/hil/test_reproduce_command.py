@@ -8,13 +8,13 @@ from unittest.mock import patch
 import pytest
 from typer.testing import CliRunner, Result
 
-from design.motor import PmsmParameters
-from design.papers import azaiz2007, ling2012
-from drivers import timebase
-from hil.cli import app
-from hil.configuration.motor_file import load_motor
-from hil.studies.current import pictures as current_pictures
-from hil.studies.papers import pictures, reproduction
+from servobench.design.motor import PmsmParameters
+from servobench.design.papers import azaiz2007, ling2012
+from servobench.drivers import timebase
+from servobench.hil.cli import app
+from servobench.hil.configuration.motor_file import load_motor
+from servobench.hil.studies.current import pictures as current_pictures
+from servobench.hil.studies.papers import pictures, reproduction
 from tests.told import ROOT
 
 MOTOR = ROOT / "examples" / "motors" / "ling2012.toml"

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from hil.loop.residuals import LEAST, OUTLYING, WATCHED, DelayExtremes, Extremes, Residuals
+from servobench.hil.loop.residuals import LEAST, OUTLYING, WATCHED, DelayExtremes, Extremes, Residuals
 
 UNSEEN = 4_000
 

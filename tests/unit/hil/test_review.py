@@ -6,14 +6,14 @@ from hashlib import blake2b
 import numpy as np
 import pytest
 
-from drivers.record import replaced
-from drivers.timebase import Instant
-from hil.loop.samples import CycleRecord, Dropout
-from hil.reviewing.review import Review
-from hil.rows.recording_plan import AxisPlan, ReviewPlan
-from hil.rows.records import DIGESTED as PLACES
-from hil.rows.records import NAMES, NOTHING, Rows, row_of
-from hil.verdict.summary import DropoutCounts, Figures
+from servobench.drivers.record import replaced
+from servobench.drivers.timebase import Instant
+from servobench.hil.loop.samples import CycleRecord, Dropout
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
+from servobench.hil.rows.records import DIGESTED as PLACES
+from servobench.hil.rows.records import NAMES, NOTHING, Rows, row_of
+from servobench.hil.verdict.summary import DropoutCounts, Figures
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 

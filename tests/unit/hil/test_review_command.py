@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
-from hil.rows.records_file import RecordsWriter, read_metadata, read_records
+from servobench.hil.cli import app
+from servobench.hil.rows.records_file import RecordsWriter, read_metadata, read_records
 from tests.unit.hil.recorded_runs import short_run
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]

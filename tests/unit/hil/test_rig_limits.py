@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from drivers.cia402.profile import State
-from drivers.timebase import NS_PER_MS, NS_PER_S
-from hil.testing import drive_rig as module
-from hil.testing.drive_rig import DriveRig, drive_rig
-from hil.testing.hosted import DriveHost, DriveWish
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
+from servobench.hil.testing import drive_rig as module
+from servobench.hil.testing.drive_rig import DriveRig, drive_rig
+from servobench.hil.testing.hosted import DriveHost, DriveWish
 
 Make = Callable[..., DriveRig]
 

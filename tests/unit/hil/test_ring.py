@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.recording.ring import RingReader, RingWriter
+from servobench.hil.recording.ring import RingReader, RingWriter
 
 ROW = struct.Struct("<qQ8s")
 DTYPE = np.dtype([("number", "<i8"), ("copy", "<u8"), ("text", "S8")])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from drivers.cia402.readings import NEVER_TOLD
-from hil.rows.records import FATE_MISSED
-from hil.rows.row_states import (
+from servobench.drivers.cia402.readings import NEVER_TOLD
+from servobench.hil.rows.records import FATE_MISSED
+from servobench.hil.rows.row_states import (
     LINK_WINDOW_CYCLES,
     DriveStates,
     HostStates,

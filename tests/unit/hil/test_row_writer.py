@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.timebase import Instant
-from hil.recording.ring import RingReader, RingWriter
-from hil.recording.row_writer import RowWriter
-from hil.rows.side_rows import FRAME, FRAME_DTYPE
+from servobench.drivers.timebase import Instant
+from servobench.hil.recording.ring import RingReader, RingWriter
+from servobench.hil.recording.row_writer import RowWriter
+from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
 
 
 @pytest.fixture

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402.profile import State
-from drivers.errors import BusDown
-from drivers.timebase import NS_PER_MS, Instant
-from hil.recording.run_folder import write_summary
-from hil.recording.sealer import Sealer
-from hil.rows.records import NOTHING, Rows
-from hil.rows.records_file import RecordsWriter
-from hil.testing.history import AxisHistory, Stretch
-from hil.testing.run import Run
-from hil.testing.wire import SeenFrame, Wire
-from hil.verdict.verdict import Finding, VerdictKind, VerdictLimits
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.recording.run_folder import write_summary
+from servobench.hil.recording.sealer import Sealer
+from servobench.hil.rows.records import NOTHING, Rows
+from servobench.hil.rows.records_file import RecordsWriter
+from servobench.hil.testing.history import AxisHistory, Stretch
+from servobench.hil.testing.run import Run
+from servobench.hil.testing.wire import SeenFrame, Wire
+from servobench.hil.verdict.verdict import Finding, VerdictKind, VerdictLimits
 from tests.unit.hil.made_runs import BENCH
 from tests.unit.hil.row_tools import plain_rows
 from tests.unit.hil.test_report import summary

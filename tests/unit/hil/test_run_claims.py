@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.cia402.profile import State
-from drivers.timebase import NS_PER_MS, Instant
-from hil.configuration.bench_file import load_bench
-from hil.rows.records import NOTHING, ROW_DTYPE, Rows
-from hil.testing.run import Run
-from hil.testing.wire import SeenFrame, Wire
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.rows.records import NOTHING, ROW_DTYPE, Rows
+from servobench.hil.testing.run import Run
+from servobench.hil.testing.wire import SeenFrame, Wire
 from tests.unit.hil.test_report import summary
 
 BENCH = Path(__file__).parents[3] / "examples" / "ling2012.toml"

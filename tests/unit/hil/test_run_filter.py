@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import BadInput
-from hil.reviewing.run_index import ListedRun, RunFilter, RunState, list_runs
+from servobench.drivers.errors import BadInput
+from servobench.hil.reviewing.run_index import ListedRun, RunFilter, RunState, list_runs
 
 AT = datetime(2026, 3, 1, 12, tzinfo=UTC)
 RUN = ListedRun(

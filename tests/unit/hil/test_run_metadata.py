@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.timebase import Instant
-from hil.recording import run_metadata
+from servobench.drivers.timebase import Instant
+from servobench.hil.recording import run_metadata
 from tests.unit.hil.recording_tools import plan_for
 
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.timebase import Instant
-from hil.recorded.viewer import draw_page
-from hil.recording.recorder import start_recording
+from servobench.drivers.timebase import Instant
+from servobench.hil.recorded.viewer import draw_page
+from servobench.hil.recording.recorder import start_recording
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 

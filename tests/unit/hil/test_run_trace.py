@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import BadInput
-from drivers.timebase import Instant
-from hil.reviewing.trace.decoder import decode
-from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.run_trace import RecordedBus
-from hil.rows.records_file import RecordsWriter
-from hil.rows.run_files import DIRECTIONS_FILE, FIRST_CYCLE_EPOCH, FRAMES_FILE
-from hil.rows.side_rows import FRAME_DTYPE
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Instant
+from servobench.hil.reviewing.trace.decoder import decode
+from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.run_trace import RecordedBus
+from servobench.hil.rows.records_file import RecordsWriter
+from servobench.hil.rows.run_files import DIRECTIONS_FILE, FIRST_CYCLE_EPOCH, FRAMES_FILE
+from servobench.hil.rows.side_rows import FRAME_DTYPE
 from tests.told import ROOT
 from tests.unit.drivers.eds_maker import Pdo, sheet_text
 from tests.unit.hil.row_tools import plain_rows

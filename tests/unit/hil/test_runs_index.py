@@ -12,12 +12,12 @@ import pyarrow as pa
 import pytest
 from typer.testing import CliRunner, Result
 
-from drivers.timebase import Instant
-from hil.cli import app
-from hil.recording.sealer import Sealer
-from hil.rows.records_file import RecordsWriter
-from hil.rows.run_files import RECORDS_FILE
-from hil.verdict.verdict import VerdictKind
+from servobench.drivers.timebase import Instant
+from servobench.hil.cli import app
+from servobench.hil.recording.sealer import Sealer
+from servobench.hil.rows.records_file import RecordsWriter
+from servobench.hil.rows.run_files import RECORDS_FILE
+from servobench.hil.verdict.verdict import VerdictKind
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 

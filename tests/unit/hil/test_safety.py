@@ -6,11 +6,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.exchange import Command, PositionCommand, SpeedCommand
-from drivers.timebase import Instant
-from hil.loop.context import PositionSetPoint, SetPoint, SpeedSetPoint, TorqueSetPoint, WrongSetPoint
-from hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
-from hil.loop.samples import AT_REST
+from servobench.drivers.exchange import Command, PositionCommand, SpeedCommand
+from servobench.drivers.timebase import Instant
+from servobench.hil.loop.context import (
+    PositionSetPoint,
+    SetPoint,
+    SpeedSetPoint,
+    TorqueSetPoint,
+    WrongSetPoint,
+)
+from servobench.hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
+from servobench.hil.loop.samples import AT_REST
 
 
 def guard(slew: float | None = None) -> SafetyGuard:

@@ -9,23 +9,23 @@ import can
 import pytest
 from typer.testing import CliRunner
 
-from drivers.canopen.nmt_states import UNCONFIGURED
-from drivers.errors import BadInput, BenchError, BusDown, NoAnswer
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.adapters import OpenBus, parse_bus_spec
-from drivers.wire.attached import CanLink, SerialPort
-from drivers.wire.link import StampSource
-from hil.cli import app
-from hil.configuration.motor_file import LING2012
-from hil.inspecting import scanning
-from hil.inspecting.scanning import Adapters, OpenedBus, ScanPlan, open_to_look, scan_bus
+from servobench.drivers.canopen.nmt_states import UNCONFIGURED
+from servobench.drivers.errors import BadInput, BenchError, BusDown, NoAnswer
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.adapters import OpenBus, parse_bus_spec
+from servobench.drivers.wire.attached import CanLink, SerialPort
+from servobench.drivers.wire.link import StampSource
+from servobench.hil.cli import app
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.inspecting import scanning
+from servobench.hil.inspecting.scanning import Adapters, OpenedBus, ScanPlan, open_to_look, scan_bus
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.device.background import Stream, background_nodes
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 from tests.told import hold
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.device.background import Stream, background_nodes
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import SimulatedClock, Timeline
 
 TOLD = Path(__file__).with_name("told")
 KERNEL = (

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.loop.scenario import (
+from servobench.hil.loop.scenario import (
     LevelStep,
     Quantity,
     Ramp,

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.sdo_transfer import KEPT_MAX, SdoChannel, SdoTransfer
+from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.sdo_transfer import KEPT_MAX, SdoChannel, SdoTransfer
 
 CHECK, CHECK_CRC = b"123456789", 0x31C3
 """The catalogue's check value of CRC-16/XMODEM, which is the CRC of CiA 301."""

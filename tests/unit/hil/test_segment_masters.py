@@ -6,12 +6,12 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.adapters import parse_bus_spec
-from drivers.wire.frame_port import UNTOLD, EchoBasis
-from hil.execution.segments import (
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.wire.frame_port import UNTOLD, EchoBasis
+from servobench.hil.execution.segments import (
     SegmentMasters,
     check_sync_source,
     heard_syncs,
@@ -23,14 +23,14 @@ from hil.execution.segments import (
     sync_producer,
     timing_without_bench,
 )
-from hil.execution.world import WorldPlan, open_world
-from hil.loop.loop import Actuation, LoopTiming
-from hil.loop.pace import HeardSync, OwnSync
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.hil.loop.loop import Actuation, LoopTiming
+from servobench.hil.loop.pace import HeardSync, OwnSync
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.timeline import Timeline
 from tests.unit.hil.loop_fakes import FakeBus
 from tests.unit.hil.test_config import edited, load
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.timeline import Timeline
 
 FAR = Instant(1 << 60)
 PERIOD = Duration(NS_PER_MS)

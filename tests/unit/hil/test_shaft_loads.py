@@ -7,26 +7,26 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.write_list import WriteGate
-from drivers.errors import BadInput, NoAnswer, TransferAborted
-from drivers.instruments.dynamometer import Dynamometer, LineCounts, LoadReading
-from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant, MonotonicClock
-from hil.configuration.references import SignalFile
-from hil.load.load_machines import (
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.write_list import WriteGate
+from servobench.drivers.errors import BadInput, NoAnswer, TransferAborted
+from servobench.drivers.instruments.dynamometer import Dynamometer, LineCounts, LoadReading
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant, MonotonicClock
+from servobench.hil.configuration.references import SignalFile
+from servobench.hil.load.load_machines import (
     InstrumentLoadMachine,
     ObjectLoadMachine,
     ShaftLoad,
     find_load_machine,
     instrument_line,
 )
-from hil.load.simulated_load import load_table
-from hil.write_lists import RUN
+from servobench.hil.load.simulated_load import load_table
+from servobench.hil.write_lists import RUN
+from servobench.virtual_bus.drive.load_object import SIMULATED_DRIVE
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 from tests.unit.hil.test_load_machine_config import FakeDynamometer
 from tests.unit.hil.test_signal_file import written
-from virtual_bus.drive.load_object import SIMULATED_DRIVE
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.timeline import SimulatedClock, Timeline
 
 MS: Final = NS_PER_MS
 ZERO: Final = Instant(100 * MS)

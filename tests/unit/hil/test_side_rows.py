@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.timebase import Instant
-from hil.rows.side_rows import (
+from servobench.drivers.timebase import Instant
+from servobench.hil.rows.side_rows import (
     EVENT,
     EVENT_DTYPE,
     FRAME,

@@ -11,13 +11,13 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from drivers.errors import BadInput
-from drivers.rotation import RAD_S_PER_RPM
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config_errors import bad_inputs_of
-from hil.configuration.signal_file import load_signal
-from hil.execution.assembly import reference_profile
-from hil.loop.scenario import Quantity, Table
+from servobench.drivers.errors import BadInput
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config_errors import bad_inputs_of
+from servobench.hil.configuration.signal_file import load_signal
+from servobench.hil.execution.assembly import reference_profile
+from servobench.hil.loop.scenario import Quantity, Table
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 

@@ -5,14 +5,14 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.nmt_states import UNCONFIGURED
-from drivers.errors import BadInput
-from hil.configuration.bench_file import bench_from
-from hil.configuration.config import BenchConfig
-from hil.execution.simulated_drives import ids_on_the_bus, serial_of_each, simulated_drives
+from servobench.drivers.canopen.nmt_states import UNCONFIGURED
+from servobench.drivers.errors import BadInput
+from servobench.hil.configuration.bench_file import bench_from
+from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.execution.simulated_drives import ids_on_the_bus, serial_of_each, simulated_drives
+from servobench.virtual_bus.device.lss_slave import NODE_ID_KEY
+from servobench.virtual_bus.device.parameter_storage import FileStore
 from tests.unit.hil.test_config import EXAMPLES, edited
-from virtual_bus.device.lss_slave import NODE_ID_KEY
-from virtual_bus.device.parameter_storage import FileStore
 
 
 def bench_lacking(lacks: list[Any]) -> BenchConfig:

@@ -10,21 +10,21 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from drivers.canopen.write_list import WriteList
-from drivers.wire.adapters import parse_bus_spec
-from hil.cli import app
-from hil.execution import recovered_run, world
-from hil.inspecting import live_trace, stopping
-from hil.inspecting.stopping import NodeStopped
-from hil.machine import realtime
-from hil.machine.examples import examples_folder
-from hil.reviewing.trace.log_frame import LogFrame
-from hil.terminal import init as init_command
-from hil.terminal import report
-from hil.write_lists import STOP
+from servobench.drivers.canopen.write_list import WriteList
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.cli import app
+from servobench.hil.execution import recovered_run, world
+from servobench.hil.inspecting import live_trace, stopping
+from servobench.hil.inspecting.stopping import NodeStopped
+from servobench.hil.machine import realtime
+from servobench.hil.machine.examples import examples_folder
+from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.terminal import init as init_command
+from servobench.hil.terminal import report
+from servobench.hil.write_lists import STOP
+from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
+from servobench.virtual_bus.instruments.slcan import server
 from tests.told import ROOT
-from virtual_bus.instruments.serial_line.device_line import LineFaults
-from virtual_bus.instruments.slcan import server
 
 BENCH = ROOT / "examples" / "ling2012.toml"
 

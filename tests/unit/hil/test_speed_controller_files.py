@@ -8,24 +8,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.delay.certificate import CertifiedGain
-from design.delay.lmi import SOLVED, SOLVER
-from design.sampled.analysis import SampledAnalysis
-from design.sampled.bandwidth_range import BandwidthRange
-from design.sampled.held_loop import SampledNetwork
-from design.speed.speed_pid import SpeedPid, first_order_current_loop
-from hil.configuration.bench_file import load_controller
-from hil.configuration.motor_file import LING2012
-from hil.studies.numbers import finite, margin_figures, short
-from hil.studies.speed import pid
-from hil.studies.speed.controller_text import (
+from servobench.design.delay.certificate import CertifiedGain
+from servobench.design.delay.lmi import SOLVED, SOLVER
+from servobench.design.sampled.analysis import SampledAnalysis
+from servobench.design.sampled.bandwidth_range import BandwidthRange
+from servobench.design.sampled.held_loop import SampledNetwork
+from servobench.design.speed.speed_pid import SpeedPid, first_order_current_loop
+from servobench.hil.configuration.bench_file import load_controller
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.studies.numbers import finite, margin_figures, short
+from servobench.hil.studies.speed import pid
+from servobench.hil.studies.speed.controller_text import (
     begun_us,
     controller_of,
     controller_text,
     sequence_proof,
     whole_us,
 )
-from hil.studies.speed.synthesis import DesignResult
+from servobench.hil.studies.speed.synthesis import DesignResult
 from tests.unit.hil.made_analyses import ARRIVAL, MARGINS, STAMP, made_analysis
 from tests.unit.hil.test_speed_synthesis import design, request
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.stats import beta
 
-from design.delay.certificate import CertifiedGain
-from design.delay.lmi import SOLVED, SOLVER
-from design.errors import NoSolution
-from design.sampled.held_loop import SampledNetwork, Strategy
-from design.speed.monte_carlo import Chance
-from hil.configuration.motor_file import LING2012
-from hil.studies.speed import analysis
-from hil.studies.speed.analysis import (
+from servobench.design.delay.certificate import CertifiedGain
+from servobench.design.delay.lmi import SOLVED, SOLVER
+from servobench.design.errors import NoSolution
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.design.speed.monte_carlo import Chance
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.studies.speed import analysis
+from servobench.hil.studies.speed.analysis import (
     LoopRequest,
     chance_figures,
     continuous_figures,

@@ -2,8 +2,8 @@
 
 import pytest
 
-from design.sampled.held_loop import SampledNetwork, Strategy
-from hil.studies.speed.synthesis import Unreachable
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.hil.studies.speed.synthesis import Unreachable
 from tests.unit.hil.made_analyses import STAMP
 from tests.unit.hil.test_speed_synthesis import design, percent, request
 

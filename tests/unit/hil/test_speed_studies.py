@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hil.cli import app
+from servobench.hil.cli import app
 
 pytestmark = pytest.mark.long
 

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.delay.certificate import CertifiedGain
-from design.delay.lmi import SOLVED, SOLVER
-from design.delay.speed_loop import Feedback
-from design.errors import NoSolution
-from design.sampled.bandwidth_range import BandwidthRange
-from design.sampled.held_loop import SampledNetwork
-from design.speed.speed_design import SpeedDesign
-from hil.configuration.motor_file import LING2012
-from hil.studies.speed import synthesis
-from hil.studies.speed.synthesis import (
+from servobench.design.delay.certificate import CertifiedGain
+from servobench.design.delay.lmi import SOLVED, SOLVER
+from servobench.design.delay.speed_loop import Feedback
+from servobench.design.errors import NoSolution
+from servobench.design.sampled.bandwidth_range import BandwidthRange
+from servobench.design.sampled.held_loop import SampledNetwork
+from servobench.design.speed.speed_design import SpeedDesign
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.hil.studies.speed import synthesis
+from servobench.hil.studies.speed.synthesis import (
     DesignRequest,
     DesignResult,
     Unreachable,

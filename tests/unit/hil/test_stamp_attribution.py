@@ -4,15 +4,15 @@ import random
 
 import pytest
 
-from drivers.exchange import Reading
-from drivers.timebase import Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.clock_question import STAMPS_MAX
-from hil.loop.drive_stamps import MATCH_NS
-from hil.loop.residuals import WATCHED
-from hil.loop.samples import Sample
-from hil.loop.stamp_attribution import StampAttribution
-from hil.loop.syncs import ECHO_ERROR, REMEMBERED, SURPLUS, SyncLog
+from servobench.drivers.exchange import Reading
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.clock_question import STAMPS_MAX
+from servobench.hil.loop.drive_stamps import MATCH_NS
+from servobench.hil.loop.residuals import WATCHED
+from servobench.hil.loop.samples import Sample
+from servobench.hil.loop.stamp_attribution import StampAttribution
+from servobench.hil.loop.syncs import ECHO_ERROR, REMEMBERED, SURPLUS, SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
 
 DELAY = 250_000

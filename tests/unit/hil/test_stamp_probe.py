@@ -5,14 +5,14 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.wire.adapters import parse_bus_spec
-from hil.execution.world import WorldPlan, open_world
-from hil.measuring.stamp_probe import StampFigures, find_stamp
-from hil.terminal.measure_report import stamp_text
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.execution.world import WorldPlan, open_world
+from servobench.hil.measuring.stamp_probe import StampFigures, find_stamp
+from servobench.hil.terminal.measure_report import stamp_text
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.motors import LING
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
 
 KEY = (0x1013, 0)
 

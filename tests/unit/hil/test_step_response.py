@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from hil.reviewing.step_response import StepMeter, worst_steps
-from hil.rows.recording_plan import AxisPlan
-from hil.rows.records import Rows
-from hil.verdict.summary import StepResponse
+from servobench.hil.reviewing.step_response import StepMeter, worst_steps
+from servobench.hil.rows.recording_plan import AxisPlan
+from servobench.hil.rows.records import Rows
+from servobench.hil.verdict.summary import StepResponse
 from tests.unit.hil.row_tools import plain_rows
 
 AXIS = AxisPlan("axis1", 6_250.0)

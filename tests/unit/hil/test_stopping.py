@@ -6,21 +6,21 @@ from contextlib import contextmanager
 import pytest
 from typer.testing import CliRunner
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt_states import NmtState
-from drivers.cia402.profile import State
-from drivers.errors import NoAnswer
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.adapters import parse_bus_spec
-from hil.cli import app
-from hil.execution.world import World, WorldPlan, open_world
-from hil.inspecting.stopping import NodeStopped, stop_drives
-from hil.write_lists import STOP
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.errors import NoAnswer
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.cli import app
+from servobench.hil.execution.world import World, WorldPlan, open_world
+from servobench.hil.inspecting.stopping import NodeStopped, stop_drives
+from servobench.hil.write_lists import STOP
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.frame import Frame
 from tests.motors import LING
 from tests.scenario.foreign_node import put_on_the_bus
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.frame import Frame
 
 MASTER_CYCLE = Duration(NS_PER_MS)
 START = Frame(0x000, b"\x01\x01")

@@ -4,9 +4,10 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from drivers.errors import BusDown
-from drivers.timebase import Duration, Instant
-from hil.inspecting.stopping import NodeStopped, stop_drives
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.inspecting.stopping import NodeStopped, stop_drives
+from servobench.virtual_bus.frame import Frame
 from tests.unit.hil.scripted_drive import (
     DISABLE_VOLTAGE,
     DISABLED,
@@ -24,7 +25,6 @@ from tests.unit.hil.scripted_drive import (
     ScriptedDrive,
     on_a_bus,
 )
-from virtual_bus.frame import Frame
 
 ROUNDS = 5000 // 20
 """Of 20 ms, in the 5 s that it takes at most."""

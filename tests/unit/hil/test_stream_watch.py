@@ -6,11 +6,11 @@ from typing import Final
 
 import pytest
 
-from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.execution.stream_watch import DelaysKnown, SyncedStream, TimedStream
-from hil.loop.syncs import SyncLog
+from servobench.drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.execution.stream_watch import DelaysKnown, SyncedStream, TimedStream
+from servobench.hil.loop.syncs import SyncLog
 
 PERIOD: Final = NS_PER_MS
 DELAY: Final = 300_000

@@ -4,17 +4,17 @@ from typing import Any, Final
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from drivers.wire.adapters import parse_bus_spec
-from drivers.wire.identifiers import ERROR_FLAG
-from hil.configuration.config import BusSegment
-from hil.execution.world import World, WorldPlan, open_world
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.wire.identifiers import ERROR_FLAG
+from servobench.hil.configuration.config import BusSegment
+from servobench.hil.execution.world import World, WorldPlan, open_world
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.kinds.bus_off import BusOff
+from servobench.virtual_bus.faults.kinds.corruption import Corruption
+from servobench.virtual_bus.faults.kinds.loss import Loss
 from tests.motors import LING
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.kinds.bus_off import BusOff
-from virtual_bus.faults.kinds.corruption import Corruption
-from virtual_bus.faults.kinds.loss import Loss
 
 ASK: Final = bytes.fromhex("4000100000000000")
 """Upload of 1000h: every node has it."""

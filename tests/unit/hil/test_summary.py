@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from drivers.wire.frame_port import EchoBasis
-from hil.recording.verdict_text import verdict_markdown
-from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from hil.verdict.plain_values import from_plain
-from hil.verdict.summary import (
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.recording.verdict_text import verdict_markdown
+from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.summary import (
     NO_TIMES,
     DropoutCounts,
     Figures,
@@ -23,8 +23,8 @@ from hil.verdict.summary import (
     summarise,
     summary_without_run,
 )
-from hil.verdict.summary_text import timing_lines
-from hil.verdict.verdict import (
+from servobench.hil.verdict.summary_text import timing_lines
+from servobench.hil.verdict.verdict import (
     Check,
     Finding,
     LimitResult,

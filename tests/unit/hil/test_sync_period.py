@@ -4,9 +4,9 @@ import random
 
 import pytest
 
-from drivers.timebase import NS_PER_US, Duration, Instant
-from hil.loop.pace import CALIBRATION_SPACINGS, PERIOD_ERROR_MAX
-from hil.loop.sync_period import period_of
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.hil.loop.pace import CALIBRATION_SPACINGS, PERIOD_ERROR_MAX
+from servobench.hil.loop.sync_period import period_of
 
 
 def heard(

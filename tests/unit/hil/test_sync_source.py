@@ -7,15 +7,15 @@ from typing import Any
 import can
 import pytest
 
-from drivers.errors import BadInput, BusDown
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from drivers.wire.adapters import parse_bus_spec
-from hil.configuration.bench_file import load_bench
-from hil.execution.segments import check_sync_source, kernel_sync
+from servobench.drivers.errors import BadInput, BusDown
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.execution.segments import check_sync_source, kernel_sync
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.timeline import Timeline
 from tests.unit.hil.test_config import BENCH, edited, load
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.timeline import Timeline
 
 PERIOD = Duration(NS_PER_MS)
 
@@ -81,7 +81,7 @@ def test_a_bus_that_went_away_does_not_hide_why_the_run_ended(
         raise can.CanOperationError("network is down")
 
     with monkeypatch.context() as failing:
-        failing.setattr("virtual_bus.bus.simulated_bus.TimelineCyclicTask.stop", fail)
+        failing.setattr("servobench.virtual_bus.bus.simulated_bus.TimelineCyclicTask.stop", fail)
         with pytest.raises(ValueError, match="why"), kernel_sync(rig.bus, PERIOD):
             raise ValueError("why")
 

@@ -5,9 +5,9 @@ from itertools import accumulate
 
 import pytest
 
-from drivers.timebase import NS_PER_US, Duration, Instant
-from drivers.wire.frame_port import EchoBasis
-from hil.loop.syncs import REMEMBERED, SURPLUS, SyncLog, SyncMark
+from servobench.drivers.timebase import NS_PER_US, Duration, Instant
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.syncs import REMEMBERED, SURPLUS, SyncLog, SyncMark
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY
 
 HARDWARE_ERROR = NS_PER_US

@@ -9,17 +9,17 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
-from hil.loop.samples import CommandFate
-from hil.recording.telemetry import Telemetry, _round_width
-from hil.reviewing.envelope import BUCKETS
-from hil.reviewing.review import Review
-from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
-from hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, TextEvent
-from hil.verdict.plain_values import from_plain
-from hil.verdict.summary import Summary, summarise
-from hil.verdict.verdict import VerdictLimits
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from servobench.hil.loop.samples import CommandFate
+from servobench.hil.recording.telemetry import Telemetry, _round_width
+from servobench.hil.reviewing.envelope import BUCKETS
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from servobench.hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, TextEvent
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.summary import Summary, summarise
+from servobench.hil.verdict.verdict import VerdictLimits
 from tests.rrd_columns import columns, numbers, view_ranges
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows, rows_of

@@ -11,14 +11,14 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
-from hil.recording.telemetry import Telemetry, _end_event
-from hil.reviewing.review import Review
-from hil.rows.recording_plan import AxisPlan, ObservedDrive, RecordingPlan, ReviewPlan
-from hil.rows.records import FATE_MISSED, NOTHING, Rows
-from hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
-from hil.verdict.summary import summarise
-from hil.verdict.verdict import Check, LimitResult
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from servobench.hil.recording.telemetry import Telemetry, _end_event
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.recording_plan import AxisPlan, ObservedDrive, RecordingPlan, ReviewPlan
+from servobench.hil.rows.records import FATE_MISSED, NOTHING, Rows
+from servobench.hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from servobench.hil.verdict.summary import summarise
+from servobench.hil.verdict.verdict import Check, LimitResult
 from tests.rrd_columns import columns, numbers, view_ranges
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.timebase import Duration, Instant
-from hil.loop.pace import ticks_missed, ticks_passed
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.pace import ticks_missed, ticks_passed
 
 PERIOD = Duration(1000)
 

@@ -5,11 +5,11 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.timebase import Duration
-from drivers.wire.frame_port import EchoBasis
-from hil.execution.timing_report import distrust, timing_report
-from hil.loop.axis import Axis
-from hil.loop.syncs import SyncLog
+from servobench.drivers.timebase import Duration
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.execution.timing_report import distrust, timing_report
+from servobench.hil.loop.axis import Axis
+from servobench.hil.loop.syncs import SyncLog
 
 PERIOD: Final = Duration(1_000_001)
 

@@ -11,11 +11,11 @@ from unittest.mock import patch
 import pytest
 from typer.testing import CliRunner
 
-from drivers.cia402.profile import Mode, supported_mode_bit
-from hil.cli import app
-from hil.recorded.commissioning_page import commissioning_page
-from hil.studies.papers import reproduction
-from hil.verdict.verdict import ExitStatus
+from servobench.drivers.cia402.profile import Mode, supported_mode_bit
+from servobench.hil.cli import app
+from servobench.hil.recorded.commissioning_page import commissioning_page
+from servobench.hil.studies.papers import reproduction
+from servobench.hil.verdict.verdict import ExitStatus
 from tests.commissioning import LOSS, unknown_world
 from tests.page_text import page_text
 from tests.picture_text import drawn

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.rows.injected_faults import WINDOW_GAP, InjectedFaults
-from hil.rows.recording_plan import PlannedSetPoint
-from hil.rows.records import NOTHING, ROW_DTYPE, Rows
-from hil.rows.set_points import SetPointTeller
-from hil.rows.side_rows import StateEvent, TextEvent
-from virtual_bus.faults.fault_log import KIND_CODES, FaultEntry
-from virtual_bus.faults.log_kind import NONE
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.rows.injected_faults import WINDOW_GAP, InjectedFaults
+from servobench.hil.rows.recording_plan import PlannedSetPoint
+from servobench.hil.rows.records import NOTHING, ROW_DTYPE, Rows
+from servobench.hil.rows.set_points import SetPointTeller
+from servobench.hil.rows.side_rows import StateEvent, TextEvent
+from servobench.virtual_bus.faults.fault_log import KIND_CODES, FaultEntry
+from servobench.virtual_bus.faults.log_kind import NONE
 
 ZERO = Instant(7 * NS_PER_S)
 PLANNED = (

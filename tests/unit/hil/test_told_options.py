@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args, get_origin
 
 import typer
 
-from hil.cli import app
+from servobench.hil.cli import app
 from tests.told import hold
 
 TOLD = Path(__file__).with_name("told") / "options.txt"

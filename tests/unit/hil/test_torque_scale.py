@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from design.flux_constants import CONVENTIONS
-from hil.commissioning.report import Commissioned, summary_of, write_report
-from hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.design.flux_constants import CONVENTIONS
+from servobench.hil.commissioning.report import Commissioned, summary_of, write_report
+from servobench.hil.commissioning.request import CommissionRequest, Nameplate
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
 from tests.commissioning import unknown_world
-from virtual_bus.drive.unknown_drive import unknown_drive
 
 pytestmark = pytest.mark.long
 

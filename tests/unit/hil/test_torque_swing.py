@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_MS
-from hil.reviewing.review import Review
-from hil.reviewing.torque_swing import BLOCK, TorqueSwingMeter
-from hil.rows.recording_plan import AxisPlan, ReviewPlan
-from hil.rows.records import NOTHING, Rows
+from servobench.drivers.timebase import NS_PER_MS
+from servobench.hil.reviewing.review import Review
+from servobench.hil.reviewing.torque_swing import BLOCK, TorqueSwingMeter
+from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
+from servobench.hil.rows.records import NOTHING, Rows
 from tests.unit.hil.row_tools import plain_rows
 
 RATED_NM = 2.0

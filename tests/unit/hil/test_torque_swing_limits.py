@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.timebase import NS_PER_MS
-from hil.reviewing.torque_swing import BLOCK, WINDOW, Swing, TorqueSwingMeter, strongest_line
-from hil.rows.recording_plan import AxisPlan
+from servobench.drivers.timebase import NS_PER_MS
+from servobench.hil.reviewing.torque_swing import BLOCK, WINDOW, Swing, TorqueSwingMeter, strongest_line
+from servobench.hil.rows.recording_plan import AxisPlan
 from tests.unit.hil.row_tools import plain_rows
 from tests.unit.hil.test_torque_swing import AXIS, RATED_NM, SETTLING, Array, meter_of, rows_with
 

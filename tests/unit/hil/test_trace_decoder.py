@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
-from drivers.cia402.scaling import ScaleOverride
-from hil.cli import app
-from hil.reviewing.trace.bus_log import BusLog
-from hil.reviewing.trace.decoder import decode
-from hil.reviewing.trace.known_nodes import KnownNodes, SheetFile
-from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.sdo_transfer import KEPT_MAX
-from hil.reviewing.trace.trace_entry import TraceEntry
+from servobench.drivers.cia402.scaling import ScaleOverride
+from servobench.hil.cli import app
+from servobench.hil.reviewing.trace.bus_log import BusLog
+from servobench.hil.reviewing.trace.decoder import decode
+from servobench.hil.reviewing.trace.known_nodes import KnownNodes, SheetFile
+from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.sdo_transfer import KEPT_MAX
+from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 
 READ_SPEED, SPEED = "601#406C600000000000", "581#436C6000D0070000"
 FACTORS = (

@@ -5,9 +5,9 @@ import struct
 
 import pytest
 
-from drivers.canopen.data_types import DataType
-from hil.reviewing.trace.object_value import ObjectValue, value_of
-from hil.reviewing.trace.trace_entry import TraceEntry, TraceSelection
+from servobench.drivers.canopen.data_types import DataType
+from servobench.hil.reviewing.trace.object_value import ObjectValue, value_of
+from servobench.hil.reviewing.trace.trace_entry import TraceEntry, TraceSelection
 
 ZERO_NS = 5_000_000_000
 HALF_NS = 500_000_000

@@ -6,10 +6,10 @@ from struct import pack
 
 import pytest
 
-from drivers.errors import BadInput
-from hil.reviewing.trace.bus_log import BusLog
-from hil.reviewing.trace.candump_lines import frame_of_line
-from hil.reviewing.trace.log_frame import LogFrame
+from servobench.drivers.errors import BadInput
+from servobench.hil.reviewing.trace.bus_log import BusLog
+from servobench.hil.reviewing.trace.candump_lines import frame_of_line
+from servobench.hil.reviewing.trace.log_frame import LogFrame
 
 AT = 1_436_509_052_249_713_000
 DATA = bytes.fromhex("11223344")

@@ -10,8 +10,8 @@ import can
 import pytest
 from typer.testing import CliRunner, Result
 
-from hil.cli import app
-from hil.reviewing.trace.bus_log import BusLog
+from servobench.hil.cli import app
+from servobench.hil.reviewing.trace.bus_log import BusLog
 
 KINDS = ["asc", "blf", "csv", "db", "trc"]
 

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.timebase import Duration, Instant
-from drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from hil.cli import app
-from hil.recording.frame_files import FrameFiles
-from hil.reviewing.trace.bus_log import BusLog
-from hil.rows.frames_index import INDEX_DTYPE, read_index
-from hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE, INDEX_FILE
-from hil.rows.side_rows import FRAME_DTYPE, frame_row
+from servobench.drivers.timebase import Duration, Instant
+from servobench.drivers.wire.identifiers import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from servobench.hil.cli import app
+from servobench.hil.recording.frame_files import FrameFiles
+from servobench.hil.reviewing.trace.bus_log import BusLog
+from servobench.hil.rows.frames_index import INDEX_DTYPE, read_index
+from servobench.hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE, INDEX_FILE
+from servobench.hil.rows.side_rows import FRAME_DTYPE, frame_row
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_run_trace import recorded
 

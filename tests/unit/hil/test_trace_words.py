@@ -2,8 +2,8 @@
 
 import pytest
 
-from hil.reviewing.trace.decoder import decode
-from hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.decoder import decode
+from servobench.hil.reviewing.trace.log_frame import LogFrame
 
 
 def said(text: str, error: bool = False) -> str:

@@ -2,8 +2,8 @@
 
 import pytest
 
-from drivers.errors import MISSING, BadInput
-from hil.terminal.node_list import drive_ids, node_ids, serial_numbers
+from servobench.drivers.errors import MISSING, BadInput
+from servobench.hil.terminal.node_list import drive_ids, node_ids, serial_numbers
 
 
 def refusal(call: object, *arguments: object) -> tuple[object, ...]:

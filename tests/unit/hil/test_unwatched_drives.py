@@ -8,26 +8,26 @@ from unittest.mock import ANY
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.objects import SettingRefused
-from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.profile import State
-from drivers.cia402.servo import ServoDrive
-from drivers.cia402.supervision import Release
-from drivers.errors import PeerFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from drivers.wire.adapters import parse_bus_spec
-from hil.commissioning.outcome import StepVerdict
-from hil.commissioning.report import Commissioned
-from hil.execution.world import World, WorldPlan, open_world
-from hil.write_lists import RIG
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.objects import SettingRefused
+from servobench.drivers.cia402.drive_setup import DriveSettings
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.cia402.supervision import Release
+from servobench.drivers.errors import PeerFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.commissioning.outcome import StepVerdict
+from servobench.hil.commissioning.report import Commissioned
+from servobench.hil.execution.world import World, WorldPlan, open_world
+from servobench.hil.write_lists import RIG
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
+from servobench.virtual_bus.frame import Frame
 from tests.motors import LING
 from tests.scenario.test_commissioning_host_gaps import SEED, commissioned
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.drive.unknown_drive import unknown_drive
-from virtual_bus.frame import Frame
 
 pytestmark = pytest.mark.long
 

@@ -7,8 +7,8 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from hil.verdict.plain_values import from_plain
-from hil.verdict.verdict import (
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.verdict import (
     CycleCount,
     DriveEnd,
     ExitStatus,

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput, PeerFault
-from drivers.timebase import NS_PER_S
-from hil.recorded import viewer
-from hil.recorded.viewer import HeadlessViewer, page_file
-from hil.recording.blueprint import GUTTER
-from virtual_bus.timeline import SimulatedClock, Timeline
+from servobench.drivers.errors import BadInput, PeerFault
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.recorded import viewer
+from servobench.hil.recorded.viewer import HeadlessViewer, page_file
+from servobench.hil.recording.blueprint import GUTTER
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 
 
 def container(kind: str, name: str, *contents: str) -> dict[str, Any]:

@@ -11,12 +11,12 @@ from typing import Any, Final
 
 import pytest
 
-from drivers.errors import BadInput, PeerFault
-from drivers.timebase import NS_PER_MS, NS_PER_S
-from hil.recorded import viewer
-from hil.recorded.viewer import HeadlessViewer, draw_page, headless_viewer, page_file
+from servobench.drivers.errors import BadInput, PeerFault
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
+from servobench.hil.recorded import viewer
+from servobench.hil.recorded.viewer import HeadlessViewer, draw_page, headless_viewer, page_file
+from servobench.virtual_bus.timeline import Timeline
 from tests.unit.hil.test_viewer import Client, timeline
-from virtual_bus.timeline import Timeline
 
 __all__ = ["timeline"]
 

@@ -8,15 +8,15 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_S, Instant
-from hil.commissioning.exercise import Recording
-from hil.commissioning.findings import Stated
-from hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
-from hil.commissioning.request import Nameplate
-from hil.commissioning.session import Session
-from hil.commissioning.steps_voltage import (
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.findings import Stated
+from servobench.hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
+from servobench.hil.commissioning.request import Nameplate
+from servobench.hil.commissioning.session import Session
+from servobench.hil.commissioning.steps_voltage import (
     RunUp,
     VoltageConstant,
     _constant,
@@ -24,9 +24,9 @@ from hil.commissioning.steps_voltage import (
     _judge,
     dc_link_v,
 )
-from hil.loop.context import TorqueSetPoint
-from hil.loop.samples import StateEstimate
-from hil.loop.scenario import Quantity
+from servobench.hil.loop.context import TorqueSetPoint
+from servobench.hil.loop.samples import StateEstimate
+from servobench.hil.loop.scenario import Quantity
 from tests.unit.hil.cycles import in_cycle
 from tests.unit.hil.simulated_shaft import LIMITS, RATED_NM, Objects, Shaft, session_of, shaft_of
 

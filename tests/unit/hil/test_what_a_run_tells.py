@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from hil.configuration.network_file import load_network
-from hil.testing.bench_runs import BenchRunner
+from servobench.hil.configuration.network_file import load_network
+from servobench.hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES
 
 pytestmark = [pytest.mark.long, pytest.mark.usefixtures("forked_children")]

@@ -9,12 +9,12 @@ from typing import Any, Final, cast
 import numpy as np
 import pytest
 
-from drivers.rotation import RPM_PER_RAD_S
-from hil.recording.whole_figures import WholeFigures, in_view
-from hil.reviewing.envelope import Envelope
-from hil.reviewing.review import Review
-from hil.rows.recording_plan import AxisPlan, ReviewPlan
-from hil.verdict.verdict import VerdictLimits
+from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.hil.recording.whole_figures import WholeFigures, in_view
+from servobench.hil.reviewing.envelope import Envelope
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
+from servobench.hil.verdict.verdict import VerdictLimits
 from tests.unit.hil.recording_tools import plan_for
 
 STEP: Final = 100_000

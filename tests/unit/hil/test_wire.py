@@ -5,16 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.pdo_planner import all_modes_plan, mode_plan, plan_pdos
-from drivers.cia402.pdo_plans import PlanWish
-from drivers.cia402.profile import Mode
-from drivers.sheets.capability import capability_of
-from drivers.sheets.dictionary import load_dictionary
-from drivers.timebase import NS_PER_MS, Instant
-from hil.configuration.config_checks import standard_plan
-from hil.rows.frame_names import frame_name
-from hil.rows.records_file import RecordsWriter
-from hil.testing.wire import Controlword, SeenFrame, Wire, intended_frames, pdo_plans, read_wire
+from servobench.drivers.cia402.pdo_planner import all_modes_plan, mode_plan, plan_pdos
+from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.cia402.profile import Mode
+from servobench.drivers.sheets.capability import capability_of
+from servobench.drivers.sheets.dictionary import load_dictionary
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.configuration.config_checks import standard_plan
+from servobench.hil.rows.frame_names import frame_name
+from servobench.hil.rows.records_file import RecordsWriter
+from servobench.hil.testing.wire import Controlword, SeenFrame, Wire, intended_frames, pdo_plans, read_wire
 from tests.unit.drivers.eds_maker import four_pdos, sheet_text
 from tests.unit.hil.made_runs import BENCH
 

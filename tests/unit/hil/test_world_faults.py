@@ -2,16 +2,16 @@
 
 import pytest
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, Instant
-from drivers.wire.adapters import parse_bus_spec
-from hil.execution.world import WorldPlan, check_time, open_world
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.hil.execution.world import WorldPlan, check_time, open_world
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.frame_fault import Side
+from servobench.virtual_bus.faults.kinds.host_stall import HostStall
+from servobench.virtual_bus.faults.kinds.loss import Loss
 from tests.motors import LING
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.frame_fault import Side
-from virtual_bus.faults.kinds.host_stall import HostStall
-from virtual_bus.faults.kinds.loss import Loss
 
 STALL = HostStall(at_s=1e-9 * NS_PER_MS, late_min_us=500_000 / 1000, late_max_us=500_000 / 1000)
 

@@ -5,19 +5,19 @@ from typing import Any, Final, cast
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, Duration, Instant
-from drivers.wire.adapters import parse_bus_spec
-from drivers.wire.frame_port import FrameTap
-from hil.configuration.background import Background
-from hil.configuration.config import BusSegment
-from hil.execution.segments import SegmentMasters, masters
-from hil.execution.world import LoadMeter, WorldFaults, WorldPlan, check_time, open_world
-from hil.write_lists import RUN
+from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.wire.frame_port import FrameTap
+from servobench.hil.configuration.background import Background
+from servobench.hil.configuration.config import BusSegment
+from servobench.hil.execution.segments import SegmentMasters, masters
+from servobench.hil.execution.world import LoadMeter, WorldFaults, WorldPlan, check_time, open_world
+from servobench.hil.write_lists import RUN
+from servobench.virtual_bus.faults.faulty_bus import FaultyBus
+from servobench.virtual_bus.hosting.injection import Injection
 from tests.unit.hil.test_config import edited, load
-from virtual_bus.faults.faulty_bus import FaultyBus
-from virtual_bus.hosting.injection import Injection
 
 SIMULATED: Final = parse_bus_spec("simulated")
 PLAN: Final = WorldPlan(SIMULATED, 1_000_000, False, None, 0)

@@ -1,4 +1,4 @@
-"""A slow CAN frame on the wire, bit by bit in strings: the oracle for virtual_bus.bus.bit_length.
+"""A slow CAN frame on the wire, bit by bit in strings: the oracle for servobench.virtual_bus.bus.bit_length.
 
 Written from the fields of ISO 11898-1 and with polynomial long division for the CRC, so that
 it shares neither code nor method with the compiled count.
@@ -6,7 +6,7 @@ it shares neither code nor method with the compiled count.
 
 import random
 
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.frame import Frame
 
 
 def unstuffed_fields(frame: Frame) -> str:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.bus.hub_place import HubPlace
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.bus.hub_place import HubPlace
 
 
 @pytest.fixture

@@ -3,17 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.canopen.cob_ids import NO_RTR
-from drivers.canopen.data_types import DataType
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.objects301 import mapping_word
-from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.device.device_options import DeviceOptions, PdoDefault
-from virtual_bus.device.object_dictionary import Access
-from virtual_bus.frame import Frame
+from servobench.drivers.canopen.cob_ids import NO_RTR
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.objects301 import mapping_word
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.device.application import Application, CommunicationLoss, DeviceServices
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.device.device_options import DeviceOptions, PdoDefault
+from servobench.virtual_bus.device.object_dictionary import Access
+from servobench.virtual_bus.frame import Frame
 
 NODE = 5
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130

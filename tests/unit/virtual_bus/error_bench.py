@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass, field
 
-from drivers.timebase import Instant
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.disturbance import BusError, Disturbance
+from servobench.virtual_bus.bus.port import Port
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.timeline import Timeline
 from tests.hearing import Hearing
 from tests.unit.virtual_bus.can_reference import wire_bits as reference_wire_bits
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.disturbance import BusError, Disturbance
-from virtual_bus.bus.port import Port
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.frame import Frame
-from virtual_bus.timeline import Timeline
 
 BIT_NS = 1_000
 """At 1 Mbit/s."""

@@ -4,9 +4,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock, instant_after
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.bus.hub_place import HubPlace
+from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock, instant_after
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.bus.hub_place import HubPlace
 
 PATIENCE_S = 10.0
 CLOCK = MonotonicClock()

@@ -3,12 +3,12 @@
 from collections.abc import Callable, Sequence
 from struct import pack
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, State, Status
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, State, Status
+from servobench.virtual_bus.drive.machine import MACHINE
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.servo_bench import ServoBench
-from virtual_bus.drive.machine import MACHINE
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.frame import Frame
 
 COUNTS = 65_536
 RPM_PER_TURN_S = 60

@@ -2,9 +2,9 @@
 
 import math
 
-from drivers.cia402.profile import Mode
+from servobench.drivers.cia402.profile import Mode
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.unit.virtual_bus.motion_bench import COUNTS, MotionBench
-from virtual_bus.drive.servo_parameters import DriveParameters
 
 SPEED, UP, DOWN = 10.0, 100.0, 50.0
 """turns/s, turns/s^2: 0.1 s and 0.5 turns up, 0.2 s and 1 turn down."""

@@ -3,14 +3,14 @@
 import struct
 from collections.abc import Callable
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
-from drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.frame import Frame
 from tests.motors import LING
-from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.frame import Frame
 
 SYNC = Frame(0x80)
 ENABLE = (DriveCommand.SHUTDOWN, DriveCommand.SWITCH_ON, DriveCommand.ENABLE_OPERATION)

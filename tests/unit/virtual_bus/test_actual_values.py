@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from virtual_bus.core.native import InnerLoops, clipped, user_position
+from servobench.virtual_bus.core.native import InnerLoops, clipped, user_position
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 HALVES = st.integers(-(1 << 34), 1 << 34).map(lambda twice: twice / 2)

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from drivers.errors import BadInput
-from drivers.timebase import Duration, Instant
-from hil.configuration.background import load_background
-from hil.configuration.bench_file import load_bench
-from hil.configuration.config_errors import BadInputs
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.configuration.background import load_background
+from servobench.hil.configuration.bench_file import load_bench
+from servobench.hil.configuration.config_errors import BadInputs
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.device.background import CATCH_UP_MAX, BackgroundNode, Stream, background_nodes
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import Timeline
 from tests.unit.virtual_bus.can_reference import wire_bits
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.device.background import CATCH_UP_MAX, BackgroundNode, Stream, background_nodes
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import Timeline
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MS = 1_000_000

@@ -4,14 +4,14 @@ import random
 
 import pytest
 
-from tests.unit.virtual_bus.can_reference import crc_sequence, random_frame, stuff, wire_bits
-from virtual_bus.bus.bit_length import (
+from servobench.virtual_bus.bus.bit_length import (
     INTERMISSION_BITS,
     LONGEST_FRAME_BITS,
     bits_duration,
     frame_bits,
 )
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.frame import Frame
+from tests.unit.virtual_bus.can_reference import crc_sequence, random_frame, stuff, wire_bits
 
 
 def test_ten_thousand_random_frames_match_the_reference() -> None:

@@ -2,16 +2,16 @@
 
 import pytest
 
-from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.bus.port import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import Timeline
 from tests.motors import LING
-from virtual_bus.bus.port import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import Timeline
 
 RESETS = pytest.mark.parametrize("reset", [0x81, 0x82])
 BOOT_UP = Frame(0x705, b"\x00")

@@ -2,8 +2,8 @@
 
 import pytest
 
-from drivers.timebase import Instant
-from virtual_bus.core.native import CHECKPOINTS_MAX, BusLoad
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.core.native import CHECKPOINTS_MAX, BusLoad
 
 
 def test_busy_spell_lies_at_the_end_of_its_interval() -> None:

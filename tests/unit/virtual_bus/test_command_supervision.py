@@ -5,11 +5,11 @@ from struct import pack
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import AbortConnectionOption, State
-from drivers.timebase import NS_PER_MS
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import AbortConnectionOption, State
+from servobench.drivers.timebase import NS_PER_MS
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.servo_bench import ENABLE, SYNC, ServoBench
-from virtual_bus.frame import Frame
 
 RPDO, HOST = 0x201, 0x7F
 ENABLED, TORQUE = 0x0F, 300

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from design.core.build import LIBRARY, ROOMS
+from servobench.design.core.build import LIBRARY, ROOMS
 
 ROOT = Path(__file__).parents[3]
 CORES = tuple(ROOT / room / "core" for room in ROOMS)
@@ -18,13 +18,13 @@ import os, sys
 from dataclasses import replace
 from importlib.machinery import ExtensionFileLoader
 from importlib.util import module_from_spec, spec_from_loader
-name = "virtual_bus.core.native"
-import virtual_bus.core
+name = "servobench.virtual_bus.core.native"
+import servobench.virtual_bus.core
 spec = spec_from_loader(name, ExtensionFileLoader(name, os.environ["CORE"]))
 sys.modules[name] = module_from_spec(spec)
-from drivers.timebase import Instant
+from servobench.drivers.timebase import Instant
 from tests.motors import AZAIZ
-from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
+from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 
 firmware = Firmware(replace(AZAIZ, coulomb_friction_nm=0.1), FirmwareParameters())
 now = 0
@@ -41,8 +41,8 @@ for step in range(30):
     print(firmware.inner.state().hex())
 """
 RANDOM_RUN = """
-from design.sampled.held_loop import SampledNetwork, Strategy
-from design.speed.monte_carlo import Chance, run_many
+from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.design.speed.monte_carlo import Chance, run_many
 from tests.motors import LING
 run_many(LING, [0.0, -0.02], SampledNetwork(Strategy.ARRIVAL, 0.01, 0, 0.0), Chance(runs=1, seed=0))
 """
@@ -54,7 +54,7 @@ if find_spec("ziglang"):
 def built(library: Path, compiler: list[str], *flags: str) -> Path:
     """The core by that compiler, as build.py makes it, with flags added."""
     program = (
-        "import sys; from pathlib import Path; from design.core.build import build; "
+        "import sys; from pathlib import Path; from servobench.design.core.build import build; "
         "build('virtual_bus', Path(sys.argv[1]), tuple(sys.argv[2:]))"
     )
     environment = {**os.environ, "CC": " ".join(compiler), "PYTHONPATH": str(ROOT)}
@@ -97,6 +97,7 @@ def copy_cores(folder: Path) -> None:
                 (room / path.name).symlink_to(path)
     for name in ("drivers", "tests"):
         (folder / name).symlink_to(ROOT / name)
+    shutil.copytree(ROOT / "servobench", folder / "servobench", symlinks=True)
 
 
 def said(folder: Path, *command: str) -> str:
@@ -117,7 +118,10 @@ def test_a_core_that_is_not_of_its_sources_is_refused(tmp_path: Path) -> None:
     if not COMPILERS:
         pytest.skip("no C compiler")
     copy_cores(tmp_path)
-    asks = ("-c", "from virtual_bus.core.native import wire_bits; print(wire_bits(0x601 << 4 | 2, b'ab'))")
+    asks = (
+        "-c",
+        "from servobench.virtual_bus.core.native import wire_bits; print(wire_bits(0x601 << 4 | 2, b'ab'))",
+    )
     assert "make core" in said(tmp_path, *asks)
     assert said(tmp_path, "design/core/build.py") == ""
     first = said(tmp_path, *asks)
@@ -133,7 +137,7 @@ def test_a_shared_header_is_a_source_of_every_core(tmp_path: Path) -> None:
     if not COMPILERS:
         pytest.skip("no C compiler")
     copy_cores(tmp_path)
-    simulates = ("-c", "import virtual_bus.core; print('fresh')")
+    simulates = ("-c", "import servobench.virtual_bus.core; print('fresh')")
     draws = ("-c", f"{RANDOM_RUN}print('fresh')")
     assert "make core" in said(tmp_path, *draws)
     assert said(tmp_path, "design/core/build.py") == ""

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from design.current.current_loop import held
-from design.hinf.bilinear import tustin
-from design.papers.azaiz2007 import MOTOR, paper_design
-from design.statespace import StateSpace, connect, series
-from drivers.timebase import Instant
-from virtual_bus.drive.current_controller import take_back_gain
-from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
+from servobench.design.current.current_loop import held
+from servobench.design.hinf.bilinear import tustin
+from servobench.design.papers.azaiz2007 import MOTOR, paper_design
+from servobench.design.statespace import StateSpace, connect, series
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.drive.current_controller import take_back_gain
+from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 
 RATE_HZ = 16_000
 K_Q = tustin(paper_design("q")[1].controller, RATE_HZ, 145.0)

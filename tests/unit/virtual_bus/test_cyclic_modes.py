@@ -4,9 +4,11 @@ import math
 
 import pytest
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, State
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, State
+from servobench.virtual_bus.drive.machine import MACHINE
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import (
     BIT_12,
@@ -19,8 +21,6 @@ from tests.unit.virtual_bus.motion_bench import (
     RPM_PER_TURN_S,
     MotionBench,
 )
-from virtual_bus.drive.machine import MACHINE
-from virtual_bus.drive.servo_parameters import DriveParameters
 
 MILLI_RPM = RPM_PER_TURN_S * 1000
 CSP, CSV, CST = (

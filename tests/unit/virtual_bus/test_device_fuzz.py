@@ -5,10 +5,10 @@ import random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import Instant
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.device_bench import DEFAULTS, NODE, Bench
-from virtual_bus.frame import Frame
 
 CAN_IDS = (0x000, 0x080, 0x180 + NODE, 0x200 + NODE, 0x300 + NODE, 0x600 + NODE, 0x700 + NODE, 0x77F)
 INDICES: tuple[int, ...] = (

@@ -2,17 +2,17 @@
 
 import pytest
 
-from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.bus.port import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.device.device_options import DeviceIdentity, DeviceOptions
+from servobench.virtual_bus.device.parameter_storage import MemoryStore, ParameterStore
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import Timeline
 from tests.unit.virtual_bus.device_bench import RecordingApplication
-from virtual_bus.bus.port import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.device.device_options import DeviceIdentity, DeviceOptions
-from virtual_bus.device.parameter_storage import MemoryStore, ParameterStore
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import Timeline
 
 IDENTITY = DeviceIdentity(vendor_id=0x319, product_code=0x1001, revision_number=2, serial_number=77)
 NOW = Instant(0)

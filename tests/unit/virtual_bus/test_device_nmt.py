@@ -2,7 +2,8 @@
 
 import pytest
 
-from drivers.canopen.nmt_states import NmtState
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.device_bench import (
     LEVEL,
     NODE,
@@ -15,7 +16,6 @@ from tests.unit.virtual_bus.device_bench import (
     Bench,
     operational,
 )
-from virtual_bus.frame import Frame
 
 BOOT_UP = Frame(0x700 + NODE, b"\x00")
 TARGETS = {

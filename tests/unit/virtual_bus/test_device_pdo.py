@@ -2,8 +2,11 @@
 
 import pytest
 
-from drivers.canopen.cob_ids import NO_RTR, NOT_VALID
-from drivers.canopen.objects301 import mapping_word
+from servobench.drivers.canopen.cob_ids import NO_RTR, NOT_VALID
+from servobench.drivers.canopen.objects301 import mapping_word
+from servobench.virtual_bus.device.application import CommunicationLoss
+from servobench.virtual_bus.device.device_options import DeviceOptions, PdoDefault
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.device_bench import (
     LEVEL,
     NODE,
@@ -12,9 +15,6 @@ from tests.unit.virtual_bus.device_bench import (
     Bench,
     operational,
 )
-from virtual_bus.device.application import CommunicationLoss
-from virtual_bus.device.device_options import DeviceOptions, PdoDefault
-from virtual_bus.frame import Frame
 
 RPDO1, RPDO2, TPDO1, TPDO2 = 0x200 + NODE, 0x300 + NODE, 0x180 + NODE, 0x280 + NODE
 LEVEL_WORD = mapping_word(LEVEL, 0, 32)

@@ -2,8 +2,9 @@
 
 import pytest
 
-from drivers.canopen.cob_ids import NO_RTR, NOT_VALID
-from drivers.canopen.objects301 import mapping_word
+from servobench.drivers.canopen.cob_ids import NO_RTR, NOT_VALID
+from servobench.drivers.canopen.objects301 import mapping_word
+from servobench.virtual_bus.device.sdo_abort import AbortCode
 from tests.unit.virtual_bus.device_bench import (
     COUNT,
     DEFAULTS,
@@ -19,7 +20,6 @@ from tests.unit.virtual_bus.device_bench import (
     Bench,
     SdoRefused,
 )
-from virtual_bus.device.sdo_abort import AbortCode
 
 RPDO1, RPDO2, TPDO1, TPDO2 = 0x200 + NODE, 0x300 + NODE, 0x180 + NODE, 0x280 + NODE
 LEVEL_WORD = mapping_word(LEVEL, 0, 32)

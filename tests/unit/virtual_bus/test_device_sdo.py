@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from servobench.virtual_bus.device.sdo_abort import AbortCode
 from tests.unit.virtual_bus.device_bench import (
     LEVEL,
     NODE,
@@ -18,7 +19,6 @@ from tests.unit.virtual_bus.device_bench import (
     Bench,
     SdoRefused,
 )
-from virtual_bus.device.sdo_abort import AbortCode
 
 EXAMPLES = settings(derandomize=True, deadline=None, max_examples=60)
 NOTE_MUX = NOTE.to_bytes(2, "little") + b"\x00"

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.device.sdo_transfer import block_crc
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, NOTE, Bench
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.device.sdo_transfer import block_crc
 
 EXAMPLES = settings(derandomize=True, deadline=None, max_examples=40)
 NOTE_MUX = NOTE.to_bytes(2, "little") + b"\x00"

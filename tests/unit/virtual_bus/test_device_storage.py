@@ -4,9 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.nmt_states import NmtState
-from drivers.errors import BadInput
-from drivers.timebase import Instant
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.device.application import CommunicationLoss
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.device.parameter_storage import FileStore, MemoryStore
+from servobench.virtual_bus.device.sdo_abort import AbortCode
 from tests.unit.virtual_bus.device_bench import (
     DEFAULTS,
     LEVEL,
@@ -17,10 +21,6 @@ from tests.unit.virtual_bus.device_bench import (
     SdoRefused,
     operational,
 )
-from virtual_bus.device.application import CommunicationLoss
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.device.parameter_storage import FileStore, MemoryStore
-from virtual_bus.device.sdo_abort import AbortCode
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 

@@ -2,9 +2,13 @@
 
 import pytest
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import Instant
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.device.application import CommunicationLoss
+from servobench.virtual_bus.device.device_options import DeviceOptions
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.device_bench import (
     DEFAULTS,
     NODE,
@@ -17,10 +21,6 @@ from tests.unit.virtual_bus.device_bench import (
     SdoRefused,
     operational,
 )
-from virtual_bus.device.application import CommunicationLoss
-from virtual_bus.device.device_options import DeviceOptions
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.frame import Frame
 
 MS = 1_000_000
 MASTER = 127

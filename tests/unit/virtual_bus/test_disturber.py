@@ -5,20 +5,20 @@ from typing import Literal
 import pytest
 from scipy import stats
 
-from drivers.timebase import Instant
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.bus.bit_length import frame_bits
+from servobench.virtual_bus.bus.port import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.faults.disturber import Disturber, disturber
+from servobench.virtual_bus.faults.fault_log import FaultLog
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.kinds.corruption import Corruption
+from servobench.virtual_bus.faults.kinds.loss import Loss
+from servobench.virtual_bus.faults.replay import RecordedFaults
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.timeline import Timeline
 from tests.fates import keys
 from tests.hearing import Hearing
-from virtual_bus.bus.bit_length import frame_bits
-from virtual_bus.bus.port import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.faults.disturber import Disturber, disturber
-from virtual_bus.faults.fault_log import FaultLog
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.kinds.corruption import Corruption
-from virtual_bus.faults.kinds.loss import Loss
-from virtual_bus.faults.replay import RecordedFaults
-from virtual_bus.frame import Frame
-from virtual_bus.timeline import Timeline
 
 TPDO = Frame(0x181, bytes(8))
 

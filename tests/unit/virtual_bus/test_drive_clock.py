@@ -6,22 +6,22 @@ from typing import Any
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from servobench.virtual_bus.bus.port import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.kinds.clock_drift import ClockDrift
+from servobench.virtual_bus.faults.kinds.clock_step import ClockStep
+from servobench.virtual_bus.faults.node_fault import NodeFault
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.hosting.injection import Injection
+from servobench.virtual_bus.timeline import Timeline
 from tests.fates import keys
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ServoBench
-from virtual_bus.bus.port import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.kinds.clock_drift import ClockDrift
-from virtual_bus.faults.kinds.clock_step import ClockStep
-from virtual_bus.faults.node_fault import NodeFault
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.hosting.injection import Injection
-from virtual_bus.timeline import Timeline
 
 OFFSET_US = 5_000_000
 PERIOD_NS = 1_003_000

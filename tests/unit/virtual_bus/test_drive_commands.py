@@ -9,11 +9,11 @@ from struct import pack
 
 import pytest
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import State, state_of
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import State, state_of
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.servo_bench import ServoBench
-from virtual_bus.frame import Frame
 
 DISABLED, READY, ON, ENABLED, STOP, REACTION, FAULT = (
     State.SWITCH_ON_DISABLED,

@@ -6,12 +6,12 @@ from struct import pack
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import State
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import State
+from servobench.virtual_bus.drive.machine import MACHINE
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.motion_bench import ENABLED, MotionBench
 from tests.unit.virtual_bus.servo_bench import SYNC
-from virtual_bus.drive.machine import MACHINE
-from virtual_bus.frame import Frame
 
 SPEED_MAX_RPM = 2000
 WRITES: tuple[tuple[int, int, str], ...] = (

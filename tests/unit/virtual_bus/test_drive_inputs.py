@@ -4,14 +4,14 @@ import math
 
 import pytest
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.cia402.objects402 import INTERLOCK, Object
-from drivers.cia402.profile import Mode, State, Status
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.cia402.objects402 import INTERLOCK, Object
+from servobench.drivers.cia402.profile import Mode, State, Status
+from servobench.virtual_bus.drive.machine import MACHINE
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import ENABLED, INPUTS_HELD, STO, MotionBench
 from tests.unit.virtual_bus.test_drive_commands import WAY_TO
-from virtual_bus.drive.machine import MACHINE
-from virtual_bus.drive.servo_parameters import DriveParameters
 
 
 def bench_in(state: State) -> MotionBench:

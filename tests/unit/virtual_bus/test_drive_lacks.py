@@ -4,13 +4,13 @@ import struct
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import State
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import State
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, ServoBench
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
 
 
 def lacking(*lacks: str) -> ServoBench:

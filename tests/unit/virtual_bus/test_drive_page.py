@@ -3,11 +3,11 @@
 import re
 from pathlib import Path
 
-from drivers.canopen.data_types import DataType
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode
+from servobench.virtual_bus.drive.homing_methods import HOMING_METHODS
 from tests.unit.virtual_bus.servo_bench import ServoBench
-from virtual_bus.drive.homing_methods import HOMING_METHODS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "simulated-drive.md").read_text(encoding="utf-8")
 MACHINE_ROW = re.compile(r"^\| (2\d{3}h:.*?) \| (\w+) \|", re.MULTILINE)

@@ -7,31 +7,31 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.core.native import HELD_MAX
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.frame_fault import FrameFault, Side
+from servobench.virtual_bus.faults.kinds.blackout import Blackout
+from servobench.virtual_bus.faults.kinds.corruption import Corruption
+from servobench.virtual_bus.faults.kinds.delay import Delay
+from servobench.virtual_bus.faults.kinds.duplicate import Duplicate
+from servobench.virtual_bus.faults.kinds.loss import Loss
+from servobench.virtual_bus.faults.kinds.reorder import Reorder
+from servobench.virtual_bus.faults.kinds.slow_drive import SlowDrive
+from servobench.virtual_bus.faults.replay import RecordedFaults
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.hosting.faulty_device import FaultyDevice
+from servobench.virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
+from servobench.virtual_bus.timeline import Timeline
 from tests.motors import LING
-from virtual_bus.bus.judge import Direction
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.core.native import HELD_MAX
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.frame_fault import FrameFault, Side
-from virtual_bus.faults.kinds.blackout import Blackout
-from virtual_bus.faults.kinds.corruption import Corruption
-from virtual_bus.faults.kinds.delay import Delay
-from virtual_bus.faults.kinds.duplicate import Duplicate
-from virtual_bus.faults.kinds.loss import Loss
-from virtual_bus.faults.kinds.reorder import Reorder
-from virtual_bus.faults.kinds.slow_drive import SlowDrive
-from virtual_bus.faults.replay import RecordedFaults
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.hosting.faulty_device import FaultyDevice
-from virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
-from virtual_bus.timeline import Timeline
 
 INTO, OUT = (Direction.HOST_TO_DRIVE,), (Direction.DRIVE_TO_HOST,)
 SYNC, TPDO1, TPDO2 = 0x80, 0x181, 0x281

@@ -7,16 +7,16 @@ from typing import Any, Final, NamedTuple
 
 import pytest
 
-from drivers.timebase import NS_PER_US, Instant
+from servobench.drivers.timebase import NS_PER_US, Instant
+from servobench.virtual_bus.bus.port import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.timeline import Timeline
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ServoBench
-from virtual_bus.bus.port import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.timeline import Timeline
 
 OFFSET_US: Final = 5_000_000
 TICK_NS: Final = 62_500

@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import FOLLOW_BITS, Mode, State, Status
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import FOLLOW_BITS, Mode, State, Status
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import ENABLED, RPM_PER_TURN_S, MotionBench
-from virtual_bus.drive.servo_parameters import DriveParameters
 
 SPEED, DOWN, QUICK, HOMING = 10.0, 50.0, 200.0, 80.0
 """turns/s, turns/s^2."""

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.timebase import Instant
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.device.encoding import decode, encode
+from servobench.virtual_bus.device.object_dictionary import Variable
+from servobench.virtual_bus.device.parameter_storage import SAVE, MemoryStore
+from servobench.virtual_bus.device.sdo_abort import SdoAbort
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING
-from virtual_bus.device.encoding import decode, encode
-from virtual_bus.device.object_dictionary import Variable
-from virtual_bus.device.parameter_storage import SAVE, MemoryStore
-from virtual_bus.device.sdo_abort import SdoAbort
-from virtual_bus.drive.servo import SimulatedServo
 
 PAGE = Path(__file__).parents[3] / "docs" / "simulated-drive.md"
 

@@ -6,13 +6,13 @@ from struct import unpack
 
 import pytest
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, State, Status, state_of
-from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, State, Status, state_of
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.motion_bench import ENABLED, MotionBench
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.frame import Frame
 
 DEMAND, STAMP, STATUS = 0x6074_0010, 0x1013_0020, 0x6041_0010
 TPDO3, TPDO4 = 0x381, 0x481

@@ -6,17 +6,17 @@ from typing import Any
 
 import pytest
 
-from drivers.cia402.profile import FOLLOW_BITS, DriveCommand, Mode, State, Status
-from drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.cia402.profile import FOLLOW_BITS, DriveCommand, Mode, State, Status
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.faults.kinds.ignored_commands import IgnoredCommands
+from servobench.virtual_bus.faults.kinds.mode_change import ModeChange
+from servobench.virtual_bus.faults.kinds.refused_mapping import RefusedMapping
+from servobench.virtual_bus.faults.kinds.repeated_emergency import RepeatedEmergency
+from servobench.virtual_bus.faults.node_fault import NodeFault
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.servo_bench import ENABLE
 from tests.unit.virtual_bus.test_node_faults import FaultyBench
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.faults.kinds.ignored_commands import IgnoredCommands
-from virtual_bus.faults.kinds.mode_change import ModeChange
-from virtual_bus.faults.kinds.refused_mapping import RefusedMapping
-from virtual_bus.faults.kinds.repeated_emergency import RepeatedEmergency
-from virtual_bus.faults.node_fault import NodeFault
-from virtual_bus.frame import Frame
 
 MS = NS_PER_MS
 

@@ -2,17 +2,23 @@
 
 import pytest
 
-from drivers.instruments.dynamometer import Dynamometer, DynamometerSettings
-from drivers.instruments.magtrol import dialect
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.motor_file import LING2012
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.hosting.devices import AttachedDevice
-from virtual_bus.instruments.dynamometer.hosting import TimelineLine
-from virtual_bus.instruments.dynamometer.instrument import RESPONSE_S, STEP_NS, Brake, Instrument, Shaft
-from virtual_bus.instruments.serial_line.device_line import LineFaults
-from virtual_bus.timeline import SimulatedClock, Timeline
+from servobench.drivers.instruments.dynamometer import Dynamometer, DynamometerSettings
+from servobench.drivers.instruments.magtrol import dialect
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.hil.configuration.motor_file import LING2012
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.hosting.devices import AttachedDevice
+from servobench.virtual_bus.instruments.dynamometer.hosting import TimelineLine
+from servobench.virtual_bus.instruments.dynamometer.instrument import (
+    RESPONSE_S,
+    STEP_NS,
+    Brake,
+    Instrument,
+    Shaft,
+)
+from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 
 RPM = 3.141592653589793 / 30.0
 

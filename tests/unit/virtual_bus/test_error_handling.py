@@ -5,7 +5,10 @@ from itertools import pairwise
 import can
 import pytest
 
-from drivers.timebase import Instant
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.disturbance import BusError, ErrorKind
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.can_reference import wire_bits
 from tests.unit.virtual_bus.error_bench import (
     BIT_NS,
@@ -18,9 +21,6 @@ from tests.unit.virtual_bus.error_bench import (
     crc_delimiter,
     length,
 )
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.disturbance import BusError, ErrorKind
-from virtual_bus.frame import Frame
 
 
 def test_an_error_that_all_see_at_once_costs_six_flag_bits_and_the_delimiter() -> None:

@@ -3,11 +3,11 @@
 import can
 import pytest
 
-from drivers.timebase import Instant
-from virtual_bus.bus.controller import CanController, ErrorState
-from virtual_bus.bus.disturbance import BusError, ErrorKind
-from virtual_bus.bus.error_message import bus_state, error_frame_of, told_bus_off
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.bus.controller import CanController, ErrorState
+from servobench.virtual_bus.bus.disturbance import BusError, ErrorKind
+from servobench.virtual_bus.bus.error_message import bus_state, error_frame_of, told_bus_off
+from servobench.virtual_bus.frame import Frame
 
 CLASSES = {
     "lost arbitration": 0x2, "controller": 0x4, "protocol": 0x8, "transceiver": 0x10, "no acknowledge": 0x20,

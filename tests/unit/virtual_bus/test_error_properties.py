@@ -5,13 +5,13 @@ import random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.record import values_of
-from drivers.timebase import Instant
+from servobench.drivers.record import values_of
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.disturbance import Disturbance
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.can_reference import random_frame
 from tests.unit.virtual_bus.error_bench import Bench, length
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.disturbance import Disturbance
-from virtual_bus.frame import Frame
 
 EXAMPLES = settings(derandomize=True, deadline=None)
 

@@ -7,16 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import BadInput
-from drivers.timebase import Duration, Instant
-from drivers.wire.identifiers import EXTENDED_FLAG
-from tests.fates import fate_of, keys
-from tests.unit.virtual_bus.test_faults import IN, MS, OUT, RPDO1, TPDO1, TPDO2, uniform
-from tests.unit.virtual_bus.test_special_faults import ONE_OF_EACH
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.fates import FateSource
-from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_log import (
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import Duration, Instant
+from servobench.drivers.wire.identifiers import EXTENDED_FLAG
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.fates import FateSource
+from servobench.virtual_bus.faults.fault_injector import FaultInjector
+from servobench.virtual_bus.faults.fault_log import (
     BLOCK_BYTES,
     KIND_CODES,
     KINDS,
@@ -26,15 +23,18 @@ from virtual_bus.faults.fault_log import (
     entry_line,
     read_line,
 )
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.frame_fault import FrameFault
-from virtual_bus.faults.kinds.blackout import Blackout
-from virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
-from virtual_bus.faults.kinds.slow_drive import SlowDrive
-from virtual_bus.faults.log_kind import NONE
-from virtual_bus.faults.node_faults import DrawnNode, ReplayedNode
-from virtual_bus.faults.replay import RecordedFaults, ReplayedFates, read_recorded
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.frame_fault import FrameFault
+from servobench.virtual_bus.faults.kinds.blackout import Blackout
+from servobench.virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
+from servobench.virtual_bus.faults.kinds.slow_drive import SlowDrive
+from servobench.virtual_bus.faults.log_kind import NONE
+from servobench.virtual_bus.faults.node_faults import DrawnNode, ReplayedNode
+from servobench.virtual_bus.faults.replay import RecordedFaults, ReplayedFates, read_recorded
+from servobench.virtual_bus.frame import Frame
+from tests.fates import fate_of, keys
+from tests.unit.virtual_bus.test_faults import IN, MS, OUT, RPDO1, TPDO1, TPDO2, uniform
+from tests.unit.virtual_bus.test_special_faults import ONE_OF_EACH
 
 Outcome = tuple[bool, int, list[tuple[Frame, Duration]]]
 ENTRIES = [

@@ -6,15 +6,15 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import MISSING, BadInput
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.fault_plan import FaultPlan, load_fault_plan, read_fault_plan
-from virtual_bus.faults.frame_fault import node_of
-from virtual_bus.faults.kinds.blackout import Blackout
-from virtual_bus.faults.kinds.burst import Burst
-from virtual_bus.faults.kinds.delay import Delay
-from virtual_bus.faults.kinds.loss import Loss
-from virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
+from servobench.drivers.errors import MISSING, BadInput
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.fault_plan import FaultPlan, load_fault_plan, read_fault_plan
+from servobench.virtual_bus.faults.frame_fault import node_of
+from servobench.virtual_bus.faults.kinds.blackout import Blackout
+from servobench.virtual_bus.faults.kinds.burst import Burst
+from servobench.virtual_bus.faults.kinds.delay import Delay
+from servobench.virtual_bus.faults.kinds.loss import Loss
+from servobench.virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples" / "faults").glob("*.toml"))
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST

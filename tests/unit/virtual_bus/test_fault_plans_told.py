@@ -6,8 +6,8 @@ from typing import Final
 
 import pytest
 
+from servobench.virtual_bus.faults.fault_plan import load_fault_plan
 from tests.told import ROOT, hold, struck
-from virtual_bus.faults.fault_plan import load_fault_plan
 
 PLANS: Final = sorted((ROOT / "examples" / "faults").glob("*.toml"))
 

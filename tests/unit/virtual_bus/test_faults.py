@@ -11,17 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from drivers.timebase import Duration, Instant
+from servobench.drivers.timebase import Duration, Instant
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.fault_injector import FaultInjector
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.frame_fault import COB_IDS, FrameFault
+from servobench.virtual_bus.faults.kinds.blackout import Blackout
+from servobench.virtual_bus.faults.kinds.burst import Burst
+from servobench.virtual_bus.faults.kinds.delay import Delay
+from servobench.virtual_bus.faults.kinds.loss import Loss
+from servobench.virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
 from tests.fates import DROPPED, PASSED, FrameFate, fate_of, keys
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.frame_fault import COB_IDS, FrameFault
-from virtual_bus.faults.kinds.blackout import Blackout
-from virtual_bus.faults.kinds.burst import Burst
-from virtual_bus.faults.kinds.delay import Delay
-from virtual_bus.faults.kinds.loss import Loss
-from virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
 TPDO1, TPDO2, RPDO1, SYNC = 0x181, 0x281, 0x201, 0x080
@@ -304,10 +304,10 @@ def test_a_flood_of_extended_identifiers_takes_no_memory() -> None:
 
 
 PRINT_FATES = """
-from drivers.timebase import Instant
+from servobench.drivers.timebase import Instant
 from tests.unit.virtual_bus.test_faults import IN, fates, started, uniform
-from virtual_bus.faults.kinds.burst import Burst
-from virtual_bus.faults.kinds.loss import Loss
+from servobench.virtual_bus.faults.kinds.burst import Burst
+from servobench.virtual_bus.faults.kinds.loss import Loss
 burst = Burst(p_good_to_bad=0.1, p_bad_to_good=0.3)
 print(fates(started(Loss(probability=0.1), burst, uniform(0, 1000)), 50))
 """

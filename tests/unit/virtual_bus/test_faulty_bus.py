@@ -9,25 +9,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.timebase import NS_PER_S, Instant
-from tests.fates import keys
-from tests.hearing import Hearing
-from tests.ports import fetched
-from virtual_bus.bus.judge import Direction
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.core.native import HELD_MAX
-from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.faulty_bus import (
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.core.native import HELD_MAX
+from servobench.virtual_bus.faults.fault_injector import FaultInjector
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.faulty_bus import (
     FaultyBus,
     SimulatedFaultyBus,
 )
-from virtual_bus.faults.frame_fault import FrameFault, Side
-from virtual_bus.faults.kinds.delay import Delay
-from virtual_bus.faults.kinds.loss import Loss
-from virtual_bus.frame import Frame
-from virtual_bus.timeline import SimulatedClock, Timeline
+from servobench.virtual_bus.faults.frame_fault import FrameFault, Side
+from servobench.virtual_bus.faults.kinds.delay import Delay
+from servobench.virtual_bus.faults.kinds.loss import Loss
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
+from tests.fates import keys
+from tests.hearing import Hearing
+from tests.ports import fetched
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
 TPDO, RPDO = 0x181, 0x201

@@ -8,20 +8,20 @@ from uuid import uuid4
 import can
 import pytest
 
-from drivers.timebase import NS_PER_S, Instant, MonotonicClock
-from drivers.wire.message_port import StampSource
-from tests.fates import keys
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.faulty_bus import (
+from servobench.drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from servobench.drivers.wire.message_port import StampSource
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.fault_injector import FaultInjector
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.faulty_bus import (
     FaultyBus,
 )
-from virtual_bus.faults.frame_fault import FrameFault
-from virtual_bus.faults.kinds.delay import Delay
-from virtual_bus.faults.kinds.loss import Loss
-from virtual_bus.faults.kinds.signal import SignalFault
-from virtual_bus.hosting.injection import Injection
+from servobench.virtual_bus.faults.frame_fault import FrameFault
+from servobench.virtual_bus.faults.kinds.delay import Delay
+from servobench.virtual_bus.faults.kinds.loss import Loss
+from servobench.virtual_bus.faults.kinds.signal import SignalFault
+from servobench.virtual_bus.hosting.injection import Injection
+from tests.fates import keys
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
 TPDO, RPDO = 0x181, 0x201

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from design.motor import PmsmParameters
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from tests.motors import AZAIZ, LING
-from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 
 TICK_NS = 62_500
 

@@ -4,9 +4,9 @@ import random
 
 import pytest
 
+from servobench.virtual_bus.bus.frame_image import frame_image, resampled
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.can_reference import crc_sequence, random_frame, stuff, unstuffed_fields
-from virtual_bus.bus.frame_image import frame_image, resampled
-from virtual_bus.frame import Frame
 
 FRAMES = [random_frame(random.Random(seed)) for seed in range(300)]
 

@@ -1,8 +1,8 @@
 """The one place where frames wait: order, bound, and what the owner notes beside a frame."""
 
-from drivers.timebase import NEVER
-from virtual_bus.core.native import HELD_MAX, HeldFrames
-from virtual_bus.frame import Frame
+from servobench.drivers.timebase import NEVER
+from servobench.virtual_bus.core.native import HELD_MAX, HeldFrames
+from servobench.virtual_bus.frame import Frame
 
 
 def frame(n: int) -> Frame:

@@ -7,8 +7,10 @@ import math
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, State
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, State
+from servobench.virtual_bus.drive.homing_methods import HOMING_METHODS
+from servobench.virtual_bus.drive.machine import MACHINE
 from tests.unit.virtual_bus.motion_bench import (
     BIT_12,
     BIT_13,
@@ -21,8 +23,6 @@ from tests.unit.virtual_bus.motion_bench import (
     RPM_PER_TURN_S,
     MotionBench,
 )
-from virtual_bus.drive.homing_methods import HOMING_METHODS
-from virtual_bus.drive.machine import MACHINE
 
 START = 0x10
 MODE_BITS = REACHED | BIT_12 | BIT_13

@@ -9,24 +9,24 @@ from typing import ClassVar
 import can
 import pytest
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.canopen.nmt_states import NmtState
-from drivers.errors import BusDown
-from drivers.timebase import Instant
-from drivers.wire.frame_port import FramePort
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.canopen.nmt_states import NmtState
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import Instant
+from servobench.drivers.wire.frame_port import FramePort
+from servobench.virtual_bus.bus.port import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.device.application import CommunicationLoss
+from servobench.virtual_bus.device.canopen_device import CanopenDevice
+from servobench.virtual_bus.device.device_options import DeviceOptions
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Device, Frame
+from servobench.virtual_bus.hosting.devices import AttachedDevice, serve
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 from tests.hearing import Hearing
 from tests.motors import LING
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, START, RecordingApplication
-from virtual_bus.bus.port import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.device.application import CommunicationLoss
-from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.device.device_options import DeviceOptions
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Device, Frame
-from virtual_bus.hosting.devices import AttachedDevice, serve
-from virtual_bus.timeline import SimulatedClock, Timeline
 
 MS = 1_000_000
 

@@ -16,8 +16,18 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.timebase import Instant, instant_after
-from drivers.wire.frame_port import EchoBasis
+from servobench.drivers.timebase import Instant, instant_after
+from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.bus.hub_place import (
+    HubPlace,
+    checked_name,
+    known_hubs,
+    runtime_directory,
+    try_lock,
+)
+from servobench.virtual_bus.bus.hub_protocol import Hello, encode_hello
+from servobench.virtual_bus.frame import Frame
 from tests.ports import fetched
 from tests.unit.virtual_bus.hub_processes import (
     CLOCK,
@@ -29,10 +39,6 @@ from tests.unit.virtual_bus.hub_processes import (
     participant,
     wait_for_end,
 )
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.bus.hub_place import HubPlace, checked_name, known_hubs, runtime_directory, try_lock
-from virtual_bus.bus.hub_protocol import Hello, encode_hello
-from virtual_bus.frame import Frame
 
 pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time"), pytest.mark.usefixtures("runtime")]
 

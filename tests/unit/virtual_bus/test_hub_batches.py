@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.timebase import NEVER, Instant
-from virtual_bus.bus.hub_client import Client
-from virtual_bus.bus.hub_protocol import (
+from servobench.drivers.timebase import NEVER, Instant
+from servobench.virtual_bus.bus.hub_client import Client
+from servobench.virtual_bus.bus.hub_protocol import (
     BATCH_FRAMES_MAX,
     ECHO_HELD_NS,
     FRAME_BYTES,
@@ -16,7 +16,7 @@ from virtual_bus.bus.hub_protocol import (
     decode_frame,
     encode_frame,
 )
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.frame import Frame
 
 STATUS = b"a record of another length"
 

@@ -6,11 +6,11 @@ Real time, as this is what is tested; every wait is bounded by a deadline and en
 import can
 import pytest
 
-from drivers.timebase import MonotonicClock, instant_after
+from servobench.drivers.timebase import MonotonicClock, instant_after
+from servobench.virtual_bus.bus.controller import ErrorState
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.frame import Frame
 from tests.unit.virtual_bus.hub_processes import join
-from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.frame import Frame
 
 PATIENCE_S = 10.0
 CLOCK = MonotonicClock()

@@ -11,12 +11,12 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.timebase import Instant
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.bus.hub_place import HubPlace
+from servobench.virtual_bus.frame import Frame
 from tests.ports import fetched
 from tests.unit.virtual_bus.hub_processes import PATIENCE_S, broker_process, join
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.bus.hub_place import HubPlace
-from virtual_bus.frame import Frame
 
 pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time"), pytest.mark.usefixtures("runtime")]
 

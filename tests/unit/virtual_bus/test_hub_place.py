@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from virtual_bus.bus.hub_place import try_lock
+from servobench.virtual_bus.bus.hub_place import try_lock
 
 TIMES_EACH = 100
 

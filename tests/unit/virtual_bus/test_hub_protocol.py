@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.timebase import Instant
-from tests.unit.virtual_bus.can_reference import random_frame
-from virtual_bus.bus.hub_protocol import (
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.bus.hub_protocol import (
     BATCH_FRAMES_MAX,
     FRAME_BYTES,
     PACKET_BYTES_MAX,
@@ -30,9 +29,10 @@ from virtual_bus.bus.hub_protocol import (
     is_own,
     split_batch,
 )
-from virtual_bus.bus.port import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.timeline import Timeline
+from servobench.virtual_bus.bus.port import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.timeline import Timeline
+from tests.unit.virtual_bus.can_reference import random_frame
 
 EXAMPLES = settings(derandomize=True, deadline=None)
 

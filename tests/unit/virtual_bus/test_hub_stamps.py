@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from virtual_bus.bus.hub_broker import LINGER_NS, Broker, listen
-from virtual_bus.bus.hub_place import HubPlace, try_lock
-from virtual_bus.bus.hub_protocol import (
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.virtual_bus.bus.hub_broker import LINGER_NS, Broker, listen
+from servobench.virtual_bus.bus.hub_place import HubPlace, try_lock
+from servobench.virtual_bus.bus.hub_protocol import (
     FRAME_BYTES,
     PACKET_BYTES_MAX,
     Hello,
@@ -16,7 +16,7 @@ from virtual_bus.bus.hub_protocol import (
     encode_frame,
     encode_hello,
 )
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.frame import Frame
 
 BITRATE = 1_000_000
 FRAMES = 40

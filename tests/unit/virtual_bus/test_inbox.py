@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.timebase import Instant
-from virtual_bus.core.native import HostPlace
-from virtual_bus.frame import Frame
-from virtual_bus.timeline import Timeline
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.core.native import HostPlace
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.timeline import Timeline
 
 
 @settings(derandomize=True, deadline=None)

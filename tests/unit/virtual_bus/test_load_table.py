@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_S
-from virtual_bus.core.native import InnerLoops
-from virtual_bus.drive.load_table import LoadTable
+from servobench.drivers.timebase import NS_PER_S
+from servobench.virtual_bus.core.native import InnerLoops
+from servobench.virtual_bus.drive.load_table import LoadTable
 
 FloatArray = NDArray[np.float64]
 

@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from design.motor import PmsmParameters
-from drivers.canopen.data_types import DataType
-from drivers.vendors.families import motor_objects_for
+from servobench.design.motor import PmsmParameters
+from servobench.drivers.canopen.data_types import DataType
+from servobench.drivers.vendors.families import motor_objects_for
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.drive.data_sheet import motor_figures, tell_motor
 from tests.motors import AZAIZ, LING
-from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.drive.data_sheet import motor_figures, tell_motor
 
 MAXON, EPOS4 = 0xFB, "EPOS4 50/5"
 MOTORS = pytest.mark.parametrize("motor", [LING, AZAIZ], ids=["power-invariant", "amplitude-invariant"])

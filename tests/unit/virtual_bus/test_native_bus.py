@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.timebase import Duration, Instant
+from servobench.drivers.timebase import Duration, Instant
+from servobench.virtual_bus.bus.host_port import HostPort
+from servobench.virtual_bus.bus.judge import Direction, Judge
+from servobench.virtual_bus.bus.port import Listener
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.core.native import Port, Segment
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.timeline import Timeline
 from tests.hearing import Hearing
-from virtual_bus.bus.host_port import HostPort
-from virtual_bus.bus.judge import Direction, Judge
-from virtual_bus.bus.port import Listener
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.core.native import Port, Segment
-from virtual_bus.frame import Frame
-from virtual_bus.timeline import Timeline
 
 MS = 1_000_000
 

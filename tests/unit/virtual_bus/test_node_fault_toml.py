@@ -7,20 +7,20 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import MISSING, BadInput
+from servobench.drivers.errors import MISSING, BadInput
+from servobench.virtual_bus.faults.fault_plan import FaultPlan, load_fault_plan
+from servobench.virtual_bus.faults.kinds.bus_off import BusOff
+from servobench.virtual_bus.faults.kinds.clock_drift import ClockDrift
+from servobench.virtual_bus.faults.kinds.clock_step import ClockStep
+from servobench.virtual_bus.faults.kinds.corruption import Corruption
+from servobench.virtual_bus.faults.kinds.drive_fault import DriveFault
+from servobench.virtual_bus.faults.kinds.duplicate import Duplicate
+from servobench.virtual_bus.faults.kinds.measured_delay import MeasuredDelay
+from servobench.virtual_bus.faults.kinds.reorder import Reorder
+from servobench.virtual_bus.faults.kinds.silence import Silence
+from servobench.virtual_bus.faults.kinds.slow_drive import SlowDrive
 from tests.fates import keys
 from tests.unit.virtual_bus.test_fault_plan_toml import error_of, load
-from virtual_bus.faults.fault_plan import FaultPlan, load_fault_plan
-from virtual_bus.faults.kinds.bus_off import BusOff
-from virtual_bus.faults.kinds.clock_drift import ClockDrift
-from virtual_bus.faults.kinds.clock_step import ClockStep
-from virtual_bus.faults.kinds.corruption import Corruption
-from virtual_bus.faults.kinds.drive_fault import DriveFault
-from virtual_bus.faults.kinds.duplicate import Duplicate
-from virtual_bus.faults.kinds.measured_delay import MeasuredDelay
-from virtual_bus.faults.kinds.reorder import Reorder
-from virtual_bus.faults.kinds.silence import Silence
-from virtual_bus.faults.kinds.slow_drive import SlowDrive
 
 PLAN = """
     [[measured_delay]]

@@ -6,26 +6,26 @@ from typing import Any, cast
 import pytest
 from scipy import stats
 
-from drivers.cia402.profile import State
-from drivers.timebase import NEVER, NS_PER_MS, NS_PER_S, Instant
+from servobench.drivers.cia402.profile import State
+from servobench.drivers.timebase import NEVER, NS_PER_MS, NS_PER_S, Instant
+from servobench.virtual_bus.bus.port import Port
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.faults.fault_log import FaultEntry, FaultLog
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.kinds.bus_off import BusOff
+from servobench.virtual_bus.faults.kinds.clock_drift import ClockDrift
+from servobench.virtual_bus.faults.kinds.clock_step import ClockStep
+from servobench.virtual_bus.faults.kinds.drive_fault import DriveFailure, DriveFault
+from servobench.virtual_bus.faults.kinds.lss_yes_sayer import LssYesSayer
+from servobench.virtual_bus.faults.kinds.silence import Silence
+from servobench.virtual_bus.faults.kinds.slow_drive import SlowDrive
+from servobench.virtual_bus.faults.node_fault import NodeEvent, NodeFault
+from servobench.virtual_bus.faults.node_faults import DrawnNode, node_source
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.faulty_device import FaultyDevice
 from tests.fates import keys
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, ServoBench
-from virtual_bus.bus.port import Port
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.faults.fault_log import FaultEntry, FaultLog
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.kinds.bus_off import BusOff
-from virtual_bus.faults.kinds.clock_drift import ClockDrift
-from virtual_bus.faults.kinds.clock_step import ClockStep
-from virtual_bus.faults.kinds.drive_fault import DriveFailure, DriveFault
-from virtual_bus.faults.kinds.lss_yes_sayer import LssYesSayer
-from virtual_bus.faults.kinds.silence import Silence
-from virtual_bus.faults.kinds.slow_drive import SlowDrive
-from virtual_bus.faults.node_fault import NodeEvent, NodeFault
-from virtual_bus.faults.node_faults import DrawnNode, node_source
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.faulty_device import FaultyDevice
 
 BY_CHANCE = keys(probability_per_s=0.8)
 MS = NS_PER_MS

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.canopen.data_types import BITS, SIGNED_BITS, DataType
+from servobench.drivers.canopen.data_types import BITS, SIGNED_BITS, DataType
+from servobench.virtual_bus.device.eds_export import export_eds
+from servobench.virtual_bus.device.encoding import decode, encode
+from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary
+from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 from tests.unit.virtual_bus.device_bench import NODE, TARGET, Bench
-from virtual_bus.device.eds_export import export_eds
-from virtual_bus.device.encoding import decode, encode
-from virtual_bus.device.object_dictionary import Access, ObjectDictionary
-from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
 EXAMPLES = settings(derandomize=True, deadline=None)
 INTEGERS = sorted(set(BITS) - {DataType.REAL32, DataType.REAL64, DataType.BOOLEAN})

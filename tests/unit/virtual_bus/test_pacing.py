@@ -1,7 +1,7 @@
 """The paced timeline, on a clock that is itself simulated."""
 
-from drivers.timebase import Instant
-from virtual_bus.timeline import PacedTimeline, SimulatedClock, Timeline
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.timeline import PacedTimeline, SimulatedClock, Timeline
 
 
 def paced() -> tuple[PacedTimeline, SimulatedClock]:

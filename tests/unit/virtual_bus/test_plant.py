@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from servobench.virtual_bus.core.native import sine_cosine
 from tests.motors import AZAIZ, LING
 from tests.plant import Plant
-from virtual_bus.core.native import sine_cosine
 
 PERIOD_S = 1.0 / 16_000
 STICKY = replace(LING, coulomb_friction_nm=0.2, flux_linkage_wb=1e-9)

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import (
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import (
     CONTROLWORDS,
     TRANSITION_OF,
     Control,
@@ -14,7 +14,7 @@ from drivers.cia402.profile import (
     State,
     command_path,
 )
-from virtual_bus.drive.power_state import MotorAction, PowerStateMachine
+from servobench.virtual_bus.drive.power_state import MotorAction, PowerStateMachine
 
 STANDARD_OPTIONS = {
     Object.QUICK_STOP_OPTION: 2,

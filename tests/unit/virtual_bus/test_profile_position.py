@@ -5,8 +5,10 @@ from itertools import pairwise
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, State
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, State
+from servobench.virtual_bus.drive.firmware import FirmwareParameters
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 from tests.unit.virtual_bus.motion_bench import (
     AT_ONCE,
     BIT_12,
@@ -32,8 +34,6 @@ from tests.unit.virtual_bus.profile_moves import (
     duration_ms,
     way,
 )
-from virtual_bus.drive.firmware import FirmwareParameters
-from virtual_bus.drive.servo_parameters import DriveParameters
 
 
 @pytest.mark.parametrize("target", [5.0, -5.0, 1.5, 0.3, -0.02])

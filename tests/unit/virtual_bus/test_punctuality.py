@@ -10,8 +10,8 @@ pytestmark = pytest.mark.xdist_group("real time")
 
 SCRIPT = """
 import os
-from drivers.timebase import MonotonicClock, instant_after
-from virtual_bus.bus.hub_process import ask_for_punctuality
+from servobench.drivers.timebase import MonotonicClock, instant_after
+from servobench.virtual_bus.bus.hub_process import ask_for_punctuality
 ask_for_punctuality()
 clock = MonotonicClock()
 deadline = instant_after(clock.now(), 10.0)

@@ -5,15 +5,15 @@ from functools import partial
 
 import pytest
 
-from drivers.cia402.profile import Mode, supported_mode_bit
-from drivers.sheets.dictionary import parse_dictionary
-from drivers.timebase import Instant
+from servobench.drivers.cia402.profile import Mode, supported_mode_bit
+from servobench.drivers.sheets.dictionary import parse_dictionary
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.device.sdo_abort import SdoAbort
+from servobench.virtual_bus.device.vendor_dictionary import BASE_NODE_ID
+from servobench.virtual_bus.drive.data_sheet import lay_over
+from servobench.virtual_bus.drive.servo import SimulatedServo
 from tests.motors import LING
 from tests.rehearsals.made_sheet import PRODUCT, REVISION, VENDOR, MadeSheet
-from virtual_bus.device.sdo_abort import SdoAbort
-from virtual_bus.device.vendor_dictionary import BASE_NODE_ID
-from virtual_bus.drive.data_sheet import lay_over
-from virtual_bus.drive.servo import SimulatedServo
 
 
 def drive_of(sheet: MadeSheet, node: int = 5) -> SimulatedServo:

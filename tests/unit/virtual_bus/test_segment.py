@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.timebase import NS_PER_US, Instant
+from servobench.drivers.timebase import NS_PER_US, Instant
+from servobench.virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener, OnFrame
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.timeline import Timeline
 from tests.hearing import Hearing
 from tests.unit.virtual_bus.can_reference import random_frame, unstuffed_fields
 from tests.unit.virtual_bus.can_reference import wire_bits as reference_wire_bits
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener, OnFrame
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.frame import Frame
-from virtual_bus.timeline import Timeline
 
 EXAMPLES = settings(derandomize=True, deadline=None)
 

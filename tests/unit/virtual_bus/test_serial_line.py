@@ -5,16 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
-from drivers.wire.serial_line import HELD_BYTES_MAX, LineFull, LineGone, SerialLine
-from virtual_bus.instruments.serial_line.device_line import (
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.drivers.wire.serial_line import HELD_BYTES_MAX, LineFull, LineGone, SerialLine
+from servobench.virtual_bus.instruments.serial_line.device_line import (
     OUTPUT_BYTES_MAX,
     DeviceLine,
     LineFaults,
     LineSpoiler,
 )
-from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
+from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 
 def test_faults_are_read_and_checked() -> None:

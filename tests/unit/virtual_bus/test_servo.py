@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import (
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import (
     CONTROLWORDS,
     TRANSITION_OF,
     AbortConnectionOption,
@@ -19,15 +19,15 @@ from drivers.cia402.profile import (
     State,
     Status,
 )
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import Instant
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.drive.load_object import LOAD_MACHINE
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.frame import Frame
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, SYNC, ServoBench
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.drive.load_object import LOAD_MACHINE
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.frame import Frame
 
 MASTER = 127
 NO_BRAKE = DriveParameters(brake_torque_nm=0.0)

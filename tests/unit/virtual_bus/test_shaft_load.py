@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.timebase import NS_PER_S, Instant
+from servobench.drivers.timebase import NS_PER_S, Instant
+from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters
+from servobench.virtual_bus.drive.load_table import LoadTable
 from tests.motors import LING
-from virtual_bus.drive.firmware import Firmware, FirmwareParameters
-from virtual_bus.drive.load_table import LoadTable
 
 FloatArray = NDArray[np.float64]
 RATE_HZ = 16_000

@@ -10,25 +10,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.errors import BadInput
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.alterations import saturated
+from servobench.virtual_bus.faults.fates import FateSource
+from servobench.virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.frame_fault import FrameFault
+from servobench.virtual_bus.faults.kinds.delay import Delay
+from servobench.virtual_bus.faults.kinds.duplicate import Duplicate
+from servobench.virtual_bus.faults.kinds.loss import Loss
+from servobench.virtual_bus.faults.kinds.signal import SignalFault
+from servobench.virtual_bus.faults.node_faults import DrawnNode
+from servobench.virtual_bus.faults.replay import RecordedFaults
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.hosting.faulty_device import FaultyDevice
+from servobench.virtual_bus.hosting.injection import Faults, Injection
 from tests.unit.virtual_bus.test_fault_plan_toml import load
 from tests.unit.virtual_bus.test_node_faults import FaultyBench
-from virtual_bus.bus.judge import Direction
-from virtual_bus.faults.alterations import saturated
-from virtual_bus.faults.fates import FateSource
-from virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.frame_fault import FrameFault
-from virtual_bus.faults.kinds.delay import Delay
-from virtual_bus.faults.kinds.duplicate import Duplicate
-from virtual_bus.faults.kinds.loss import Loss
-from virtual_bus.faults.kinds.signal import SignalFault
-from virtual_bus.faults.node_faults import DrawnNode
-from virtual_bus.faults.replay import RecordedFaults
-from virtual_bus.frame import Frame
-from virtual_bus.hosting.faulty_device import FaultyDevice
-from virtual_bus.hosting.injection import Faults, Injection
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
 MS = NS_PER_MS

@@ -5,15 +5,15 @@ from collections.abc import Iterator
 import can
 import pytest
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener, Port
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus, TimelineCyclicTask
+from servobench.virtual_bus.core.native import RECEIVE_QUEUE_MAX
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.timeline import Timeline
 from tests.ports import fetched
 from tests.unit.virtual_bus.can_reference import wire_bits
-from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener, Port
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus, TimelineCyclicTask
-from virtual_bus.core.native import RECEIVE_QUEUE_MAX
-from virtual_bus.frame import Frame
-from virtual_bus.timeline import Timeline
 
 SYNC = Frame(0x080)
 SYNC_NS = len(wire_bits(SYNC)) * 1_000

@@ -9,14 +9,19 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.errors import BadInput, BusDown
-from drivers.timebase import MonotonicClock
-from drivers.wire.adapters import parse_bus_spec
-from drivers.wire.slcan_protocol import SlcanStatus
-from virtual_bus.frame import Frame
-from virtual_bus.instruments.serial_line.device_line import LineFaults
-from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
-from virtual_bus.instruments.slcan.server import AdapterServer, BusCan, open_far_side, serve_adapter
+from servobench.drivers.errors import BadInput, BusDown
+from servobench.drivers.timebase import MonotonicClock
+from servobench.drivers.wire.adapters import parse_bus_spec
+from servobench.drivers.wire.slcan_protocol import SlcanStatus
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.instruments.serial_line.device_line import LineFaults
+from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
+from servobench.virtual_bus.instruments.slcan.server import (
+    AdapterServer,
+    BusCan,
+    open_far_side,
+    serve_adapter,
+)
 
 BITRATE = 1_000_000
 _CARRIED_S = 0.02

@@ -7,25 +7,25 @@ import can
 import pytest
 from scipy import stats
 
-from drivers.timebase import Duration, Instant
-from drivers.wire.message import message_of
+from servobench.drivers.timebase import Duration, Instant
+from servobench.drivers.wire.message import message_of
+from servobench.virtual_bus.bus.segment import CanSegment
+from servobench.virtual_bus.bus.simulated_bus import SimulatedBus
+from servobench.virtual_bus.faults.fates import damaged
+from servobench.virtual_bus.faults.fault_injector import FaultInjector
+from servobench.virtual_bus.faults.fault_plan import FaultPlan
+from servobench.virtual_bus.faults.faulty_bus import FaultyBus
+from servobench.virtual_bus.faults.frame_fault import FrameFault
+from servobench.virtual_bus.faults.kinds.burst import Burst
+from servobench.virtual_bus.faults.kinds.corruption import BIT_DRAWS, Corruption
+from servobench.virtual_bus.faults.kinds.duplicate import Duplicate
+from servobench.virtual_bus.faults.kinds.loss import Loss
+from servobench.virtual_bus.faults.kinds.measured_delay import MeasuredDelay
+from servobench.virtual_bus.faults.kinds.reorder import Reorder
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 from tests.fates import DROPPED, PASSED, fate_of, keys
 from tests.unit.virtual_bus.test_faults import IN, MS, OUT, TPDO1, fates, started, uniform
-from virtual_bus.bus.segment import CanSegment
-from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.faults.fates import damaged
-from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.faulty_bus import FaultyBus
-from virtual_bus.faults.frame_fault import FrameFault
-from virtual_bus.faults.kinds.burst import Burst
-from virtual_bus.faults.kinds.corruption import BIT_DRAWS, Corruption
-from virtual_bus.faults.kinds.duplicate import Duplicate
-from virtual_bus.faults.kinds.loss import Loss
-from virtual_bus.faults.kinds.measured_delay import MeasuredDelay
-from virtual_bus.faults.kinds.reorder import Reorder
-from virtual_bus.frame import Frame
-from virtual_bus.timeline import SimulatedClock, Timeline
 
 FRAME = Frame(TPDO1, bytes(8))
 EDGES = tuple(Duration(edge) for edge in (60_000, 80_000, 120_000, 400_000))

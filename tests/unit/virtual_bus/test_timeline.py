@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.timebase import Instant
-from virtual_bus.timeline import SimulatedClock, Timeline
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.timeline import SimulatedClock, Timeline
 
 EXAMPLES = settings(derandomize=True, deadline=None)
 

@@ -8,13 +8,13 @@ from zlib import crc32
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import CONTROLWORDS, DriveCommand, Mode
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import CONTROLWORDS, DriveCommand, Mode
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.drive.unknown_drive import unknown_drive
+from servobench.virtual_bus.frame import Frame
 from tests.told import hold
 from tests.unit.virtual_bus.servo_bench import ENABLE, ServoBench
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.drive.unknown_drive import unknown_drive
-from virtual_bus.frame import Frame
 
 TOLD: Final = Path(__file__).with_name("told")
 

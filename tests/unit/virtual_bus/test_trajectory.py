@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from virtual_bus.drive.trajectory import MoveLimits, Trajectory, plan_move, plan_speed, plan_stop
+from servobench.virtual_bus.drive.trajectory import MoveLimits, Trajectory, plan_move, plan_speed, plan_stop
 
 QUICK = settings(derandomize=True, deadline=None, max_examples=300)
 POSITIONS = st.floats(-1e6, 1e6)

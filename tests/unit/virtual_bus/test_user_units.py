@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.cia402.objects402 import Object, Unit, unit_word
-from drivers.cia402.profile import Mode
+from servobench.drivers.cia402.objects402 import Object, Unit, unit_word
+from servobench.drivers.cia402.profile import Mode
+from servobench.virtual_bus.device.object_dictionary import Access, ObjectDictionary
+from servobench.virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.drive.servo_parameters import DriveParameters
+from servobench.virtual_bus.drive.user_units import UserUnits, wrapped
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import ENABLED, MotionBench
-from virtual_bus.device.object_dictionary import Access, ObjectDictionary
-from virtual_bus.device.sdo_abort import AbortCode
-from virtual_bus.drive.servo_parameters import DriveParameters
-from virtual_bus.drive.user_units import UserUnits, wrapped
 
 COUNTS = 65_536
 REVOLUTION_PER_SECOND = unit_word(0, Unit.REVOLUTION, Unit.SECOND)

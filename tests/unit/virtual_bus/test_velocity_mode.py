@@ -2,8 +2,8 @@
 
 import pytest
 
-from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode, State
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.cia402.profile import Mode, State
 from tests.unit.virtual_bus.motion_bench import (
     BIT_12,
     BIT_13,

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from drivers.sheets.dictionary import load_dictionary
-from drivers.timebase import Instant
+from servobench.drivers.sheets.dictionary import load_dictionary
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
+from servobench.virtual_bus.device.parameter_storage import FileStore
+from servobench.virtual_bus.device.vendor_dictionary import BASE_NODE_ID, overlay
+from servobench.virtual_bus.drive.servo import SimulatedServo
+from servobench.virtual_bus.frame import Frame
 from tests.motors import LING
-from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.device.parameter_storage import FileStore
-from virtual_bus.device.vendor_dictionary import BASE_NODE_ID, overlay
-from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.frame import Frame
 
 EDS = Path(__file__).parents[2] / "contract" / "conformance" / "rehearsed.eds"
 NODE = 5

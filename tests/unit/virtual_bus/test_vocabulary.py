@@ -3,8 +3,8 @@
 from canopen import lss
 from canopen.sdo.exceptions import SdoAbortedError
 
-from virtual_bus.device.lss_slave import BIT_RATES, Lss
-from virtual_bus.device.sdo_abort import AbortCode
+from servobench.virtual_bus.device.lss_slave import BIT_RATES, Lss
+from servobench.virtual_bus.device.sdo_abort import AbortCode
 
 
 def test_abort_codes_are_those_of_python_canopen() -> None:

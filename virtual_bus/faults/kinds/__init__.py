@@ -1,1 +1,2 @@
-"""The kinds of faults, each in a file of its own; :mod:`virtual_bus.faults.register` lists them."""
+"""The kinds of faults, each in a file of its own; :mod:`servobench.virtual_bus.faults.register` lists
+them."""

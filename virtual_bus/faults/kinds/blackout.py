@@ -2,13 +2,13 @@
 
 from pydantic import model_validator
 
-from drivers.errors import MISSING
-from drivers.timebase import NEVER, Duration
-from virtual_bus.faults.fault_streams import UniformStream
-from virtual_bus.faults.fault_table import Count, Lasting, ns, require
-from virtual_bus.faults.frame_fault import FrameFault
-from virtual_bus.faults.log_kind import LogKind
-from virtual_bus.faults.strikes import FirstStrikes, Strike
+from servobench.drivers.errors import MISSING
+from servobench.drivers.timebase import NEVER, Duration
+from servobench.virtual_bus.faults.fault_streams import UniformStream
+from servobench.virtual_bus.faults.fault_table import Count, Lasting, ns, require
+from servobench.virtual_bus.faults.frame_fault import FrameFault
+from servobench.virtual_bus.faults.log_kind import LogKind
+from servobench.virtual_bus.faults.strikes import FirstStrikes, Strike
 
 
 class Blackout(FrameFault):

@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from typing import Annotated
 
-from drivers.timebase import Instant
-from virtual_bus.faults.fault_table import TimeWindow, within
-from virtual_bus.faults.log_kind import NONE, LogNumber, node_event
-from virtual_bus.faults.node_fault import NodeEvent, NodeFault, Streams, StruckNode
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.faults.fault_table import TimeWindow, within
+from servobench.virtual_bus.faults.log_kind import NONE, LogNumber, node_event
+from servobench.virtual_bus.faults.node_fault import NodeEvent, NodeFault, Streams, StruckNode
 
 DRIFT_PPM_MAX = 10_000
 """1 %, as of an oscillator without a crystal; those with one stay within 100 ppm."""

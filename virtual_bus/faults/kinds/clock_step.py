@@ -1,9 +1,9 @@
 """``[[clock_step]]``: a drive's clock that jumps."""
 
-from drivers.timebase import NS_PER_S, NS_PER_US, Instant
-from virtual_bus.faults.fault_table import Number, RangeRule
-from virtual_bus.faults.log_kind import LogNumber, node_event
-from virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
+from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Instant
+from servobench.virtual_bus.faults.fault_table import Number, RangeRule
+from servobench.virtual_bus.faults.log_kind import LogNumber, node_event
+from servobench.virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
 
 STEP_MAX = 3600 * NS_PER_S
 """1013h wraps after 71.6 minutes: a step of more would look like a smaller one."""

@@ -1,10 +1,10 @@
 """``[[delay]]``: frames are held, fixed or drawn evenly."""
 
-from virtual_bus.faults.fault_streams import UniformStream
-from virtual_bus.faults.fault_table import Number, RangeRule
-from virtual_bus.faults.frame_fault import FrameFault
-from virtual_bus.faults.log_kind import LATER, LogKind, LogNumber
-from virtual_bus.faults.strikes import Hold, UniformHold
+from servobench.virtual_bus.faults.fault_streams import UniformStream
+from servobench.virtual_bus.faults.fault_table import Number, RangeRule
+from servobench.virtual_bus.faults.frame_fault import FrameFault
+from servobench.virtual_bus.faults.log_kind import LATER, LogKind, LogNumber
+from servobench.virtual_bus.faults.strikes import Hold, UniformHold
 
 
 class Delay(FrameFault):

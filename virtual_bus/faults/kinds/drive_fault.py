@@ -6,11 +6,11 @@ from typing import Any, Literal
 
 from pydantic import model_validator
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.faults.fault_table import Number, Seconds, ns, require
-from virtual_bus.faults.log_kind import LogNumber, node_event
-from virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.faults.fault_table import Number, Seconds, ns, require
+from servobench.virtual_bus.faults.log_kind import LogNumber, node_event
+from servobench.virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
 
 
 class DriveFailure(Enum):

@@ -2,8 +2,8 @@
 
 import errno
 
-from virtual_bus.faults.log_kind import LogKind, LogNumber
-from virtual_bus.faults.outage import AdapterOutage
+from servobench.virtual_bus.faults.log_kind import LogKind, LogNumber
+from servobench.virtual_bus.faults.outage import AdapterOutage
 
 
 class FullQueue(AdapterOutage):

@@ -1,8 +1,8 @@
 """``[[host_stall]]``: a host that is late."""
 
-from virtual_bus.faults.fault_table import Number, RangeRule
-from virtual_bus.faults.log_kind import LogKind, LogNumber
-from virtual_bus.faults.node_fault import Draw, Occasion
+from servobench.virtual_bus.faults.fault_table import Number, RangeRule
+from servobench.virtual_bus.faults.log_kind import LogKind, LogNumber
+from servobench.virtual_bus.faults.node_fault import Draw, Occasion
 
 
 class HostStall(Occasion):

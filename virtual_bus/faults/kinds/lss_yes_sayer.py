@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
-from drivers.timebase import Instant
-from virtual_bus.faults.log_kind import NONE, node_event
-from virtual_bus.faults.node_fault import NodeEvent, NodeFault, Streams, StruckNode
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.faults.log_kind import NONE, node_event
+from servobench.virtual_bus.faults.node_fault import NodeEvent, NodeFault, Streams, StruckNode
 
 
 class LssYesSayer(NodeFault):

@@ -8,13 +8,13 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, model_validator
 
-from drivers.bounded_file import NamedBy, parse_json, read_text
-from drivers.errors import MISSING
-from drivers.timebase import NS_PER_US
-from virtual_bus.faults.fault_streams import UniformStream
-from virtual_bus.faults.fault_table import DELAY_MAX, Number, ns, require
-from virtual_bus.faults.frame_fault import FrameFault
-from virtual_bus.faults.strikes import Hold, MeasuredHold
+from servobench.drivers.bounded_file import NamedBy, parse_json, read_text
+from servobench.drivers.errors import MISSING
+from servobench.drivers.timebase import NS_PER_US
+from servobench.virtual_bus.faults.fault_streams import UniformStream
+from servobench.virtual_bus.faults.fault_table import DELAY_MAX, Number, ns, require
+from servobench.virtual_bus.faults.frame_fault import FrameFault
+from servobench.virtual_bus.faults.strikes import Hold, MeasuredHold
 
 COUNT_MAX = 1 << 53
 """Of a bar: as far as a float counts."""

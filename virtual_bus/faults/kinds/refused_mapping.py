@@ -4,13 +4,13 @@ from typing import Annotated, Final
 
 from pydantic import model_validator
 
-from drivers.canopen.objects301 import PDO_ENTRIES_MAX, is_mapping
-from drivers.errors import MISSING
-from drivers.timebase import Instant
-from virtual_bus.faults.fault_table import require, within
-from virtual_bus.faults.log_kind import NONE, LogNumber, node_event
-from virtual_bus.faults.node_fault import NodeEvent, NodeFault, StruckNode
-from virtual_bus.faults.object_place import ObjectPlace, place_of, place_text
+from servobench.drivers.canopen.objects301 import PDO_ENTRIES_MAX, is_mapping
+from servobench.drivers.errors import MISSING
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.faults.fault_table import require, within
+from servobench.virtual_bus.faults.log_kind import NONE, LogNumber, node_event
+from servobench.virtual_bus.faults.node_fault import NodeEvent, NodeFault, StruckNode
+from servobench.virtual_bus.faults.object_place import ObjectPlace, place_of, place_text
 
 NOT_MAPPABLE: Final = 0x06040041
 """Object cannot be mapped to the PDO (CiA 301, table 22)."""

@@ -2,11 +2,11 @@
 
 from typing import Annotated, Final
 
-from drivers.canopen.error_codes import ErrorRegister
-from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.faults.fault_table import Lasting, ns, within
-from virtual_bus.faults.log_kind import NONE, LogNumber, node_event
-from virtual_bus.faults.node_fault import EVERY_MIN, Draw, NodeEvent, NodeOccasion, StruckNode
+from servobench.drivers.canopen.error_codes import ErrorRegister
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.virtual_bus.faults.fault_table import Lasting, ns, within
+from servobench.virtual_bus.faults.log_kind import NONE, LogNumber, node_event
+from servobench.virtual_bus.faults.node_fault import EVERY_MIN, Draw, NodeEvent, NodeOccasion, StruckNode
 
 _REGISTERS: Final = {
     2: ErrorRegister.CURRENT,

@@ -4,16 +4,16 @@ from typing import Annotated, Final, Literal
 
 from pydantic import model_validator
 
-from drivers.canopen.objects301 import FIRST_OBJECT
-from drivers.cia402.objects402 import Object
-from drivers.errors import MISSING
-from virtual_bus.faults import alterations
-from virtual_bus.faults.alterations import Alteration, Change
-from virtual_bus.faults.fault_streams import UniformStream
-from virtual_bus.faults.fault_table import Number, Probability, require, within
-from virtual_bus.faults.frame_fault import LinkFault
-from virtual_bus.faults.log_kind import LogKind, LogNumber
-from virtual_bus.faults.object_place import ObjectPlace, place_of, place_text
+from servobench.drivers.canopen.objects301 import FIRST_OBJECT
+from servobench.drivers.cia402.objects402 import Object
+from servobench.drivers.errors import MISSING
+from servobench.virtual_bus.faults import alterations
+from servobench.virtual_bus.faults.alterations import Alteration, Change
+from servobench.virtual_bus.faults.fault_streams import UniformStream
+from servobench.virtual_bus.faults.fault_table import Number, Probability, require, within
+from servobench.virtual_bus.faults.frame_fault import LinkFault
+from servobench.virtual_bus.faults.log_kind import LogKind, LogNumber
+from servobench.virtual_bus.faults.object_place import ObjectPlace, place_of, place_text
 
 _HOWS: Final = ("stuck", "offset", "drift", "noise", "scale", "sign", "bits")
 _KEYS: Final = {

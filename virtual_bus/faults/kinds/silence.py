@@ -1,9 +1,9 @@
 """``[[silence]]``: a node whose plug is pulled."""
 
-from drivers.timebase import Instant
-from virtual_bus.faults.fault_table import Lasting, ns
-from virtual_bus.faults.log_kind import LogNumber, node_event
-from virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
+from servobench.drivers.timebase import Instant
+from servobench.virtual_bus.faults.fault_table import Lasting, ns
+from servobench.virtual_bus.faults.log_kind import LogNumber, node_event
+from servobench.virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
 
 
 class Silence(NodeOccasion):

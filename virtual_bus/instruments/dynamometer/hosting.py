@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from functools import partial
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from virtual_bus.frame import Frame
-from virtual_bus.instruments.dynamometer.instrument import STEP_NS, Instrument
-from virtual_bus.instruments.serial_line.device_line import DeviceLine, LineFaults, LineSpoiler
-from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
-from virtual_bus.timeline import Timeline
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.instruments.dynamometer.instrument import STEP_NS, Instrument
+from servobench.virtual_bus.instruments.serial_line.device_line import DeviceLine, LineFaults, LineSpoiler
+from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
+from servobench.virtual_bus.timeline import Timeline
 
 ANSWER_NS = Duration(2 * NS_PER_MS)
 """From the end of a request to the beginning of its answer: chosen here."""
@@ -17,7 +17,7 @@ ANSWER_NS = Duration(2 * NS_PER_MS)
 class TimelineLine:
     """Both ends of a serial line in simulated time, with the instrument at the far one.
 
-    The near end is what a driver reads and writes (:class:`drivers.wire.serial_line.ByteLine`).
+    The near end is what a driver reads and writes (:class:`servobench.drivers.wire.serial_line.ByteLine`).
     """
 
     def __init__(

@@ -1,21 +1,21 @@
 """A Magtrol dynamometer controller without I/O: commands in, data strings out, and behind it a hysteresis
 brake on a simulated shaft, with the loop that holds its torque.
 
-Sources as in :mod:`drivers.instruments.magtrol`. Commands end with CR LF; what is not understood is counted,
-as the real instrument shows it on its display, and is not answered. Of the command set: *IDN?, OD, Q, MODE;
-of a DSP7000 with the number of the channel. The data string has a fixed length: six digits of speed (a
-DSP6001: five), five characters of torque with its point, the direction.
+Sources as in :mod:`servobench.drivers.instruments.magtrol`. Commands end with CR LF; what is not understood
+is counted, as the real instrument shows it on its display, and is not answered. Of the command set: *IDN?,
+OD, Q, MODE; of a DSP7000 with the number of the channel. The data string has a fixed length: six digits of
+speed (a DSP6001: five), five characters of torque with its point, the direction.
 """
 
 import math
 from typing import TYPE_CHECKING, Final
 
-from drivers.instruments.dynamometer import LINE_BYTES_MAX
-from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from servobench.drivers.instruments.dynamometer import LINE_BYTES_MAX
+from servobench.drivers.rotation import RAD_S_PER_RPM
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 
 if TYPE_CHECKING:
-    from virtual_bus.drive.servo import SimulatedServo
+    from servobench.virtual_bus.drive.servo import SimulatedServo
 
 STEP_NS: Final = NS_PER_MS
 """The torque loop of the brake runs so often."""

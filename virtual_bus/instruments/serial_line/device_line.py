@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import BadInput
-from drivers.key_advice import nearest
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
-from drivers.wire.serial_line import BITS_A_BYTE, READ_BYTES
-from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
+from servobench.drivers.errors import BadInput
+from servobench.drivers.key_advice import nearest
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
+from servobench.drivers.wire.serial_line import BITS_A_BYTE, READ_BYTES
+from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 _PROBABILITIES = ("drop", "garble", "truncate", "noise", "terminator", "refuse", "lose")
 

@@ -6,8 +6,8 @@ import tty
 from contextlib import suppress
 from pathlib import Path
 
-from drivers.errors import BadInput
-from drivers.wire.serial_line import READ_BYTES
+from servobench.drivers.errors import BadInput
+from servobench.drivers.wire.serial_line import READ_BYTES
 
 
 class PseudoTerminal:

@@ -17,8 +17,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from drivers.timebase import NS_PER_MS, Instant
-from drivers.wire.slcan_protocol import (
+from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.drivers.wire.slcan_protocol import (
     BEL,
     BITRATE_CODES,
     CR,
@@ -28,7 +28,7 @@ from drivers.wire.slcan_protocol import (
     decode_frame,
     encode_frame,
 )
-from virtual_bus.frame import Frame
+from servobench.virtual_bus.frame import Frame
 
 _ALL = 0xFFFF_FFFF
 

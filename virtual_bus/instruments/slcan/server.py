@@ -6,16 +6,16 @@ from pathlib import Path
 
 import can
 
-from drivers.errors import BusDown
-from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Instant
-from drivers.wire.adapters import BusSpec, open_bus
-from drivers.wire.message import frame_of, message_of
-from drivers.wire.slcan_protocol import SlcanStatus
-from virtual_bus.bus.hub import HubBus
-from virtual_bus.frame import Frame
-from virtual_bus.instruments.serial_line.device_line import DeviceLine, LineFaults
-from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
-from virtual_bus.instruments.slcan.adapter import SlcanAdapter
+from servobench.drivers.errors import BusDown
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Instant
+from servobench.drivers.wire.adapters import BusSpec, open_bus
+from servobench.drivers.wire.message import frame_of, message_of
+from servobench.drivers.wire.slcan_protocol import SlcanStatus
+from servobench.virtual_bus.bus.hub import HubBus
+from servobench.virtual_bus.frame import Frame
+from servobench.virtual_bus.instruments.serial_line.device_line import DeviceLine, LineFaults
+from servobench.virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
+from servobench.virtual_bus.instruments.slcan.adapter import SlcanAdapter
 
 TRANSMIT_FIFO = 64
 """Frames that the adapter holds for the bus."""
