@@ -1,4 +1,4 @@
-"""What is on the wire: CAN, CANopen, CiA 402. Knows no simulation."""
+"""The wire side: CAN, CANopen, CiA 402. Contains no simulation."""
 
 from servobench.drivers.compiled import use_fresh
 from servobench.drivers.lean_can import spare_asammdf

@@ -1,4 +1,4 @@
-"""The one reader of files that a user names: regular files only, bounded in size, depth and length.
+"""The one reader for files that a user names: regular files only, with bounded size, depth and line length.
 
 Every limit holds before a parser sees the text, so that no file can stop the parser or keep it busy; what
 the parser has made of it is finite, fits 64 bits (TOML v1.0, "Integer") and can be printed.
@@ -24,12 +24,13 @@ SIZE_MAX_BYTES = 1_000_000
 LINE_MAX_BYTES = 4096
 """Ten times the longest line that a recording or a journal holds."""
 DEPTH_MAX = 32
-"""Tables and lists in one another, parts of a dotted key; a bench file has six. The parsers recurse."""
+"""Nesting limit of tables and lists, and of parts in a dotted key; a bench file needs six. The parsers
+recurse."""
 WORD_MAX = 256
-"""Characters of a key or number. Turning digits into an integer takes the square of their number, and
-CPython refuses more than 4300."""
+"""Characters in a key or number. Converting digits to an integer takes quadratic time, and CPython refuses
+more than 4300."""
 INTEGER_MIN, INTEGER_MAX = -(2**63), 2**63 - 1
-"""What TOML v1.0 has for an integer."""
+"""The integer range of TOML v1.0."""
 
 _TOKEN = re.compile(
     r"""(?P<text>\"\"\"|'''|"|')|(?P<comment>\#)|(?P<open>[\[{])|(?P<close>[\]}])|(?P<dot>\.)|(?P<gap>[,=:\n])"""
@@ -46,24 +47,24 @@ _LINE_END = re.compile(r"\n|\Z")
 
 
 class NamedBy(NamedTuple):
-    """The place that names a file: the one to blame if there is no such file."""
+    """Where a file was named: the place to blame if the file does not exist."""
 
     source: str
     """A file, or a command-line option."""
     key: str
     """Its key; empty for an option."""
     text: str
-    """What stands there."""
+    """The text found there."""
 
 
 class NoSuchFile(BadInput):
-    """There is no file of that name."""
+    """The named file does not exist."""
 
 
 def read_bytes(
     path: Path, what: str, named_by: NamedBy | None = None, size_max_bytes: int = SIZE_MAX_BYTES
 ) -> bytes:
-    """The contents of ``path``; ``what``: the kind of file, for the message.
+    """Return the contents of ``path``; ``what`` is the kind of file, for the message.
 
     Raises BadInput, and of it NoSuchFile.
     """
@@ -77,14 +78,14 @@ def read_bytes(
 def read_text(
     path: Path, what: str, named_by: NamedBy | None = None, size_max_bytes: int = SIZE_MAX_BYTES
 ) -> str:
-    """As :func:`read_bytes`, of a file in UTF-8."""
+    """Read ``path`` as UTF-8 text; otherwise like :func:`read_bytes`."""
     return _decoded(read_bytes(path, what, named_by, size_max_bytes), str(path), what, "")
 
 
 def read_lines(
     path: Path, what: str, named_by: NamedBy | None = None, size_max_bytes: int = SIZE_MAX_BYTES
 ) -> Iterator[str]:
-    """The lines of ``path`` with their ends, one after the other: a long file is not held in memory."""
+    """Yield the lines of ``path`` with their line ends, one by one: a long file is not held in memory."""
     with _opened(path, what, named_by, size_max_bytes) as file:
         number = 0
         while line := file.readline(LINE_MAX_BYTES + 1):
@@ -97,12 +98,12 @@ def read_lines(
 
 
 def read_toml(path: Path, what: str, named_by: NamedBy | None = None) -> dict[str, Any]:
-    """The table in the file ``path``. Raises BadInput."""
+    """Parse the TOML file ``path`` into a table. Raises BadInput."""
     return parse_toml(read_text(path, what, named_by), str(path))
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """The table that ``text``, of the file ``source``, is. Raises BadInput."""
+    """Parse ``text``, read from the file ``source``, as TOML. Raises BadInput."""
     _check_form(text, source, "")
     try:
         tables = tomllib.loads(text)
@@ -113,7 +114,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def parse_json(text: str, source: str, what: str, place: str = "") -> Any:
-    """The value that ``text``, at ``place`` of the file ``source``, is; ``what``: what it should be.
+    """Parse ``text``, found at ``place`` in the file ``source``, as JSON; ``what`` is what it should be.
 
     Raises BadInput.
     """
@@ -128,7 +129,7 @@ def parse_json(text: str, source: str, what: str, place: str = "") -> Any:
 
 @contextmanager
 def _opened(path: Path, what: str, named_by: NamedBy | None, size_max_bytes: int) -> Iterator[BinaryIO]:
-    """``path`` open for reading. Without waiting: to open a FIFO would wait for its writer."""
+    """Open ``path`` for reading without blocking: opening a FIFO would wait for its writer."""
     blamed = named_by or NamedBy(str(path), "", "")
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -175,7 +176,7 @@ def _decoded(data: bytes, source: str, what: str, place: str) -> str:
 
 
 def _with_article(what: str) -> str:
-    """``what`` as a sentence has it: a bench file, an EDS file."""
+    """Put the right article before ``what``: a bench file, an EDS file."""
     return f"{'an' if what[:1].lower() in 'aeiou' else 'a'} {what}"
 
 
@@ -198,9 +199,9 @@ def _no_such_file(path: Path, what: str, named_by: NamedBy) -> NoSuchFile:
 
 
 def _check_form(text: str, source: str, place: str) -> None:
-    """Refuse brackets too deep, dotted keys of too many parts and words too long, in time linear in the text.
+    """Refuse brackets nested too deep, dotted keys with too many parts and words too long, in linear time.
 
-    An unterminated string ends the check: the parser will not come beyond it either.
+    An unterminated string ends the check: the parser will not get past it either.
     """
     depth = dots = at = 0
     while (token := _TOKEN.search(text, at)) is not None:
@@ -227,7 +228,7 @@ def _check_form(text: str, source: str, place: str) -> None:
 
 
 def _check_values(node: Any, source: str, place: str) -> None:
-    """Refuse what no key takes: integers beyond 64 bits, inf and nan, and text with control characters."""
+    """Refuse values that no key takes: integers beyond 64 bits, inf and nan, text with control characters."""
     waiting: list[tuple[str, Any]] = [(place, node)]
     while waiting:
         key, value = waiting.pop()

@@ -1,4 +1,4 @@
-"""Which compiled modules may be used: those made from the present sources, for this Python.
+"""Decides which compiled modules may be used: those built from the present sources, for this Python.
 
 ``setup.py`` compiles the hot modules in groups, each one library, and leaves a manifest of what they were
 made from, in a checkout as in a wheel. A compiled module shadows its source: an old one would run what nobody
@@ -31,22 +31,22 @@ PURE = "SERVOBENCH_PURE"
 
 
 class Build(NamedTuple):
-    """What of a build is used."""
+    """The parts of a build that are in use."""
 
     compiled: tuple[str, ...] = ()
     """Groups that run compiled."""
     held_back: tuple[str, ...] = ()
-    """Groups that were compiled, and run from their sources all the same."""
+    """Groups that are compiled but run from their sources anyway."""
     why: str = ""
     """Why something is interpreted; empty if nothing is."""
     sources: frozenset[str] = frozenset()
     """Files whose compiled form is used."""
     unusable: bool = False
-    """Compiled modules are there that must not be used."""
+    """Compiled modules exist that must not be used."""
 
 
 def digest_of(source: Path) -> str:
-    """What tells one version of a source from another; empty for one that is not there."""
+    """Return a digest that identifies this version of a source; empty if the file does not exist."""
     return blake2b(source.read_bytes(), digest_size=16).hexdigest() if source.exists() else ""
 
 
@@ -88,14 +88,14 @@ def _compare(root: Path, groups: dict[str, dict[str, Any]]) -> Build:
 
 
 class SourcesOf:
-    """A finder that takes modules of ours from their sources, unless their compiled form is fresh."""
+    """A finder that loads our modules from source unless their compiled form is fresh."""
 
     def __init__(self, build: Build) -> None:
         files = (file.removesuffix(".py").replace("/", ".") for file in build.sources)
         self._compiled = frozenset(f"{PACKAGE}.{file}" for file in files)
 
     def find_spec(self, name: str, path: Sequence[str] | None, _target: Any = None) -> ModuleSpec | None:
-        """As importlib asks for it; None leaves the module to the next finder."""
+        """Find a module's spec, as importlib asks; None leaves the module to the next finder."""
         if not name.startswith(f"{PACKAGE}.") or path is None or name in self._compiled:
             return None
         source = Path(path[0], f"{name.rpartition('.')[2]}.py")
@@ -104,9 +104,9 @@ class SourcesOf:
 
 @cache
 def use_fresh() -> Build:
-    """Let this process import no compiled module that is out of date.
+    """Keep this process from importing any compiled module that is out of date.
 
-    Each package in which modules are compiled calls it, so that it comes before the first of them.
+    Every package with compiled modules calls it, before the first of them is imported.
     """
     build = look()
     if build.unusable:
@@ -115,14 +115,15 @@ def use_fresh() -> Build:
 
 
 def notice(build: Build) -> str | None:
-    """One line for the user if compiled modules are there that are not used, unless that was asked for."""
+    """Return a line for the user if compiled modules exist but are not used, unless the user asked for
+    that."""
     if not build.unusable or os.environ.get(PURE):
         return None
     return f"{', '.join(build.held_back) or 'all modules'} interpreted, {build.why}; {remedy()}"
 
 
 def remedy(root: Path = ROOT) -> str:
-    """The command that compiles everything."""
+    """Return the command that compiles everything."""
     if (root / "setup.py").exists():
         return "make compile"
     return "install servobench again where a C compiler and Python's headers are"

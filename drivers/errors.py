@@ -31,11 +31,11 @@ class BadInput(BenchError):
     key: str
     """Dotted path of the key, e.g. ``drive.axis1.node``; empty if the whole file is meant."""
     value: Any
-    """What was found; ``MISSING`` where nothing was."""
+    """The value found; ``MISSING`` if there was none."""
     expected: str
-    """What would have been accepted."""
+    """The accepted values."""
     remedy: str = ""
-    """What to do next, if ``expected`` does not say it already."""
+    """The next step for the user, if ``expected`` does not already say it."""
 
     exit_status = 2
 
@@ -51,7 +51,7 @@ def _shortened(text: str) -> str:
 
 
 class Missing:
-    """Stands for a value that is absent, in a :class:`BadInput`."""
+    """Marks an absent value in a :class:`BadInput`."""
 
     def __repr__(self) -> str:
         return "nothing"
@@ -62,13 +62,13 @@ MISSING = Missing()
 
 @dataclass(eq=False)
 class PeerFault(BenchError):
-    """The bus or a device on it failed; ``evidence`` is what was seen of it."""
+    """The bus or a device on it failed; ``evidence`` is what was observed."""
 
     summary: str
     evidence: str = ""
     remedy: str = ""
     seen_at: Instant | None = None
-    """When it showed, by the stamp of the frame that told it; None: when this was raised."""
+    """When the failure showed, by the stamp of the frame that reported it; None: when this was raised."""
 
     def __str__(self) -> str:
         return "; ".join(part for part in (self.summary, self.evidence, self.remedy) if part)
@@ -83,7 +83,7 @@ class NoAnswer(PeerFault):
 
 
 class AnswersTwice(PeerFault):
-    """More answers came from a node than it was asked for: most likely two nodes have its id."""
+    """A node sent more answers than requested: most likely two nodes share its id."""
 
 
 class DriveInFault(PeerFault):
@@ -91,7 +91,7 @@ class DriveInFault(PeerFault):
 
 
 class PowerLost(PeerFault):
-    """The power stage of an enabled drive has no voltage any more: safe torque off, or its supply is gone."""
+    """The power stage of an enabled drive has lost its voltage: safe torque off, or no supply."""
 
 
 @dataclass(eq=False)

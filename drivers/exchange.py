@@ -1,4 +1,4 @@
-"""What passes between a drive and a loop in one cycle, in SI units, and who they are to each other."""
+"""The data that a drive and a loop exchange in one cycle, in SI units, and their interfaces to each other."""
 
 import math
 from collections.abc import Callable
@@ -11,11 +11,11 @@ from servobench.drivers.timebase import Instant
 
 
 class Reading(Record):
-    """What a drive told with one SYNC: its speed and, if it has a clock, the stamp of that very sample.
+    """One drive's values at one SYNC: its speed and, if the drive has a clock, the stamp of that very sample.
 
-    Position, torque and statusword travel in other frames, some of them more seldom. They are the last
-    known; ``..._told_at`` is the bus stamp of the frame that told them, so ``received_at - ..._told_at`` is
-    their age.
+    Position, torque and statusword travel in other frames, some of them more seldom. The last known values
+    are used; ``..._told_at`` is the bus stamp of the frame that carried them, so ``received_at -
+    ..._told_at`` is their age.
     """
 
     __match_args__ = (
@@ -50,10 +50,10 @@ class Reading(Record):
         self.received_at: Final = received_at
         """Bus stamp of the frame that carries the speed."""
         self.position_rad: Final = position_rad
-        """Carried on by the speed since it was told."""
+        """Extrapolated by the speed since the last frame that carried it."""
         self.position_told_at: Final = position_told_at
         self.torque_nm: Final = torque_nm
-        """NaN until it was told."""
+        """NaN until a frame has carried it."""
         self.torque_told_at: Final = torque_told_at
         self.statusword: Final = statusword
         """0x6041, raw."""
@@ -61,7 +61,7 @@ class Reading(Record):
 
 
 class Readback(Record):
-    """The torque demand 0x6074 as a drive told it: which command it was following at a SYNC."""
+    """The torque demand 0x6074 reported by a drive: which command it was following at a SYNC."""
 
     __match_args__ = ("demand_raw", "received_at", "readings", "in_reading")
     __slots__ = __match_args__
@@ -76,11 +76,11 @@ class Readback(Record):
         """How many readings of this drive were complete when it came: it goes with the SYNC of the last of
         them, if no frame was lost or overtaken on the way."""
         self.in_reading: Final = in_reading
-        """Whether it came in the frame of that reading, so that it is of its SYNC in any case."""
+        """True if it came in the frame of that reading, and so certainly belongs to its SYNC."""
 
 
 class DemandChange(Record):
-    """A torque demand 6074h that a drive told when it changed: when a command began to act."""
+    """A change of the torque demand 6074h reported by a drive: the moment a command began to act."""
 
     __match_args__ = ("demand_raw", "device_time_ns", "received_at")
     __slots__ = __match_args__
@@ -94,7 +94,7 @@ class DemandChange(Record):
 
 
 class SentCommand:
-    """A set-point that was handed to the bus, and what the bus told of it since."""
+    """A set-point handed to the bus, and what the bus has reported about it since."""
 
     __slots__ = ("handed_at", "maybe_at", "on_bus_at", "raw", "sequence", "unsent")
 
@@ -102,16 +102,16 @@ class SentCommand:
         self.sequence = sequence
         """The cycle that produced it."""
         self.raw = raw
-        """As it was sent, in the unit of 0x6071 (0x60FF, 0x607A)."""
+        """The value sent, in the unit of 0x6071 (0x60FF, 0x607A)."""
         self.handed_at = handed_at
         """Just before the bus was offered it."""
         self.unsent = False
-        """Whether the bus had no room for it until a newer one was to be sent: it never went out."""
+        """True if the bus had no room for it before a newer one replaced it: it was never sent."""
         self.on_bus_at: Instant | None = None
-        """End of its frame on the bus, by its echo; None until that comes, and for ever on a bus without
-        echoes or for a frame that never reached the wire."""
+        """End of its frame on the bus, by its echo; None until the echo comes, and permanently None on a bus
+        without echoes or for a frame that never reached the wire."""
         self.maybe_at: Instant | None = None
-        """The first echo that is taken for that of another command with equal data, and may be its own."""
+        """The first echo attributed to another command with equal data that may belong to this one."""
 
 
 class Command(Record):
@@ -156,18 +156,20 @@ class PositionCommand(Command):
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class Drive:
-    """What an axis of the loop needs of a drive, simulated or real. Override all."""
+    """The interface of a drive, simulated or real, to an axis of the loop. Override all methods."""
 
     def take_readings(self) -> list[Reading]:
-        """The complete readings since the last call, oldest first."""
+        """Return the complete readings since the last call, oldest first."""
         raise NotImplementedError
 
     def take_readbacks(self) -> list[Readback]:
-        """The read-backs since the last call, oldest first; always empty for a drive that tells none."""
+        """Return the read-backs since the last call, oldest first; always empty for a drive that reports
+        none."""
         raise NotImplementedError
 
     def take_demand_changes(self) -> list[DemandChange]:
-        """The changes of the torque demand since the last call, oldest first; empty where none are told."""
+        """Return the changes of the torque demand since the last call, oldest first; empty if none are
+        reported."""
         return []
 
     def write(self, command: Command) -> SentCommand | None:
@@ -175,45 +177,46 @@ class Drive:
         raise NotImplementedError
 
     def held_position_rad(self) -> float:
-        """Where the shaft was when the drive was enabled, counted as in a reading; asked for on an axis whose
-        reference or command is a position, before its first cycle."""
+        """Return the shaft position at the moment the drive was enabled, on the scale of the readings; called
+        before the first cycle of an axis whose reference or command is a position."""
         raise NotImplementedError
 
     def follows(self) -> bool:
-        """Whether the drive follows what is sent to it; True for one that does not tell."""
+        """Return True while the drive follows its commands, and for a drive that does not report it."""
         return True
 
     def check(self) -> None:
-        """Raises PeerFault if the drive is not enabled any more, reports a fault or was lost."""
+        """Raise PeerFault if the drive is no longer enabled, reports a fault or is lost."""
         raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class Master:
-    """What the loop needs of the CANopen master. Override all methods."""
+    """The interface of the CANopen master to the loop. Override all methods."""
 
     def __init__(self) -> None:
         self.sync_count = 0
         """SYNCs sent."""
         self.sync_handed_at: list[Instant] = [Instant(0)]
-        """When the last of them was handed to the bus of each segment."""
+        """When the latest SYNC was handed to the bus of each segment."""
         self.on_sync_echo: Callable[[Instant, Instant], None] | None = None
-        """Told of each of our SYNCs that was on the bus: its end of frame, and when it had been handed over,
-        which is UNTOLD where the bus does not tell it."""
+        """Called for each of our SYNCs that reached the bus: its end of frame, and the instant of its
+        hand-over, which is UNTOLD if the bus does not report it."""
         self.on_sync_unsent: Callable[[Instant], None] | None = None
-        """Told of each of our SYNCs that never went out, as the bus had no room for it: when it was handed
-        over."""
+        """Called for each of our SYNCs that was never sent because the bus had no room: the instant of its
+        hand-over."""
 
         self.on_unheard: Callable[[Instant], None] | None = None
-        """Told that frames which were on the bus before an instant may not have come, echoes among them."""
+        """Called when frames that were on the bus before an instant, echoes included, may have been
+        missed."""
 
     def send_sync(self) -> Instant:
-        """Send a SYNC; when it was handed to the bus, of several to the first."""
+        """Send a SYNC; return the instant at which it was handed to the (first) bus."""
         raise NotImplementedError
 
     def withdraw(self) -> None:
-        """Give up the SYNCs and set-points that still wait for room on the bus, so that none goes out later;
-        whoever is told of unsent frames is told of each."""
+        """Discard the SYNCs and set-points that still wait for room on the bus, so that none goes out later;
+        the handler of unsent frames is called for each."""
         raise NotImplementedError
 
     def pump(self, until: Instant) -> None:
@@ -225,5 +228,5 @@ class Master:
         raise NotImplementedError
 
     def rest(self, until: Instant) -> None:
-        """As ``pump``, but frames may pile up until then: their stamps are the bus's."""
+        """Let time pass like ``pump``, but frames may queue up until then: the bus has stamped them."""
         self.pump(until)

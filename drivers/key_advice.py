@@ -1,4 +1,5 @@
-"""What an unknown key was meant to be: the nearest known key, or the same quantity in its right unit."""
+"""Guesses what an unknown key was meant to be: the nearest known key, or the same quantity in its right
+unit."""
 
 import difflib
 from collections.abc import Collection, Iterable
@@ -28,13 +29,13 @@ _UNIT_WORDS = frozenset(word for unit in UNITS for word in unit.split("/")) | {"
 
 
 def nearest(unknown: str, known: Iterable[str]) -> str | None:
-    """The known word that looks most like ``unknown``; None if none does."""
+    """Return the known word most similar to ``unknown``; None if none is similar."""
     near = difflib.get_close_matches(unknown, list(known), n=1, cutoff=0.6)
     return near[0] if near else None
 
 
 def same_quantity(unknown: str, known: Iterable[str]) -> str | None:
-    """The known key that names the same thing in another unit, or that ``unknown`` leaves without one."""
+    """Return the known key for the same quantity in another unit, or without a unit in ``unknown``."""
     stem, unit = split_unit(unknown)
     for key in known:
         key_stem, key_unit = split_unit(key)
@@ -44,14 +45,15 @@ def same_quantity(unknown: str, known: Iterable[str]) -> str | None:
 
 
 def split_unit(key: str) -> tuple[str, str]:
-    """``speed_max_rpm`` -> (``speed_max``, ``rpm``); the unit is empty if the key has none."""
+    """Split ``speed_max_rpm`` into (``speed_max``, ``rpm``); the unit is empty if the key has none."""
     words = key.lower().split("_")
     stem = "_".join(word for word in words if word not in _UNIT_WORDS)
     return stem, "/".join(word for word in words if word in _UNIT_WORDS)
 
 
 def converted(value: Any, found_key: str, expected_key: str) -> str | None:
-    """``value`` of ``found_key`` in the unit of ``expected_key``, as it would be typed, or None."""
+    """Convert ``value`` from the unit of ``found_key`` to that of ``expected_key``, as it would be typed;
+    None if it cannot be converted."""
     given, wanted = (UNITS.get(split_unit(key)[1]) for key in (found_key, expected_key))
     if given is None or wanted is None or given[0] != wanted[0]:
         return None
@@ -64,11 +66,11 @@ class UnknownKey(BadInput):
     """A key that the file must not hold."""
 
     meant: str | None = None
-    """The known key that it was probably meant to be."""
+    """The known key that was probably meant."""
 
 
 def unknown_key(source: str, path: str, value: Any, known: Collection[str]) -> UnknownKey:
-    """The error about the key at the dotted ``path``; ``known``: plain names that may stand there."""
+    """Return the error for the key at the dotted ``path``; ``known``: the plain names allowed there."""
     name = path.rpartition(".")[2]
     if other := same_quantity(name, known):
         number = converted(value, name, other)

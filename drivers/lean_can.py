@@ -1,4 +1,4 @@
-"""python-can without what it loads beside itself.
+"""python-can without the packages that it would load in passing.
 
 Where asammdf is installed (``hil export --to mf4`` takes it), python-can imports it for a log format that
 nothing here reads or writes, and with it pandas and polars: 0.4 s and 100 MB of every process.
@@ -13,7 +13,7 @@ _READER = "can.io.mf4"
 
 
 class _NotForPythonCan(MetaPathFinder):
-    """Says no to python-can alone: whoever else imports asammdf gets it."""
+    """Hides asammdf from python-can alone: any other importer gets it."""
 
     def find_spec(self, name: str, *_: Sequence[str] | ModuleType | None) -> None:
         if name == "asammdf":
@@ -23,5 +23,6 @@ class _NotForPythonCan(MetaPathFinder):
 
 
 def spare_asammdf() -> None:
-    """From now on; ``can.MF4Reader`` of this process then says that asammdf is missing."""
+    """Stop python-can from importing asammdf; ``can.MF4Reader`` then reports it as missing in this
+    process."""
     sys.meta_path.insert(0, _NotForPythonCan())

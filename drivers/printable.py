@@ -1,4 +1,4 @@
-"""Text of others on its way to a terminal: no character in it may act there."""
+"""Makes foreign text safe for a terminal: no character in it may act there."""
 
 import unicodedata
 
@@ -8,7 +8,7 @@ the separators of lines and paragraphs."""
 
 
 def printable(text: str) -> str:
-    """``text`` with every character that a terminal would obey, or could not show, as ``\\x1b``."""
+    """Return ``text`` with every character that a terminal would obey, or could not show, as ``\x1b``."""
     if text.isprintable():
         return text
     return "".join(_escaped(sign) if unicodedata.category(sign) in _ACTING else sign for sign in text)

@@ -1,4 +1,4 @@
-"""Speeds as people give them: SI knows rad/s, a nameplate r/min."""
+"""Speeds in everyday units: SI uses rad/s, a nameplate r/min."""
 
 import math
 from typing import Final

@@ -1,4 +1,4 @@
-"""Time as the whole bench knows it: integer nanoseconds on one monotonic axis.
+"""Time on the whole bench: integer nanoseconds on one monotonic axis.
 
 This is the one file that may import ``time``. Everything else is handed a
 :class:`Clock` or an :data:`Instant`, so that the same code runs on a real bus
@@ -26,10 +26,10 @@ One more would be an object for each comparison: compiled code holds 63 bits wit
 
 
 class Clock(Protocol):
-    """What the loop may ask of time. Only ``sleep_until`` and ``bus.recv`` let time pass."""
+    """The loop's view of time. Only ``sleep_until`` and ``bus.recv`` let time pass."""
 
     def now(self) -> Instant:
-        """The present instant, ns."""
+        """Return the present instant, ns."""
         ...
 
     def sleep_until(self, when: Instant) -> None:
@@ -50,31 +50,32 @@ class MonotonicClock:
 
 
 def instant_after(start: Instant, elapsed_s: float) -> Instant:
-    """The instant ``elapsed_s`` seconds after ``start``, rounded to the nearest ns."""
+    """Return the instant ``elapsed_s`` seconds after ``start``, rounded to the nearest ns."""
     return Instant(start + round(elapsed_s * NS_PER_S))
 
 
 def duration_s(seconds: float) -> Duration:
-    """Seconds to the nearest ns."""
+    """Convert seconds to the nearest ns."""
     return Duration(round(seconds * NS_PER_S))
 
 
 def suspended() -> Duration:
-    """For how long this machine has been suspended since it booted: its boot time goes on then, its monotonic
-    clock does not. An interruption between the two readings counts as well."""
+    """Return how long this machine has been suspended since it booted: boot time goes on meanwhile, monotonic
+    time does not. An interruption between the two readings counts as well."""
     monotonic = time.monotonic_ns()
     return Duration(time.clock_gettime_ns(time.CLOCK_BOOTTIME) - monotonic)
 
 
 def wall_between() -> tuple[Instant, int, Instant]:
-    """The wall clock, ns, between two readings of the monotonic clock: their offset, to their distance."""
+    """Read the wall clock, ns, between two readings of the monotonic clock; their distance bounds the
+    error."""
     before = time.monotonic_ns()
     wall = time.time_ns()
     return Instant(before), wall, Instant(time.monotonic_ns())
 
 
 def wall_clock_offset() -> Duration:
-    """Wall clock minus monotonic clock, ns: the tightest of several bracketed readings.
+    """Return wall clock minus monotonic clock, ns: the tightest of several bracketed readings.
 
     Kernel receive stamps (SO_TIMESTAMPNS) are wall clock; this maps them to the
     bench's axis at the edge.
@@ -89,5 +90,5 @@ def wall_clock_offset() -> Duration:
 
 
 def utc_stamp() -> str:
-    """The wall clock as ``YYYYmmddTHHMMSSZ``: names folders of runs, never enters a record."""
+    """Return the wall clock as ``YYYYmmddTHHMMSSZ``: it names run folders and never enters a record."""
     return time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())

@@ -1,4 +1,5 @@
-"""The one writer of files that a user names: a regular file is there as a whole or as it was; a device stays.
+"""The one writer for files that a user names: a regular file appears whole or not at all; a device is written
+to.
 
 A link is followed. A regular file, or one that is not there yet, is written beside its place and put there by
 one rename. What is no regular file (/dev/stdout, /dev/null, a FIFO) gets the content; a folder and a block
@@ -20,21 +21,22 @@ from servobench.drivers.errors import BadInput, BenchError
 
 _DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _NOT_THE_PLACE: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
-"""The machine refuses these of any file."""
+"""Errors of the machine, whatever the file."""
 _OPENED_BY_OTHERS: Final = ("/dev/", "/proc/")
-"""A name there leads to what somebody holds open, say the shell: another file of its name is no use."""
+"""Names there refer to something already open, say by the shell: creating another file of that name is no
+use."""
 _number = itertools.count()
 
 
 class DiskFull(BenchError):
-    """There is no room for a file, or its disk fails."""
+    """The disk is full, or fails."""
 
     exit_status = 5
 
 
 @contextmanager
 def writing(option: str, path: Path) -> Iterator[None]:
-    """Raises BadInput or DiskFull for an OSError inside, where ``path`` is written; ``option``: names it."""
+    """Raise BadInput or DiskFull for an OSError inside, where ``path`` is written; ``option`` names it."""
     try:
         yield
     except OSError as error:
@@ -48,9 +50,9 @@ def writing(option: str, path: Path) -> Iterator[None]:
 
 @contextmanager
 def written(option: str, path: Path, suffix: str = "") -> Iterator[Path]:
-    """Where to write the file that ``option`` names: it is ``path`` when all of it is there, or nothing is.
+    """Yield the path to write the file of ``option`` to: it becomes ``path`` once complete, or nothing does.
 
-    ``suffix``: of the name to write to, for writers that go by it; else that of ``path``.
+    ``suffix``: suffix of the name to write to, for writers that depend on it; default: that of ``path``.
     Raises BadInput or DiskFull.
     """
     with writing(option, path):
@@ -71,7 +73,7 @@ def written(option: str, path: Path, suffix: str = "") -> Iterator[Path]:
 
 
 def write_file(option: str, path: Path, content: str | bytes) -> None:
-    """``content``, text in UTF-8, into the file that ``option`` names. Raises BadInput or DiskFull."""
+    """Write ``content``, text as UTF-8, to the file that ``option`` names. Raises BadInput or DiskFull."""
     with written(option, path) as place:
         place.write_bytes(content.encode() if isinstance(content, str) else content)
 
@@ -101,7 +103,7 @@ def _beside(path: Path, suffix: str, status: os.stat_result | None) -> Iterator[
 
 
 def _pour(part: Path, path: Path) -> None:
-    """At the end of what is there: the shell's ``>`` may hold what was printed before."""
+    """Append to ``path``: the shell's ``>`` may hold what was printed before."""
     descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
     with part.open("rb") as source, open(descriptor, "wb") as sink:
         shutil.copyfileobj(source, sink)

@@ -1,8 +1,8 @@
-"""Who is on a CANopen bus: first by listening, then by reading three objects of each node over SDO.
+"""Finds the nodes on a CANopen bus: first by listening, then by reading three objects of each over SDO.
 
-A running network is not disturbed: only objects are read, one request at a time and seldom enough that they
-take a small part of the bus; their identifiers give way to every PDO. A node whose SDO channel another master
-is using is left alone: a second client on one channel breaks the other's transfer (CiA 301 7.2.4).
+A running network is not disturbed: the scan only reads objects, one request at a time and with a small share
+of the bus; its identifiers give way to every PDO. A node whose SDO channel another master is using is left
+alone: a second client on one channel breaks the other's transfer (CiA 301 7.2.4).
 """
 
 from collections import Counter
@@ -18,19 +18,19 @@ from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 NODES: Final = range(1, 128)
 KNOCK_EVERY_NS: Final = Duration(2 * NS_PER_MS)
-"""From one request to the next: two frames of 8 bytes, 13 % of a bus at 1 Mbit/s, and more at lower rates."""
+"""Interval between requests: two frames of 8 bytes, 13 % of a bus at 1 Mbit/s, and more at lower rates."""
 KNOCK_WAIT_NS: Final = Duration(150 * NS_PER_MS)
-"""For the last answers."""
+"""Wait for the last answers."""
 ROUNDS: Final = 2
-"""A request or its answer may be lost; twice in a row is rare on a bus on which anything works."""
+"""A request or its answer may be lost; both rounds rarely are on a working bus."""
 SDO_TIMEOUT_S: Final = 0.2
 """CiA 301 sets no limit; devices answer within some milliseconds, slow ones within a tenth of a second."""
 SDO_ATTEMPTS: Final = 3
-"""As for :data:`ROUNDS`, and the device is known to be there: it may be busy."""
+"""Attempts at a node known to be present, which may be busy; see :data:`ROUNDS`."""
 _UPLOAD = 0x40
 """Command of a request for an object's value (initiate upload, CiA 301 7.2.4.3.5)."""
 _ASKED_FOR = bytes((Cia301.DEVICE_TYPE & 0xFF, Cia301.DEVICE_TYPE >> 8, 0))
-"""Index and sub-index as they stand in a request and in its answer."""
+"""Index and sub-index as in a request and in its answer."""
 
 PROFILES = {
     301: "no profile",
@@ -50,7 +50,7 @@ DRIVE_KINDS = {1: "frequency converter", 2: "servo drive", 4: "stepper drive", 8
 
 
 def profile_title(number: int) -> str:
-    """A device profile by its number, the low word of 1000h. Not every number is one of CiA's."""
+    """Name a device profile by its number, the low word of 1000h. Not every number is one of CiA's."""
     if number not in PROFILES:
         return f"device of profile {number} ({number:04X}h), no profile of CiA known here"
     return f"{PROFILES[number]} (CiA {number})"
@@ -58,13 +58,13 @@ def profile_title(number: int) -> str:
 
 @dataclass(slots=True)
 class NodeFound:
-    """What is known of one node; None where nothing was told."""
+    """Known facts about one node; None where unknown."""
 
     node_id: int
     nmt_state: str | None = None
-    """Told by its heartbeat, or else what it must be in to do what it does: send PDOs, or answer SDO."""
+    """From its heartbeat, or else inferred from its behaviour: sending PDOs, or answering SDO."""
     heartbeat_ms: int | None = None
-    """As its object says; 0: it sends none."""
+    """Its object's value; 0: it sends none."""
     device_type: int | None = None
     error_register: int | None = None
     vendor_id: int | None = None
@@ -73,12 +73,12 @@ class NodeFound:
     serial_number: int | None = None
     name: str = ""
     heard: dict[str, int] = field(default_factory=dict)
-    """Kind of frame -> how many were heard before anything was asked."""
+    """Kind of frame -> how many were heard before any request."""
     note: str = ""
 
     @property
     def profile(self) -> str:
-        """What its device type says, in words."""
+        """Its device type in words."""
         if self.device_type is None:
             return ""
         number = self.device_type & 0xFFFF
@@ -92,7 +92,7 @@ class NodeFound:
 
 @dataclass(slots=True)
 class Traffic:
-    """What was on the bus while it was only listened to."""
+    """Bus traffic while the scan only listened."""
 
     frames: int = 0
     by_node: dict[int, Counter[str]] = field(default_factory=dict)
@@ -101,12 +101,12 @@ class Traffic:
     """Frames that CANopen's default identifiers do not explain."""
 
     def masters_on(self, node_id: int) -> bool:
-        """Another master uses the SDO channel of this node."""
+        """Return True if another master uses the SDO channel of this node."""
         return self.by_node.get(node_id, Counter())["SDO request"] > 0
 
     @property
     def running(self) -> bool:
-        """A SYNC or process data are on the bus."""
+        """True if a SYNC or process data are on the bus."""
         return self.broadcasts["SYNC"] > 0 or any(seen["PDO"] for seen in self.by_node.values())
 
 
@@ -114,7 +114,7 @@ _KINDS = SERVICES | dict.fromkeys(TPDOS | RPDOS, "PDO")
 
 
 class BusScan:
-    """One look at one bus."""
+    """One scan of one bus."""
 
     def __init__(self, network: CanopenNetwork) -> None:
         self.traffic = Traffic()
@@ -128,7 +128,7 @@ class BusScan:
         network.link.tap(self._see)
 
     def listen(self, duration: Duration) -> None:
-        """Only listen for a while; the nodes heard are entered."""
+        """Listen for a while; enter the nodes heard."""
         self._listening = True
         self._network.pump(Instant(self._network.clock.now() + duration))
         self._listening = False
@@ -139,7 +139,7 @@ class BusScan:
         self._take_states()
 
     def probe(self) -> None:
-        """Ask every node-ID, and read what the nodes say of themselves; again: those that are new."""
+        """Ask every node-ID, and read the identity of the nodes; a further call reads only new ones."""
         for node_id in sorted(self._knock()):
             self._read_already.add(node_id)
             self._read(self._node(node_id))
@@ -149,7 +149,7 @@ class BusScan:
         self._take_states()
 
     def read_booted(self) -> None:
-        """Read the nodes that were asked while they booted, and have sent their boot-up message since."""
+        """Read the nodes that were booting when asked, and have sent their boot-up message since."""
         for node_id in NODES:
             new = node_id not in self._read_already and not self.traffic.masters_on(node_id)
             if new and self._network.status(node_id).boot_ups:
@@ -158,7 +158,7 @@ class BusScan:
         self._take_states()
 
     def found(self) -> list[NodeFound]:
-        """The nodes, by number."""
+        """Return the nodes, by number."""
         return [self.nodes[node_id] for node_id in sorted(self.nodes)]
 
     # ---- inside ---------------------------------------------------------------------------------------
@@ -190,7 +190,7 @@ class BusScan:
         return self.nodes.setdefault(node_id, NodeFound(node_id))
 
     def _knock(self) -> set[int]:
-        """The node-IDs that answer a request for 1000h, with a value or with an abort."""
+        """Return the node-IDs that answer a request for 1000h, with a value or with an abort."""
         network = self._network
         answered = self._answered
         unheard = [
@@ -231,14 +231,15 @@ class BusScan:
         return None if value is None else int.from_bytes(value, "little")
 
     def _value(self, node_id: int, index: int, sub: int = 0) -> bytes | None:
-        """An object's value; None if the node does not have it, or refuses."""
+        """Read an object; None if the node lacks or refuses it."""
         try:
             return self._network.upload(node_id, index, sub, SDO_TIMEOUT_S, SDO_ATTEMPTS)
         except TransferAborted:
             return None
 
     def _take_states(self) -> None:
-        """From the heartbeats; without them, from what a node does (CiA 301 7.3.2.2.6, table of services)."""
+        """Enter the states from heartbeats; else from a node's behaviour (CiA 301 7.3.2.2.6, table of
+        services)."""
         for node_id in NODES:
             status = self._network.status(node_id)
             if status.heartbeat_at is not None:

@@ -16,7 +16,7 @@ ERROR_CONTROL: Final = 0x700
 """Boot-up, heartbeat, node guarding."""
 
 NODE_BITS: Final = 0x07F
-"""Of an identifier: the node id; the others are the function code."""
+"""Bits of an identifier that hold the node id; the others are the function code."""
 BROADCASTS: Final = {
     NMT: "NMT command",
     SYNC: "SYNC",
@@ -28,12 +28,12 @@ TPDOS: Final = {0x180: "TPDO1", 0x280: "TPDO2", 0x380: "TPDO3", 0x480: "TPDO4"}
 RPDOS: Final = {0x200: "RPDO1", 0x300: "RPDO2", 0x400: "RPDO3", 0x500: "RPDO4"}
 SENT_BY_NODES: Final = TPDOS | {EMERGENCY: "EMCY", SDO_ANSWER: "SDO answer", ERROR_CONTROL: "heartbeat"}
 SERVICES: Final = SENT_BY_NODES | RPDOS | {SDO_REQUEST: "SDO request"}
-"""By function code."""
+"""Services by function code."""
 
 # A COB-ID as an object holds it (CiA 301 7.5.2.5, 7.5.2.17, 7.5.2.35, 7.5.2.37).
 NOT_VALID: Final = 1 << 31
 NO_RTR: Final = 1 << 30
-"""Of a TPDO; reserved in an RPDO."""
+"""Bit of a TPDO's COB-ID; reserved in an RPDO."""
 EXTENDED: Final = 1 << 29
 CAN_ID: Final = 0x7FF
 
@@ -49,5 +49,6 @@ _RESTRICTED: Final = (
 
 
 def restricted(can_id: int) -> bool:
-    """Whether no SYNC, TIME, EMCY, PDO or SDO may be configured to this CAN-ID (CiA 301, 7.3.5, table 40)."""
+    """Return True if no SYNC, TIME, EMCY, PDO or SDO may be configured to this CAN-ID (CiA 301, 7.3.5, table
+    40)."""
     return any(can_id in ids for ids in _RESTRICTED)

@@ -34,7 +34,7 @@ class DataType(IntEnum):
 
 
 def _lengths(family: str) -> dict[int, int]:
-    """Type -> bits of the types whose name is ``family`` and a number."""
+    """Return the bits of the types named ``family`` plus a number."""
     return {kind: int(kind.name[len(family) :]) for kind in DataType if kind.name.startswith(family)}
 
 

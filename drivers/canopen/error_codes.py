@@ -30,7 +30,8 @@ class ErrorRegister(IntFlag):
 
 
 def error_text(code: int) -> str:
-    """The text of an error code, or that of the narrowest class that holds it: 0x83FF is "torque control"."""
+    """Return the text of an error code, or of the narrowest class that holds it: 0x83FF is "torque
+    control"."""
     for digits in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
         text = ERROR_TEXTS.get(code & digits)
         if text is not None and (code & digits or not code):
@@ -39,7 +40,7 @@ def error_text(code: int) -> str:
 
 
 def register_text(register: int) -> str:
-    """The kinds of errors that 0x1001 tells: "current, voltage"; "none"."""
+    """Name the kinds of errors in 0x1001: "current, voltage"; "none"."""
     kinds = [str(bit.name).lower().replace("_", " ") for bit in ErrorRegister if register & bit]
     return ", ".join(kinds) or "none"
 
@@ -48,7 +49,7 @@ def register_text(register: int) -> str:
 
 
 def fault_text(code: int, vendor: int = 0, device_name: str = "") -> str:
-    """The vendor's text with the standard's class, or the standard's text alone."""
+    """Return the vendor's text with the standard's class, or the standard's text alone."""
     standard = error_text(code)
     for table in codes_of(vendor, device_name):
         own = table.text(code)
@@ -58,7 +59,7 @@ def fault_text(code: int, vendor: int = 0, device_name: str = "") -> str:
 
 
 def history_text(entry: int, vendor: int = 0, device_name: str = "") -> str:
-    """An entry of 0x1003 in words: the code in its low half, and what the maker tells in its high one."""
+    """Describe an entry of 0x1003: the code in its low half, the maker's information in its high half."""
     text = fault_text(entry & 0xFFFF, vendor, device_name)
     for table in codes_of(vendor, device_name):
         cause = table.numbers.get(entry >> 24)

@@ -1,4 +1,4 @@
-"""Who watches whom between the host and a node: its error control (CiA 301 7.2.8.3.2).
+"""Error control between the host and a node (CiA 301 7.2.8.3.2).
 
 heartbeat       the node watches that of the host (1016h), the host that of the node (1017h)
 node guarding   for a node that lacks one of the two: the host asks for its NMT state by remote frame, and
@@ -15,25 +15,25 @@ from servobench.drivers.errors import TransferAborted
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 _REQUESTS: Final = 5
-"""Of node guarding within a time-out. A lost answer costs two: its own, and the next, whose toggle bit then
-does not fit; a lost request costs one."""
+"""Requests of node guarding within a time-out. A lost answer costs two: its own, and the next, whose toggle
+bit then does not fit; a lost request costs one."""
 _FACTOR_MAX: Final = 0xFF
 """100Dh, the life time factor, is an UNSIGNED8."""
 _PROBES: Final = 3
-"""On a bus that loses one frame in ten, a device that answers is taken for one that does not in 1 of 150."""
+"""On a bus that loses one frame in ten, a device that answers is missed in 1 of 150 cases."""
 _PROBE: Final = Duration(20 * NS_PER_MS)
 """A remote frame is answered by the CAN controller or within a turn of the device's main loop."""
 
 
 class WatchTimes(NamedTuple):
-    """All in ms."""
+    """Times of the watch, ms."""
 
     node_heartbeat: int
     node_timeout: int
-    """Silence of the node that the host bears."""
+    """Longest silence of the node that the host accepts."""
     host_heartbeat: int
     host_timeout: int
-    """Silence of the host that the node bears."""
+    """Longest silence of the host that the node accepts."""
 
 
 class HeldSetting(NamedTuple):
@@ -46,7 +46,7 @@ class HeldSetting(NamedTuple):
 
 
 class ErrorControl:
-    """Of one node; nobody watches anybody before :meth:`begin`."""
+    """Error control of one node; inactive before :meth:`begin`."""
 
     def __init__(self, objects: RemoteObjects) -> None:
         self._objects = objects
@@ -54,18 +54,18 @@ class ErrorControl:
         self._node_id = objects.node_id
         self._host_watch: tuple[HeldSetting, ...] = ()
         self.told = True
-        """The node's NMT state is heard again and again: by heartbeat, or by guarding."""
+        """True if the node's NMT state is received repeatedly: by heartbeat, or by guarding."""
 
     @property
     def host_watched(self) -> bool:
-        """The node takes notice if its host is gone."""
+        """True if the node notices the loss of its host."""
         return bool(self._host_watch)
 
     def begin(self, times: WatchTimes, *, unwatched: bool) -> list[str]:
-        """Have both sides watch each other; notes on what is not as usual.
+        """Make both sides watch each other; return notes on anything unusual.
 
         Raises SettingRefused or TransferAborted for a node that can do neither by heartbeat nor by guarding,
-        unless ``unwatched`` bears it.
+        unless ``unwatched`` accepts it.
         """
         objects, network = self._objects, self._network
         if not network.produces_heartbeat:
@@ -98,7 +98,7 @@ class ErrorControl:
         return self._notes(guarded=guarded)
 
     def lapses(self) -> list[str]:
-        """Where the node does not watch the host any more as it was told to, in words."""
+        """Say where the node's watch over the host is no longer as set up."""
         texts = []
         for index, sub, code, value in self._host_watch:
             held = self._objects.read_if_there(index, sub, code)
@@ -108,9 +108,9 @@ class ErrorControl:
         return texts
 
     def end(self) -> str:
-        """Have nobody watch anybody, so that the node takes no leave for a loss.
+        """End the watch on both sides, so that the node does not take this for a loss.
 
-        What is to be said if it did not watch the host as it was told to; else empty.
+        Returns a remark if its watch over the host had changed; else empty.
         """
         objects, network = self._objects, self._network
         network.watch(self._node_id, Duration(0))
@@ -135,7 +135,7 @@ class ErrorControl:
         return setting
 
     def _guard(self, times: WatchTimes, *, produced: bool) -> bool:
-        """Whether the node is guarded now: it holds 100Ch and 100Dh, and answers remote frames.
+        """Set up node guarding; True if the node holds 100Ch and 100Dh, and answers remote frames.
 
         With a heartbeat it would not answer: 1017h is cleared (CiA 301 7.2.8.3.2).
         """
@@ -202,16 +202,17 @@ _NOT_WATCHED: Final = {
     False: ("1016h", "the drive does not notice that the host is gone"),
     True: ("1017h", "the host does not notice that the drive is gone"),
 }
-"""By whether the drive watches the host: which object is missed, and what that means."""
+"""By which side lacks the watch: the missing object, and its consequence."""
 
 
 def watch_lack(*, produced: bool, consumes: bool) -> tuple[str, str] | None:
-    """The object by whose lack one side does not watch the other by heartbeat, and what that means."""
+    """Return the object whose lack keeps one side from watching the other by heartbeat, and the
+    consequence."""
     return None if produced and consumes else _NOT_WATCHED[consumes]
 
 
 def consumer_entry(objects: RemoteObjects) -> int:
-    """Sub-index of 0x1016 that watches the host already, or the first that watches nobody.
+    """Return the sub-index of 0x1016 that watches the host already, or the first free one.
 
     A second entry for one node is forbidden, so the first search goes first.
     """

@@ -1,4 +1,4 @@
-"""The master's inner loop: frames from the link to whoever listens, and housekeeping when it is due."""
+"""The master's inner loop: hands frames from the link to their handlers, and does housekeeping when due."""
 
 from collections.abc import Callable
 from functools import partial
@@ -11,11 +11,11 @@ from servobench.drivers.wire.link import BusLink
 Handler = Callable[[bytes, Instant], None]
 """Takes the data of a frame and its instant."""
 EchoHandler = Callable[[bytes, Instant, Instant], None]
-"""The same, and when the frame had been handed over; UNTOLD if the bus does not tell that."""
+"""Takes the same, and the instant of the hand-over; UNTOLD if the bus does not report it."""
 
 
 def one_after_another(first: Handler, second: Handler) -> Handler:
-    """A handler of both."""
+    """Combine two handlers into one."""
 
     def both(data: bytes, at: Instant) -> None:
         first(data, at)
@@ -25,7 +25,7 @@ def one_after_another(first: Handler, second: Handler) -> Handler:
 
 
 class FramePump(Master):
-    """Lets time pass on ``link`` and hands out what comes.
+    """Lets time pass on ``link`` and dispatches received frames.
 
     ``others(can_id, data, at)`` gets the frames that no entry of ``handlers`` takes; ``keep_house(now)``
     is called when ``housekeeping_at`` has come, and sets it anew. An echo goes to its entry of
@@ -42,9 +42,9 @@ class FramePump(Master):
         super().__init__()
         self.handlers: dict[int, Handler] = {}
         self.echo_handlers: dict[int, EchoHandler] = {SYNC: self._on_sync_echo}
-        """Who is told of our own frames once they were on the bus, by identifier."""
+        """Handlers of our own frames once they were on the bus, by identifier."""
         self.unsent_handlers: dict[int, Callable[[Instant], None]] = {SYNC: self._on_sync_unsent}
-        """Who is told of our own frames that never went out, by identifier: the instant of the hand-over."""
+        """Handlers of our own frames that were never sent, by identifier: the instant of the hand-over."""
         self.housekeeping_at: Instant = NEVER
         self._link = link
         self._now = clock.now
@@ -58,11 +58,11 @@ class FramePump(Master):
 
     @property
     def attend_at(self) -> Instant:
-        """When somebody has to be here at the latest: for housekeeping, or for frames that wait for room."""
+        """Latest instant at which the pump must run: for housekeeping, or for frames that wait for room."""
         return min(self.housekeeping_at, self._link.retry_at)
 
     def listen(self, can_id: int, handler: Handler | None) -> None:
-        """Have ``handler`` take the frames of an identifier; None: ``others`` again."""
+        """Have ``handler`` take the frames of an identifier; None restores ``others``."""
         if handler is None:
             self._listeners.pop(can_id, None)
         else:
@@ -70,7 +70,7 @@ class FramePump(Master):
         self._join(can_id)
 
     def overhear(self, can_id: int, handler: Handler) -> None:
-        """Have ``handler`` see them as well, after whoever takes them now or later."""
+        """Have ``handler`` see them as well, after their present or later handler."""
         self._overhearers[can_id] = handler
         self._join(can_id)
 
@@ -86,7 +86,7 @@ class FramePump(Master):
     def pump(self, until: Instant) -> None:
         """Handle frames, send what falls due, and return once ``until`` has come; at once if it has passed.
 
-        Frames that are waiting already are handled in either case.
+        Frames already waiting are handled in either case.
         """
         while self.pump_one(until):
             pass
@@ -117,10 +117,9 @@ class FramePump(Master):
             self._keep_house(now if now > due else due)
 
     def rest(self, until: Instant) -> None:
-        """As :meth:`pump`, but what comes waits in the bus's queue and is handled when ``until`` has come, or
-        housekeeping is due: one wake-up instead of one a frame. The stamps are the bus's, so they tell the
-        same; on a bus that needs watching this is :meth:`pump`.
-        """
+        """Let time pass like :meth:`pump`, but leave frames in the bus's queue until ``until``, or until
+        housekeeping is due: one wake-up instead of one per frame. The bus stamps them, so nothing is lost; on
+        a bus that needs watching this is :meth:`pump`."""
         if not self._link.needs_watching:
             while self.housekeeping_at < until:
                 due = self.housekeeping_at

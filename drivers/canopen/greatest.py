@@ -1,4 +1,4 @@
-"""The greatest value that a device takes, where it refuses the one that is wanted as too great."""
+"""Finds the greatest value that a device accepts when it refuses the one wanted as too great."""
 
 import math
 from typing import Final, NamedTuple
@@ -11,16 +11,16 @@ _TOO_LOW: Final = 0x06090032
 _TOO_GREAT: Final = frozenset({0x06090030, 0x06090031})
 """Value range exceeded, value too high (CiA 301 table 22)."""
 _TRIES: Final = 24
-"""Of the bisection: exact up to some 60 000, and within a hundred-thousandth of 2^32."""
+"""Steps of the bisection: exact up to some 60 000, and within a hundred-thousandth of 2^32."""
 
 
 class Granted(NamedTuple):
-    """What a device holds in the place of what was wanted."""
+    """The value that a device holds instead of the one wanted."""
 
     held: int | None
     """None: it does not have the object."""
     notes: list[str]
-    """What it did not take."""
+    """Remarks on what it refused."""
 
 
 def write_greatest(
@@ -33,11 +33,11 @@ def write_greatest(
     most: int | None = None,
     sub: int = 0,
 ) -> Granted:
-    """Write ``wanted``, or if that is refused as too great the greatest value below that the device takes,
-    and read it back.
+    """Write ``wanted`` or, if that is refused as too great, the greatest value below it that the device
+    accepts; read it back.
 
-    ``most``: what its data sheet allows. A limit that no sheet tells is found by bisection, in at most 24
-    writes. Raises NoAnswer.
+    ``most``: the limit in its data sheet. Without one the limit is found by bisection, in at most 24 writes.
+    Raises NoAnswer.
     """
     name = object_name(index, sub)
     before = objects.read_if_there(index, sub, code)

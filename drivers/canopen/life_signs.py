@@ -1,4 +1,4 @@
-"""What tells the nodes that their master is there: its heartbeat, and the requests of node guarding."""
+"""Signs of the master's life for the nodes: its heartbeat, and the requests of node guarding."""
 
 from typing import Final
 
@@ -8,11 +8,11 @@ from servobench.drivers.wire.link import BusLink
 
 _OPERATIONAL: Final = b"\x05"
 _ANSWER_BYTES: Final = 1
-"""A remote frame has the length of the answer that it asks for (CiA 301 7.2.8.3.2.1)."""
+"""A remote frame has the length of the answer that it requests (CiA 301 7.2.8.3.2.1)."""
 
 
 class _Sign:
-    """One of them. ``sent_at``: None before the first."""
+    """One sign. ``sent_at``: None before the first."""
 
     __slots__ = ("can_id", "due", "period_ns", "sent_at")
 
@@ -24,7 +24,7 @@ class _Sign:
 
 
 class LifeSigns:
-    """Of one master. They are sent by its pump, so that a master that stops pumping falls silent."""
+    """The life signs of one master, sent by its pump, so that a master that stops pumping falls silent."""
 
     def __init__(self, link: BusLink, clock: Clock, node_id: int) -> None:
         """``node_id``: the master's own."""
@@ -34,16 +34,16 @@ class LifeSigns:
         self._signs: dict[int, _Sign] = {}
         self._withheld = False
         self.longest_gap_ns = Duration(0)
-        """The longest time from one sign to the next of its kind, since this was set to 0."""
+        """The longest interval between two signs of one kind since this was set to 0."""
 
     @property
     def heartbeat(self) -> bool:
-        """Whether the master's heartbeat is among them."""
+        """True if the master's heartbeat is being sent."""
         return self._heartbeat_id in self._signs
 
     @property
     def due(self) -> Instant:
-        """When the next one is; NEVER without any."""
+        """When the next sign is due; NEVER without any."""
         if self._withheld:
             return NEVER
         return min((sign.due for sign in self._signs.values()), default=NEVER)
@@ -53,7 +53,7 @@ class LifeSigns:
         self._set(self._heartbeat_id, period_ns)
 
     def guard(self, node_id: int, period_ns: Duration) -> None:
-        """Ask a node for its NMT state by remote frame, as :meth:`beat`."""
+        """Request a node's NMT state by remote frame, now and then every ``period_ns``; 0 ends it."""
         self._set(ERROR_CONTROL + node_id, period_ns)
 
     def end(self) -> None:
@@ -71,7 +71,7 @@ class LifeSigns:
             sign.due, sign.sent_at = self._clock.now(), None
 
     def keep(self, now: Instant) -> None:
-        """Send what is due at ``now``."""
+        """Send the signs due at ``now``."""
         if self._withheld:
             return
         for sign in self._signs.values():

@@ -1,4 +1,4 @@
-"""LSS master (CiA 305): finds devices that have no node-ID yet, and gives them one.
+"""LSS master (CiA 305): finds devices without a node-ID, and assigns them one.
 
 Own code beside canopen's, whose fast scan sleeps by the wall clock and takes one lost answer for a 1 bit.
 Requests go out on 7E5h, answers come on 7E4h, eight bytes each.
@@ -26,15 +26,15 @@ PATIENCE_NS = Duration(500 * NS_PER_MS)
 BOOT_NS = Duration(5 * NS_PER_S)
 """Wait for the boot-up message of a device that got its node-ID: slow drives take seconds."""
 ATTEMPTS = 4
-"""Of a part of an address. The wait doubles from each to the next, to eight times what the first took."""
+"""Attempts for a part of an address. The wait doubles each time, up to eight times the first one."""
 TRIALS = 3
-"""Questions by which it is measured how long the slowest device takes."""
+"""Questions used to measure how long the slowest device takes."""
 ASK_AGAIN = 2
-"""So often a question that nobody answers is asked, where an answer that is lost would cost a device."""
+"""Repetitions of a question without an answer, where a lost answer would cost a device."""
 DEVICES_MAX = 127
-"""As many as there are node-IDs to give."""
+"""The number of node-IDs."""
 LATE_BY = 4
-"""An answer is given so many times the time that the slowest one of a trial took."""
+"""An answer may take this many times as long as the slowest one of a trial."""
 
 # Command specifiers, and the two values of a state and of a bit that are asked for (CiA 305).
 _SWITCH_GLOBAL, _CONFIGURE_NODE_ID, _STORE = 0x04, 0x11, 0x17
@@ -50,7 +50,7 @@ _NUMBER = Struct("<BL3x")
 
 
 class LssAddress(NamedTuple):
-    """What tells a device from every other one: its identity object 1018h."""
+    """The unique address of a device: its identity object 1018h."""
 
     vendor_id: int
     product_code: int
@@ -63,7 +63,7 @@ class LssAddress(NamedTuple):
 
 
 class _Branch(NamedTuple):
-    """Addresses that begin alike, among which nobody has searched."""
+    """Addresses with a common beginning, not searched yet."""
 
     known: tuple[int, ...]
     """The first parts."""
@@ -82,26 +82,26 @@ class LssMaster:
         self._network = network
         self._answers: list[bytes] = []
         self._followed: tuple[int, ...] | None = None
-        """The parts that devices have confirmed, which are asked for the next one now."""
+        """The parts that devices have confirmed; they wait for the question about the next one."""
         network.listen(LSS_ANSWER, lambda data, _at: self._answers.append(data))
 
     def close(self) -> None:
-        """Leave all devices in LSS state waiting and listen no more."""
+        """Return all devices to LSS state waiting and stop listening."""
         self.to_waiting()
         self._network.unlisten(LSS_ANSWER)
 
     def to_waiting(self) -> None:
-        """Every device leaves the configuration state; one that has got its node-ID boots (CiA 305 6.4.1)."""
+        """Take every device out of the configuration state; one with a new node-ID boots (CiA 305 6.4.1)."""
         self._followed = None
         self._send(bytes((_SWITCH_GLOBAL, _WAITING)))
 
     def any_unconfigured(self) -> bool:
-        """Whether a device without node-ID is there (identify non-configured remote slaves)."""
+        """Return True if a device without node-ID is present (identify non-configured remote slaves)."""
         return self._ask(bytes((_IDENTIFY_UNCONFIGURED,)), ANSWER_NS, _IDENTIFIED_UNCONFIGURED) is not None
 
     def search(self, limit: int = DEVICES_MAX) -> Iterator[LssAddress]:
-        """Every device without node-ID, the lowest address first; each may be assigned one before the next is
-        asked for. Up to then it is in the configuration state; all are waiting again afterwards.
+        """Yield every device without node-ID, the lowest address first; each may be assigned one before the
+        next is requested. Until then it is in the configuration state; all are waiting again afterwards.
 
         Raises NoAnswer if answers are there but lead to no device, because too many are lost or late, and
         PeerFault if a device misleads the search.
@@ -126,7 +126,7 @@ class LssMaster:
             self.to_waiting()
 
     def assign(self, address: LssAddress, node_id: int, store: bool = False) -> bool:
-        """Give the device its node-ID, have it store that if ``store``, and wait until it has booted; False:
+        """Assign a node-ID to the device, store it there if ``store``, and wait until it has booted; False:
         no boot-up message came.
 
         Raises NoAnswer if it does not answer, PeerFault if it refuses.
@@ -149,7 +149,7 @@ class LssMaster:
     # ---- inside ---------------------------------------------------------------------------------------
 
     def _patience(self) -> Duration | None:
-        """How long to wait for an answer: some times what one took now. None: nobody answers."""
+        """Measure how long to wait for an answer: a multiple of the present one. None: nobody answers."""
         clock = self._network.clock
         slowest = 0
         answered = False
@@ -163,7 +163,8 @@ class LssMaster:
         return Duration(max(ANSWER_NS, LATE_BY * slowest)) if answered else None
 
     def _descend(self, branch: _Branch, wait: Duration) -> LssAddress | None:
-        """The lowest address on ``branch``, its device in configuration state; None if nobody is there."""
+        """Return the lowest address on ``branch``, its device in configuration state; None if there is
+        none."""
         known, number, free = branch
         if branch is not _EVERYWHERE and not self._anybody_on(branch, wait):
             return None
@@ -173,7 +174,7 @@ class LssMaster:
         return LssAddress(*known)
 
     def _anybody_on(self, branch: _Branch, wait: Duration) -> bool:
-        """Asked again if nobody answers, for an answer may be lost."""
+        """Return True if a device is there; ask again without an answer, for one may be lost."""
         known, number, free = branch
         part = len(known)
         return any(
@@ -182,7 +183,7 @@ class LssMaster:
         )
 
     def _follow(self, known: tuple[int, ...], wait: Duration) -> bool:
-        """Whether somebody has these parts, and is ready to be asked for the next one."""
+        """Return True if a device has these parts, and is ready for the question about the next one."""
         if self._followed == known:
             return True
         self.to_waiting()
@@ -193,10 +194,10 @@ class LssMaster:
         return self._followed is not None
 
     def _scan_part(self, branch: _Branch, wait: Duration) -> int:
-        """32 bits, each by a question that only devices with a 0 there answer.
+        """Find 32 bits, each by a question that only devices with a 0 there answer.
 
-        The last question is whether anybody has the whole number; if not, answers were lost, or late and
-        taken for those of the next question, and all is asked again, with more patience. Raises NoAnswer.
+        The last question checks the whole number; if not, answers were lost, or late and taken for those of
+        the next question, and all is asked again, with more patience. Raises NoAnswer.
         """
         known, beginning, free = branch
         part = len(known)
@@ -229,7 +230,8 @@ class LssMaster:
         return True
 
     def _verify(self, address: LssAddress) -> None:
-        """The device in configuration state has that address; one that cannot be asked is selected by it."""
+        """Check that the device in configuration state has that address; if it cannot be asked, select it by
+        address."""
         numbers: list[int] = []
         for part in range(len(address)):
             answers = self._ask_all(bytes((_INQUIRE_VENDOR + part,)))
@@ -266,7 +268,7 @@ class LssMaster:
             raise PeerFault(f"the device with {address} refuses {what}", f"LSS error {answer[1]}")
 
     def _ask(self, request: bytes, wait: Duration, wanted: int) -> bytes | None:
-        """The first answer of the kind ``wanted``; what came before the request belongs to another one."""
+        """Return the first answer of the kind ``wanted``; earlier frames belong to another request."""
         clock = self._network.clock
         while self._network.pump_one(clock.now()):
             pass
@@ -282,7 +284,7 @@ class LssMaster:
                 return None
 
     def _ask_all(self, request: bytes) -> list[bytes]:
-        """All answers to a question that one device should answer."""
+        """Return all answers to a question that one device should answer."""
         first = self._ask(request, PATIENCE_NS, request[0])
         if first is None:
             return []
@@ -295,7 +297,7 @@ class LssMaster:
 
 
 def _beside(branch: _Branch, address: LssAddress) -> Iterator[_Branch]:
-    """Where else on ``branch`` devices may be, once its lowest address is known; the highest first."""
+    """Yield the other places on ``branch`` for devices, given its lowest address; the highest first."""
     for part in range(len(branch.known), len(address)):
         free = branch.free if part == len(branch.known) else 32
         for bit in range(free - 1, -1, -1):

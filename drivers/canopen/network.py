@@ -1,4 +1,4 @@
-"""CANopen master that its caller pumps: no thread, no Notifier, no clock but the bench's.
+"""CANopen master pumped by its caller: no thread, no Notifier, no clock but the bench's.
 
 Frames are handled only inside ``CanopenNetwork.pump`` and ``CanopenNetwork.pump_one``; whatever waits
 (an SDO transfer, a drive's state change) waits by calling them. So the same code serves simulated time,
@@ -38,11 +38,11 @@ from servobench.drivers.wire.link import BusLink
 CHANGE_LIMIT = Duration(NS_PER_S)
 """Time for a change of state, two heartbeats apart."""
 MASTER_NODE_ID = 127
-"""The highest there is: its heartbeat, 77Fh, gives way to those of all nodes."""
+"""The highest node-ID: its heartbeat, 77Fh, gives way to those of all nodes."""
 SDO_REQUESTS = range(SDO_REQUEST + 1, SDO_REQUEST + NODE_ID_MAX + 1)
 SURPLUS_BORNE = 2
-"""SDO answers too many of which nothing is made: an adapter may repeat a frame. Two nodes give one for each
-request, and a dozen are needed to connect."""
+"""Surplus SDO answers that are ignored: an adapter may repeat a frame. Two nodes give one for each request,
+and connecting takes a dozen."""
 
 
 class CanopenNetwork(canopen.Network):
@@ -55,7 +55,7 @@ class CanopenNetwork(canopen.Network):
     def __init__(
         self, link: BusLink, clock: Clock, node_id: int = MASTER_NODE_ID, *, writes: WriteList = NOTHING
     ) -> None:
-        """``node_id``: the master's own, for its heartbeat. ``writes``: all that it may write by SDO."""
+        """``node_id``: the master's own, for its heartbeat. ``writes``: the writes by SDO allowed to it."""
         super().__init__(link.bus)
         self.link = link
         self.clock = clock
@@ -68,13 +68,13 @@ class CanopenNetwork(canopen.Network):
         lss: Any = self.lss
         lss.responses = AnswerQueue(self)
         self.writes = WriteGate(writes)
-        """Asked before each write by SDO."""
+        """Checked before each write by SDO."""
         self._status: dict[int, NodeStatus] = {}
         self._clients: dict[int, PumpedSdoClient] = {}
         self._posts: dict[int, TransferPost] = {}
         self.polls = ObjectPolls(self._client_of, self._post)
         self.frame_pump = pump = FramePump(link, clock, self._tell_canopen, self._keep_house)
-        """What the cyclic path uses without a detour through this object."""
+        """The pump that the cyclic path uses directly."""
         self.pump: Callable[[Instant], None] = pump.pump
         """See :meth:`FramePump.pump`."""
         self.pump_one: Callable[[Instant], bool] = pump.pump_one
@@ -82,12 +82,12 @@ class CanopenNetwork(canopen.Network):
         self.send_sync: Callable[[], Instant] = pump.send_sync
         """See :meth:`FramePump.send_sync`."""
         self.life_signs = LifeSigns(link, clock, node_id)
-        """What the nodes watch of this master; ended by :meth:`fall_silent`."""
+        """The signs by which nodes watch this master; ended by :meth:`fall_silent`."""
         self.on_written: dict[int, Callable[[int, int, bytes], None]] = {}
-        """By node, told of each download that was confirmed: index, sub-index and data."""
+        """Handlers by node, called for each confirmed download: index, sub-index and data."""
         self._emergency_listeners: tuple[Callable[[Emergency], None], ...] = ()
         self.on_surplus_answer: Callable[[int, bytes, Instant], None] | None = None
-        """Given an SDO answer that nobody has asked for: which node's, its data, and when."""
+        """Called for an unsolicited SDO answer: node, data and instant."""
 
     # ---- time -----------------------------------------------------------------------------------------
 
@@ -100,7 +100,7 @@ class CanopenNetwork(canopen.Network):
         self.notify(can_id, bytearray(data), at / NS_PER_S)
 
     def deadline_after(self, duration: Duration) -> Instant:
-        """The instant ``duration`` from now."""
+        """Return the instant ``duration`` from now."""
         return Instant(self.clock.now() + duration)
 
     # ---- sending --------------------------------------------------------------------------------------
@@ -114,7 +114,7 @@ class CanopenNetwork(canopen.Network):
         self.link.send(can_id, bytes(data))
 
     def send_request(self, node_id: int, request: bytes) -> Instant:
-        """Send an SDO request without waiting for an answer; when it was handed over. All come through here.
+        """Send an SDO request without waiting for an answer; return its hand-over. All requests pass here.
 
         Raises UnlistedWrite for an object that may not be written, ValueError for a block download; then
         nothing is sent.
@@ -131,43 +131,42 @@ class CanopenNetwork(canopen.Network):
     def produce_heartbeat(self, period_ns: Duration) -> None:
         """Send the master's heartbeat (state OPERATIONAL) now and then every ``period_ns``; 0 ends it.
 
-        It is sent by the pump, so a master that stops pumping stops its heartbeat: that is its purpose.
+        The pump sends it, so a master that stops pumping stops its heartbeat, which is the purpose.
         """
         self.life_signs.beat(period_ns)
         self._keep_house(self.clock.now())
 
     @property
     def produces_heartbeat(self) -> bool:
-        """The master's heartbeat is being sent."""
+        """True while the master's heartbeat is being sent."""
         return self.life_signs.heartbeat
 
     def guard(self, node_id: int, period_ns: Duration) -> None:
-        """Ask a node for its NMT state now and then every ``period_ns``, by remote frame (CiA 301
-        7.2.8.3.2.1); 0 ends it. Sent by the pump, as the heartbeat; the answers are :meth:`status`'s.
-        """
+        """Request a node's NMT state now and then every ``period_ns``, by remote frame (CiA 301 7.2.8.3.2.1);
+        0 ends it. The pump sends it, like the heartbeat; :meth:`status` has the answers."""
         self.status(node_id).guarded = period_ns > 0
         self.life_signs.guard(node_id, period_ns)
         self._keep_house(self.clock.now())
 
     def fall_silent(self) -> None:
-        """End heartbeat and guarding: each node that watches this master takes it for lost."""
+        """End heartbeat and guarding: each node that watches this master considers it lost."""
         self.life_signs.end()
         self._plan_housekeeping()
 
     def withhold_life_signs(self) -> None:
-        """As if this master were gone, until :meth:`resume_life_signs`."""
+        """Fall silent, as if this master were gone, until :meth:`resume_life_signs`."""
         self.life_signs.withhold()
         self._plan_housekeeping()
 
     def resume_life_signs(self) -> None:
-        """Send heartbeat and guarding at once, and go on with them."""
+        """Send heartbeat and guarding at once, and continue with them."""
         self.life_signs.resume()
         self._keep_house(self.clock.now())
 
     # ---- nodes ----------------------------------------------------------------------------------------
 
     def status(self, node_id: int) -> NodeStatus:
-        """What the heartbeats of a node tell; from the first call on they are followed."""
+        """Return a node's status by its heartbeats; the first call begins to follow them."""
         known = self._status.get(node_id)
         if known is None:
             if not 1 <= node_id <= NODE_ID_MAX:
@@ -195,7 +194,7 @@ class CanopenNetwork(canopen.Network):
         raise NoAnswer(f"{title} did not become {wanted.name}", seen, "check its supply and the cable")
 
     def nobody_there(self, node_id: int, title: str) -> NoAnswer:
-        """The error for a node that answers no SDO, with who else was heard."""
+        """Return the error for a node that answers no SDO, with the other nodes heard."""
         others = sorted(set(self.scanner.nodes) - {node_id})
         heard = (
             f"heard on the bus: nodes {', '.join(map(str, others))}" if others else "nothing heard on the bus"
@@ -223,7 +222,7 @@ class CanopenNetwork(canopen.Network):
         self.frame_pump.listen(can_id, None)
 
     def on_emergency(self, listener: Callable[[Emergency], None]) -> None:
-        """Have ``listener`` told of every EMCY from a node whose :meth:`status` is followed."""
+        """Call ``listener`` with every EMCY from a node whose :meth:`status` is followed."""
         self._emergency_listeners = (*self._emergency_listeners, listener)
 
     # ---- SDO ------------------------------------------------------------------------------------------
@@ -273,18 +272,19 @@ class CanopenNetwork(canopen.Network):
         return download
 
     def post_upload(self, node_id: int, index: int, sub: int, told: Callable[[bytes, Instant], None]) -> None:
-        """Read 1 to 4 bytes by SDO without waiting; ``told`` is given them, or nothing if no answer comes."""
+        """Read 1 to 4 bytes by SDO without waiting; ``told`` is called with them, or never without an
+        answer."""
         self._post(node_id).post(PostedUpload(node_id, index, sub, told))
         self._plan_housekeeping()
 
     def poll(self, polled: Polled) -> ObjectPoll:
-        """Read an object again and again; the pump looks after it. Until ``polls.end``."""
+        """Read an object repeatedly, by the pump, until ``polls.end``."""
         poll = self.polls.begin(polled, now := self.clock.now())
         self._keep_house(now)
         return poll
 
     def refuse_two(self, node_id: int) -> None:
-        """Raise AnswersTwice if a node gave more answers than it was asked for: two nodes are likely."""
+        """Raise AnswersTwice if a node gave more answers than requested: two nodes are likely."""
         client = self._clients.get(node_id)
         if client is not None and client.answers.surplus > SURPLUS_BORNE:
             raise self._answers_twice(client, node_id)
@@ -292,11 +292,11 @@ class CanopenNetwork(canopen.Network):
     # ---- inside ---------------------------------------------------------------------------------------
 
     def connect(self, *_args: Any, **_kwargs: Any) -> "CanopenNetwork":
-        """Not used: the bus is there from the start, and no Notifier thread may be."""
+        """Not used: the bus exists from the start, and no Notifier thread is allowed."""
         raise TypeError("a CanopenNetwork is given its bus when it is made")
 
     def disconnect(self) -> None:
-        """Leave the bus to its owner; only this object's services end."""
+        """End this object's services; the bus stays open for its owner."""
         self.life_signs.end()
         self.frame_pump.housekeeping_at = NEVER
 
@@ -324,7 +324,7 @@ class CanopenNetwork(canopen.Network):
     def _client(
         self, node_id: int, timeout_s: float | None = None, attempts: int = SDO_ATTEMPTS
     ) -> PumpedSdoClient:
-        """The node's SDO client, once its channel is free of posted transfers."""
+        """Return the node's SDO client, once its channel is free of posted transfers."""
         client = self._client_of(node_id)
         client.RESPONSE_TIMEOUT = self.sdo_timeout_s if timeout_s is None else timeout_s
         client.MAX_RETRIES = attempts

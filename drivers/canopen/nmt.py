@@ -1,4 +1,4 @@
-"""What a master knows of a node: NMT state, heartbeat, emergencies (CiA 301 7.2.8, 7.2.7)."""
+"""A master's knowledge of a node: NMT state, heartbeat, emergencies (CiA 301 7.2.8, 7.2.7)."""
 
 from collections.abc import Iterable
 from struct import Struct
@@ -10,9 +10,9 @@ from servobench.drivers.timebase import Duration, Instant
 
 _EMERGENCY = Struct("<HB5s")
 EMERGENCIES_KEPT = 10_000
-"""A drive that repeats one every 10 ms is seen from the first to the last in a run of 100 s; some 2 MB."""
+"""Enough for one every 10 ms in a run of 100 s; some 2 MB."""
 _TOGGLE = 0x80
-"""Of an answer to node guarding."""
+"""Toggle bit of an answer to node guarding."""
 
 
 class Emergency(NamedTuple):
@@ -32,7 +32,7 @@ class Emergency(NamedTuple):
         return error_text(self.code)
 
     def told(self, vendor: int = 0, device_name: str = "") -> str:
-        """In words, with those of the drive's maker."""
+        """Describe the EMCY, in its maker's words if known."""
         kinds = f"register {self.register:02X}h ({register_text(self.register)})"
         detail = f"{kinds}, manufacturer {self.manufacturer.hex()}"
         return f"EMCY {self.code:04X}h ({fault_text(self.code, vendor, device_name)}), {detail}"
@@ -50,7 +50,7 @@ class EmergencySeries(NamedTuple):
 
 
 def condensed(emergencies: Iterable[Emergency]) -> list[EmergencySeries]:
-    """Those of one code and node as one, in the order in which each came last."""
+    """Merge EMCYs of one code and node into series, in the order of their last occurrence."""
     repeated: dict[tuple[int, int], EmergencySeries] = {}
     for each in emergencies:
         key = each.node_id, each.code
@@ -60,7 +60,7 @@ def condensed(emergencies: Iterable[Emergency]) -> list[EmergencySeries]:
 
 
 def parse_emergency(node_id: int, data: bytes, at: Instant) -> Emergency | None:
-    """The EMCY in a frame's data; None if it is not eight bytes long, as the standard demands."""
+    """Parse a frame's data as an EMCY; None if it is not eight bytes long, as the standard demands."""
     if len(data) != _EMERGENCY.size:
         return None
     code, register, manufacturer = _EMERGENCY.unpack(data)
@@ -68,7 +68,7 @@ def parse_emergency(node_id: int, data: bytes, at: Instant) -> Emergency | None:
 
 
 class NodeStatus:
-    """One node as its heartbeats show it."""
+    """One node as seen by its heartbeats."""
 
     __slots__ = (
         "_toggle", "boot_ups", "guarded", "heartbeat_at", "lost_at", "node_id", "state", "timeout_ns",
@@ -78,24 +78,24 @@ class NodeStatus:
     def __init__(self, node_id: int) -> None:
         self.node_id = node_id
         self.state: NmtState | None = None
-        """None before the first heartbeat, or if the byte was no state of the standard."""
+        """None before the first heartbeat, or after a byte that is no state of the standard."""
         self.heartbeat_at: Instant | None = None
         self.boot_ups = 0
         self.timeout_ns = Duration(0)
-        """Longest silence that is borne; 0: the node is not watched."""
+        """Longest silence allowed; 0: the node is not watched."""
         self.watched_since = Instant(0)
         self.lost_at: Instant | None = None
         """When the silence became too long; None while the node is heard."""
         self.guarded = False
-        """It is asked by node guarding: its answers count as heartbeats, and their toggle bits alternate."""
+        """True if node guarding is used: answers count as heartbeats, and their toggle bits alternate."""
         self._toggle = -1
 
     def watch(self, timeout_ns: Duration, now: Instant) -> None:
-        """Bear no silence longer than ``timeout_ns`` from now on; 0 ends the watch."""
+        """Allow no silence longer than ``timeout_ns`` from now on; 0 ends the watch."""
         self.timeout_ns, self.watched_since, self.lost_at = timeout_ns, now, None
 
     def heard(self, data: bytes, at: Instant) -> None:
-        """A frame with this node's error control identifier arrived."""
+        """Take in a frame with this node's error control identifier."""
         if len(data) != 1:
             return
         if self.guarded and data[0]:
@@ -116,7 +116,7 @@ class NodeStatus:
         self.heartbeat_at, self.lost_at = at, None
 
     def expires_at(self) -> Instant | None:
-        """When the silence becomes too long; None if not watched, or lost already."""
+        """Return when the silence becomes too long; None if not watched, or lost already."""
         if not self.timeout_ns or self.lost_at is not None:
             return None
         last = self.watched_since if self.heartbeat_at is None else max(self.heartbeat_at, self.watched_since)

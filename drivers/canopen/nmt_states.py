@@ -1,4 +1,4 @@
-"""States and commands of NMT, and the node-IDs that there are (CiA 301 7.2.8, CiA 305)."""
+"""States and commands of NMT, and the range of node-IDs (CiA 301 7.2.8, CiA 305)."""
 
 from enum import IntEnum
 from typing import Final
@@ -20,10 +20,10 @@ class NmtCommand(IntEnum):
 
 
 class NmtState(IntEnum):
-    """By their number in heartbeat and node guarding, CiA 301 7.2.8.3.2."""
+    """States by their number in heartbeat and node guarding, CiA 301 7.2.8.3.2."""
 
     INITIALISING = 0x00
-    """Told by the boot-up message, with which it ends."""
+    """Shown by the boot-up message, which ends it."""
     STOPPED = 0x04
     OPERATIONAL = 0x05
     PRE_OPERATIONAL = 0x7F

@@ -12,7 +12,7 @@ _STRUCTS = {code: Struct(f"<{code}") for code in "bBhHiIqQ"}
 
 
 class SettingRefused(PeerFault):
-    """A device holds another value than was written to it."""
+    """A device holds another value than the one written."""
 
 
 class RemoteObjects:
@@ -27,7 +27,7 @@ class RemoteObjects:
         self.node_id = node_id
 
     def read(self, index: int, sub: int = 0, code: str = "I") -> int:
-        """An integer object. Devices that send more octets than the type has are borne with."""
+        """Read an integer object. Extra octets beyond the type are tolerated."""
         data = self.network.upload(self.node_id, index, sub)
         width = _STRUCTS[code].size
         if not data:
@@ -35,14 +35,15 @@ class RemoteObjects:
         return int.from_bytes(data[:width], "little", signed=code.islower())
 
     def read_if_there(self, index: int, sub: int = 0, code: str = "I") -> int | None:
-        """As :meth:`read`; None if the node has no such object, or will not let it be read."""
+        """Read an integer object; None if the node lacks it, or does not let it be read."""
         try:
             return self.read(index, sub, code)
         except TransferAborted:
             return None
 
     def read_text(self, index: int, sub: int = 0) -> str:
-        """A VISIBLE_STRING, printable; empty if the node has none. Octets beyond Latin-1 do not occur."""
+        """Read a VISIBLE_STRING, printable; empty if the node has none. Octets beyond Latin-1 do not
+        occur."""
         try:
             data = self.network.upload(self.node_id, index, sub)
         except TransferAborted:

@@ -4,7 +4,7 @@ from enum import IntEnum
 from typing import Final
 
 FIRST_OBJECT: Final = 0x1000
-"""Lower indices are data types; what a PDO maps of them is a gap."""
+"""Lower indices are data types; a PDO maps them as gaps."""
 MANUFACTURER: Final = range(0x2000, 0x6000)
 SDO_SERVER: Final = 0x1200
 
@@ -15,9 +15,9 @@ TPDO_COMMUNICATION: Final = 0x1800
 TPDO_MAPPING: Final = 0x1A00
 PDO_PARAMETERS: Final = range(RPDO_COMMUNICATION, TPDO_MAPPING + 0x200)
 MAPPING_OFFSET: Final = 0x200
-"""From a PDO's communication parameter to its mapping."""
+"""Offset from a PDO's communication parameter to its mapping."""
 PDOS_MAX: Final = 512
-"""In either direction (CiA 301, 7.5.2.35 and 7.5.2.37)."""
+"""PDOs in either direction (CiA 301, 7.5.2.35 and 7.5.2.37)."""
 PDO_ENTRIES_MAX: Final = 64
 """Objects that one PDO can carry, of a bit each (CiA 301, 7.5.2.36)."""
 
@@ -64,15 +64,15 @@ MANDATORY: Final = (Cia301.DEVICE_TYPE, Cia301.ERROR_REGISTER, Cia301.IDENTITY)
 
 
 def mapping_word(index: int, sub: int, bits: int) -> int:
-    """One entry of a PDO mapping parameter (CiA 301 7.5.2.36)."""
+    """Return one entry of a PDO mapping parameter (CiA 301 7.5.2.36)."""
     return index << 16 | sub << 8 | bits
 
 
 def is_mapping(index: int) -> bool:
-    """A PDO mapping parameter."""
+    """Return True for a PDO mapping parameter."""
     return index in PDO_PARAMETERS and bool(index & MAPPING_OFFSET)
 
 
 def is_communication(index: int) -> bool:
-    """A PDO communication parameter."""
+    """Return True for a PDO communication parameter."""
     return index in PDO_PARAMETERS and not index & MAPPING_OFFSET

@@ -1,4 +1,4 @@
-"""How much may still come: answers to requests, PDOs to SYNCs. What comes beyond that, nobody asked for."""
+"""Accounts of outstanding answers to requests and PDOs to SYNCs. Anything beyond them is unsolicited."""
 
 from collections import deque
 from typing import Final
@@ -14,14 +14,14 @@ _ABORT: Final = 4
 _BLOCKS: Final = (5, 6)
 _NAMING_REQUESTS: Final = (1, 2, *_BLOCKS)
 _NAMING_ANSWERS: Final = (2, 3, _ABORT)
-"""Command specifiers of CiA 301 7.2.4.3: an abort, blocks either way, and what initiates a transfer."""
+"""Command specifiers of CiA 301 7.2.4.3: an abort, blocks either way, and those that initiate a transfer."""
 
 
 class Owed:
-    """An account of what is due.
+    """An account of outstanding items.
 
-    It never blames what is only late, unless it is later than ``due_max`` others; and what was lost hides as
-    much that nobody asked for, up to ``due_max``.
+    A late item never counts as surplus, unless it is later than ``due_max`` others; each lost one hides one
+    surplus, up to ``due_max``.
     """
 
     __slots__ = ("due", "due_max", "surplus")
@@ -29,16 +29,16 @@ class Owed:
     def __init__(self, due_max: int) -> None:
         self.due = 0
         self.due_max = due_max
-        """What has not come by the time that so much more is due is taken for lost."""
+        """Items outstanding beyond this number count as lost."""
         self.surplus = 0
-        """What came beyond what was due, so far."""
+        """Items beyond those due, so far."""
 
     def expect(self, count: int = 1) -> None:
-        """So much more is due."""
+        """Add to the items due."""
         self.due = min(self.due + count, self.due_max)
 
     def came(self, count: int = 1) -> int:
-        """So much has come; how much of it was not due."""
+        """Take in items; return how many were not due."""
         beyond = max(0, count - self.due)
         self.due = max(0, self.due - count)
         self.surplus += beyond
@@ -46,7 +46,7 @@ class Owed:
 
 
 class OwedAnswers:
-    """The answers that one node owes on its SDO channel: one for each request, however often it was repeated.
+    """The answers that a node owes on its SDO channel: one per request, however often that was repeated.
 
     An answer that names an object is owed to a request that named it, an abort to any if none did. What has
     not come within ANSWER_LATE_MAX is taken for lost, and hides no surplus any more.
@@ -58,17 +58,17 @@ class OwedAnswers:
     __slots__ = ("_asked", "_blocks_until", "_earlier_until", "surplus")
 
     def __init__(self, now: Instant) -> None:
-        """``now``: another client may have asked just before; its answer comes before any other one."""
+        """``now``: another client may have asked just before; its answer comes before any other."""
         self._asked: deque[tuple[Instant, bytes]] = deque(maxlen=ANSWERS_DUE_MAX)
-        """When, and what the answer has to name; empty: nothing."""
+        """Instant of each request, and the object that its answer must name; empty: none."""
         self._earlier_until = Instant(now + ANSWER_LATE_MAX)
         self._blocks_until = Instant(0)
-        """Blocks of another may pass until then: which answers are due to them is not followed."""
+        """Blocks of another client may pass until then: the answers due to them are not tracked."""
         self.surplus = 0
-        """What came beyond what was due, so far."""
+        """Answers beyond those due, so far."""
 
     def expect(self, asked_at: Instant, request: bytes) -> None:
-        """One more is due; none to an abort."""
+        """Note one more answer due; none for an abort."""
         command = request[0] >> 5 if request else 0
         if command in _BLOCKS:
             self._blocks_until = Instant(asked_at + ANSWER_LATE_MAX)
@@ -77,7 +77,7 @@ class OwedAnswers:
             self._asked.append((asked_at, request[1:4] if named else b""))
 
     def came(self, at: Instant, answer: bytes) -> bool:
-        """One has come; whether it was due."""
+        """Take in an answer; return True if it was due."""
         asked = self._asked
         while asked and at - asked[0][0] > ANSWER_LATE_MAX:
             asked.popleft()

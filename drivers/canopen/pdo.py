@@ -1,4 +1,4 @@
-"""PDO plan of a drive: what travels in which PDO, its bus load, and writing it into the drive.
+"""PDO plan of a drive: the contents of each PDO, the bus load, and writing it into the drive.
 
 CiA 301 7.5.2.35 to 7.5.2.38: communication parameters 0x1400 and 0x1800, mapping 0x1600 and 0x1A00. A mapping
 may change only while the PDO does not exist (bit 31 of its COB-ID), with sub 0 of the mapping at 0 meanwhile.
@@ -24,25 +24,25 @@ from servobench.drivers.errors import TransferAborted
 from servobench.drivers.timebase import NS_PER_MS, Duration
 
 BITS_MAX = 64
-"""Of a PDO: the eight octets of a classical frame."""
+"""Bits in a PDO: the eight octets of a classical frame."""
 
 # Transmission types (CiA 301 7.5.2.35, 7.5.2.37).
 EVENT_DRIVEN = 255
 EVERY_SYNC = 1
 SYNCHRONOUS_MAX = 240
-"""1 to 240: with every so many SYNCs."""
+"""1 to 240: with every n-th SYNC."""
 
 _PDOS_LOOKED_AT = 4
-"""Predefined connection set: the PDOs that may be alive without anybody having asked for them."""
+"""Predefined connection set: the PDOs that may be active by default."""
 _WRITTEN, _SWITCHED_OFF = " written", " switched off"
 DONE = (_WRITTEN, _SWITCHED_OFF)
-"""So ends a note on what was done; every other tells of something that could not be."""
+"""Ending of a note on something done; every other note reports something impossible."""
 Key = tuple[int, int]
 """Index and sub-index."""
 
 
 def key_of(mapping_word: int) -> Key:
-    """The object that a mapping word names."""
+    """Return the object that a mapping word names."""
     return mapping_word >> 16, mapping_word >> 8 & 0xFF
 
 
@@ -68,7 +68,7 @@ class PdoDirection(Enum):
         return self.value + MAPPING_OFFSET
 
     def default_cob_id(self, number: int, node_id: int) -> int:
-        """Predefined connection set (CiA 301 table 39), PDO 1 to 4."""
+        """Return the identifier by the predefined connection set (CiA 301 table 39), PDO 1 to 4."""
         if not 1 <= number <= _PDOS_LOOKED_AT:
             raise ValueError(f"PDO {number} has no predefined identifier")
         first = TPDOS if self is PdoDirection.TRANSMIT else RPDOS
@@ -82,14 +82,15 @@ class PdoEntry:
     index: int
     sub: int
     code: str
-    """``struct`` character of its type; ``3s`` and the like for octets that nobody here reads."""
+    """``struct`` character of its type; ``3s`` and the like for octets that are not interpreted."""
 
     @property
     def bits(self) -> int:
         return 8 * calcsize("<" + self.code)
 
     def value(self, data: bytes) -> int | bytes:
-        """What a frame carries of an object that holds ``data``, as :meth:`PdoMap.codec` packs it."""
+        """Return the value that a frame carries for an object that holds ``data``, as :meth:`PdoMap.codec`
+        packs it."""
         octets = data[: self.bits // 8]
         return (
             octets if self.code[-1] == "s" else int.from_bytes(octets, "little", signed=self.code.islower())
@@ -103,7 +104,7 @@ class PdoEntry:
 
 @dataclass(frozen=True, slots=True)
 class PdoMap:
-    """One PDO: identifier, transmission type and content. Raises ValueError if it cannot be one."""
+    """One PDO: identifier, transmission type and content. Raises ValueError if it is impossible."""
 
     direction: PdoDirection
     number: int
@@ -112,9 +113,9 @@ class PdoMap:
     entries: tuple[PdoEntry, ...]
     transmission_type: int = EVERY_SYNC
     inhibit_time_100us: int = 0
-    """Sub-index 3: shortest time between two of an event-driven TPDO; 0: no limit."""
+    """Sub-index 3: shortest interval of an event-driven TPDO; 0: no limit."""
     event_timer_ms: int = 0
-    """Sub-index 5: after so long without an event an event-driven TPDO is sent all the same; 0: never."""
+    """Sub-index 5: an event-driven TPDO is sent after this time even without an event; 0: never."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.number <= 512:
@@ -146,9 +147,9 @@ class PdoMap:
         return self.transmission_type <= SYNCHRONOUS_MAX
 
     def times_a_cycle(self, period_ns: Duration) -> float:
-        """How often it travels in a cycle of one SYNC and one command.
+        """Return how often it travels in a cycle of one SYNC and one command.
 
-        A TPDO that is sent on change is reckoned by its event timer: changes are rare.
+        A TPDO sent on change is counted by its event timer: changes are rare.
         """
         if self.synchronous:
             return 1.0 / max(1, self.transmission_type)
@@ -157,11 +158,11 @@ class PdoMap:
         return 1.0
 
     def codec(self) -> Struct:
-        """Compiled layout: little endian, no padding (CiA 301 7.1.4)."""
+        """Return the compiled layout: little endian, no padding (CiA 301 7.1.4)."""
         return Struct("<" + "".join(entry.code for entry in self.entries))
 
     def place_of(self, index: int, sub: int = 0) -> int | None:
-        """Position of an object among the entries."""
+        """Return the position of an object among the entries."""
         for place, entry in enumerate(self.entries):
             if (entry.index, entry.sub) == (index, sub):
                 return place
@@ -170,12 +171,12 @@ class PdoMap:
 
 @dataclass(frozen=True, slots=True)
 class PdoPlan:
-    """Every PDO of one drive that the master uses; all its others are switched off."""
+    """Every PDO of one drive that the master uses; all others are switched off."""
 
     tpdos: tuple[PdoMap, ...]
     rpdos: tuple[PdoMap, ...]
     observed: tuple[PdoMap, ...] = ()
-    """TPDOs for the recording alone: nobody listens to them."""
+    """TPDOs for the recording alone: the loop does not use them."""
 
     def __post_init__(self) -> None:
         used = [pdo.cob_id for pdo in self]
@@ -183,22 +184,22 @@ class PdoPlan:
             raise ValueError("two PDOs of the plan share an identifier")
 
     def __iter__(self) -> Iterator[PdoMap]:
-        """All that the drive sends, then all that it receives."""
+        """Iterate over all PDOs that the drive sends, then all that it receives."""
         return iter((*self.tpdos, *self.observed, *self.rpdos))
 
     def tpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
-        """The first TPDO that carries an object."""
+        """Return the first TPDO that carries an object."""
         return next((pdo for pdo in self.tpdos if pdo.place_of(index, sub) is not None), None)
 
     def rpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
-        """The first RPDO that carries an object."""
+        """Return the first RPDO that carries an object."""
         return next((pdo for pdo in self.rpdos if pdo.place_of(index, sub) is not None), None)
 
 
 def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:
-    """Put the plan into the drive, which must be pre-operational, read it back, and say what was done.
+    """Write the plan to the drive, which must be pre-operational, read it back, and return what was done.
 
-    PDOs that hold the plan already are left alone, so a drive with a fixed mapping that fits is served.
+    PDOs that already hold the plan are left alone, so a drive with a fixed mapping that fits is served.
     Raises SettingRefused naming every difference that stays, or TransferAborted; the drive's PDOs then are
     what they were before.
     """
@@ -213,8 +214,8 @@ def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:
 
 
 def _write_all(objects: RemoteObjects, plan: PdoPlan, held: dict[int, "_Held"]) -> list[str]:
-    """Notes on what was done. Into ``held`` goes what each PDO held before it was changed, by the index of
-    its communication parameter."""
+    """Write all PDOs; return notes on what was done. ``held`` receives the former contents of each PDO before
+    its change, by the index of its communication parameter."""
 
     def switch_off(communication_index: int) -> bool:
         cob_id = objects.read_if_there(communication_index, 1)
@@ -248,7 +249,7 @@ def _write_all(objects: RemoteObjects, plan: PdoPlan, held: dict[int, "_Held"]) 
 
 
 class _Held(NamedTuple):
-    """Parameters of a PDO; None: it has none, or they are left as they are."""
+    """Parameters of a PDO; None: it has none, or they stay unchanged."""
 
     cob_id: int
     """With its flags."""
@@ -260,7 +261,7 @@ class _Held(NamedTuple):
 
 
 def _held(objects: RemoteObjects, communication_index: int) -> _Held:
-    """What a PDO holds now. Raises TransferAborted if there is no such PDO."""
+    """Read the present contents of a PDO. Raises TransferAborted if there is no such PDO."""
     return _Held(
         objects.read(communication_index, 1),
         objects.read_if_there(communication_index, 2, "B"),
@@ -270,7 +271,7 @@ def _held(objects: RemoteObjects, communication_index: int) -> _Held:
 
 
 def _put_back(objects: RemoteObjects, held: Mapping[int, _Held]) -> None:
-    """As :func:`_write_all` found them; all are off before one is moved here too."""
+    """Restore the PDOs found by :func:`_write_all`; here too all are off before one is moved."""
     for communication_index in held:
         with suppress(TransferAborted):
             cob_id = objects.read(communication_index, 1)
@@ -282,7 +283,7 @@ def _put_back(objects: RemoteObjects, held: Mapping[int, _Held]) -> None:
 
 
 def _planned(pdo: PdoMap, held: _Held) -> _Held:
-    """What a PDO of the plan is to hold in a drive whose PDO holds ``held``."""
+    """Return the planned contents of a PDO in a drive whose PDO holds ``held``."""
     # Bit 30 (no remote frames) is kept: some drives refuse the other value. It is reserved in an RPDO.
     remote = held.cob_id & NO_RTR if pdo.direction is PdoDirection.TRANSMIT else 0
     return _Held(
@@ -294,7 +295,7 @@ def _planned(pdo: PdoMap, held: _Held) -> _Held:
 
 
 def _write_pdo(objects: RemoteObjects, communication_index: int, wanted: _Held) -> None:
-    """The standard's procedure on a PDO that is switched off."""
+    """Write a PDO that is switched off, by the standard's procedure."""
     mapping_index = communication_index + MAPPING_OFFSET
     kind = objects.read_if_there(communication_index, 2, "B")
     if wanted.transmission_type is not None and kind not in (None, wanted.transmission_type):
@@ -313,14 +314,14 @@ def _write_pdo(objects: RemoteObjects, communication_index: int, wanted: _Held) 
 
 
 def _write_timer(objects: RemoteObjects, index: int, sub: int, value: int | None) -> None:
-    """Inhibit time or event timer; whether a drive that lacks or refuses it does is for ``differences``."""
+    """Write inhibit time or event timer; ``differences`` judges a drive that lacks or refuses it."""
     if value is not None and objects.read_if_there(index, sub, "H") not in (None, value):
         with suppress(TransferAborted):
             objects.write(index, sub, "H", value)
 
 
 def verify_plan(objects: RemoteObjects, plan: PdoPlan) -> None:
-    """Raises SettingRefused, naming every difference, unless the drive holds the plan."""
+    """Raise SettingRefused, naming every difference, unless the drive holds the plan."""
     texts = [text for pdo in plan for text in differences(objects, pdo)]
     if texts:
         raise SettingRefused(
@@ -331,7 +332,7 @@ def verify_plan(objects: RemoteObjects, plan: PdoPlan) -> None:
 
 
 def differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
-    """How the drive's PDO differs from the plan's, in words; empty if it does not."""
+    """Say how the drive's PDO differs from the plan's; empty if it does not."""
     cob_id = objects.read_if_there(pdo.communication_index, 1)
     if cob_id is None:
         return [f"{pdo.name} does not exist"]
@@ -352,7 +353,8 @@ def differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
 
 
 def _timer_differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
-    """Without its inhibit time a PDO works all the same; one that is to be repeated needs its event timer."""
+    """Compare the timers. A PDO works without its inhibit time; one that is to be repeated needs its event
+    timer."""
     texts = []
     if pdo.inhibit_time_100us:
         inhibit = objects.read_if_there(pdo.communication_index, 3, "H")

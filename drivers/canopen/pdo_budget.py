@@ -1,4 +1,4 @@
-"""What a PDO plan costs: the time of each frame, the load, and the shortest cycle that it leaves room for."""
+"""The cost of a PDO plan: the time of each frame, the load, and the shortest possible cycle."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -20,7 +20,7 @@ class BudgetLine(NamedTuple):
     cob_id: int
     data_bytes: int
     bits_max: int
-    """With as many stuff bits as there can be, interframe space included."""
+    """Worst-case stuff bits and the interframe space included."""
     time_ns: Duration
     a_cycle: float
     """How often it travels in a cycle."""
@@ -57,13 +57,14 @@ class Budget(NamedTuple):
 
     @property
     def sdo_transfers_a_s(self) -> float:
-        """Expedited transfers, request and answer, that fit into what is left of the bus."""
+        """Expedited transfers, request and answer, that fit into the rest of the bus."""
         left = max(0.0, 1.0 - self.load_percent / 100.0)
         return left * self.bitrate_bit_s / (2 * frame_bits_max(_SDO_BYTES))
 
 
 def budget_of(plans: Iterable[PdoPlan], period_ns: Duration, bitrate_bit_s: int) -> Budget:
-    """The frames of a cycle: SYNC, every TPDO, and every RPDO once; a statusword told on change seldom."""
+    """Return the frames of a cycle: SYNC, every TPDO and every RPDO once; a statusword sent on change
+    seldom."""
     lines = [_line("SYNC", SYNC, 0, bitrate_bit_s, 1.0, "")]
     for plan in plans:
         for pdo in plan:
@@ -73,7 +74,8 @@ def budget_of(plans: Iterable[PdoPlan], period_ns: Duration, bitrate_bit_s: int)
 
 
 def frame_bits_max(data_bytes: int) -> int:
-    """Longest a classical frame with an 11-bit identifier can be, bits, interframe space included.
+    """Return the greatest length of a classical frame with an 11-bit identifier, bits, interframe space
+    included.
 
     ISO 11898-1: 34 + 8 n bits are subject to stuffing, one stuff bit for the first five and then one for
     every four; 13 bits follow that are not.

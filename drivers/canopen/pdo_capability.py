@@ -1,4 +1,4 @@
-"""What a drive can do with PDOs; without a dictionary, as the drive itself tells it.
+"""PDO capability of a drive, by its dictionary or else read from the drive itself.
 
 CiA 301 7.5.2.35 to 7.5.2.38. A drive may have its mappings fixed, may map only some objects, in one direction
 only, may have identifiers or transmission types that cannot be changed, and fewer entries than would fit.
@@ -16,12 +16,12 @@ from servobench.drivers.canopen.sdo import object_name
 
 @dataclass(frozen=True, slots=True)
 class PdoSlot:
-    """One PDO as it is before anybody writes to it."""
+    """One PDO before anybody writes to it."""
 
     direction: PdoDirection
     number: int
     cob_id: int | None
-    """With its flags; None if nobody tells."""
+    """COB-ID with its flags; None if unknown."""
     cob_id_writable: bool
     transmission_type: int | None
     type_writable: bool
@@ -45,17 +45,17 @@ class PdoSlot:
 
     @property
     def identifier(self) -> int | None:
-        """The 11-bit identifier; None if there is none yet."""
+        """The 11-bit identifier; None if it has none yet."""
         return (self.cob_id or 0) & CAN_ID or None
 
     @property
     def keys(self) -> set[Key]:
-        """What is mapped."""
+        """The mapped objects."""
         return set(map(key_of, self.mapping))
 
     @property
     def valid(self) -> bool:
-        """It exists (bit 31 of its COB-ID)."""
+        """True if it exists (bit 31 of its COB-ID)."""
         return self.cob_id is not None and not self.cob_id & NOT_VALID
 
 
@@ -93,20 +93,20 @@ class PdoCapability:
     dummies: tuple[int, ...] = ()
     """Data types that serve as placeholders."""
     flags_tell: bool = True
-    """Some object is marked mappable; where none is, the marks say nothing."""
+    """Some object is marked mappable; if none is, the marks say nothing."""
 
     def of(self, direction: PdoDirection) -> tuple[PdoSlot, ...]:
-        """The PDOs of one direction, by number."""
+        """Return the PDOs of one direction, by number."""
         return tuple(slot for slot in self.slots if slot.direction is direction)
 
     def can_carry(self, key: Key, direction: PdoDirection) -> bool:
-        """Some PDO carries the object, or could."""
+        """Return True if some PDO carries the object, or could."""
         return self.flexible_object(key, direction) is not None or any(
             key in slot.keys for slot in self.of(direction) if not slot.mapping_writable
         )
 
     def flexible_object(self, key: Key, direction: PdoDirection) -> MappedObject | None:
-        """The object, if a PDO whose mapping can be written may carry it."""
+        """Return the object, if a PDO with writable mapping may carry it."""
         entry = self.objects.get(key)
         if entry is None or not entry.code:
             return None
@@ -119,7 +119,7 @@ class PdoCapability:
 
 
 def capability_of_drive(objects: RemoteObjects, wanted: Mapping[Key, str]) -> PdoCapability:
-    """As a drive without a dictionary tells it over SDO, its mappings taken for fixed.
+    """Read the capability of a drive without a dictionary over SDO, its mappings assumed fixed.
 
     ``wanted``: objects the bench would map, with their ``struct`` characters. Pumps the network.
     """
@@ -133,7 +133,7 @@ def capability_of_drive(objects: RemoteObjects, wanted: Mapping[Key, str]) -> Pd
 
 
 def objects_of(codes: Mapping[Key, str]) -> dict[Key, MappedObject]:
-    """Objects of these types, as they would be that any PDO may carry."""
+    """Return objects of these types, as if any PDO may carry them."""
     return {
         key: MappedObject(*key, PdoEntry(*key, code).bits, code, True, True, True)
         for key, code in codes.items()

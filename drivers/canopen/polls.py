@@ -1,4 +1,4 @@
-"""Objects of nodes that are read by SDO again and again, without anybody waiting for them."""
+"""Objects of nodes read by SDO repeatedly, without waiting."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from servobench.drivers.timebase import NEVER, Duration, Instant
 
 @dataclass(frozen=True, slots=True)
 class Polled:
-    """What is read, how often, and who is told its bytes and the instant of their frame."""
+    """An object to read, its interval, and the receiver of its bytes and the instant of their frame."""
 
     node_id: int
     index: int
@@ -19,7 +19,7 @@ class Polled:
 
 
 class ObjectPoll:
-    """One object while it is read."""
+    """One object while it is polled."""
 
     def __init__(self, polled: Polled, client: PumpedSdoClient, post: TransferPost, now: Instant) -> None:
         self.due = now
@@ -29,7 +29,7 @@ class ObjectPoll:
         self._upload: PostedUpload | None = None
 
     def keep(self, now: Instant) -> None:
-        """Post the next read if it is due, the one before has ended, and nobody waits for an answer."""
+        """Post the next read if it is due, the previous one has ended, and nobody waits for an answer."""
         if now < self.due:
             return
         polled = self._polled
@@ -41,7 +41,7 @@ class ObjectPoll:
 
 
 class ObjectPolls:
-    """Of one network, whose pump looks after them."""
+    """The polls of one network, run by its pump."""
 
     def __init__(
         self, client_of: Callable[[int], PumpedSdoClient], post_of: Callable[[int], TransferPost]
@@ -52,7 +52,7 @@ class ObjectPolls:
 
     @property
     def due(self) -> Instant:
-        """When the next one is to be read."""
+        """When the next read is due."""
         return min((poll.due for poll in self._polls), default=NEVER)
 
     def begin(self, polled: Polled, now: Instant) -> ObjectPoll:
@@ -63,7 +63,7 @@ class ObjectPolls:
         return poll
 
     def end(self, poll: ObjectPoll) -> None:
-        """Read it no more; a read that is under way comes to its end."""
+        """Stop reading it; a read under way comes to its end."""
         if poll in self._polls:
             self._polls.remove(poll)
 

@@ -1,7 +1,7 @@
 """SDO client without a thread (CiA 301 7.2.4): python ``canopen``'s client, its queue replaced by a pump.
 
-canopen's client and LSS master wait on a queue that another thread fills. Here :class:`AnswerQueue` stands in
-for that queue, and waiting on it lets the network handle frames until the answer or the deadline is there.
+canopen's client and LSS master wait on a queue that another thread fills. Here :class:`AnswerQueue` replaces
+that queue, and waiting on it lets the network handle frames until the answer or the deadline comes.
 """
 
 import logging
@@ -40,7 +40,7 @@ _EXPEDITED_MASK, _EXPEDITED_UPLOAD = 0xF2, 0x42
 _ABORTED = 0x80
 _BROKEN_OFF = (0x05030000, 0x05040000, 0x05040001)
 """Toggle bit not alternated, timed out, command specifier not valid (CiA 301 table 22): a server's answers to
-a segment that is asked for again because the answer to it was lost. They say nothing about the object."""
+a segment requested again after a lost answer. They say nothing about the object."""
 # Client command specifiers (CiA 301 7.2.4.3).
 _INITIATE_DOWNLOAD = 1
 _BLOCK_DOWNLOAD = 6
@@ -50,23 +50,24 @@ _ABORT_ANSWER = _ABORTED >> 5
 
 
 class Pump(Protocol):
-    """What a waiting SDO client needs of the network."""
+    """The network as a waiting SDO client sees it."""
 
     def pump_one(self, until: Instant) -> bool:
         """Handle one frame; False once ``until`` has come."""
         ...
 
     def deadline_after(self, duration: Duration) -> Instant:
-        """The instant ``duration`` from now."""
+        """Return the instant ``duration`` from now."""
         ...
 
     def send_request(self, node_id: int, request: bytes) -> Instant:
-        """Send one SDO request; raises UnlistedWrite before that if it may not be."""
+        """Send one SDO request; raises UnlistedWrite first if it is not allowed."""
         ...
 
 
 def written_object(request: bytes) -> tuple[int, int] | None:
-    """Index and sub-index of the object whose download a request initiates; None for any other request.
+    """Return index and sub-index of the object whose download a request initiates; None for any other
+    request.
 
     Raises ValueError for a block download (CiA 301 7.2.4.3.9): this master sends none, and the segments of
     one, which begin with their number, could not be told from requests.
@@ -83,7 +84,7 @@ def object_name(index: int, sub: int) -> str:
 
 
 def abort_text(code: int) -> str:
-    """An abort code with the standard's text, CiA 301 table 22."""
+    """Return an abort code with the standard's text, CiA 301 table 22."""
     return f"abort code {code:08X}h ({SdoAbortedError.CODES.get(code, 'not in the standard')})"
 
 
@@ -99,12 +100,12 @@ class AnswerQueue:
         self._answers.append(answer)
 
     def empty(self) -> bool:
-        """Drop what is left of an earlier exchange. (canopen asks this only to throw a stale queue away.)"""
+        """Drop leftovers of an earlier exchange. (canopen calls this only to discard a stale queue.)"""
         self._answers.clear()
         return True
 
     def get(self, block: bool = True, timeout: float = 0.0) -> bytes:
-        """The next answer; raises ``queue.Empty`` after ``timeout`` seconds on the bench's clock."""
+        """Return the next answer; raises ``queue.Empty`` after ``timeout`` seconds on the bench's clock."""
         deadline = self._pump.deadline_after(duration_s(timeout if block else 0.0))
         while not self._answers:
             if not self._pump.pump_one(deadline) and not self._answers:
@@ -125,21 +126,22 @@ class PumpedSdoClient(SdoClient):
         self._node_id = node_id
         self.responses: Any = AnswerQueue(pump)
         self.answers = OwedAnswers(pump.deadline_after(Duration(0)))
-        """Of the node on this channel, to posted downloads and to the requests of others too."""
+        """Answers due from the node on this channel, to posted downloads and to other clients' requests
+        too."""
         self.foreign_requests = 0
         """Requests of another client on this channel."""
         self.busy = False
-        """A request waits for its answer, or for the channel: nothing else may be begun on it."""
+        """True while a request waits for its answer, or for the channel: nothing else may begin on it."""
         self._multiplexer = bytes(3)
         self._answered_by: int | None = None
-        """How the answer to the present request begins; None: it is asked for a segment."""
+        """First octet expected in the answer to the present request; None: a segment was requested."""
 
     def upload(self, index: int, subindex: int) -> bytes:
-        """Read an object, from its beginning again if its segments break off."""
+        """Read an object; start again if its segments break off."""
         return bytes(self._complete(partial(super().upload, index, subindex)))
 
     def download(self, index: int, subindex: int, data: bytes, force_segment: bool = False) -> None:
-        """Write an object, from its beginning again if its segments break off."""
+        """Write an object; start again if its segments break off."""
         self._complete(partial(super().download, index, subindex, data, force_segment))
 
     def _complete(self, transfer: Callable[[], Any]) -> Any:
@@ -154,7 +156,7 @@ class PumpedSdoClient(SdoClient):
         raise BrokenOff(f"its segments broke off {SDO_ATTEMPTS} times: {abort_text(code)}")
 
     def request_response(self, sdo_request: bytes) -> Any:
-        """One request and its answer, resent when no answer comes."""
+        """Send a request and return its answer; resend it when no answer comes."""
         self._answered_by = _INITIATE_ANSWERS.get(sdo_request[0] >> 5)
         if self._answered_by is not None:
             self._multiplexer = bytes(sdo_request[1:4])
@@ -163,7 +165,7 @@ class PumpedSdoClient(SdoClient):
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Keep the channel: polls wait."""
+        """Reserve the channel: polls wait."""
         self.busy = True
         try:
             yield
@@ -176,12 +178,12 @@ class PumpedSdoClient(SdoClient):
         self.answers.expect(self._pump.send_request(self._node_id, request), request)
 
     def on_foreign_request(self, data: bytes, at: Instant) -> None:
-        """Another client has asked the node: its answer will be heard here."""
+        """Note a request of another client to the node: its answer will be heard here."""
         self.foreign_requests += 1
         self.answers.expect(at, data)
 
     def on_answer(self, data: bytes) -> None:
-        """Take an answer, unless it is malformed or answers a request that was given up before."""
+        """Take an answer, unless it is malformed or belongs to a request given up before."""
         if len(data) != 8:
             return
         answer = data[0] >> 5
@@ -217,7 +219,7 @@ class PostedTransfer:
 
     @property
     def object(self) -> tuple[int, int, int]:
-        """What is done, to which index and sub-index."""
+        """The action, and the index and sub-index of its object."""
         return self.frame[0] >> 5, self.index, self.sub
 
     def confirmed(self, data: bytes, at: Instant) -> bool:
@@ -242,9 +244,9 @@ class PostedDownload(PostedTransfer):
 
 
 class PostedUpload(PostedTransfer):
-    """A posted read; ``told`` is given the bytes and the instant of their frame.
+    """A posted read; ``told`` is called with the bytes and the instant of their frame.
 
-    A node that answers by segments is taken for one that does not answer.
+    A node that answers by segments counts as not answering.
     """
 
     __slots__ = ("_told",)
@@ -271,18 +273,18 @@ class TransferPost:
     TIMEOUT_NS = Duration(20_000_000)
     """Wait for the confirmation of one attempt."""
     WAITING_MAX = 64
-    """Of different objects, as one to the same replaces the other: nobody here writes as many without
-    waiting, unless none is confirmed."""
+    """Transfers to different objects, as one to the same object replaces the other: nobody writes as many
+    without waiting, unless none is confirmed."""
 
     def __init__(self, node_id: int, send: Callable[[bytes], Instant]) -> None:
-        """``send``: hands a request to the bus, and says when."""
+        """``send`` hands a request to the bus, and returns the instant."""
         self.in_flight: PostedTransfer | None = None
         self._node_id = node_id
         self._send = send
         self._waiting: deque[PostedTransfer] = deque()
 
     def post(self, transfer: PostedTransfer) -> None:
-        """Send it when its turn comes; one to the same object that still waits is replaced.
+        """Send it when its turn comes; it replaces a waiting one to the same object.
 
         Raises NoAnswer when 64 wait, because the node then confirms none.
         """

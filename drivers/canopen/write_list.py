@@ -1,4 +1,4 @@
-"""The objects that a master may write by SDO, each with its reason: what is not listed is never sent.
+"""The objects that a master may write by SDO, each with its reason: an unlisted one is never sent.
 
 An object of 2000h to 5FFFh belongs to the maker of a device (CiA 301 7.4.1): under one index one make has a
 brake's reaction time, another its serial number. Such an object is listed for one product alone, and may be
@@ -16,11 +16,11 @@ from servobench.drivers.errors import BadInput
 
 
 class UnlistedWrite(BadInput):
-    """An object was to be written that no list allows: an error of ours. Nothing was sent."""
+    """A write to an object that no list allows: an error of ours. Nothing was sent."""
 
 
 class Product(NamedTuple):
-    """Which product a node is, by its own words."""
+    """Product identity of a node, as it reports it."""
 
     vendor: int
     """1018h:1."""
@@ -41,11 +41,11 @@ class ListedWrite:
     subs: tuple[int, ...]
     """In ascending order."""
     name: str
-    """In the words of its profile: ``Target torque``."""
+    """Its title in the profile: ``Target torque``."""
     why: str
     when: str
     product: Product | None = None
-    """The only one on which it is written; None: any, as the standard has the object."""
+    """The only product on which it is written; None: any, as it is an object of the standard."""
 
     def __post_init__(self) -> None:
         of_a_maker = self.indices.start < MANUFACTURER.stop and self.indices.stop > MANUFACTURER.start
@@ -63,16 +63,16 @@ class ListedWrite:
         return f"{index}:{subs}"
 
     def covers(self, index: int, sub: int) -> bool:
-        """The object is one of these."""
+        """Return True if the object is one of these."""
         return index in self.indices and sub in self.subs
 
 
 @dataclass(frozen=True, slots=True)
 class WriteList:
-    """Everything that one purpose needs to write; ``|`` joins two."""
+    """Every write that one purpose needs; ``|`` joins two."""
 
     name: str
-    """Whose list it is, for the message of a refusal: ``hil run``."""
+    """Owner of the list, for the message of a refusal: ``hil run``."""
     writes: tuple[ListedWrite, ...] = ()
 
     def __or__(self, other: "WriteList") -> "WriteList":
@@ -80,19 +80,19 @@ class WriteList:
         return WriteList(self.name, (*self.writes, *more))
 
     def __iter__(self) -> Iterator[ListedWrite]:
-        """By index and sub-index."""
+        """Iterate by index and sub-index."""
         return iter(sorted(self.writes, key=lambda each: (each.indices.start, each.subs)))
 
     def __contains__(self, key: tuple[int, int]) -> bool:
-        """Index and sub-index may be written on a drive of any make."""
+        """Return True if index and sub-index may be written on a drive of any make."""
         return self.allows(*key)
 
     def allows(self, index: int, sub: int, product: Product | None = None) -> bool:
-        """The object may be written on a node that is ``product``; None: nobody knows what it is."""
+        """Return True if the object may be written on a node that is ``product``; None: unknown."""
         return any(each.covers(index, sub) and each.product in (None, product) for each in self.writes)
 
     def named(self, name: str) -> "WriteList":
-        """The same objects for another purpose."""
+        """Return the same objects for another purpose."""
         return WriteList(name, self.writes)
 
 
@@ -101,15 +101,15 @@ NOTHING: Final = WriteList("a master without a list of writes")
 
 
 class WriteGate:
-    """Stands before every SDO write of one master."""
+    """Checks every SDO write of one master."""
 
     def __init__(self, allowed: WriteList) -> None:
         self.allowed = allowed
         self.products: dict[int, Product] = {}
-        """By node, who it said that it is; before that no object of a maker is written to it."""
+        """Identity by node; until it is known no object of a maker is written to the node."""
 
     def check(self, node_id: int, index: int, sub: int) -> None:
-        """Raises UnlistedWrite unless the object of the node may be written."""
+        """Raise UnlistedWrite unless the object of the node may be written."""
         product, allowed = self.products.get(node_id), self.allowed
         if allowed.allows(index, sub, product):
             return
@@ -125,7 +125,7 @@ class WriteGate:
 
     @contextmanager
     def only(self, allowed: WriteList) -> Iterator[None]:
-        """Inside, nothing but ``allowed`` is written."""
+        """Inside, allow no other writes than ``allowed``."""
         before, self.allowed = self.allowed, allowed
         try:
             yield

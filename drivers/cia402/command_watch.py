@@ -1,31 +1,32 @@
-"""Whether a drive still follows the commands that it is sent, by the torque or the demand that it tells."""
+"""Detects a drive that no longer follows its commands, by the torque or the demand that it reports."""
 
 from collections import deque
 from itertools import islice
 from typing import Final
 
 DEMAND_MARGIN_RAW: Final = 2
-"""6074h of a drive that keeps currents inside: its rounding to and fro, per thousand of the rated torque."""
+"""Rounding of 6074h to and fro in a drive that computes in currents, per thousand of the rated torque."""
 ACTUAL_MARGIN_RAW: Final = 100
 """6077h is measured: ripple, friction of the current loop and its lag come in."""
 ACTUAL_SHARE: Final = 4
-"""And a fourth of the command: the torque constant is warm or cold, and known to some ten percent."""
+"""Plus a quarter of the command: the torque constant depends on temperature, and is known to some ten
+percent."""
 TOLD_THE_SAME: Final = 8
-"""Torque demands, each behind a further command, that are one by chance once in some million: thousandths of
-the rated torque are so coarse that of commands that vary at all one in nine equals the one before."""
+"""Equal torque demands, each after a further command, that occur by chance once in some million: in
+thousandths of the rated torque, one in nine varying commands equals the one before."""
 RAMP_UNITS: Final = 2
-"""A ramp shows the same demand for as long as a unit takes, and for twice that where it is read seldom."""
+"""A ramp shows the same demand for the time of one unit, and for twice that if it is read seldom."""
 _WORD: Final = 1 << 32
 _HALF_WORD: Final = 1 << 31
 
 
 class CommandWatch:
-    """Looks for what a drive tells among the last commands.
+    """Looks for the value that a drive reports among the last commands.
 
     Of the ``cycles`` after the last command that a drive has heard, half pass until that is no recent one any
     more, and half to make sure that the drive goes on with it. So a drive that acts on a command only after
-    more than half of them is taken for one that hears none. Commands that stay the same prove nothing, and
-    raise no alarm: the old one is as good as the new.
+    more than half of them counts as deaf. Commands that stay the same prove nothing, and raise no alarm: the
+    old one is as good as the new.
 
     A demand that stays the same to the last digit, for as long as half of the ``cycles``, while the commands
     do not, is followed neither, whatever they are; one of torque :data:`TOLD_THE_SAME` times, too. That alone
@@ -61,15 +62,15 @@ class CommandWatch:
         self._followed = 0
         self._told_raw = 0
         self._changed = -1
-        """Commands sent before the demand took its present value; -1: it was told but once, or measured."""
+        """Commands sent before the demand took its present value; -1: reported only once, or measured."""
         self._same = 0
-        """How often it was told since, each time behind a further command."""
+        """Repetitions of that value since, each after a further command."""
         self._base = self._low = self._high = 0
-        """The command then, and how far those since lie below and above it."""
+        """The command at that time, and how far the later ones lie below and above it."""
         self._heard = 0
-        """Commands sent before it was told last."""
+        """Commands sent before the last report."""
         self.follows = True
-        """False once ``cycles`` commands went by unfollowed, and the drive has told so."""
+        """False once ``cycles`` commands went by unfollowed according to the drive's reports."""
 
     def sent(self, raw: int) -> None:
         """A command was handed to the bus."""
@@ -80,11 +81,11 @@ class CommandWatch:
             self._low, self._high = min(self._low, way), max(self._high, way)
 
     def excuse(self) -> None:
-        """The drive tells by other means that it does not follow, or why it cannot."""
+        """The drive reports by other means that it does not follow, or why it cannot."""
         self._followed, self._changed = self._sent, -1
 
     def told(self, raw: int, limited: bool = False) -> None:
-        """The drive told its demand, or its torque; ``limited``: and that it cuts a command."""
+        """Take in the reported demand or torque; ``limited``: the drive says that it clips a command."""
         if limited and (self._share or not self._equal):
             self.excuse()
             return
@@ -103,7 +104,7 @@ class CommandWatch:
             self.follows = False
 
     def _among(self, raw: int, limited: bool) -> bool:
-        """It is one of the last commands; of those that the drive cuts, none that is beyond it."""
+        """Return True if it is one of the last commands; not beyond it if the drive clips."""
         for command in reversed(self._recent):
             margin = self._margin if self._share == 0 else self._margin + abs(command) // self._share
             if -margin <= raw - command <= margin:
@@ -113,13 +114,14 @@ class CommandWatch:
         return False
 
     def _stays(self, raw: int) -> bool:
-        """The demand has stayed the same for longer than chance, or a ramp, has it."""
+        """Return True if the demand has stayed the same for longer than chance, or a ramp, explains."""
         often = self._same >= TOLD_THE_SAME if self._equal else not self._is_near(raw)
         return often and self._sent - self._changed >= self._stays_for
 
     def _is_near(self, raw: int) -> bool:
-        """The newest half of the last commands sway about it: it is one of them, or of a speed, which a drive
-        may show on the way from one command to the next, among them where they differ by less than counts."""
+        """Return True if the newest half of the last commands sway about it: it is one of them or, for a
+        speed, a value that a drive may show between two commands, included if they differ by less than
+        counts."""
         newest = islice(reversed(self._recent), max(1, self._half // 2))
         ways = [_way(raw, command) for command in newest]
         low, high = min(ways), max(ways)
@@ -128,8 +130,8 @@ class CommandWatch:
         return any(abs(way) <= self._margin for way in ways)
 
     def _vary(self) -> bool:
-        """The commands spread over more than one demand may stand for: the middle half of the last ones, or
-        all since the demand stays."""
+        """Return True if the commands spread over more than one demand can represent: the middle half of the
+        last ones, or all since the demand has stayed."""
         if not self._equal:
             return self._high - self._low > 2 * self._margin
         newest = self._recent[-1]
@@ -138,8 +140,8 @@ class CommandWatch:
         return ways[3 * count // 4] - ways[count // 4] > 2 * self._margin
 
     def _turned_away(self, raw: int) -> bool:
-        """A speed to which no recent command leads: 0, or against all of them. One that is only slower, or
-        faster, the drive may have cut, or raised to its least."""
+        """Return True for a speed to which no recent command leads: 0, or against all of them. A speed that
+        is only slower or faster may have been clipped, or raised to the drive's least."""
         least = self._least
         if least is None:
             return False
@@ -148,5 +150,5 @@ class CommandWatch:
 
 
 def _way(start: int, end: int) -> int:
-    """From one value of 32 bits to another, the shorter way round: positions go on beyond their end."""
+    """Return the shorter way between two 32-bit values: positions wrap."""
     return (end - start + _HALF_WORD) % _WORD - _HALF_WORD

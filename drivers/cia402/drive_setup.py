@@ -1,7 +1,7 @@
-"""What a drive is told before it is enabled: heartbeats, reactions, limits, mode and PDOs.
+"""Set-up of a drive before it is enabled: heartbeats, reactions, limits, mode and PDOs.
 
-Objects that a drive need not have degrade one by one: each that is missing, refused or held otherwise becomes
-a note. What the bench cannot do without raises.
+Optional objects degrade one by one: each that is missing, refused or held otherwise becomes a note. A missing
+necessity raises.
 """
 
 from dataclasses import dataclass, field, replace
@@ -57,7 +57,7 @@ _LINEAR = 0
 
 
 class Identity(NamedTuple):
-    """Who answers: 0x1018, 0x1008 and 0x1000. 0 and empty text stand for what the device does not tell."""
+    """Identity of a node: 0x1018, 0x1008 and 0x1000; 0 or empty where the device reports nothing."""
 
     device_name: str
     vendor: int
@@ -78,30 +78,30 @@ class Identity(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DriveSettings:
-    """How the bench wants a drive; None leaves the drive's own value."""
+    """The bench's settings for a drive; None leaves the drive's own value."""
 
     sync_period_ns: Duration
     plan: PdoPlan | None = None
     """None: one for :attr:`capability`, else :func:`servobench.drivers.cia402.pdo_planner.mode_plan`."""
     capability: PdoCapability | None = None
-    """What the drive's dictionary says of its PDOs; None if there is no dictionary."""
+    """PDO capability from the drive's dictionary; None without a dictionary."""
     mode: Mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
     """The mode to begin with."""
     synchronous_command: bool = False
     """The drive applies the set-point at the next SYNC, not on arrival. Without effect beside ``plan``."""
     position_every_cycles: int = 1
-    """As in :class:`servobench.drivers.cia402.pdo_plans.PlanWish`. Without effect beside ``plan``."""
+    """See :class:`servobench.drivers.cia402.pdo_plans.PlanWish`. Without effect beside ``plan``."""
     coherent: bool = False
-    """As in :func:`servobench.drivers.cia402.pdo_plans.layout`. Without effect beside ``plan``."""
+    """See :func:`servobench.drivers.cia402.pdo_plans.layout`. Without effect beside ``plan``."""
     command_timeout_ms: int | None = None
-    """A drive that hears no command for so long is to stop; None: nobody looks to it. Acts from
-    ``supervise_commands`` on."""
+    """A drive that hears no command for this long is to stop; None: not supervised. Takes effect with
+    ``supervise_commands``."""
     demand_changes: bool = False
-    """Have the torque demand told at every change, with the drive's stamp: when a command begins to act."""
+    """Have every change of the torque demand sent with the drive's stamp: when a command begins to act."""
     stamp: StampProfile = STANDARD_STAMP
     """How the drive stamps its samples; the drive that is configured knows it by its make."""
     observed: Observed = NOTHING
-    """What the drive tells for the recording alone."""
+    """Objects that the drive sends for the recording alone."""
     drive_heartbeat_ms: int = 50
     drive_heartbeat_timeout_ms: int = 150
     """A drive that is silent for longer counts as lost."""
@@ -111,16 +111,16 @@ class DriveSettings:
     bears_lapses: bool = False
     """Go on with a drive that does not follow its commands."""
     unwatched: bool = False
-    """Bear a drive that lacks 1016h or 1017h and is not to be guarded either: then one side does not notice
-    that the other is gone."""
+    """Accept a drive that lacks 1016h or 1017h and cannot be guarded: one side then does not notice that the
+    other is gone."""
     torque_max_nm: float | None = None
     speed_max_rad_s: float | None = None
     set_acceleration_rad_s2: float | None = None
-    """The steepest change of speeds that the drive is given, in csp of the set-points' slope: its own ramps
-    of the velocity mode (6048h, 6049h) and its bounds in csv and csp (60C5h, 60C6h) are to let it pass."""
+    """Steepest change of the speeds commanded (in csp: slope of the set-points); the drive's own ramps of the
+    velocity mode (6048h, 6049h) and its bounds in csv and csp (60C5h, 60C6h) must let it pass."""
     quick_stop_deceleration_rad_s2: float | None = None
     quick_stop_option: QuickStopOption = QuickStopOption.QUICK_STOP_RAMP
-    """How it stops on a quick stop and in the reaction to a fault: 605Ah and 605Eh have the same values."""
+    """Stop on a quick stop and in the reaction to a fault: 605Ah and 605Eh share their values."""
     scale: ScaleOverride = field(default_factory=ScaleOverride)
 
     def __post_init__(self) -> None:
@@ -139,7 +139,7 @@ class DriveSettings:
 
     @property
     def watch_times(self) -> WatchTimes:
-        """Of the watch on either side."""
+        """Heartbeat periods and time-outs on both sides."""
         return WatchTimes(
             self.drive_heartbeat_ms,
             self.drive_heartbeat_timeout_ms,
@@ -149,7 +149,7 @@ class DriveSettings:
 
 
 class Reaction(NamedTuple):
-    """An option code, INTEGER16, and what it stands for."""
+    """An option code, INTEGER16, and its meaning."""
 
     object: Object
     value: int
@@ -169,11 +169,11 @@ REACTIONS = (
         Object.FAULT_REACTION_OPTION, FaultReactionOption.QUICK_STOP_RAMP, "fault reaction by quick stop ramp"
     ),
 )
-"""A drive that is left alone comes to rest by itself."""
+"""Reactions that bring a drive to rest by itself when it is left alone."""
 
 
 def read_identity(objects: RemoteObjects) -> Identity:
-    """Device name, identity object and device type; raises PeerFault if it is no CiA 402 device.
+    """Read device name, identity object and device type; raises PeerFault if it is no CiA 402 device.
 
     From then on the network knows which product the node is.
     """
@@ -194,7 +194,7 @@ def read_identity(objects: RemoteObjects) -> Identity:
 
 
 def read_scaling(objects: RemoteObjects, override: ScaleOverride) -> Scaling:
-    """The drive's units, from those of the factor objects that it has, and from what is known of its make."""
+    """Work out the drive's units from its factor objects, and from what is known about its make."""
     values = {(index, sub): objects.read_if_there(index, sub) for index, sub in FACTOR_OBJECTS}
     vendor, product = (objects.read_if_there(Cia301.IDENTITY, sub) or 0 for sub in (1, 2))
     quirks = quirks_for(vendor, product, objects.read_text(Cia301.DEVICE_NAME))
@@ -205,7 +205,7 @@ def read_scaling(objects: RemoteObjects, override: ScaleOverride) -> Scaling:
 
 
 def _polarity_notes(polarity: int) -> list[str]:
-    """0x607E turns positions (bit 7) and velocities (bit 6), and leaves torque as it is."""
+    """Note what 0x607E does: it reverses positions (bit 7) and velocities (bit 6), not torque."""
     turned = [name for bit, name in ((0x80, "positions"), (0x40, "velocities")) if polarity & bit]
     if not turned:
         return []
@@ -213,7 +213,7 @@ def _polarity_notes(polarity: int) -> list[str]:
 
 
 def write_reactions(objects: RemoteObjects, stop: QuickStopOption) -> list[str]:
-    """Option codes; notes on those that the drive lacks, or holds otherwise."""
+    """Write the option codes; return notes on those that the drive lacks or holds otherwise."""
     notes = []
     for index, value, text in REACTIONS:
         if index in (Object.QUICK_STOP_OPTION, Object.FAULT_REACTION_OPTION):
@@ -226,7 +226,7 @@ def write_reactions(objects: RemoteObjects, stop: QuickStopOption) -> list[str]:
 
 
 def write_limits(objects: RemoteObjects, settings: DriveSettings, scaling: Scaling) -> list[str]:
-    """Limits and periods; notes on those that the drive lacks, or holds otherwise."""
+    """Write limits and periods; return notes on those that the drive lacks or holds otherwise."""
     notes: list[str] = []
     if settings.torque_max_nm is not None:
         raw = min(round(settings.torque_max_nm / scaling.torque_nm), 0xFFFF)
@@ -247,7 +247,7 @@ def write_limits(objects: RemoteObjects, settings: DriveSettings, scaling: Scali
 
 
 def _write_interpolation_time(objects: RemoteObjects, period_ns: Duration) -> list[str]:
-    """0x60C2: sub 1 times ten to the sub 2 seconds, an UNSIGNED8 and an INTEGER8."""
+    """Write 0x60C2: sub 1 times ten to the power of sub 2 seconds, an UNSIGNED8 and an INTEGER8."""
     for exponent, unit_ns in (
         (-3, NS_PER_MS),
         (-4, NS_PER_MS // 10),
@@ -279,12 +279,12 @@ def write_optional(
 
 
 def map_pdos(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, list[str]]:
-    """Write the plan of the settings; else the best that the drive takes of those for its dictionary, or of
-    the standard ones. With notes on what it cannot do.
+    """Write the plan of the settings; else the best one that the drive takes, for its dictionary or the
+    standard one. Return it with notes on its limits.
 
-    A drive that will not have its mappings changed is served by those that it has, if they carry what is
-    needed. Raises PlanImpossible; or TransferAborted or SettingRefused, with PlanImpossible as the cause
-    where the drive keeps its mappings and they cannot serve the mode.
+    A drive with unchangeable mappings is served with those, if they carry what is needed. Raises
+    PlanImpossible; or TransferAborted or SettingRefused, with PlanImpossible as the cause where the drive
+    keeps its mappings and they cannot serve the mode.
     """
     if settings.plan is not None:
         return settings.plan, write_plan(objects, settings.plan)
@@ -320,7 +320,7 @@ def _without_torque(plan: PdoPlan) -> PdoPlan:
 
 
 def _able(objects: RemoteObjects, settings: DriveSettings) -> Features:
-    """What the drive may be able to tell: by its dictionary, if there is one, a plan is made anyway."""
+    """Return the features that the drive may have; with a dictionary the planner decides."""
     if settings.capability is not None:
         return Features()
     stamp, demand, mode = (
@@ -332,7 +332,7 @@ def _able(objects: RemoteObjects, settings: DriveSettings) -> Features:
 def _planned(
     objects: RemoteObjects, settings: DriveSettings, features: Features
 ) -> tuple[PdoPlan, list[str]]:
-    """A plan that uses no more than ``features``, and what it lacks."""
+    """Make a plan that uses no more than ``features``; return it with its limits."""
     node, wish = objects.node_id, replace(_wish(settings), features=features)
     result = plan_pdos(settings.capability or standard(wish.stamp), node, wish)
     changes = settings.demand_changes and settings.stamp.of_events
@@ -356,9 +356,8 @@ def _wish(settings: DriveSettings) -> PlanWish:
 def _map_as_held(
     objects: RemoteObjects, settings: DriveSettings, refusal: PeerFault
 ) -> tuple[PdoPlan, list[str]]:
-    """The mappings that the drive holds, used as they are: first those of one direction, with plans for the
-    other, then all. Raises the last refusal if they do not serve.
-    """
+    """Use the mappings that the drive holds: first those of one direction, with plans for the other, then
+    all. Raises the last refusal if they do not serve."""
     wished = mode_plan(objects.node_id, _wish(settings), demand_changes=settings.demand_changes)
     codes = {(entry.index, entry.sub): entry.code for pdo in wished for entry in pdo.entries}
     held = capability_of_drive(objects, codes)
@@ -388,7 +387,8 @@ def _map_as_held(
 
 
 def _with_held(known: PdoCapability, held: PdoCapability, kept: str) -> PdoCapability:
-    """``known``, with the PDOs of the direction ``kept`` as they are ``held``; all of them if it is empty."""
+    """Return ``known`` with the PDOs of the direction ``kept`` as they are ``held``; with all if it is
+    empty."""
     if not kept:
         return held
     slots = tuple(

@@ -1,4 +1,4 @@
-"""Whether an enabled drive is still what it should be, by what it tells of itself."""
+"""Watches an enabled drive by what it reports: state, mode, heartbeat, statusword."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -26,32 +26,32 @@ _ENABLED: Final = 0x27
 _VOLTAGE: Final = 0x10
 """Bit 4 of the statusword, voltage enabled."""
 MODE_EVERY: Final = Duration(50 * NS_PER_MS)
-"""Between two reads of 6061h by SDO: as often as a heartbeat. Two frames of at most 135 bits are 0.5 % of
-1 Mbit/s, 4 % of 125 kbit/s."""
+"""Interval between two reads of 6061h by SDO: that of a heartbeat. Two frames of at most 135 bits are 0.5 %
+of 1 Mbit/s, 4 % of 125 kbit/s."""
 MODE_SILENCE: Final = 4 * MODE_EVERY
-"""A read that is not answered is given up after 100 ms: on a bus that loses a tenth of its frames, one in
+"""A read without an answer is given up after 100 ms: on a bus that loses a tenth of its frames, one in
 4000."""
 _UNWATCHED: Final = Duration(1 << 62)
-"""No silence is as long."""
+"""Longer than any silence."""
 
 
 class DriveWatch:
-    """Of one drive. ``active``: it was enabled, and since then nothing was seen or done that ended it."""
+    """Watch over one drive. ``active``: it was enabled, and nothing seen or done since has ended that."""
 
     def __init__(
         self, control: StateControl, status: NodeStatus, told: LastStatusword, follow: FollowWatch
     ) -> None:
         self.active = False
         self.stop_first: Callable[[], None] = partial(control.command_by_pdo, DriveCommand.QUICK_STOP)
-        """Called before a drive that is not what it should be is asked why, as answers take their time: this
-        drive stops by RPDO. Of several drives in one run each is to stop all."""
+        """Called before a misbehaving drive is asked for the reason, as answers take time: this drive stops
+        by RPDO. With several drives in a run, each must stop all."""
         self.on_mode_watch: Callable[[], None] = _nobody
-        """Called when 6061h is not answered any more, and when it is again."""
+        """Called when 6061h is no longer answered, and when it is answered again."""
         self._mode_read_at = Instant(0)
         self._unanswered = False
-        """6061h is read, and the drive has given no answer for MODE_SILENCE."""
+        """True while 6061h is read and the drive has not answered for MODE_SILENCE."""
         self._went_unanswered = False
-        """Since it was enabled."""
+        """True if that happened since it was enabled."""
         self._follow = follow
         self._mode_pdo: PdoMap | None = None
         self._poll: ObjectPoll | None = None
@@ -67,14 +67,15 @@ class DriveWatch:
         self._silence_ns = _UNWATCHED
 
     def configure(self, beats: bool, plan: PdoPlan, settings: DriveSettings) -> None:
-        """``beats``: it sends a heartbeat. A statusword is borne to be silent for as long as that may be."""
+        """Set the times to watch by. ``beats``: the drive sends a heartbeat. The statusword may be silent as
+        long as that."""
         self._beats = beats
         self._bears_lapses = settings.bears_lapses
         self._mode_pdo = plan.tpdo_with(*MODE)
         self._silence_ns = _silence_borne(plan, settings.drive_heartbeat_timeout_ms)
 
     def begin(self) -> None:
-        """The drive is enabled now."""
+        """Begin the watch: the drive is enabled now."""
         control = self._control
         self._boot_ups = self._status.boot_ups
         control.emergency_came = False
@@ -91,7 +92,7 @@ class DriveWatch:
             self._poll = control.network.poll(polled)
 
     def end(self) -> None:
-        """The drive is told to stop."""
+        """End the watch: the drive is about to be stopped."""
         self.active = False
         self._follow.end()
         if self._poll is not None:
@@ -100,12 +101,12 @@ class DriveWatch:
 
     @property
     def sees_mode(self) -> bool:
-        """6061h is told, or read."""
+        """True if 6061h is mapped, or read."""
         return (self._poll is not None and not self._unanswered) or self._follow.mode_shown
 
     @property
     def mode_watch(self) -> str:
-        """In words, by what is noticed that the drive does not follow; of an enabled drive."""
+        """How a drive that ignores its commands is noticed, in words; for an enabled drive."""
         follow = self._follow
         way = f"in {self._mode_pdo.name}" if self._mode_pdo else f"by SDO every {MODE_EVERY // NS_PER_MS} ms"
         if self._mode_pdo is None and self._poll is None:
@@ -126,7 +127,7 @@ class DriveWatch:
         self._follow.mode_told(int.from_bytes(data[:1], "little", signed=True), at)
 
     def check(self, commanded: bool) -> None:
-        """Raise if the drive is not what it should be; waits only if it raises.
+        """Raise if the drive is not as it should be; wait only if it raises.
 
         NoAnswer: its heartbeat is lost, or its statusword was not told for too long. DriveInFault: it was
         enabled and reports a fault, has left OPERATION ENABLED or the NMT state OPERATIONAL (which silences
@@ -182,7 +183,7 @@ class DriveWatch:
             raise self._unfollowed(follow.lapses[-1])
 
     def deaf(self) -> DriveInFault:
-        """The error for a drive that was seen to ignore its commands; it is stopped before it is asked."""
+        """Return the error for a drive that ignores its commands; it is stopped before it is asked."""
         self._end_and_stop()
         control = self._control
         return DriveInFault(f"{control.title} follows no command any more", control.evidence())
@@ -192,7 +193,8 @@ class DriveWatch:
         self.stop_first()
 
     def _unfollowed(self, lapse: Lapse) -> DriveInFault:
-        """The bit may have come before the mode that explains it: the drive is asked."""
+        """Return the error for a lapse. The bit may come before the mode that explains it: the drive is
+        asked."""
         control = self._control
         with suppress(PeerFault):
             shown = control.objects.read_if_there(Object.MODES_OF_OPERATION_DISPLAY, 0, "b")
@@ -237,11 +239,11 @@ class DriveWatch:
 
 
 def _nobody() -> None:
-    """Nobody is told."""
+    """Notify nobody."""
 
 
 def _silence_borne(plan: PdoPlan, silence_ms: int) -> Duration:
-    """Of a statusword that is told on change, and again by its event timer, ns.
+    """Return the longest silence allowed for a statusword sent on change and repeated by its event timer, ns.
 
     One that comes with the SYNC is missed with the readings.
     """

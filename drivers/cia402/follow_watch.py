@@ -1,4 +1,4 @@
-"""Whether an enabled drive follows its commands, by the mode that it shows and by its statusword.
+"""Watches whether an enabled drive follows its commands, by its displayed mode and by its statusword.
 
     6061h    another mode than the one of the commands    it follows nothing that is sent
     bit 12   0 in a mode of FOLLOWS_BIT                    it ignores the target value (CiA 402-2)
@@ -25,8 +25,8 @@ FOLLOWS_BIT: Final[dict[Mode, int]] = {
 is active". In the modes that are left out bit 12 means something else: set-point acknowledge in PP, speed is
 0 in PV, homing attained in HM; in VL and TQ it is reserved."""
 OLDER_MAX: Final = 4
-"""Tellings of another mode before the commanded one was shown: fewer were on their way when it was changed,
-as 6061h is told every 25 ms and no frame is longer on its way than 50 ms."""
+"""Reports of another mode sent before the commanded one was shown: fewer were under way when it was changed,
+as 6061h is sent every 25 ms and no frame is under way for longer than 50 ms."""
 _ENABLED: Final = STATUS_PATTERNS[State.OPERATION_ENABLED].value
 _LIMITED: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
 _STATE_BITS: Final = int(STATE_BITS)
@@ -37,15 +37,15 @@ class Lapse:
 
     def __init__(self, began_at: Instant, mode: Mode, shown: int) -> None:
         self.began_at: Final = began_at
-        """The instant of the frame that told it."""
+        """The instant of the frame that showed it."""
         self.ended_at: Instant | None = None
-        """That of the frame by which it follows again; None while it does not."""
+        """The instant of the frame that shows it following again; None until then."""
         self.mode: Final = mode
-        """Of the commands."""
+        """Commanded mode."""
         self.shown = shown
-        """6061h."""
+        """Displayed mode, 6061h."""
         self.cycles = 0
-        """Of the loop, that began meanwhile."""
+        """Cycles of the loop that began meanwhile."""
 
     def __str__(self) -> str:
         if self.shown != self.mode:
@@ -53,21 +53,21 @@ class Lapse:
         return f"ignores the commands of {self.mode.title}"
 
     def told(self, zero: Instant | None) -> str:
-        """With its time since ``zero``, if there was such an instant."""
+        """Describe the lapse, with its time since ``zero`` if given."""
         cycles = f"{self.cycles} cycle{'' if self.cycles == 1 else 's'}"
         at = "" if zero is None else f" at {(self.began_at - zero) / NS_PER_S:.4f} s"
         return f"{self}{at} and did not follow for {cycles}"
 
     @property
     def evidence(self) -> str:
-        """What the drive told."""
+        """The drive's report that shows the lapse."""
         if self.shown != self.mode:
             return f"6061h is {self.shown}, {self.mode.value} was commanded"
         return "bit 12 of its statusword is 0"
 
 
 def mode_title(shown: int) -> str:
-    """A value of 6061h in words."""
+    """Describe a value of 6061h in words."""
     if shown < 0:
         return f"mode {shown} of its maker"
     try:
@@ -77,19 +77,20 @@ def mode_title(shown: int) -> str:
 
 
 class FollowWatch:
-    """Of one drive. :meth:`aim` whenever a mode is commanded; active from :meth:`begin` to :meth:`end`."""
+    """Watch over one drive. Call :meth:`aim` whenever a mode is commanded; active from :meth:`begin` to
+    :meth:`end`."""
 
     def __init__(self) -> None:
         self.lapse: Lapse | None = None
-        """The present one; None while the drive follows, as far as it tells."""
+        """The present lapse; None while the drive follows, as far as it reports."""
         self.lapses: list[Lapse] = []
-        """All since the last :meth:`begin`."""
+        """All lapses since the last :meth:`begin`."""
         self.mode_shown = False
-        """6061h was told, and has shown the mode of the commands."""
+        """True once 6061h has shown the mode of the commands."""
         self.bit_watched = False
-        """Bit 12 was seen set."""
+        """True once bit 12 was seen set."""
         self.on_change: Callable[[Lapse], None] | None = None
-        """Told of each lapse when it begins, and when the drive follows again."""
+        """Called with each lapse when it begins, and when the drive follows again."""
         self._active = False
         self._mode = Mode.NONE
         self._commanded = 0
@@ -101,11 +102,11 @@ class FollowWatch:
 
     @property
     def has_bit(self) -> bool:
-        """In the commanded mode the statusword tells whether the drive follows."""
+        """True if the statusword shows in the commanded mode whether the drive follows."""
         return self._bit != 0
 
     def aim(self, mode: Mode) -> None:
-        """The drive confirmed ``mode`` by SDO, or with NONE is about to be given another one."""
+        """Expect ``mode``: the drive confirmed it by SDO, or (NONE) is about to be given another one."""
         self._mode, self._commanded, self._bit = mode, mode.value, FOLLOWS_BIT.get(mode, 0)
         self._shown, self._ignores = self._commanded, False
         self.mode_shown = self.bit_watched = False
@@ -113,19 +114,19 @@ class FollowWatch:
         self.lapse = None
 
     def begin(self) -> None:
-        """The drive is enabled now."""
+        """Begin the watch: the drive is enabled now."""
         self._active = True
         self.lapses = []
         if self._shown != self._commanded:
             self._judge(self._mode_at)  # it left its mode before
 
     def end(self) -> None:
-        """The drive is not to follow any more."""
+        """End the watch: the drive need not follow any more."""
         self._active = self._ignores = self.bit_watched = False
         self.lapse = None
 
     def mode_told(self, shown: int, at: Instant) -> None:
-        """6061h arrived."""
+        """Take in a 6061h that arrived."""
         if shown == self._commanded:
             self.mode_shown = True
         elif not self.mode_shown:
@@ -137,7 +138,7 @@ class FollowWatch:
             self._judge(at)
 
     def status_told(self, statusword: int, at: Instant) -> None:
-        """6041h arrived."""
+        """Take in a 6041h that arrived."""
         bit = self._bit
         if not bit or self._shown != self._commanded or statusword & _STATE_BITS != _ENABLED:
             return
@@ -151,7 +152,7 @@ class FollowWatch:
             self._judge(at)
 
     def _judge(self, at: Instant) -> None:
-        """What was told has changed."""
+        """Begin or end a lapse after a change of the reports."""
         changed, self.lapse = self.lapse, None
         if changed is not None:
             changed.ended_at = at

@@ -1,7 +1,7 @@
-"""One judgement of a drive: is it one, can it be watched, and in which modes can it be commanded.
+"""One judgement of a drive: whether it is one, can be watched, and in which modes it can be commanded.
 
-``hil eds`` makes it of a data sheet, ``hil commission`` of the drive that answers and its sheet if there is
-one, ``hil run`` of the sheet that a bench names: by the same rules, so that none contradicts another.
+``hil eds`` judges a data sheet, ``hil commission`` the drive that answers with its sheet if it has one,
+``hil run`` the sheet named in a bench file: by the same rules, so that none contradicts another.
 
     profile    1000h says 402; 0, no standardised profile, is taken where there is a statusword 6041h
     modes      6502h; where it tells none, each mode whose set-point object is there is tried
@@ -28,46 +28,46 @@ _UNWATCHED: Final = "it is refused unless --unwatched (unwatched = true)"
 
 @dataclass(frozen=True, slots=True)
 class ToldDrive:
-    """What a judgement rests on."""
+    """The facts on which a judgement rests."""
 
     device_type: int | None = None
-    """1000h; None if nobody tells it."""
+    """1000h; None if unknown."""
     mode_bits: int | None = None
     """6502h."""
     has: Callable[[int], bool] = lambda _index: True
-    """An object is there; without a data sheet it is asked for when it is needed."""
+    """Returns True if an object exists; without a data sheet it is read when needed."""
     mode_range: tuple[int | None, int | None] = (None, None)
-    """The least and the greatest value that 6060h takes; None: its type's."""
+    """The range of 6060h; None: that of its type."""
     mode_held: int | None = None
-    """What 6060h holds where it cannot be written."""
+    """The value of 6060h if it cannot be written."""
     capability: PdoCapability = STANDARD
     stamp: Key = STAMP
-    """The object that is its stamp, by its make."""
+    """The object that holds its stamp, by its make."""
 
 
 @dataclass(frozen=True, slots=True)
 class ModeFitness:
-    """One mode."""
+    """Fitness for one mode."""
 
     mode: Mode
     plan: PlanResult | None
     """None: it cannot be commanded."""
     reason: str = ""
-    """Why not."""
+    """Why it cannot be commanded."""
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What came of it."""
+    """The judgement of one drive."""
 
     obstacles: tuple[str, ...]
-    """Nothing can be done with it; empty: it can be commissioned."""
+    """Reasons why nothing can be done with it; empty: it can be commissioned."""
     conditions: tuple[str, ...]
-    """What has to be allowed for it."""
+    """Conditions that the user must accept."""
     modes: tuple[ModeFitness, ...]
-    """Those of the asked that it has, or that may be tried; in the order in which they were asked for."""
+    """The requested modes that it has or may have; in the order of the request."""
     modes_told: bool
-    """6502h says so."""
+    """True if 6502h names them."""
 
     @property
     def usable(self) -> tuple[Mode, ...]:
@@ -76,13 +76,13 @@ class Judgement:
 
 
 def told_by_drive(objects: RemoteObjects, device_type: int, sheet: ToldDrive | None) -> ToldDrive:
-    """What the drive that answers tells, with its data sheet for what a drive does not tell."""
+    """Collect the facts from the drive that answers, completed by its data sheet."""
     told, bits = sheet or ToldDrive(), objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
     return replace(told, device_type=device_type, mode_bits=bits or told.mode_bits)
 
 
 def judge(told: ToldDrive, node_id: int, asked: Sequence[Mode]) -> Judgement:
-    """Judge a drive for ``asked``, the modes in which somebody could command it."""
+    """Judge a drive for ``asked``, the modes in which it might be commanded."""
     obstacles = _obstacles(told)
     modes = tuple(judge_mode(told, node_id, mode) for mode in asked if offered(told, mode))
     if not obstacles and not modes:
@@ -93,7 +93,7 @@ def judge(told: ToldDrive, node_id: int, asked: Sequence[Mode]) -> Judgement:
 
 
 def refusal(told: ToldDrive, node_id: int, mode: Mode) -> str:
-    """Why the drive cannot be commanded in ``mode``; empty if it can."""
+    """Say why the drive cannot be commanded in ``mode``; empty if it can."""
     if obstacles := _obstacles(told):
         return "; ".join(obstacles)
     if offered(told, mode):
@@ -103,14 +103,14 @@ def refusal(told: ToldDrive, node_id: int, mode: Mode) -> str:
 
 
 def offered(told: ToldDrive, mode: Mode) -> bool:
-    """The drive has the mode, or may have it."""
+    """Return True if the drive has the mode, or may have it."""
     if tells_modes(told.mode_bits):
         return offers_mode(told.mode_bits, mode)
     return mode in NEEDED_OBJECTS and told.has(NEEDED_OBJECTS[mode])
 
 
 def judge_mode(told: ToldDrive, node_id: int, mode: Mode) -> ModeFitness:
-    """Judge one mode, which is offered."""
+    """Judge one mode that is offered."""
     needed, (low, high) = NEEDED_OBJECTS[mode], told.mode_range
     if told.mode_held is not None and told.mode_held != mode:
         return ModeFitness(mode, None, f"6060h cannot be written, and holds {told.mode_held}")

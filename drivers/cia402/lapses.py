@@ -1,4 +1,4 @@
-"""Whether a drive that was left alone for a while is still set up as it was."""
+"""Checks that a drive left alone for a while still has its set-up."""
 
 from servobench.drivers.canopen.nmt_states import NmtState
 from servobench.drivers.canopen.pdo import differences
@@ -7,10 +7,10 @@ from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 
 def lapses(drive: ServoDrive, heartbeat_ms: int) -> list[str]:
-    """Where a drive is not as ``configure`` left it, in words: NMT state, watch over the host, PDOs.
+    """Say where a drive is no longer as ``configure`` left it: NMT state, watch over the host, PDOs.
 
-    ``heartbeat_ms``: how often it tells its NMT state; two of them are waited for. RuntimeError before
-    ``configure``, NoAnswer if it is gone.
+    ``heartbeat_ms``: its heartbeat period; two of them are waited for. RuntimeError before ``configure``,
+    NoAnswer if it is gone.
     """
     if drive.plan is None:
         raise RuntimeError(f"{drive.name} was not configured")
@@ -26,7 +26,7 @@ def lapses(drive: ServoDrive, heartbeat_ms: int) -> list[str]:
 
 
 def _told_state(drive: ServoDrive, patience: Duration) -> NmtState | None:
-    """As told from now on; None if nothing is told in time."""
+    """Return the next NMT state that the drive reports; None if none comes in time."""
     network, status = drive.network, drive.status
     asked_at = network.clock.now()
     until = Instant(asked_at + patience)

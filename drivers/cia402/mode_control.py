@@ -30,7 +30,7 @@ from servobench.drivers.timebase import Instant
 
 
 class ModeRefused(SettingRefused):
-    """A drive does not take up a mode: it has none such, refuses the change, or stays in another one."""
+    """A drive does not take up a mode: it lacks it, refuses the change, or stays in another one."""
 
 
 MODE_BITS = Control.MODE_4 | Control.MODE_5 | Control.MODE_6
@@ -41,18 +41,18 @@ class ModeControl:
 
     def __init__(self, control: StateControl, follow: FollowWatch) -> None:
         self.mode = Mode.NONE
-        """What the drive confirmed last; NONE before the first change."""
+        """The last confirmed mode; NONE before the first change."""
         self.primed_position: int | None = None
-        """607Ah as it was written last for a position mode to begin with; None in any other mode."""
+        """The last 607Ah written to start a position mode; None in any other mode."""
         self._control = control
         self._follow = follow
         self._objects: RemoteObjects = control.objects
 
     def change(self, mode: Mode, deadline: Instant) -> None:
-        """Have the drive take up a mode, in whatever state it is, and wait until it shows it.
+        """Switch the drive to a mode, in whatever state it is, and wait until it shows it.
 
-        A position mode begins at the present position, a torque mode at 0, a mode of speeds at the present
-        one if the drive is enabled, else at 0. Raises ModeRefused if the drive has no such mode, refuses it
+        A position mode begins at the present position, a torque mode at 0, a velocity mode at the present
+        speed if the drive is enabled, else at 0. Raises ModeRefused if the drive has no such mode, refuses it
         or keeps another one until the deadline, DriveInFault if a fault comes up.
         """
         self.require(mode)
@@ -79,12 +79,12 @@ class ModeControl:
             self._control.set_bits(MODE_BITS, bits)
 
     def ensure(self, mode: Mode, deadline: Instant) -> None:
-        """As :meth:`change`; nothing is sent if the drive is in that mode."""
+        """Call :meth:`change` unless the drive is already in that mode."""
         if self.mode is not mode:
             self.change(mode, deadline)
 
     def prime(self, mode: Mode) -> None:
-        """Write a set-point to the drive from which the mode can begin."""
+        """Write a set-point with which the mode can begin."""
         target = TARGETS.get(mode)
         self.primed_position = None
         if target is None:
@@ -100,7 +100,7 @@ class ModeControl:
         self._control.write_value(target.index, target.code, raw, target.sub)
 
     def _write(self, mode: Mode) -> None:
-        """Have 6060h hold ``mode``; a drive of one mode may refuse the write, and holds it all the same."""
+        """Set 6060h to ``mode``; a drive with one mode may refuse the write but hold it anyway."""
         try:
             self._control.write_value(Object.MODES_OF_OPERATION, "b", mode)
         except TransferAborted:
@@ -108,16 +108,16 @@ class ModeControl:
                 raise
 
     def _aim(self, mode: Mode) -> None:
-        """Let the RPDOs of each cycle carry the set-points of ``mode``, in its units."""
+        """Make the RPDOs of each cycle carry the set-points of ``mode``, in its units."""
         frames = self._control.set_point
         if frames is not None:
             unit = velocity_mode_unit(self._objects) if mode is Mode.VELOCITY else RAD_S_PER_RPM
             frames.aim(mode, unit)
 
     def shake_hands(self, statusword: int) -> None:
-        """Have the next RPDO hand over its set-point in profile position, whatever move is under way; nothing
-        in another mode. Bit 4 of the controlword rises while bit 12 of the statusword is 0, and falls again
-        once that acknowledges it: two cycles and more to a set-point."""
+        """Make the next RPDO hand over its set-point in profile position, even during a move; do nothing in
+        another mode. Bit 4 of the controlword rises while bit 12 of the statusword is 0, and falls once that
+        acknowledges it: two or more cycles per set-point."""
         if self.mode is not Mode.PROFILE_POSITION or self._control.set_point is None:
             return
         acknowledged = statusword & Status.MODE_12
@@ -131,7 +131,7 @@ class ModeControl:
         return self._control.read_state() is State.OPERATION_ENABLED
 
     def require(self, mode: Mode) -> None:
-        """Raises ModeRefused if 6502h says that the drive does not have ``mode``."""
+        """Raise ModeRefused if 6502h says that the drive lacks ``mode``."""
         modes = self._objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
         if modes is not None and tells_modes(modes) and not offers_mode(modes, mode):
             raise ModeRefused(
@@ -141,7 +141,7 @@ class ModeControl:
             )
 
     def _await_display(self, mode: Mode, deadline: Instant) -> None:
-        """0x6061 follows 0x6060 when the drive has changed; a drive without 0x6061 is believed."""
+        """Wait until 0x6061 follows 0x6060; a drive without 0x6061 is believed."""
         control, network = self._control, self._control.network
         while (held := self._objects.read_if_there(Object.MODES_OF_OPERATION_DISPLAY, 0, "b")) != mode:
             if held is None:

@@ -1,4 +1,4 @@
-"""Ramps that a drive makes by itself (CiA 402-2), by the mode that obeys them."""
+"""Ramps that a drive applies by itself (CiA 402-2), by the mode that obeys them."""
 
 import math
 from typing import Final
@@ -16,7 +16,7 @@ _BOUNDS: Final = (Object.MAX_ACCELERATION, Object.MAX_DECELERATION)
 VL_RAMPS: Final = (Object.VL_VELOCITY_ACCELERATION, Object.VL_VELOCITY_DECELERATION)
 """Records: speed in sub-index 1, seconds in sub-index 2."""
 SPEEDS: Final = {Mode.PROFILE_POSITION: (Object.PROFILE_VELOCITY, Object.MAX_PROFILE_VELOCITY)}
-"""Bounds of the speed of a move."""
+"""Speed limits of a move."""
 RAMPS: Final = {
     Mode.PROFILE_POSITION: (*_PROFILE, *_BOUNDS),
     Mode.PROFILE_VELOCITY: (*_PROFILE, *_BOUNDS),
@@ -25,14 +25,14 @@ RAMPS: Final = {
     Mode.PROFILE_TORQUE: (Object.TORQUE_SLOPE,),
     Mode.VELOCITY: VL_RAMPS,
 }
-"""Other modes obey none of them."""
+"""Ramps by mode; other modes obey none."""
 _CYCLIC: Final = frozenset({Mode.CYCLIC_SYNCHRONOUS_VELOCITY, Mode.CYCLIC_SYNCHRONOUS_POSITION})
 _RAW_MAX: Final = 0xFFFF_FFFF
 
 
 def write_ramps(objects: RemoteObjects, settings: DriveSettings, scaling: Scaling) -> list[str]:
-    """Have the drive's own ramps let the steepest change of set-points pass that ``settings`` name; notes on
-    what was changed or refused. A drive whose ramp is slower lags behind its set-points without a word.
+    """Make the drive's own ramps pass the steepest change of set-points in ``settings``; return notes on what
+    was changed or refused. A drive with a slower ramp lags behind its set-points silently.
 
     In csv and csp 60C5h and 60C6h are raised where they are lower; vl has ramps of its own. Nothing in
     another mode.

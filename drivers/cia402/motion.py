@@ -31,7 +31,7 @@ from servobench.drivers.errors import DriveInFault
 from servobench.drivers.timebase import NS_PER_MS, Instant
 
 CONFIRM_NS = 5 * NS_PER_MS
-"""A bit that is set already when a move begins counts only if it stays for so long: it may be an old one."""
+"""A bit already set when a move begins counts only if it stays set for this long: it may be stale."""
 
 START_HOMING = Control.MODE_4
 ACKNOWLEDGED = HOMED = Status.MODE_12
@@ -40,26 +40,26 @@ HOMING_FAILED = Status.MODE_13
 
 @dataclass(frozen=True, slots=True)
 class MoveProfile:
-    """How fast a move goes; None leaves what the drive holds."""
+    """Speed and ramps of a move; None leaves the drive's value."""
 
     speed_rad_s: float | None = None
     acceleration_rad_s2: float | None = None
     deceleration_rad_s2: float | None = None
-    """Also that of a halt."""
+    """Applies to a halt too."""
     torque_slope_nm_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class HomingSetup:
-    """How the drive looks for its home; None leaves what the drive holds."""
+    """Speeds and offset for homing; None leaves the drive's value."""
 
     switch_speed_rad_s: float | None = None
-    """While it looks for a switch."""
+    """Speed during the search for a switch."""
     zero_speed_rad_s: float | None = None
-    """While it looks for the edge or the index."""
+    """Speed during the search for the edge or the index."""
     acceleration_rad_s2: float | None = None
     offset_rad: float | None = None
-    """Where position 0 lies, as seen from the home that is found (0x607C)."""
+    """Position 0 relative to the home found (0x607C)."""
 
 
 KEEP_PROFILE = MoveProfile()
@@ -88,10 +88,10 @@ class Motion:
         relative: bool = False,
         at_once: bool = True,
     ) -> None:
-        """Hand a target position to the drive and wait until it has acknowledged it.
+        """Hand a target position to the drive and wait until it is acknowledged.
 
-        ``relative``: from the target before. ``at_once``: drop the move under way; else the drive finishes it
-        first. Raises ValueError for a position beyond the range of 0x607A.
+        ``relative``: relative to the previous target. ``at_once``: drop the move under way; else the drive
+        finishes it first. Raises ValueError for a position beyond the range of 0x607A.
         """
         self._modes.ensure(Mode.PROFILE_POSITION, deadline)
         self._write_profile(profile, Object.PROFILE_VELOCITY)
@@ -104,19 +104,19 @@ class Motion:
         self._control.clear_bits(NEW_SET_POINT)
 
     def await_target(self, deadline: Instant) -> None:
-        """Wait until the drive says that it has reached what it was told."""
+        """Wait until the drive reports that it has reached its target."""
         reached = Status.TARGET_REACHED
         self._await(reached, reached, deadline, "reach its target", confirm_ns=CONFIRM_NS)
 
     def start_speed(self, speed_rad_s: float, deadline: Instant, profile: MoveProfile) -> None:
-        """Have the drive go to a speed by its ramps."""
+        """Bring the drive to a speed by its ramps."""
         self._modes.ensure(Mode.PROFILE_VELOCITY, deadline)
         self._write_profile(profile, None)
         self._control.write_value(Object.TARGET_VELOCITY, "i", self._scaling.velocity_raw(speed_rad_s))
         self._check_enabled()
 
     def start_torque(self, torque_nm: float, deadline: Instant, profile: MoveProfile) -> None:
-        """Have the drive go to a torque by its slope."""
+        """Bring the drive to a torque by its slope."""
         self._modes.ensure(Mode.PROFILE_TORQUE, deadline)
         if profile.torque_slope_nm_s is not None:
             slope = max(1, abs(self._scaling.torque_raw(profile.torque_slope_nm_s)))
@@ -135,7 +135,7 @@ class Motion:
         self._control.clear_bits(START_HOMING)
 
     def halt(self, deadline: Instant) -> None:
-        """Have the drive stop by 0x605D, stay enabled, and wait until it stands.
+        """Stop the drive by 0x605D, keep it enabled, and wait until it stands.
 
         Raises ValueError in the cyclic synchronous modes, which know no halt: nothing is sent then.
         """
@@ -150,7 +150,7 @@ class Motion:
         self._await(standing, standing, deadline, "come to a halt", confirm_ns=CONFIRM_NS)
 
     def resume(self) -> None:
-        """Take the halt back; the drive goes on with what it was told."""
+        """Cancel the halt; the drive goes on with its target."""
         self._control.clear_bits(Control.HALT)
 
     # ---- inside ---------------------------------------------------------------------------------------
@@ -176,7 +176,7 @@ class Motion:
             control.network.pump(Instant(now + POLL_NS))
 
     def _check_enabled(self) -> int:
-        """The statusword, of a drive that is in OPERATION ENABLED."""
+        """Return the statusword of a drive that is in OPERATION ENABLED; raise otherwise."""
         control = self._control
         word = control.read_status()
         state = state_of(word)
@@ -214,7 +214,7 @@ class Motion:
             self._write_needed(Object.HOME_OFFSET, "i", raw, "home offset")
 
     def _write_needed(self, index: int, code: str, raw: int, text: str, sub: int = 0) -> None:
-        """A move at another speed than asked for is none: what is not taken raises."""
+        """Write a value that must be taken: a move at another speed than requested is wrong."""
         refused = write_optional(self._objects, index, code, raw, text, sub)
         if refused:
             raise SettingRefused(f"{self._control.title} cannot move as asked", "; ".join(refused))

@@ -8,7 +8,7 @@ from enum import IntEnum
 from typing import Final
 
 INTERLOCK: Final = 1 << 3
-"""Of 60FDh: motion is forbidden; where a drive shows safe torque off."""
+"""Bit of 60FDh: motion is forbidden; shows safe torque off on some drives."""
 
 
 class Object(IntEnum):
@@ -19,13 +19,13 @@ class Object(IntEnum):
     CONTROLWORD = 0x6040
     STATUSWORD = 0x6041
     VL_TARGET_VELOCITY = 0x6042
-    """r/min divided by 0x604C, as everything of the velocity mode."""
+    """r/min divided by 0x604C, like everything in the velocity mode."""
     VL_VELOCITY_DEMAND = 0x6043
     VL_VELOCITY_ACTUAL_VALUE = 0x6044
     VL_VELOCITY_MIN_MAX_AMOUNT = 0x6046
     """Sub 1 minimum, sub 2 maximum."""
     VL_VELOCITY_ACCELERATION = 0x6048
-    """Sub 1 a change of speed, sub 2 the seconds that it takes; likewise the next two."""
+    """Sub 1: change of speed; sub 2: its time in seconds; likewise the next two."""
     VL_VELOCITY_DECELERATION = 0x6049
     VL_VELOCITY_QUICK_STOP = 0x604A
     VL_DIMENSION_FACTOR = 0x604C
@@ -141,7 +141,7 @@ class Object(IntEnum):
 
 
 class Unit(IntEnum):
-    """Codes of CiA 303-2 in unit words, and those that drives use beside them for turns and increments."""
+    """Codes of CiA 303-2 in unit words, and those that drives use in addition for turns and increments."""
 
     DIMENSIONLESS = 0x00
     METRE = 0x01
@@ -158,7 +158,7 @@ class Unit(IntEnum):
 
 
 def unit_word(exponent: int, numerator: Unit, denominator: Unit = Unit.DIMENSIONLESS) -> int:
-    """The UNSIGNED32 that says ``10**exponent numerator/denominator``."""
+    """Return the UNSIGNED32 for ``10**exponent numerator/denominator``."""
     return (exponent & 0xFF) << 24 | numerator << 16 | denominator << 8
 
 

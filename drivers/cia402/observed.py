@@ -1,4 +1,4 @@
-"""Objects that a drive tells with SYNCs for the recording alone: nobody in the loop waits for them."""
+"""Objects that a drive sends with SYNCs for the recording alone: the loop does not use them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -10,12 +10,12 @@ from servobench.drivers.canopen.sdo import object_name
 from servobench.drivers.errors import PeerFault, TransferAborted
 
 NUMBERS = range(1, 5)
-"""TPDOs with an identifier of their own by the predefined connection set."""
+"""TPDOs with a predefined identifier."""
 _REMEDY = "take it out of the bench file's observe"
 
 
 class Observed(NamedTuple):
-    """What is to be told."""
+    """The objects to be sent."""
 
     entries: tuple[PdoEntry, ...] = ()
     every_cycles: int = 1
@@ -26,11 +26,11 @@ NOTHING = Observed()
 
 
 class NotObservable(PeerFault):
-    """A drive cannot tell an object by PDO; ``evidence`` has its own words."""
+    """A drive cannot send an object by PDO; ``evidence`` holds its own words."""
 
 
 def with_observed(plan: PdoPlan, node_id: int, observed: Observed) -> PdoPlan | None:
-    """In the TPDOs that ``plan`` leaves, each full before the next; None: they do not hold all of it."""
+    """Fill the TPDOs that ``plan`` leaves free, one after the other; None: they do not hold everything."""
     used = {pdo.number for pdo in plan.tpdos}
     free = [number for number in NUMBERS if number not in used]
     contents = _packed(observed.entries)
@@ -56,7 +56,7 @@ def _packed(entries: Iterable[PdoEntry]) -> list[tuple[PdoEntry, ...]]:
 
 
 def map_observed(objects: RemoteObjects, plan: PdoPlan, observed: Observed) -> tuple[PdoPlan, list[str]]:
-    """Put them into the drive, which holds ``plan`` and is pre-operational; with notes on what was done.
+    """Write them into the drive, which holds ``plan`` and is pre-operational; return notes on what was done.
 
     Raises NotObservable.
     """

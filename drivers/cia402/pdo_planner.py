@@ -1,13 +1,13 @@
-"""A PDO plan for a drive's own PDOs: from what the loop needs and what the drive can do.
+"""Plans a drive's own PDOs: from what the loop needs and what the drive can do.
 
     flexible PDOs   the layouts of ``pdo_plans``, the best first, one after the other until one fits
     fixed PDOs      those that carry the needed objects are taken as they are, with what else they carry
     both            objects that no flexible PDO may carry are looked for in the fixed ones
 
-A drive without a dictionary is taken for one whose four PDOs each way take whatever CiA 402-2 has.
+A drive without a dictionary is assumed to have four PDOs each way that take any object of CiA 402-2.
 
-The loop needs velocity, position, statusword and, if there is one, torque; and to send controlword and
-set-point of a mode. PDOs that fit no layout tell all of it with every SYNC.
+The loop needs velocity, position, statusword and, if available, torque; it sends the controlword and the
+set-point of a mode. PDOs that fit no layout carry all of it with every SYNC.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -52,12 +52,12 @@ from servobench.drivers.errors import PeerFault
 
 
 class PlanImpossible(PeerFault):
-    """The drive's PDOs cannot carry what the loop needs; ``evidence`` says which of it."""
+    """The drive's PDOs cannot carry what the loop needs; ``evidence`` says which part."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanResult:
-    """A plan and what is to be said about it."""
+    """A plan with its notes."""
 
     plan: PdoPlan
     notes: tuple[str, ...] = ()
@@ -70,7 +70,7 @@ class _Bin:
     slot: PdoSlot
     entries: list[PdoEntry] = field(default_factory=list)
     group: Group | None = None
-    """What it is filled for; None outside a layout."""
+    """The group it is filled for; None outside a layout."""
 
     def takes(self, entry: PdoEntry) -> bool:
         full = sum(known.bits for known in self.entries) + entry.bits > BITS_MAX
@@ -78,10 +78,10 @@ class _Bin:
 
 
 def mode_plan(node_id: int, wish: PlanWish, *, demand_changes: bool = False) -> PdoPlan:
-    """The plan for one mode, for a drive that can map what is asked for.
+    """Plan the PDOs of one mode, for a drive with free mapping.
 
     TPDO1 to TPDO3 as :mod:`servobench.drivers.cia402.pdo_plans` lays them out by ``wish``; RPDO1: controlword
-    and the set-point of the mode. ``demand_changes``: a TPDO4 tells by 6074h and 1013h when a command acted.
+    and the set-point of the mode. ``demand_changes``: a TPDO4 with 6074h and 1013h shows when one acted.
     """
     plan = plan_pdos(standard(wish.stamp), node_id, wish).plan
     if not demand_changes:
@@ -93,8 +93,8 @@ def mode_plan(node_id: int, wish: PlanWish, *, demand_changes: bool = False) -> 
 
 
 def all_modes_plan(node_id: int, *, synchronous_command: bool = False) -> PdoPlan:
-    """The plan for a drive that changes between the cyclic modes: an RPDO for each set-point, with the
-    controlword, so one frame a cycle does in every mode."""
+    """Plan for a drive that changes between the cyclic modes: one RPDO per set-point, each with the
+    controlword, so one frame per cycle does in every mode."""
     modes = (
         Mode.CYCLIC_SYNCHRONOUS_TORQUE,
         Mode.CYCLIC_SYNCHRONOUS_POSITION,
@@ -110,10 +110,10 @@ def all_modes_plan(node_id: int, *, synchronous_command: bool = False) -> PdoPla
 
 
 def plan_pdos(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult:
-    """The plan. Raises PlanImpossible, saying what cannot be carried.
+    """Plan the PDOs. Raises PlanImpossible, saying what cannot be carried.
 
-    Where the entries that the dictionary defines do not do, those are used that sub-index 0 of a mapping
-    allows: files define fewer than the drive has.
+    If the entries defined in the dictionary do not suffice, those allowed by sub-index 0 of a mapping are
+    used: files define fewer than the drive has.
     """
     try:
         return _plan(capability, node_id, wish)
@@ -154,7 +154,7 @@ def _plan(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult
 
 
 def _torque(capability: PdoCapability, notes: list[str]) -> Key | None:
-    """What stands for the torque, if anything does."""
+    """Return the object to take as torque; None if none can be mapped."""
     able = (key for key in (TORQUE, CURRENT) if capability.can_carry(key, PdoDirection.TRANSMIT))
     first = next(able, None)
     if first is None:
@@ -165,7 +165,7 @@ def _torque(capability: PdoCapability, notes: list[str]) -> Key | None:
 
 
 def _serves(slot: PdoSlot, group: Group) -> bool:
-    """Identifier, transmission type and event timer of a PDO can be what a group needs."""
+    """Return True if identifier, transmission type and event timer of a PDO suit a group."""
     numbered = slot.number <= 4 or slot.identifier is not None
     switchable = slot.cob_id is None or slot.valid or slot.cob_id_writable
     held, wanted = slot.transmission_type, group.transmission_type
@@ -174,7 +174,7 @@ def _serves(slot: PdoSlot, group: Group) -> bool:
 
 
 def _first_fit(entry: PdoEntry, bins: list[_Bin], free: list[PdoSlot], group: Group | None = None) -> bool:
-    """Put it into the first PDO with room, or the first free one that serves; False if there is none."""
+    """Put an entry into the first PDO with room, or the first free one that serves; False if none is."""
     taking = next((made for made in bins if made.takes(entry)), None)
     if taking is None:
         slot = next((slot for slot in free if group is None or _serves(slot, group)), None)
@@ -198,7 +198,7 @@ class _Planner:
     # ---- layouts ------------------------------------------------------------------------------------------
 
     def laid_out(self, wish: PlanWish, torque: Key | None) -> list[_Bin] | None:
-        """PDOs for the best layout that fits the flexible ones; None if none does."""
+        """Return PDOs for the best layout that fits the flexible ones; None if none fits."""
         able = wish.features._replace(
             stamp=wish.features.stamp and self._flexible(self._stamp),
             demand=wish.features.demand and wish.torque_mode and self._flexible(DEMAND),
@@ -215,7 +215,7 @@ class _Planner:
         return self._capability.flexible_object(key, PdoDirection.TRANSMIT) is not None
 
     def _lay_out(self, groups: Sequence[Group]) -> list[_Bin] | None:
-        """A layout in the flexible TPDOs; a group may take several, but a speed is told with its stamp."""
+        """Place a layout in the flexible TPDOs; a group may take several, but a speed keeps its stamp."""
         free = self._free(PdoDirection.TRANSMIT)
         bins: list[_Bin] = []
         for group in groups:
@@ -230,14 +230,14 @@ class _Planner:
         return bins
 
     def _free(self, direction: PdoDirection) -> list[PdoSlot]:
-        """PDOs whose mapping can be written; one that need not be moved or switched on goes first."""
+        """Return PDOs with writable mapping; those that need not be moved or switched on come first."""
         free = [slot for slot in self._capability.of(direction) if slot.mapping_writable and slot.entries_max]
         return sorted(free, key=lambda slot: (slot.number > 4, slot.number))
 
     # ---- PDOs of any kind ---------------------------------------------------------------------------------
 
     def wanted(self, keys: Sequence[Key], direction: PdoDirection) -> list[_Bin]:
-        """PDOs that carry the objects; :attr:`lacks` says which none can.
+        """Return PDOs that carry the objects; :attr:`lacks` lists those that none can carry.
 
         If the flexible PDOs have no room for all, what fixed ones carry is left to those.
         """
@@ -253,7 +253,7 @@ class _Planner:
         return sorted(bins, key=lambda made: made.slot.number)
 
     def add_mode(self, bins: list[_Bin]) -> None:
-        """6061h in a flexible TPDO that has room left; else in one that carries it anyway."""
+        """Put 6061h into a flexible TPDO with room left; else use one that carries it anyway."""
         able = self._capability.flexible_object(MODE, PdoDirection.TRANSMIT)
         flexible = [made for made in bins if made.slot.mapping_writable]
         carried = any((entry.index, entry.sub) == MODE for made in bins for entry in made.entries)
@@ -265,7 +265,7 @@ class _Planner:
     def _cover(
         self, keys: Sequence[Key], flexible: Mapping[Key, MappedObject], direction: PdoDirection
     ) -> tuple[list[_Bin], list[Key]]:
-        """PDOs for the objects, those of ``flexible`` in PDOs that can be mapped; and what none carries."""
+        """Return PDOs for the objects, ``flexible`` ones in mappable PDOs; and the objects left over."""
         bins = self._pack(flexible, direction)
         lacks = []
         carried = {(entry.index, entry.sub) for made in bins for entry in made.entries}
@@ -283,7 +283,7 @@ class _Planner:
         return [slot for slot in self._capability.of(direction) if not slot.mapping_writable]
 
     def _pack(self, flexible: Mapping[Key, MappedObject], direction: PdoDirection) -> list[_Bin]:
-        """As many of the objects as find room, in order."""
+        """Place as many objects as find room, in order."""
         free = self._free(direction)
         bins: list[_Bin] = []
         for key, able in flexible.items():
@@ -291,7 +291,7 @@ class _Planner:
         return bins
 
     def _fixed_slot(self, key: Key, keys: Sequence[Key], direction: PdoDirection) -> PdoSlot | None:
-        """The PDO with a fixed mapping that carries the object and most of the others."""
+        """Return the fixed PDO that carries the object and most of the others."""
         able = [slot for slot in self._fixed(direction) if key in slot.keys and self._readable(slot, keys)]
         return max(
             able,
@@ -300,13 +300,13 @@ class _Planner:
         )
 
     def _readable(self, slot: PdoSlot, keys: Sequence[Key]) -> bool:
-        """Every entry is made of whole octets, and those that are needed have a known type."""
+        """Return True if all entries are whole octets, and the needed ones have a known type."""
         octets = all(word & 0xFF and not word & 0x07 for word in slot.mapping)
         needed = [key for key in keys if key in slot.keys]
         return octets and all(self._code(key, slot) for key in needed)
 
     def _code(self, key: Key, slot: PdoSlot) -> str:
-        """``struct`` character of an object in a PDO with a fixed mapping; empty if it has none."""
+        """Return the ``struct`` character of an object in a fixed PDO; empty if it has none."""
         word = next(word for word in slot.mapping if key_of(word) == key)
         entry = self._capability.objects.get(key)
         return entry.code if entry is not None and entry.bits == word & 0xFF else ""
@@ -322,7 +322,7 @@ class _Planner:
         return entries
 
     def _lack(self, key: Key, direction: PdoDirection) -> str:
-        """Why no PDO can carry an object."""
+        """Say why no PDO can carry an object."""
         name = object_name(*key)
         entry = self._capability.objects.get(key)
         slots = self._capability.of(direction)
@@ -393,7 +393,7 @@ class _Planner:
         return PdoMap(slot.direction, slot.number, cob_id, tuple(each.entries), kind, inhibit, timer)
 
     def _identifier(self, slot: PdoSlot) -> int | None:
-        """The one that cannot be changed, the predefined one, or the one that it has."""
+        """Return the fixed identifier, the predefined one, or the present one."""
         predefined = slot.direction.default_cob_id(slot.number, self._node_id) if slot.number <= 4 else None
         fixed = slot.identifier if not slot.cob_id_writable else None
         return fixed or predefined or slot.identifier

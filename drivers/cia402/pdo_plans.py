@@ -1,4 +1,4 @@
-"""The PDO plans that the bench gives to drives: which actual values travel together, and how often.
+"""The PDO plans that the bench offers to drives: which actual values travel together, and how often.
 
 The speed travels with the drive's stamp of that very sample, first on the bus and with every SYNC; torque,
 position and the torque demand follow, less often if the bus is full; statusword and mode are told when they
@@ -44,26 +44,26 @@ STAMP: Final[Key] = (Cia301.HIGH_RESOLUTION_TIME_STAMP, 0)
 STATUS_INHIBIT_100US: Final = 10
 """1 ms: a bit of the statusword that chatters costs no more than a statusword in every cycle would."""
 STATUS_TIMER_MS: Final = 25
-"""With a heartbeat that may be missed for 150 ms; see :func:`status_timer_ms`."""
+"""Suits a heartbeat that may be missed for 150 ms; see :func:`status_timer_ms`."""
 _TELLINGS: Final = 6
-"""Tellings of the statusword in the time after which a lost heartbeat is noticed: on a bus that loses every
-tenth frame, six in a row are lost once in a million."""
+"""Statuswords within the time after which a lost heartbeat is noticed: on a bus that loses every tenth frame,
+six in a row are lost once in a million."""
 
 
 class Features(NamedTuple):
-    """What a drive tells beyond speed, torque, position and statusword."""
+    """Optional data from a drive, beyond speed, torque, position and statusword."""
 
     stamp: bool = True
-    """1013h, or what its maker has for it, in the frame of the speed."""
+    """1013h, or its maker's equivalent, in the frame of the speed."""
     demand: bool = True
     """6074h in the frame of the position."""
     status_on_change: bool = True
-    """6041h when it changes; else with every SYNC."""
+    """6041h on change; else with every SYNC."""
     mode: bool = True
-    """6061h: the drive is still in the mode of its commands."""
+    """6061h: shows that the drive is still in the mode of its commands."""
 
     def within(self, other: "Features") -> bool:
-        """Nothing is used that ``other`` has not."""
+        """Return True if ``other`` has all features used here."""
         return all(there or not used for used, there in zip(self, other, strict=True))
 
 
@@ -77,8 +77,8 @@ _PREFERENCE: Final = (
     Features(stamp=False, status_on_change=False),
     Features(stamp=False, demand=False, status_on_change=False),
 )
-"""The stamp is worth most: by it readings are attributed whatever the bus does to them. The mode is worth
-least, because it can be asked for by SDO."""
+"""Order of preference. The stamp is worth most: it attributes readings whatever the bus does to them. The
+mode is worth least, because it can be read by SDO."""
 
 
 class Group(NamedTuple):
@@ -91,9 +91,9 @@ class Group(NamedTuple):
 
 
 def choices(able: Features, position_every_cycles: int) -> list[Features]:
-    """What can be used of what a drive is able to do, the best first.
+    """Return the usable subsets of a drive's features, the best first.
 
-    A statusword with every SYNC has its place beside the position only if that comes with every SYNC too.
+    A statusword with every SYNC fits beside the position only if that comes with every SYNC too.
     """
     return [
         each._replace(mode=mode)
@@ -107,11 +107,11 @@ def choices(able: Features, position_every_cycles: int) -> list[Features]:
 def layout(
     features: Features, torque: Key | None, wish: "PlanWish", *, coherent: bool = False
 ) -> tuple[Group, ...]:
-    """What travels together, first the frame that is to have the lowest identifier.
+    """Group the objects into frames, the one for the lowest identifier first.
 
-    ``torque``: what stands for the torque, if anything does. ``coherent``: torque, position and statusword
-    are of the same SYNC as the speed, which comes last. Raises ValueError for a ``position_every_cycles``
-    that is no transmission type.
+    ``torque``: the object used as torque, if any. ``coherent``: torque, position and statusword are of the
+    same SYNC as the speed, which comes last. Raises ValueError for a ``position_every_cycles`` that is no
+    transmission type.
     """
     position_every_cycles, timer_ms = wish.position_every_cycles, wish.status_timer_ms
     if not 1 <= position_every_cycles <= SYNCHRONOUS_MAX:
@@ -139,13 +139,13 @@ def layout(
 
 
 def status_timer_ms(heartbeat_timeout_ms: int) -> int:
-    """How often the statusword is told without a change: its silence is to be noticed as fast as a lost
-    heartbeat, and a few lost frames are not to be taken for silence."""
+    """Return the repeat time of an unchanged statusword: its silence must be noticed as fast as a lost
+    heartbeat, and a few lost frames must not count as silence."""
     return max(1, heartbeat_timeout_ms // _TELLINGS)
 
 
 def limits_of(features: Features, wish: "PlanWish") -> list[str]:
-    """What is lost where a feature is not used, in words."""
+    """Say what is lost by the features not used."""
     limits = []
     if not features.stamp:
         limits.append(
@@ -178,7 +178,7 @@ NEEDED_OBJECTS: Final[dict[Mode, int]] = {
     **{mode: target.index for mode, target in TARGETS.items()},
     Mode.HOMING: Object.HOMING_METHOD,
 }
-"""What a drive cannot have a mode without: the object of its set-point, or of the method of homing."""
+"""Objects essential to a mode: the set-point, or the homing method."""
 
 STANDARD_CODES: dict[Key, str] = {
     **dict.fromkeys((STATUS, CONTROL), "H"),
@@ -201,11 +201,11 @@ STANDARD = PdoCapability(
     ),
     objects_of(STANDARD_CODES),
 )
-"""What a drive without a dictionary is asked for."""
+"""The PDO capability assumed for a drive without a dictionary."""
 
 
 def standard(stamp: Key) -> PdoCapability:
-    """:data:`STANDARD`, of a drive whose stamp is that object."""
+    """Return :data:`STANDARD` for a drive whose stamp is that object."""
     if stamp == STAMP:
         return STANDARD
     return replace(STANDARD, objects={**STANDARD.objects, **objects_of({stamp: STANDARD_CODES[STAMP]})})
@@ -213,22 +213,22 @@ def standard(stamp: Key) -> PdoCapability:
 
 @dataclass(frozen=True, slots=True)
 class PlanWish:
-    """What the loop wants of a drive."""
+    """The loop's requirements on a drive."""
 
     mode: Mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
     synchronous_command: bool = False
     """The drive applies the set-point at the next SYNC, not on arrival."""
     position_every_cycles: int = 1
-    """Above 1 the position comes with every so many SYNCs only."""
+    """Above 1 the position comes only with every n-th SYNC."""
     features: Features = ALL
-    """What may be used of what the drive can tell."""
+    """The features that may be used."""
     status_timer_ms: int = STATUS_TIMER_MS
     coherent: bool = False
-    """All values of one SYNC in a reading; see :func:`layout`."""
+    """True: a reading holds values of one SYNC only; see :func:`layout`."""
     stamp: Key = STAMP
-    """The object that is the drive's stamp."""
+    """The object that holds the drive's stamp."""
     mode_apart: bool = True
-    """6061h may have a TPDO of its own."""
+    """True: 6061h may have its own TPDO."""
 
     @property
     def torque_mode(self) -> bool:
@@ -238,7 +238,7 @@ class PlanWish:
 
 
 def features_of(plan: PdoPlan, stamp: Key = STAMP) -> Features:
-    """What a plan makes use of; ``stamp``: the object that is the drive's stamp."""
+    """Return the features that a plan uses; ``stamp``: the object that holds the drive's stamp."""
     speed, status = plan.tpdo_with(*VELOCITY), plan.tpdo_with(*STATUS)
     return Features(
         stamp=speed is not None and speed.place_of(*stamp) is not None,

@@ -20,9 +20,9 @@ DRIVE_PROFILE: Final = 402
 
 
 def no_drive(device_type: int, has_statusword: Callable[[], bool]) -> str:
-    """Why a device with this 1000h is no drive; empty if it is one.
+    """Say why a device with this 1000h is not a drive; empty if it is one.
 
-    0 says that no standardised profile is followed (CiA 301 7.5.2.1): the statusword then tells.
+    0 means that no standardised profile is followed (CiA 301 7.5.2.1): the statusword decides then.
     """
     number = device_type & 0xFFFF
     if number == DRIVE_PROFILE or (number == 0 and has_statusword()):
@@ -112,10 +112,10 @@ STATUS_PATTERNS: dict[State, BitPattern] = {
     State.FAULT_REACTION: BitPattern(0x4F, 0x0F),
     State.FAULT: BitPattern(0x4F, 0x08),
 }
-"""How the statusword tells the state, CiA 402-2 table "state coding"."""
+"""Statusword coding of the states, CiA 402-2 table "state coding"."""
 
 STATE_BITS: Final = 0x6F
-"""Of the statusword: those that name the state."""
+"""Mask of the statusword bits that name the state."""
 _STATE_OF_BITS: tuple[State | None, ...] = tuple(
     next((state for state, pattern in STATUS_PATTERNS.items() if pattern.matches(bits)), None)
     for bits in range(STATE_BITS + 1)
@@ -123,7 +123,7 @@ _STATE_OF_BITS: tuple[State | None, ...] = tuple(
 
 
 def state_of(statusword: int) -> State | None:
-    """The state that a statusword tells; None if its bits are no coding of the standard."""
+    """Return the state coded in a statusword; None if its bits are no coding of the standard."""
     return _STATE_OF_BITS[statusword & STATE_BITS]
 
 
@@ -149,18 +149,18 @@ COMMAND_PATTERNS: dict[DriveCommand, BitPattern] = {
     DriveCommand.DISABLE_VOLTAGE: BitPattern(0x82, 0x00),
     DriveCommand.QUICK_STOP: BitPattern(0x86, 0x02),
 }
-"""How the controlword tells a command. Switch on and disable operation share a coding; the state tells
-them apart. Fault reset is not a pattern but the rising edge of bit 7."""
+"""Controlword coding of the commands. Switch on and disable operation share a coding; the state tells them
+apart. Fault reset is not a pattern but the rising edge of bit 7."""
 
 CONTROLWORDS: dict[DriveCommand, int] = {
     **{command: pattern.value for command, pattern in COMMAND_PATTERNS.items()},
     DriveCommand.FAULT_RESET: Control.FAULT_RESET,
 }
-"""The word to send for a command, every optional bit 0."""
+"""The word to send for a command, with every optional bit 0."""
 
 
 class DriveEvent(Enum):
-    """What moves the state machine without a command."""
+    """Events that move the state machine without a command."""
 
     POWER_ON = "power on"
     INITIALISED = "initialisation complete"
@@ -218,7 +218,8 @@ TRANSITION_OF: dict[tuple[State, DriveCommand | DriveEvent], Transition] = {
 
 
 def commands_in(controlword: int) -> tuple[DriveCommand, ...]:
-    """The commands that a controlword codes, fault reset apart; two for switch on = disable operation."""
+    """Return the commands coded in a controlword, except fault reset; two for switch on = disable
+    operation."""
     return _COMMANDS_OF_BITS[controlword & 0x8F]
 
 
@@ -229,9 +230,10 @@ _COMMANDS_OF_BITS: tuple[tuple[DriveCommand, ...], ...] = tuple(
 
 
 def command_path(source: State, target: State) -> tuple[DriveCommand, ...] | None:
-    """The shortest chain of commands from ``source`` to ``target``; None if commands alone do not lead there.
+    """Return the shortest chain of commands from ``source`` to ``target``; None if commands alone do not lead
+    there.
 
-    A fault is never reset on the way: leaving FAULT is a decision of its own, so from FAULT there is no path.
+    A fault is never reset on the way: leaving FAULT is a separate decision, so there is no path from FAULT.
     """
     paths: dict[State, tuple[DriveCommand, ...]] = {source: ()}
     frontier = deque([source])
@@ -263,12 +265,12 @@ class Mode(IntEnum):
 
     @property
     def title(self) -> str:
-        """Its name in words: ``cyclic synchronous torque``."""
+        """The mode in words: ``cyclic synchronous torque``."""
         return self.name.lower().replace("_", " ")
 
 
 def supported_mode_bit(mode: Mode) -> int:
-    """The bit of 0x6502 that says that ``mode`` is supported; 0 for NONE, which has no bit."""
+    """Return the bit of 0x6502 for ``mode``; 0 for NONE, which has no bit."""
     return 1 << (mode - 1) if mode > 0 else 0
 
 
@@ -276,20 +278,20 @@ FOLLOW_BITS: Final = {
     Mode.VELOCITY: Control.MODE_4 | Control.MODE_5 | Control.MODE_6,
     Mode.INTERPOLATED_POSITION: Control.MODE_4,
 }
-"""Bits of the controlword without which a mode does not follow its set-point: enable ramp, unlock ramp and
-reference ramp; enable interpolation. The cyclic synchronous and the other profile modes need none."""
+"""Controlword bits without which a mode does not follow its set-point: enable ramp, unlock ramp and reference
+ramp; enable interpolation. The cyclic synchronous and the other profile modes need none."""
 
 STANDARD_MODES: Final = 0x3FF
 """Bits of 6502h for the modes of CiA 402-2; the others are reserved, or the maker's."""
 
 
 def tells_modes(word: int | None) -> bool:
-    """6502h names a mode of CiA 402-2: in many drives it is missing or 0, and the modes are there."""
+    """Return True if 6502h names a mode of CiA 402-2: many drives lack it or hold 0, and have the modes."""
     return bool((word or 0) & STANDARD_MODES)
 
 
 def offers_mode(word: int | None, mode: Mode) -> bool:
-    """6502h names the mode."""
+    """Return True if 6502h names the mode."""
     return bool((word or 0) & supported_mode_bit(mode))
 
 
@@ -307,11 +309,11 @@ BENCH_RULE: Final = (
     'interpolated position (`"ip"`) or velocity mode (`"vl"`); a drive with none of them can be '
     "commissioned, not run"
 )
-"""In one set of words for every command and for docs/limits.md."""
+"""One wording for every command and for docs/limits.md."""
 
 
 def run_words(modes: Collection[Mode]) -> str:
-    """What `hil run` can do with a drive that has ``modes``."""
+    """Say how `hil run` can use a drive that has ``modes``."""
     usable = [f'"{key}"' for key, mode in BENCH_MODES.items() if mode in modes]
     if not usable:
         return BENCH_RULE
@@ -319,7 +321,7 @@ def run_words(modes: Collection[Mode]) -> str:
 
 
 class AbortConnectionOption(IntEnum):
-    """0x6007: what to do when the connection to the master is lost; default FAULT_SIGNAL."""
+    """0x6007: reaction to a lost connection to the master; default FAULT_SIGNAL."""
 
     NO_ACTION = 0
     FAULT_SIGNAL = 1

@@ -1,4 +1,4 @@
-"""A drive's units where its maker's objects mean something else than CiA 402 says."""
+"""A drive's units where the maker's objects differ from CiA 402."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -13,12 +13,12 @@ Values = dict[tuple[int, int], int | None]
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """What is known of a drive beside its objects."""
+    """Facts applied to a drive beyond its objects."""
 
     values: Values
     override: ScaleOverride
     sources: Mapping[str, str]
-    """By name of the factor, as in ``Scaling.sources``."""
+    """Source of each factor, by the names of ``Scaling.sources``."""
     notes: tuple[str, ...] = ()
 
 
@@ -28,7 +28,7 @@ def apply_quirks(
     override: ScaleOverride,
     read: Callable[[int, int], int | None],
 ) -> Applied:
-    """The drive's factor objects and the user's overrides, completed by what is known of it.
+    """Complete the drive's factor objects and the user's overrides by known quirks.
 
     ``read(index, sub)``: an object of the drive, None if it has none.
     """

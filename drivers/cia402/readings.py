@@ -1,4 +1,4 @@
-"""TPDOs of one drive made into readings in SI units."""
+"""Turns the TPDOs of one drive into readings in SI units."""
 
 from typing import Final
 
@@ -16,15 +16,15 @@ from servobench.drivers.vendors.stamps import STANDARD_STAMP, StampProfile
 _WORD: Final = 1 << 32
 _HALF_WORD: Final = 1 << 31
 _REACH_PERIODS: Final = 64
-"""A stamp further than this from the one before is a clock that was set, or a long silence: a speed says
-nothing of the way in between. A bench bears fewer readings lost in a row."""
+"""A stamp further than this from the previous one means a clock that was set, or a long silence: the speed
+says nothing about the way in between. A bench tolerates fewer lost readings in a row."""
 NEVER_TOLD: Final = Instant(-1)
 _LIMITED: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
 _NAN: Final = float("nan")
 
 
 class LastStatusword:
-    """The last statusword that a drive told, by whatever way it came."""
+    """The last statusword of a drive, by PDO or SDO."""
 
     __slots__ = ("at", "by_pdo", "statusword")
 
@@ -32,25 +32,25 @@ class LastStatusword:
         self.statusword = -1
         """0x6041, raw; -1 before the first."""
         self.at = NEVER_TOLD
-        """When it came."""
+        """When it arrived."""
         self.by_pdo = -1
-        """The last one that came by PDO."""
+        """The last one by PDO."""
 
     def take(self, statusword: int, at: Instant) -> None:
-        """The drive told its statusword."""
+        """Take in a statusword of the drive."""
         self.statusword = statusword
         self.at = at
 
 
 class ReadingAssembler:
-    """A reading for every frame that carries the speed; everything else as it was told last.
+    """Makes a reading from every frame that carries the speed; all other values are the last known.
 
-    So no reading mixes two SYNCs: what is of another SYNC bears the instant at which it was told. The drive's
+    So no reading mixes two SYNCs: a value of another SYNC carries the instant of its own frame. The drive's
     stamp is used if it is in that very frame.
 
     A position is of the SYNC whose frames it travels with, and is carried on by the mean of the speeds of two
-    readings, over the time between them: by the drive's stamps, without them by the SYNCs sent. Each telling
-    anchors it anew:
+    readings, over the time between them: by the drive's stamps, without them by the SYNCs sent. Each position
+    frame anchors it anew:
 
         SYNC          k          k+1        k+2        ...  k+n
         TPDO1         speed      speed      speed           speed
@@ -71,8 +71,8 @@ class ReadingAssembler:
         follow: FollowWatch,
         stamp: StampProfile = STANDARD_STAMP,
     ) -> None:
-        """``told`` and ``follow`` take in what the frames tell of state and mode. ``stamp``: how the drive
-        stamps. Raises ValueError if the plan lacks speed, position or statusword."""
+        """``told`` and ``follow`` take in the reported state and mode. ``stamp``: how the drive stamps.
+        Raises ValueError if the plan lacks speed, position or statusword."""
         needed = (Object.STATUSWORD, Object.POSITION_ACTUAL_VALUE, Object.VELOCITY_ACTUAL_VALUE)
         missing = [f"{index:04X}h" for index in needed if plan.tpdo_with(index) is None]
         if missing:
@@ -80,10 +80,10 @@ class ReadingAssembler:
         self.scaling = scaling
         self.stamp = stamp
         self.malformed = 0
-        """PDOs of a length other than mapped."""
+        """PDOs whose length differs from the mapping."""
         self.readings_made = 0
         self.watch: CommandWatch | None = None
-        """Told of every demand, or torque, that arrives."""
+        """Called with every demand, or torque, that arrives."""
         self.torque_told_at = NEVER_TOLD
         self.position_told_at = NEVER_TOLD
         self._pump = network.frame_pump
@@ -108,18 +108,18 @@ class ReadingAssembler:
         self._last_us = 0
         self._stamp_raw: int | None = None
         self._count = 0
-        """Of the last stamp, counted on over its wraps."""
+        """The last stamp, unwrapped."""
         self._count_ns = stamp.unit_ns
         self._wrap, self._half_wrap = 1 << stamp.bits, 1 << (stamp.bits - 1)
         self._inlets: dict[int, _Inlet] = {}
         self._subscribe(network, plan, follow, stamp.index)
 
     def keep_frames(self, cob_id: int) -> None:
-        """From now on keep the frames of a TPDO, malformed ones among them, for :meth:`take_frames`."""
+        """Begin to keep the frames of a TPDO, malformed ones included, for :meth:`take_frames`."""
         self._inlets[cob_id].kept = []
 
     def take_frames(self, cob_id: int) -> list[tuple[bytes, Instant]]:
-        """Those that came since the last call, each with its instant; none if nobody keeps them."""
+        """Return the frames since the last call, each with its instant; none if they are not kept."""
         inlet = self._inlets[cob_id]
         kept = inlet.kept
         if not kept:
@@ -128,19 +128,19 @@ class ReadingAssembler:
         return kept
 
     def take(self) -> list[Reading]:
-        """The readings completed since the last call, oldest first."""
+        """Return the readings completed since the last call, oldest first."""
         taken, self._readings = self._readings, []
         return taken
 
     def take_readbacks(self) -> list[Readback]:
-        """The torque demands told with a SYNC since the last call, oldest first."""
+        """Return the torque demands received with a SYNC since the last call, oldest first."""
         taken = self._readbacks
         if taken:
             self._readbacks = []
         return taken
 
     def take_demand_changes(self) -> list[DemandChange]:
-        """The torque demands told on change since the last call, oldest first."""
+        """Return the torque demands received on change since the last call, oldest first."""
         taken = self._changes
         if taken:
             self._changes = []
@@ -148,12 +148,13 @@ class ReadingAssembler:
 
     @property
     def torque_nm(self) -> float:
-        """As told last; NaN before the first."""
+        """Last torque received; NaN before the first."""
         raw = self._torque_raw
         return _NAN if raw is None else raw * self._nm_per_raw
 
     def position_rad(self, raw: int | None) -> float:
-        """A raw position near to the last one told, rad, counted as in a reading; None: the last one."""
+        """Convert a raw position near the last one to rad, on the scale of the readings; None: the last
+        one."""
         counted = self._position
         if raw is not None and self._position_raw is not None:
             counted += ((raw - self._position_raw + _HALF_WORD) % _WORD) - _HALF_WORD
@@ -162,7 +163,7 @@ class ReadingAssembler:
     # ---- what the frames tell -------------------------------------------------------------------------
 
     def anchor_position(self, raw: int, at: Instant) -> None:
-        """0x6064 as the drive told it at ``at``: what positions are carried on from."""
+        """Anchor the position: 0x6064 as read at ``at``, from which positions are extrapolated."""
         self._unwrap_position(raw)
         self.position_told_at = at
         self._carried_rad = 0.0
@@ -175,27 +176,27 @@ class ReadingAssembler:
             self._carried_to_us = self._pump.sync_count * self._period_us
 
     def torque_told(self, raw: int, at: Instant) -> None:
-        """0x6077, or the current that stands for it, arrived."""
+        """Take in 0x6077, or the current used in its place."""
         self._torque_raw = raw
         self.torque_told_at = at
 
     def demand_told(self, raw: int, at: Instant, in_reading: bool) -> None:
-        """0x6074 of a SYNC arrived, in the frame of the last reading or in another."""
+        """Take in 0x6074 of a SYNC, from the frame of the last reading or from another."""
         self._readbacks.append(Readback(raw, at, self.readings_made, in_reading))
 
     def demand_changed(self, raw: int, stamp_raw: int, at: Instant) -> None:
-        """0x6074 arrived because it had changed; ``stamp_raw``: 0x1013 of that moment."""
+        """Take in 0x6074 sent on change; ``stamp_raw``: 0x1013 of that moment."""
         self._changes.append(DemandChange(raw, self._unwrapped(stamp_raw) * self._count_ns, at))
 
     def tell_watch(self, watch: CommandWatch, raw: int) -> None:
-        """A demand or torque arrived. A drive that tells that it does not follow needs no watch."""
+        """Pass a demand or torque to the watch. A drive that itself reports not following needs no watch."""
         if self._follow.lapse is not None:
             watch.excuse()
         else:
             watch.told(raw, self._told.statusword & _LIMITED != 0)
 
     def speed_told(self, raw: int, stamp_raw: int, at: Instant) -> None:
-        """0x606C arrived, with its stamp 0x1013 or -1: a reading."""
+        """Take in 0x606C with its stamp 0x1013, or -1: a reading."""
         device_time_ns = None
         if stamp_raw >= 0:
             self._count = self._unwrapped(stamp_raw)
@@ -223,9 +224,9 @@ class ReadingAssembler:
         )
 
     def _carry(self, us: int, velocity_rad_s: float, at: Instant) -> float:
-        """What the shaft turned from the telling of the position until ``us``, rad.
+        """Return the angle that the shaft has turned since the last position frame until ``us``, rad.
 
-        A reading older than what was carried to, which was overtaken, moves nothing.
+        An overtaken reading, older than the last extrapolation, moves nothing.
         """
         if self._anchored_at >= 0:
             self._carried_to_us = us - self._periods(at - self._anchored_at) * self._period_us
@@ -241,17 +242,18 @@ class ReadingAssembler:
         return carried_rad
 
     def _periods(self, gap_ns: int) -> int:
-        """Whole SYNCs between two frames by their arrival; those of one SYNC come within half a period."""
+        """Return the whole SYNCs between two frames by their arrival; frames of one SYNC come within half a
+        period."""
         return (gap_ns + self._period_ns // 2) // self._period_ns
 
     def _unwrapped(self, stamp_raw: int) -> int:
-        """The stamp, counted on from the last reading's: 1013h wraps after 71.6 minutes."""
+        """Unwrap the stamp, from the last reading's: 1013h wraps after 71.6 minutes."""
         if self._stamp_raw is None:
             return stamp_raw
         return self._count + (stamp_raw - self._stamp_raw + self._half_wrap) % self._wrap - self._half_wrap
 
     def _unwrap_position(self, raw: int) -> None:
-        """0x6064 is an INTEGER32: at 65536 counts a turn it wraps after 22 minutes of 1500 rev/min."""
+        """Unwrap 0x6064, an INTEGER32: at 65536 counts per turn it wraps after 22 minutes of 1500 rev/min."""
         if self._position_raw is None:
             self._position = raw
         else:
@@ -278,7 +280,7 @@ class ReadingAssembler:
 
 
 class _Inlet:
-    """Takes the frames of one TPDO apart for an assembler; objects that nobody asks for are passed over."""
+    """Unpacks the frames of one TPDO for an assembler; objects without a use are skipped."""
 
     def __init__(
         self,
@@ -336,5 +338,5 @@ class _Inlet:
 
 
 def _place(pdo: PdoMap, *indices: int) -> int:
-    """Position among the entries of the first of the objects that is there; -1 if none is."""
+    """Return the position of the first of the objects found among the entries; -1 if none is mapped."""
     return next((place for index in indices if (place := pdo.place_of(index)) is not None), -1)

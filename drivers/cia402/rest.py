@@ -1,4 +1,4 @@
-"""When the shaft of a drive counts as at rest: it is slow, and stays so."""
+"""Decides when the shaft of a drive counts as at rest: it is slow, and stays slow."""
 
 from collections.abc import Callable
 from typing import Final
@@ -10,16 +10,16 @@ from servobench.drivers.cia402.state_control import StateControl
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 REST_RAD_S: Final = 1.0
-"""A shaft that turns slower counts as slow."""
+"""Speed below which a shaft counts as slow."""
 REST_FOR: Final = Duration(100 * NS_PER_MS)
-"""A shaft that is slow for so long rests. A single reading may be that of one that turns round, or that a
-load begins to turn: 0.01 N m give the motor of [Ling2012] 1 rad/s in 80 ms."""
+"""A shaft that is slow for this long is at rest. A single slow reading may come from a reversal, or from a
+load that begins to turn it: 0.01 N m give the motor of [Ling2012] 1 rad/s in 80 ms."""
 _POLL: Final = Duration(10 * NS_PER_MS)
 """Ten readings in :data:`REST_FOR`."""
 
 
 def slow(objects: RemoteObjects, assembler: ReadingAssembler | None) -> bool:
-    """By 0x606C, now; a drive that was never configured was never moved by this bench."""
+    """Return True if 0x606C is slow now; a drive that was never configured was never moved by this bench."""
     if assembler is None:
         return True
     raw = objects.read(Object.VELOCITY_ACTUAL_VALUE, 0, "i")
@@ -27,8 +27,8 @@ def slow(objects: RemoteObjects, assembler: ReadingAssembler | None) -> bool:
 
 
 def calms(objects: RemoteObjects, assembler: ReadingAssembler | None) -> Callable[[], bool]:
-    """Asks at each call; true once two readings in a row were slow: a steep ramp passes through zero, and a
-    drive that is disabled in that moment lets the shaft run on."""
+    """Return a function to poll; true once two readings in a row were slow: a steep ramp passes through zero,
+    and a drive disabled in that moment lets the shaft run on."""
     before = False
 
     def calm() -> bool:
@@ -40,9 +40,9 @@ def calms(objects: RemoteObjects, assembler: ReadingAssembler | None) -> Callabl
 
 
 def resting_since(control: StateControl, assembler: ReadingAssembler | None, deadline: Instant) -> Instant:
-    """Wait until every reading was slow for :data:`REST_FOR`; when that time began.
+    """Wait until every reading has been slow for :data:`REST_FOR`; return when that began.
 
-    Raises DriveInFault if the shaft still turns at the deadline, PeerFault if the drive does not tell.
+    Raises DriveInFault if the shaft still turns at the deadline, PeerFault if the drive does not report.
     """
     now = control.network.clock.now
     since = now()

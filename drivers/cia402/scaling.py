@@ -1,4 +1,5 @@
-"""Raw drive units and signs <-> SI, the only place. Factors come from the drive's objects, or overrides.
+"""Conversion between raw drive units with their signs and SI, the only place for it. Factors come from the
+drive's objects, or from overrides.
 
     position      60A8h in turns, else 6092h (feed), else 6093h, else 608Fh
     velocity      60A9h, else 6094h, else 6096h, else position units per second
@@ -6,9 +7,9 @@
     jerk          60ABh, else acceleration units per second
     torque        thousandths of 6076h
 
-A position unit that is known better than the drive tells it makes another increment too where it rests on
-increments (608Fh): all that the drive tells by them, in 6094h, 6097h or by its maker's units, is disbelieved
-with it. 608Fh of less than four increments a turn is a factory's 1/1 that nobody set: 6090h is asked then.
+An override of a position unit that rests on increments (608Fh) changes the increment too: every value that
+the drive states in increments (6094h, 6097h, its maker's units) follows. 608Fh with less than four increments
+per turn is an unset factory value of 1/1: 6090h is read then.
 
 Positions, speeds and accelerations here are those of the motor shaft. Turns in a unit word, and the feed, are
 those of the driving shaft behind the gear 6091h.
@@ -28,7 +29,7 @@ from servobench.drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
 
 @dataclass(eq=False)
 class UnitNotTold(PeerFault):
-    """A drive whose objects do not say what one raw value is worth."""
+    """The objects of a drive do not define one of its units."""
 
     unit: str = ""
     """torque, position, velocity or acceleration."""
@@ -59,10 +60,10 @@ FACTOR_OBJECTS: tuple[tuple[int, int], ...] = (
     *((index, sub) for index in _RATIOS for sub in (1, 2)),
     *((index, 0) for index in _UNIT_WORDS),
 )
-"""What :func:`scaling_from` wants to know of a drive."""
+"""Objects read by :func:`scaling_from`."""
 
 ENCODER_COUNTS_MIN: Final = 4
-"""Increments of one line of an encoder by quadrature: no encoder has fewer on a turn."""
+"""Increments per encoder line by quadrature: no encoder has fewer per turn."""
 _TURNS_PER_UNIT = {
     Unit.REVOLUTION: 1.0,
     Unit.RADIAN: 1.0 / RAD_PER_REVOLUTION,
@@ -75,7 +76,7 @@ _POWERED_SECONDS = {Unit.SQUARE_SECOND: 2, Unit.CUBIC_SECOND: 3}
 
 @dataclass(frozen=True, slots=True)
 class ScaleOverride:
-    """Factors and signs that the user knows better than the drive's objects tell; None: believe the drive."""
+    """Factors and signs that the user knows better than the drive; None: believe the drive."""
 
     position_rad: float | None = None
     """rad of one raw position unit."""
@@ -92,7 +93,7 @@ class ScaleOverride:
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """SI value = raw value times factor, of a velocity and a torque times their sign too.
+    """SI value = raw value times factor; for velocity and torque times their sign too.
 
     Factors are positive: limits and ramps of a drive have no sign.
     """
@@ -104,30 +105,30 @@ class Scaling:
     torque_nm: float
     """N m of one raw torque unit, a thousandth of the rated torque."""
     sources: Mapping[str, str] = field(default_factory=dict)
-    """Which object each factor rests on, for a report."""
+    """The object on which each factor rests, for a report."""
     notes: tuple[str, ...] = ()
-    """What is to be known of them."""
+    """Remarks on the factors."""
     jerk_rad_s3: float = 0.0
-    """rad/s^3 of one raw jerk unit; 0 if nobody asked."""
+    """rad/s^3 of one raw jerk unit; 0 if not read."""
     rated_current_a: float | None = None
-    """What per-thousand currents refer to, 0x6075; None if the drive does not tell it."""
+    """Reference of per-thousand currents, 0x6075; None if the drive has none."""
     gear_ratio: float = 1.0
     """Motor revolutions per revolution of the driving shaft, 0x6091."""
     velocity_sign: float = 1.0
-    """As in :class:`ScaleOverride`: no object of a drive tells it."""
+    """See :class:`ScaleOverride`: no object of a drive holds it."""
     torque_sign: float = 1.0
 
     def torque_raw(self, torque_nm: float) -> int:
-        """The nearest raw torque."""
+        """Return the nearest raw torque."""
         return round(self.torque_sign * torque_nm / self.torque_nm)
 
     def velocity_raw(self, velocity_rad_s: float) -> int:
-        """The nearest raw velocity."""
+        """Return the nearest raw velocity."""
         return round(self.velocity_sign * velocity_rad_s / self.velocity_rad_s)
 
 
 def scaling_from(values: ObjectValues, override: ScaleOverride | None = None) -> Scaling:
-    """Work out the factors. Raises UnitNotTold if the drive tells too little and no override helps."""
+    """Work out the factors. Raises UnitNotTold if the drive's objects and the override are not enough."""
     given = override or ScaleOverride()
     sources: dict[str, str] = {}
 
@@ -173,7 +174,7 @@ def scaling_from(values: ObjectValues, override: ScaleOverride | None = None) ->
 
 
 def _ratio(values: ObjectValues, index: int) -> float | None:
-    """Sub 1 over sub 2, both positive; None if the object is not there or not set."""
+    """Return sub 1 over sub 2, both positive; None if the object is missing or not set."""
     numerator, denominator = values.get((index, 1)), values.get((index, 2))
     if not numerator or not denominator or numerator < 0 or denominator < 0:
         return None
@@ -186,13 +187,13 @@ def _rated_torque(values: ObjectValues) -> tuple[float, str] | None:
 
 
 def _gear(values: ObjectValues) -> tuple[float, str]:
-    """Motor revolutions per revolution of the driving shaft, and what tells it."""
+    """Return motor revolutions per revolution of the driving shaft, and their source."""
     ratio = _ratio(values, Object.GEAR_RATIO)
     return (1.0, "") if ratio is None or ratio == 1.0 else (ratio, ", 6091h")
 
 
 def _turn_rad(values: ObjectValues) -> tuple[float, str] | None:
-    """rad of the motor shaft per increment of its encoder, by its resolution."""
+    """Return rad of the motor shaft per encoder increment, by its resolution."""
     position, velocity = (
         _ratio(values, index)
         for index in (Object.POSITION_ENCODER_RESOLUTION, Object.VELOCITY_ENCODER_RESOLUTION)
@@ -204,15 +205,15 @@ def _turn_rad(values: ObjectValues) -> tuple[float, str] | None:
 
 
 def increment_of(values: ObjectValues, position_rad: float | None) -> tuple[float, str] | None:
-    """rad of the motor shaft per increment, and what tells it. ``position_rad``: the position unit, where it
-    is known better than the drive tells it."""
+    """Return rad of the motor shaft per increment, and its source. ``position_rad``: the position unit, if
+    known better than from the drive."""
     if position_rad is None or _position_in_units(values) is not None:
         return _turn_rad(values)
     return position_rad / (_ratio(values, Object.POSITION_FACTOR) or 1.0), "the position unit"
 
 
 def _position(values: ObjectValues) -> tuple[float, str] | None:
-    """rad of the motor shaft per position unit."""
+    """Return rad of the motor shaft per position unit."""
     in_units = _position_in_units(values)
     if in_units is not None:
         return in_units
@@ -227,7 +228,7 @@ def _position(values: ObjectValues) -> tuple[float, str] | None:
 
 
 def _position_in_units(values: ObjectValues) -> tuple[float, str] | None:
-    """As :func:`_position`, where it does not rest on increments."""
+    """Return rad of the motor shaft per position unit if it does not rest on increments."""
     gear, by_gear = _gear(values)
     word = values.get((Object.SI_UNIT_POSITION, 0))
     if word:
@@ -245,7 +246,7 @@ def _position_in_units(values: ObjectValues) -> tuple[float, str] | None:
 def _velocity(
     values: ObjectValues, position_rad: float, increment: tuple[float, str] | None
 ) -> tuple[float, str] | None:
-    """rad/s per velocity unit; position units per second where nothing says otherwise."""
+    """Return rad/s per velocity unit; position units per second by default."""
     rate = _told_rate(values, Object.SI_UNIT_VELOCITY, position_rad, power=1)
     if rate is not None:
         return rate
@@ -263,7 +264,7 @@ def _velocity(
 def _acceleration(
     values: ObjectValues, position_rad: float, velocity_rad_s: float, increment: tuple[float, str] | None
 ) -> tuple[float, str] | None:
-    """rad/s^2 per acceleration unit; velocity units per second where nothing says otherwise."""
+    """Return rad/s^2 per acceleration unit; velocity units per second by default."""
     rate = _told_rate(values, Object.SI_UNIT_ACCELERATION, position_rad, power=2)
     if rate is not None:
         return rate
@@ -279,7 +280,7 @@ def _acceleration(
 
 
 def _jerk(values: ObjectValues, position_rad: float, acceleration_rad_s2: float) -> tuple[float, str]:
-    """rad/s^3 per jerk unit; acceleration units per second where no unit word says otherwise."""
+    """Return rad/s^3 per jerk unit; acceleration units per second without a unit word."""
     rate = _told_rate(values, Object.SI_UNIT_JERK, position_rad, power=3)
     return rate or (acceleration_rad_s2, "acceleration unit per second (no 60ABh)")
 
@@ -287,7 +288,7 @@ def _jerk(values: ObjectValues, position_rad: float, acceleration_rad_s2: float)
 def _told_rate(
     values: ObjectValues, unit_word: Object, position_rad: float, power: int
 ) -> tuple[float, str] | None:
-    """rad/s^power by a unit word; None if it is not set, or tells nothing that is known here."""
+    """Return rad/s^power by a unit word; None if it is not set, or unknown here."""
     word = values.get((unit_word, 0))
     rate = _rate(word, values, position_rad, power) if word else None
     if not word or rate is None:
@@ -299,7 +300,7 @@ def _told_rate(
 
 
 def _rate(word: int, values: ObjectValues, position_rad: float, power: int) -> float | None:
-    """rad/s^power of one unit of a unit word, gear apart; None if it uses codes that are not known here."""
+    """Return rad/s^power of one unit of a unit word, without gear; None if it uses unknown codes."""
     exponent, numerator, denominator = unit_parts(word)
     if not _is_unit(numerator) or not _is_unit(denominator):
         return None
@@ -323,7 +324,7 @@ def _rate(word: int, values: ObjectValues, position_rad: float, power: int) -> f
 
 
 def _metre_rad(values: ObjectValues, position_rad: float) -> float | None:
-    """rad of the motor shaft per metre, for a drive whose position unit is a length."""
+    """Return rad of the motor shaft per metre, for a drive whose position unit is a length."""
     word = values.get((Object.SI_UNIT_POSITION, 0))
     exponent, numerator, _ = unit_parts(word or 0)
     return position_rad / 10.0**exponent if numerator == Unit.METRE else None

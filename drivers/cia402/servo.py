@@ -1,4 +1,4 @@
-"""A CiA 402 servo drive, simulated or real: its set-up, its states, its modes, and its part in a loop."""
+"""A CiA 402 servo drive, simulated or real: its set-up, states and modes, and its part in a loop."""
 
 from dataclasses import replace
 from typing import Final
@@ -45,11 +45,11 @@ from servobench.drivers.exchange import (
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
-"""For a ramp of nearly so long. A drive that turns on after it is left to its own watch over the host."""
+"""Allows for a ramp of nearly this length. A drive that turns on is left to its own watch over the host."""
 _CONNECT_TRY_S: Final = 0.1
-"""A drive that is there answers within milliseconds; one that boots is asked again soon."""
+"""A drive that is present answers within milliseconds; one that boots is asked again soon."""
 _SETTLE_NS: Final = 50 * NS_PER_MS
-"""For an NMT command, which nobody confirms: devices carry it out within some milliseconds."""
+"""Time for an unconfirmed NMT command: devices carry it out within some milliseconds."""
 
 
 class ServoDrive(Drive):
@@ -60,8 +60,8 @@ class ServoDrive(Drive):
         each cycle: network.send_sync(), network.pump_one(until), drive.take_readings(), drive.write(command)
         at last: drive.release()
 
-    Nothing runs by itself. Methods with a ``deadline`` pump the network until the drive has done as it was
-    asked; else they raise NoAnswer or DriveInFault. ``take_readings``, ``write`` and ``check`` never wait.
+    Nothing runs by itself. Methods with a ``deadline`` pump the network until the drive has complied, or
+    raise NoAnswer or DriveInFault. ``take_readings``, ``write`` and ``check`` never wait.
     """
 
     def __init__(self, network: CanopenNetwork, node_id: int, name: str = "") -> None:
@@ -73,11 +73,11 @@ class ServoDrive(Drive):
         self.status = network.status(node_id)
         self.identity: Identity | None = None
         self.notes: list[str] = []
-        """What the drive lacks or holds otherwise, in words; of the last ``configure``."""
+        """Objects that the drive lacks or holds otherwise, in words; from the last ``configure``."""
         self.unsent_commands = 0
         """Commands that had expired when ``write`` was called."""
         self.plan: PdoPlan | None = None
-        """What was mapped; None before ``configure``."""
+        """The PDO plan mapped; None before ``configure``."""
         self._told = LastStatusword()
         self.control = StateControl(self.objects, self.name, self._told)
         self.follow = FollowWatch()
@@ -87,7 +87,7 @@ class ServoDrive(Drive):
         self.error_control = ErrorControl(self.objects)
         self.watch = DriveWatch(self.control, self.status, self._told, self.follow)
         self.supervision = CommandSupervision(self.objects)
-        """Ended by what stops the drive. Of several, end all first: the last's timers run out meanwhile."""
+        """Ended by everything that stops the drive. End those of several drives together: timers overlap."""
 
     # ---- set-up ---------------------------------------------------------------------------------------
 
@@ -109,7 +109,7 @@ class ServoDrive(Drive):
         """Write PDO plan, heartbeats, reactions, limits and mode, and start the node (NMT operational).
 
         The master's heartbeat is started if it is not running. Returns :attr:`notes`. Raises SettingRefused
-        or TransferAborted for what the bench cannot do without, DriveInFault if the drive is not to be had.
+        or TransferAborted for an essential setting, DriveInFault if the drive is not available.
         """
         network = self.network
         watched = self.error_control.begin(settings.watch_times, unwatched=settings.unwatched)
@@ -143,7 +143,7 @@ class ServoDrive(Drive):
     # ---- state ----------------------------------------------------------------------------------------
 
     def enable(self, deadline: Instant) -> None:
-        """Walk to OPERATION ENABLED with a set-point that leaves the drive at rest."""
+        """Step to OPERATION ENABLED with a set-point that keeps the drive at rest."""
         self._configured()
         self.control.clear_bits(MODE_BITS)
         self.modes.prime(self.modes.mode)
@@ -176,7 +176,7 @@ class ServoDrive(Drive):
         self.supervision.end()
 
     def let_go(self) -> None:
-        """Disable voltage, and let the shaft coast: for one that turns slowly and does not stop."""
+        """Disable voltage, and let the shaft coast: for a shaft that turns slowly and does not stop."""
         self._stop_following()
         self.control.command(DriveCommand.DISABLE_VOLTAGE)
 
@@ -192,11 +192,11 @@ class ServoDrive(Drive):
             self.control.walk(State.SWITCH_ON_DISABLED, deadline)
 
     def release(self, limit: Duration = RELEASE_LIMIT) -> Release:
-        """Leave the drive at rest and disabled; raises nothing for what the drive or the bus does.
+        """Leave the drive at rest and disabled; never raise because of the drive or the bus.
 
-        Take every load off before: nothing holds the shaft then. Takes ``limit`` at most, REST_FOR and one
-        SDO time-out. The drive then watches the host no more, and is pre-operational. If it cannot be brought
-        to rest, it goes on watching, and the host's heartbeat ends, so that it stops by itself; so does every
+        Remove every load first: nothing holds the shaft then. Takes ``limit`` at most, REST_FOR and one SDO
+        time-out. The drive then watches the host no more, and is pre-operational. If it cannot be brought to
+        rest, it goes on watching, and the host's heartbeat ends, so that it stops by itself; so does every
         other drive of this network that is still watching.
         """
         if self.identity is None:
@@ -228,27 +228,27 @@ class ServoDrive(Drive):
 
     @property
     def state(self) -> State | None:
-        """State in the last statusword seen, by PDO or SDO; None before the first."""
+        """State in the last statusword, by PDO or SDO; None before the first."""
         word = self._told.statusword
         return state_of(word) if word >= 0 else None
 
     # ---- the cycle ------------------------------------------------------------------------------------
 
     def take_readings(self) -> list[Reading]:
-        """The readings completed since the last call, oldest first."""
+        """Return the readings completed since the last call, oldest first."""
         return [] if self._assembler is None else self._assembler.take()
 
     def take_readbacks(self) -> list[Readback]:
-        """The torque demands 0x6074 that came with SYNCs since the last call, oldest first."""
+        """Return the torque demands 0x6074 that came with SYNCs since the last call, oldest first."""
         return [] if self._assembler is None else self._assembler.take_readbacks()
 
     def take_demand_changes(self) -> list[DemandChange]:
-        """As :meth:`take_readbacks`, of a plan with ``demand_changes``: each when the demand changed."""
+        """Return the torque demands sent on change since the last call, oldest first."""
         return [] if self._assembler is None else self._assembler.take_demand_changes()
 
     def write(self, command: Command) -> SentCommand | None:
         """Send a set-point, torque and speed clipped to their limits; None and nothing sent if it expired.
-        Raises ValueError for what is no number, RuntimeError for another quantity than the plan's."""
+        Raises ValueError for a value that is no number, RuntimeError for another quantity than the plan's."""
         if self._now() > command.expires_at:
             self.unsent_commands += 1
             return None
@@ -264,24 +264,24 @@ class ServoDrive(Drive):
         return sent
 
     def held_position_rad(self) -> float:
-        """In a mode of positions the set-point with which it was enabled, else the last position told."""
+        """Return the set-point at which it was enabled in a position mode, else the last one received."""
         return self.assembler.position_rad(self.modes.primed_position)
 
     def check(self) -> None:
-        """As :meth:`.drive_watch.DriveWatch.check`."""
+        """Raise if the drive is not as it should be; see :meth:`.drive_watch.DriveWatch.check`."""
         self.watch.check(self.supervision.follows)
 
     def follows(self) -> bool:
-        """By 6061h and bit 12 of its statusword."""
+        """Return False if 6061h or bit 12 of its statusword shows that the drive does not follow."""
         return self.follow.lapse is None
 
     def supervise_commands(self, *, own_timer: bool = True) -> str:
-        """As :meth:`.supervision.CommandSupervision.begin`, called right before the first cycle."""
+        """Begin :class:`.supervision.CommandSupervision`, right before the first cycle."""
         return self.supervision.begin(self.modes.mode, own_timer=own_timer)
 
     @property
     def enabled(self) -> bool:
-        """``enable`` succeeded, and since then nothing was seen or done that ended it."""
+        """True after ``enable`` until something seen or done ends it."""
         return self.watch.active
 
     @property
@@ -294,25 +294,25 @@ class ServoDrive(Drive):
 
     @property
     def assembler(self) -> ReadingAssembler:
-        """What takes the drive's TPDOs. RuntimeError before ``configure``."""
+        """The assembler of the drive's TPDOs. RuntimeError before ``configure``."""
         if self._assembler is None:
             raise RuntimeError(f"{self.name} was not configured")
         return self._assembler
 
     @property
     def torque_shown(self) -> tuple[float, Instant]:
-        """The torque that the drive told last, N m, and when; NaN and -1 before the first."""
+        """The last torque received, N m, and when; NaN and -1 before the first."""
         return self.assembler.torque_nm, self.assembler.torque_told_at
 
     @property
     def rated_torque_nm(self) -> float:
-        """What the drive's per-thousand torques refer to. RuntimeError before ``configure``."""
+        """Reference of the drive's per-thousand torques. RuntimeError before ``configure``."""
         return self.assembler.scaling.rated_torque_nm
 
     # ---- modes ----------------------------------------------------------------------------------------
 
     def change_mode(self, mode: Mode, deadline: Instant) -> None:
-        """As :meth:`servobench.drivers.cia402.mode_control.ModeControl.change`."""
+        """Change the mode; see :meth:`servobench.drivers.cia402.mode_control.ModeControl.change`."""
         self._configured()
         self.modes.change(mode, deadline)
 
@@ -326,7 +326,7 @@ class ServoDrive(Drive):
     ) -> None:
         """Profile position: move, and wait until the drive has reached the target.
 
-        Moves that are not waited for, or are queued in the drive: :meth:`.motion.Motion.start_move`.
+        To start a move without waiting, or queue it in the drive: :meth:`.motion.Motion.start_move`.
         """
         motion = self._moving()
         motion.start_move(position_rad, deadline, profile, relative=relative)
@@ -345,7 +345,7 @@ class ServoDrive(Drive):
         motion.await_target(deadline)
 
     def home(self, method: int, deadline: Instant, how: HomingSetup = KEEP_HOMING) -> None:
-        """Homing by a method of CiA 402-2, to its end."""
+        """Run a homing method of CiA 402-2 to its end."""
         self._moving().home(method, deadline, how)
 
     def halt(self, deadline: Instant) -> None:
@@ -353,7 +353,7 @@ class ServoDrive(Drive):
         self._moving().halt(deadline)
 
     def resume(self) -> None:
-        """Take a halt back."""
+        """Cancel a halt."""
         self._moving().resume()
 
     # ---- inside ---------------------------------------------------------------------------------------
@@ -377,7 +377,7 @@ class ServoDrive(Drive):
         return self.control.set_point
 
     def _bring_to_rest(self, deadline: Instant) -> Instant:
-        """Quick stop until it succeeds or the deadline comes. Since when it rests. Raises PeerFault."""
+        """Repeat the quick stop until it succeeds or the deadline comes; return the begin of the rest."""
         while True:
             try:
                 self.quick_stop(deadline)
@@ -387,13 +387,13 @@ class ServoDrive(Drive):
                     raise
 
     def _leave(self) -> str:
-        """End the watch on either side, and the PDOs; as :meth:`.error_control.ErrorControl.end`."""
+        """End the watch on both sides, and the PDOs; see :meth:`.error_control.ErrorControl.end`."""
         unwatched = self.error_control.end()
         self.network.command(NmtCommand.ENTER_PRE_OPERATIONAL, self.node_id)
         return unwatched
 
     def _stop_following(self) -> None:
-        """Frames carry no torque nor speed from now on, and ``check`` asks for OPERATION ENABLED no more."""
+        """Zero torque and speed in the frames, and stop requiring OPERATION ENABLED in ``check``."""
         self.watch.end()
         if self.control.set_point is not None:
             self.control.set_point.hold_rest()

@@ -28,17 +28,17 @@ _TARGET_POSITION: Final[Key] = (int(Object.TARGET_POSITION), 0)
 _VL_TARGET: Final[Key] = (int(Object.VL_TARGET_VELOCITY), 0)
 _DATA_RECORD: Final[Key] = (int(Object.INTERPOLATION_DATA_RECORD), 1)
 _round: Final = round
-"""As constants of this module: found without a look-up where it is compiled."""
+"""Module constants: found without a look-up where compiled."""
 _AWAITED_MAX: Final = 256
-"""Commands that wait for their echo on a bus that has none, or has stopped giving them."""
+"""Commands waiting for their echo on a bus that has none, or has stopped sending them."""
 _OVERTAKEN_MAX: Final = 16
-"""Commands whose echo may yet come after a later one's, on a bus that delays frames by so many cycles; older
-ones never came to the bus, and one of equal data must not be taken for them."""
+"""Commands whose echo may still come after a later one's, on a bus that delays frames by so many cycles;
+older ones never reached the bus, and one of equal data must not be mistaken for them."""
 
 
 class _Awaited:
-    """The commands of one RPDO that wait for their echo: by when they were handed over, or, where the bus
-    does not tell that, by the data of their frames."""
+    """The commands of one RPDO that wait for their echo, matched by instant of hand-over or, where the bus
+    does not report that, by frame data."""
 
     __slots__ = ("_overtaken", "_waiting")
 
@@ -47,11 +47,11 @@ class _Awaited:
         self._overtaken: deque[tuple[bytes, SentCommand]] = deque(maxlen=_OVERTAKEN_MAX)
 
     def sent(self, data: bytes, command: SentCommand) -> None:
-        """A command was handed to the bus."""
+        """Note a command that was handed to the bus."""
         self._waiting.append((data, command))
 
     def given_up(self, handed_at: Instant) -> None:
-        """The frame that was handed over then never went out."""
+        """Note that the frame handed over at that instant was never sent."""
         for place, (_, command) in enumerate(self._waiting):
             if command.handed_at == handed_at:
                 command.unsent = True
@@ -59,9 +59,9 @@ class _Awaited:
                 return
 
     def echoed(self, data: bytes, at: Instant, handed_at: Instant) -> None:
-        """A frame of this RPDO was on the bus. Where nobody tells which, it is that of the first command that
-        sent such data since the last one seen there; or, if the bus let frames overtake each other, of the
-        last one before. Of others that wait with such data it may be all the same."""
+        """Match an echo of this RPDO. Without an instant of hand-over it belongs to the first command with
+        such data since the last one seen; or, if the bus let frames overtake each other, to the last one
+        before. It may also belong to others waiting with the same data."""
         waiting, overtaken = self._waiting, self._overtaken
         for place, (awaited, command) in enumerate(waiting):
             if awaited == data and handed_at in (UNTOLD, command.handed_at):
@@ -103,7 +103,7 @@ class _Carrier:
 
 
 class _Place:
-    """Where an object stands in an RPDO."""
+    """The place of an object in an RPDO."""
 
     __slots__ = ("carrier", "place")
 
@@ -113,7 +113,7 @@ class _Place:
 
 
 class SetPointFrames:
-    """What the drive is told each cycle. Every RPDO carries the one controlword that is in force.
+    """The data sent to the drive each cycle. Every RPDO carries the one controlword in force.
 
     So a set-point never repeats an old controlword, in whatever number of RPDOs 0x6040 is mapped; and since
     every RPDO carries the set-points in force too, a controlword never repeats an old set-point.
@@ -146,8 +146,8 @@ class SetPointFrames:
         self.aim(Mode.NONE)
 
     def aim(self, mode: Mode, vl_rad_s: float = RAD_S_PER_RPM) -> None:
-        """Have speeds and positions go to the set-point of ``mode``; ``vl_rad_s``: what a unit of 6042h is,
-        rad/s, negative if its sign is turned."""
+        """Direct speeds and positions to the set-point of ``mode``; ``vl_rad_s``: one unit of 6042h, rad/s,
+        negative if its sign is reversed."""
         velocity_mode = mode is Mode.VELOCITY
         interpolated = mode is Mode.INTERPOLATED_POSITION
         self._speed_key = _VL_TARGET if velocity_mode else _TARGET_VELOCITY
@@ -178,7 +178,8 @@ class SetPointFrames:
     # ---- set-points of each cycle -----------------------------------------------------------------------
 
     def hold_torque(self, torque_nm: float) -> int:
-        """Set the torque that the next frame carries, N m; it, as sent. Raises ValueError for no number."""
+        """Set the torque of the next frame, N m; return it as sent. Raises ValueError for a value that is no
+        number."""
         raw = _round(torque_nm * self._per_nm)
         limit = self._torque_raw_max
         if not -limit <= raw <= limit:
@@ -188,13 +189,13 @@ class SetPointFrames:
         return raw
 
     def hold_rest(self) -> None:
-        """From now on frames carry no torque and no speed."""
+        """Zero torque and speed in the frames from now on."""
         self.hold_torque(0.0)
         for key in (_TARGET_VELOCITY, _VL_TARGET):
             self.hold(key[0], 0)
 
     def send_torque(self, torque_nm: float, sequence: int) -> SentCommand:
-        """Set and send; what was sent, of which the bus may tell more later.
+        """Set and send a torque; return the command, which the bus may report on later.
 
         ``sequence``: the cycle that produced it. Raises RuntimeError if no RPDO carries 0x6071.
         """
@@ -202,14 +203,14 @@ class SetPointFrames:
         return self._send_first(self._torque, _TARGET_TORQUE, raw, sequence)
 
     def send_speed(self, speed_rad_s: float, sequence: int) -> SentCommand:
-        """As :meth:`send_torque`, for 0x60FF, or 0x6042 in its whole units."""
+        """Set and send a speed: 0x60FF, or 0x6042 in its whole units; otherwise like :meth:`send_torque`."""
         limit = self._velocity_raw_max
         raw = min(max(round(speed_rad_s * self._per_rad_s), -limit), limit)
         return self._send_for(self._speed_key, raw, sequence)
 
     def send_position(self, position_rad: float, sequence: int) -> SentCommand:
-        """As :meth:`send_torque`, for 0x607A, or 0x60C1:1. It wraps as the position in a reading is
-        unwrapped."""
+        """Set and send a position: 0x607A, or 0x60C1:1, wrapping as a reading is unwrapped; otherwise like
+        :meth:`send_torque`."""
         raw = (round(position_rad * self._per_rad) + _HALF_WORD) % _WORD - _HALF_WORD
         return self._send_for(self._position_key, raw, sequence)
 

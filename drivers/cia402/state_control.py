@@ -1,4 +1,4 @@
-"""Moving a drive through the state machine of CiA 402-2, with deadlines and with evidence when it fails."""
+"""Moves a drive through the state machine of CiA 402-2, with deadlines, and with evidence when it fails."""
 
 from collections import deque
 from collections.abc import Callable
@@ -26,10 +26,11 @@ from servobench.drivers.errors import DriveInFault, PeerFault, TransferAborted
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 
 NONE_SENT = -1
-"""In the place of a controlword, which is an UNSIGNED16."""
+"""In place of a controlword, which is an UNSIGNED16."""
 FAULTY = (State.FAULT, State.FAULT_REACTION)
 POLL_NS = NS_PER_MS
-"""Between two requests for a statusword by SDO: two frames of at most 135 bits, a quarter of 1 Mbit/s."""
+"""Interval between requests for a statusword by SDO: two frames of at most 135 bits, a quarter of 1
+Mbit/s."""
 _GIVEN: Final = frozenset(
     (int(each), 0)
     for each in (
@@ -40,19 +41,18 @@ _GIVEN: Final = frozenset(
         Object.VL_TARGET_VELOCITY,
     )
 )
-"""What the bench gives a value to before an RPDO is sent; a torque or speed of another mode is 0."""
+"""Objects that the bench sets before an RPDO is sent; a torque or speed of another mode is 0."""
 _RESEND_NS = 50 * NS_PER_MS
-"""A controlword that shows no effect for so long is sent again."""
+"""A controlword without effect for this long is sent again."""
 _OLDER_WORDS_LIMIT = Duration(50 * NS_PER_MS)
-"""A statusword told by PDO is not longer on its way than this; if it was lost, its event timer repeats it."""
+"""A statusword by PDO is never under way for longer; if lost, its event timer repeats it."""
 _FAULT_SPAN = Duration(100 * NS_PER_MS)
-"""The EMCY of a fault is no longer before the statusword that tells of it: the event timer of such a TPDO, or
-the SDO that asks for it, takes less."""
+"""The EMCY of a fault precedes its statusword by no more: the event timer of such a TPDO, or the SDO that
+reads it, takes less."""
 _EMERGENCIES_KEPT = 64
-"""The last ones, among which that of a fault is looked for: a warning that is repeated every 2 ms leaves it
-there for :data:`_FAULT_SPAN`."""
+"""Last EMCYs searched for that of a fault: a warning repeated every 2 ms keeps it for :data:`_FAULT_SPAN`."""
 _EMERGENCIES_SHOWN = 2
-"""Of different codes."""
+"""EMCYs of different codes shown."""
 
 
 class StateControl:
@@ -62,26 +62,26 @@ class StateControl:
         self.objects = objects
         self.network = objects.network
         self.title = f"{name} (node {objects.node_id} on {objects.network.link.name})"
-        """How an error names the drive."""
+        """The drive's name in errors."""
         self.set_point: SetPointFrames | None = None
-        """What carries the controlword by RPDO; None before the PDOs are mapped."""
+        """Frames that carry the controlword by RPDO; None before the PDOs are mapped."""
         self.controlword = NONE_SENT
-        """What is in force: the last one sent."""
+        """The controlword in force: the last one sent."""
         self.make = (0, "")
-        """Vendor and device name, for the words of its maker; nothing before they are read."""
+        """Vendor and device name, to look up its maker's texts; empty before they are read."""
         self._told = told
         self.emergencies: deque[Emergency] = deque(maxlen=_EMERGENCIES_KEPT)
         self.emergency_came = False
-        """Since this was cleared."""
+        """True if an EMCY came since this was cleared."""
         self.network.on_emergency(self._on_emergency)
 
     def read_state(self) -> State | None:
-        """The state by SDO, now; None if the statusword is no coding of the standard."""
+        """Read the state by SDO; None if the statusword is no coding of the standard."""
         return state_of(self.read_status())
 
     def await_older_words(self, plan: PdoPlan | None, deadline: Instant) -> None:
-        """Let the statuswords of the way to OPERATION ENABLED come in by PDO: a slow one would tell later
-        that the drive fell back."""
+        """Wait for statuswords sent by PDO on the way to OPERATION ENABLED: a slow one would later look as if
+        the drive fell back."""
         status = None if plan is None else plan.tpdo_with(Object.STATUSWORD)
         if status is None or status.synchronous:
             return
@@ -90,15 +90,15 @@ class StateControl:
             pass
 
     def read_status(self) -> int:
-        """The statusword by SDO, now."""
+        """Read the statusword by SDO."""
         word = self.objects.read(Object.STATUSWORD, 0, "H")
         self._told.take(word, self.network.clock.now())
         return word
 
     def ask_after_emergency(self) -> None:
-        """Ask for the statusword: an EMCY may be a warning, and what told of a fault be lost.
+        """Request the statusword: an EMCY may be a warning, and the report of a fault may be lost.
 
-        Waits for nothing, as a cycle is under way.
+        Does not wait, as a cycle is under way.
         """
         self.emergency_came = False
 
@@ -114,8 +114,8 @@ class StateControl:
     def carry(self, frames: SetPointFrames, plan: PdoPlan, mode: Mode) -> None:
         """Have the RPDOs of ``plan`` carry controlword and set-points from now on; none is sent yet.
 
-        A further object that they map is held as the drive has it, and as it is written by SDO later, so that
-        no frame changes it. Raises SettingRefused for one that the drive does not let be read.
+        A further object mapped there keeps the drive's value, or one written by SDO later, so that no frame
+        changes it. Raises SettingRefused for one that cannot be read.
         """
         self.set_point, self.controlword = frames, NONE_SENT
         target = TARGETS.get(mode)
@@ -160,7 +160,7 @@ class StateControl:
             self.set_bits(mask, 0)
 
     def write_value(self, index: int, code: str, raw: int, sub: int = 0) -> None:
-        """Give a set-point or the mode to the drive, by SDO and then in every RPDO that carries it.
+        """Write a set-point or the mode to the drive, by SDO and then in every RPDO that carries it.
 
         An RPDO that waits for a SYNC, or is sent later, so repeats the new value, not the old one. Before the
         first command no RPDO is sent, as it would be the one that brings a controlword. Raises ValueError if
@@ -173,7 +173,7 @@ class StateControl:
                 self.set_point.send(index, sub)
 
     def walk(self, target: State, deadline: Instant) -> None:
-        """Go by the shortest path of the state machine; a command without effect is repeated.
+        """Follow the shortest path of the state machine; repeat a command without effect.
 
         Raises DriveInFault if a fault is met, or if the deadline comes first.
         """
@@ -210,7 +210,7 @@ class StateControl:
         return state
 
     def evidence(self) -> str:
-        """Statusword, error code and last emergencies, as far as the drive tells them."""
+        """Return statusword, error code and last emergencies, as far as available."""
         parts = []
         try:
             parts.append(f"statusword {self.objects.read(Object.STATUSWORD, 0, 'H'):04X}h")
@@ -225,7 +225,7 @@ class StateControl:
         return ", ".join(parts)
 
     def _told_of_the_fault(self) -> list[str]:
-        """0x603F, or in its place the newest entry of 0x1003; and 0x1001."""
+        """Return 0x603F, or instead the newest entry of 0x1003; and 0x1001."""
         parts = []
         code = self.objects.read_if_there(Object.ERROR_CODE, 0, "H")
         if code is None and self.objects.read_if_there(Cia301.ERROR_HISTORY, 0, "B"):
@@ -239,26 +239,26 @@ class StateControl:
 
     @property
     def status_told_at(self) -> Instant | None:
-        """When the last statusword came, by whatever way; None before the first."""
+        """When the last statusword came, by PDO or SDO; None before the first."""
         return None if self._told.at == NEVER_TOLD else self._told.at
 
     @property
     def fault_seen_at(self) -> Instant:
-        """When the fault that the statusword tells showed first: by its EMCY, or by the statusword itself."""
+        """When the present fault first showed: by its EMCY, or by the statusword itself."""
         since = self._told.at - _FAULT_SPAN
         return min(
             (each.at for each in self.emergencies if each.code and each.at >= since), default=self._told.at
         )
 
     def in_fault(self) -> DriveInFault:
-        """The error for a drive that reports a fault."""
+        """Return the error for a drive that reports a fault."""
         seen_at = self.fault_seen_at
         return DriveInFault(
             f"{self.title} is in fault", self.evidence(), "mend the cause, then reset the fault", seen_at
         )
 
     def stuck(self, action: str) -> DriveInFault:
-        """The error for a drive that did not do what it was asked by the deadline."""
+        """Return the error for a drive that did not comply by the deadline."""
         return DriveInFault(f"{self.title} did not {action} in time", self.evidence())
 
     def _put_in_force(self, controlword: int) -> None:

@@ -1,4 +1,4 @@
-"""Who notices that a drive does not hear its host any more, and what is left when nothing else stops it.
+"""Command supervision: who notices that a drive no longer hears its host, and the last resort to stop it.
 
 commands cease to arrive    the drive, by the event timer of its RPDO (1400h:05), and stops by 6007h
 they are not followed       the host, by the demand or torque that the drive tells, and stops it by SDO
@@ -30,16 +30,16 @@ from servobench.drivers.errors import BusDown, PeerFault, TransferAborted
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 LATER: Final = 10
-"""A drive with a timer of its own is to stop by itself, and to say so; the host waits a tenth longer."""
+"""The host waits a tenth longer than a drive with a timer, which stops by itself and reports it."""
 READS: Final = 4
-"""Of a demand that is read by SDO, in the time after which it is missed: two while the last command that was
-followed is recent, and two when it is not."""
+"""Reads of a demand by SDO within the supervision time: two while the last followed command is recent, and
+two when it is not."""
 READ_EVERY_MIN: Final = Duration(10 * NS_PER_MS)
 """Two frames of at most 135 bits are then 3 % of 1 Mbit/s."""
 VL_MARGIN_RAW: Final = 1
 """6042h and 6043h count in the same whole units: a demand is the set-point, or rounded to its neighbour."""
 LEAST_SHARE: Final = 0.01
-"""Of the highest speed: a drive may make rest of a slower one."""
+"""Share of the highest speed: a drive may treat a slower one as rest."""
 _DEMANDS: Final[dict[int, PdoEntry]] = {
     Object.TARGET_TORQUE: PdoEntry(Object.TORQUE_DEMAND, 0, "h"),
     Object.VL_TARGET_VELOCITY: PdoEntry(Object.VL_VELOCITY_DEMAND, 0, "h"),
@@ -47,26 +47,26 @@ _DEMANDS: Final[dict[int, PdoEntry]] = {
     Object.TARGET_POSITION: PdoEntry(Object.POSITION_DEMAND_VALUE, 0, "i"),
     Object.INTERPOLATION_DATA_RECORD: PdoEntry(Object.POSITION_DEMAND_VALUE, 0, "i"),
 }
-"""By the object of a set-point: what the drive makes of it, CiA 402-2."""
+"""The demand that corresponds to each set-point object, CiA 402-2."""
 _EVENT_TIMER: Final = 5
-"""Sub-index of a PDO's communication parameter; an RPDO is missed after so many ms (CiA 301 7.5.2.35)."""
+"""Sub-index of a PDO's communication parameter: the time-out of an RPDO, ms (CiA 301 7.5.2.35)."""
 
 
 class Release(NamedTuple):
-    """How a drive was left."""
+    """State in which a drive was left."""
 
     at_rest: bool
     state: State | None
     evidence: str = ""
-    """What went wrong on the way; empty if nothing did."""
+    """Problems on the way; empty if there were none."""
     rested_at: Instant | None = None
     """Since when it was at rest; None if it was not, or never moved."""
     unwatched: str = ""
-    """In words, if its 1016h held something else at the end than was written into it."""
+    """In words, if its 1016h held another value at the end than was written."""
 
 
 class CommandSupervision:
-    """Of one drive, while a run sends it a command in every cycle."""
+    """Supervision of one drive while a run sends it a command in every cycle."""
 
     def __init__(self, objects: RemoteObjects) -> None:
         self._objects = objects
@@ -80,15 +80,16 @@ class CommandSupervision:
         self._polled: Polled | None = None
 
     def configure(self, settings: DriveSettings, plan: PdoPlan, assembler: ReadingAssembler) -> None:
-        """What the drive was set up with; nobody looks after its commands yet."""
+        """Take in the drive's set-up; supervision has not begun."""
         self._settings, self._plan, self._assembler = settings, plan, assembler
         self._timed = self._watch = None
 
     def begin(self, mode: Mode, *, own_timer: bool = True) -> str:
-        """Have the drive and the host look after the commands of ``mode`` from now on.
+        """Have the drive and the host supervise the commands of ``mode`` from now on.
 
         ``own_timer``: the drive by the timer of its RPDO; False: the host alone, whose commands may cease.
-        Says who does, and when the drive begins to stop and is at rest; empty without ``command_timeout_ms``.
+        Returns who does, and when the drive begins to stop and is at rest; empty without
+        ``command_timeout_ms``.
         """
         settings = self._settings
         if settings is None or settings.command_timeout_ms is None:
@@ -111,7 +112,8 @@ class CommandSupervision:
         return f"{host} ({timeout_ms} ms){_rest_text(settings)}"
 
     def _look_at(self, mode: Mode, cycles: int, period_ns: int) -> str:
-        """Compare commands with what stands for them; what that is, in words, empty if there is none."""
+        """Compare commands with the drive's demand or torque; return which in words, empty if there is
+        none."""
         objects, plan, target = self._objects, self._plan, TARGETS.get(mode)
         self._end_poll()
         if target is None or plan.rpdo_with(target.index, target.sub) is None:
@@ -135,7 +137,7 @@ class CommandSupervision:
         return "6077h"
 
     def _watch_of(self, demand: PdoEntry, cycles: int, period_ns: int, *, sloped: bool) -> CommandWatch:
-        """For a demand that is read: of a torque, speed or position."""
+        """Return the watch for a demand that is read: a torque, speed or position."""
         objects, settings, assembler = self._objects, self._settings, self._assembler
         assert settings is not None
         assert assembler is not None
@@ -159,7 +161,7 @@ class CommandSupervision:
             assembler.tell_watch(watch, int.from_bytes(data, "little", signed=True))
 
     def sent(self, raw: int) -> None:
-        """A command was handed to the bus."""
+        """Note that a command was handed to the bus."""
         if self._watch is not None:
             self._watch.sent(raw + self._offset)
         if self._polled is not None and self._poll is None:
@@ -168,16 +170,17 @@ class CommandSupervision:
 
     @property
     def follows(self) -> bool:
-        """By what the host sees, the drive follows its commands."""
+        """True while the drive follows its commands, as far as the host sees."""
         return self._watch is None or self._watch.follows
 
     @property
     def active(self) -> bool:
-        """Whether the drive or the host looks after the commands."""
+        """True while the drive or the host supervises the commands."""
         return self._timed is not None or self._watch is not None
 
     def end(self) -> None:
-        """Before the commands cease. A drive that does not take it stops by it, which is meant as well."""
+        """End the supervision before the commands cease. A drive that ignores this stops by its timer, as
+        intended."""
         self._watch_torque(None)
         self._end_poll()
         if self._timed is not None:
@@ -186,7 +189,7 @@ class CommandSupervision:
             self._timed = None
 
     def _timer_of(self, mode: Mode) -> int | None:
-        """Communication parameter of the RPDO with the set-point, if it has an event timer."""
+        """Return the communication parameter of the RPDO with the set-point, if it has an event timer."""
         target = TARGETS.get(mode)
         rpdo = None if target is None else self._plan.rpdo_with(target.index, target.sub)
         if rpdo is None or self._objects.read_if_there(rpdo.communication_index, _EVENT_TIMER, "H") is None:
@@ -213,7 +216,8 @@ class CommandSupervision:
 
 
 def end_heartbeat(network: CanopenNetwork, *, watched: bool) -> str:
-    """The last resort for a drive that nothing else stops; what was done, in words.
+    """Stop the heartbeat: the last resort for a drive that nothing else stops; return what was done, in
+    words.
 
     ``watched``: the drive watches the host, by 1016h or by life guarding.
     """
@@ -225,7 +229,7 @@ def end_heartbeat(network: CanopenNetwork, *, watched: bool) -> str:
 
 
 def _rest_text(settings: DriveSettings) -> str:
-    """How long a stop takes from the highest speed that the settings allow."""
+    """Say how long a stop takes from the highest speed allowed by the settings."""
     speed, deceleration = settings.speed_max_rad_s, settings.quick_stop_deceleration_rad_s2
     if speed is None or deceleration is None:
         return ", then by the drive's own quick stop"

@@ -1,4 +1,4 @@
-"""What a drive was told of its motor, by objects of its maker's (drivers/vendors)."""
+"""Motor data entered into a drive, read from its maker's objects (drivers/vendors)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -31,33 +31,33 @@ class ToldFigure:
     object: str
     """``2701h:01``."""
     family: str
-    """File of drivers/vendors that tells of it."""
+    """The file in drivers/vendors that describes it."""
     convention: str
-    """Of the raw value."""
+    """Convention of the raw value."""
 
     def __str__(self) -> str:
-        """Whose word it is."""
+        """Name the object and its source."""
         by = f" {_PHRASES[self.convention]}" if self.convention else ""
         return f"told by the drive: object {self.object} = {self.raw}{by} ({self.family})"
 
 
 @dataclass(frozen=True, slots=True)
 class ToldMotor:
-    """What could be read, and what not."""
+    """Motor data that could be read, and those that could not."""
 
     figures: Mapping[str, ToldFigure] = field(default_factory=dict)
-    """By quantity."""
+    """Figures by quantity."""
     not_told: tuple[str, ...] = ()
-    """Objects that the maker's drives have, with why this one told nothing."""
+    """Known objects of the maker that held no usable value, each with the reason."""
 
     def value(self, quantity: str) -> float | None:
-        """In SI units; None if it was not told."""
+        """Return a quantity in SI units; None if unknown."""
         figure = self.figures.get(quantity)
         return None if figure is None else figure.value
 
 
 def read_told_motor(objects: RemoteObjects, vendor: int, product: int, device_name: str) -> ToldMotor:
-    """Read the objects of the drive's maker, if any are known. Raises NoAnswer if the drive is silent."""
+    """Read the maker's motor objects, if any are known. Raises NoAnswer if the drive is silent."""
     figures: dict[str, ToldFigure] = {}
     not_told: list[str] = []
     for family, motor in motor_objects_for(vendor, product, device_name):

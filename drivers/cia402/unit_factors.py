@@ -1,4 +1,4 @@
-"""Why a unit is wrong by just this factor: the slips that drives and their set-up are known for."""
+"""Explains a wrong unit by its factor: the usual mistakes of drives and their set-up."""
 
 import math
 from itertools import product
@@ -9,7 +9,7 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 _TOLERANCE: Final = 0.005
 """Relative. Wider, and half of all factors would be some product of slips and powers of ten."""
 _TURN: Final = 360.0
-"""The greatest slip that is tried together with a power of ten."""
+"""The largest slip tried together with a power of ten."""
 
 
 class Slip(NamedTuple):
@@ -50,9 +50,9 @@ def likely_slip(
     gear_ratio: float = 1.0,
     tolerance: float = _TOLERANCE,
 ) -> str:
-    """What ``factor`` (> 0), by which a unit is wrong, probably comes from; empty if nothing usual does.
+    """Explain ``factor`` (> 0), by which a unit is wrong; empty if nothing usual fits.
 
-    One slip is believed before a power of ten, that before two slips. ``gear_ratio``: 6091h.
+    One slip is preferred to a power of ten, that to two slips. ``gear_ratio``: 6091h.
     """
     plain = list(slips)
     if gear_ratio != 1.0:

@@ -3,8 +3,7 @@
     rad/s of a unit    604Ch:1 / 604Ch:2 r/min, and 1 r/min where the drive has none
     ramp               units in sub-index 1, changed in the seconds of sub-index 2
 
-Of the motor's shaft, as 6080h. Which of them are there the drive decides: each that is missing or refused
-becomes a note.
+Speeds are those of the motor's shaft, as in 6080h. Each object that is missing or refused becomes a note.
 """
 
 import math
@@ -17,19 +16,19 @@ from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.rotation import RAD_S_PER_RPM
 
 _FINE = 100
-"""Units by which a ramp's speed changes at least: rounded to a whole unit it is right to 0.5 %."""
+"""Least number of units by which a ramp's speed changes: rounding to a whole unit is right to 0.5 %."""
 _SECONDS_MAX = 0xFFFF
 
 
 def velocity_mode_unit(objects: RemoteObjects) -> float:
-    """rad/s of one unit of 6042h; negative if 604Ch turns its sign. 604Ch has two INTEGER32."""
+    """Return rad/s of one unit of 6042h; negative if 604Ch reverses its sign. 604Ch has two INTEGER32."""
     numerator, denominator = (objects.read_if_there(Object.VL_DIMENSION_FACTOR, sub, "i") for sub in (1, 2))
     return RAD_S_PER_RPM * (numerator / denominator if numerator and denominator else 1.0)
 
 
 def write_velocity_mode_ramps(objects: RemoteObjects, settings: DriveSettings) -> list[str]:
-    """The quick stop and the change of set-points that ``settings`` ask for; notes on what is not taken.
-    Nothing in another mode."""
+    """Write the quick stop and the change of set-points of ``settings``; return notes on what is not taken.
+    Do nothing in another mode."""
     if settings.mode is not Mode.VELOCITY:
         return []
     unit_rad_s = abs(velocity_mode_unit(objects))
@@ -46,7 +45,7 @@ def write_velocity_mode_ramps(objects: RemoteObjects, settings: DriveSettings) -
 
 
 def _told(objects: RemoteObjects, unit_rad_s: float) -> str:
-    """What the drive makes of set-points beside following them."""
+    """Describe what the drive does to set-points beyond following them."""
     ramps = []
     for index in (Object.VL_VELOCITY_ACCELERATION, Object.VL_VELOCITY_DECELERATION):
         rate_rad_s2 = velocity_mode_ramp(objects, index)
@@ -57,7 +56,8 @@ def _told(objects: RemoteObjects, unit_rad_s: float) -> str:
 
 
 def _write_ramp(objects: RemoteObjects, index: int, units_s: float, text: str) -> list[str]:
-    """As steep as asked for, else as the drive allows: where it takes no such speed it may take less time."""
+    """Write a ramp as steep as requested, else as the drive allows: if it refuses the speed it may take less
+    time."""
     seconds = min(max(1, math.ceil(_FINE / units_s)), _SECONDS_MAX)
     speed = min(max(1, round(units_s * seconds)), 0xFFFF_FFFF)
     granted = write_greatest(objects, index, "I", speed, text, sub=1)
@@ -67,7 +67,8 @@ def _write_ramp(objects: RemoteObjects, index: int, units_s: float, text: str) -
 
 
 def velocity_mode_ramp(objects: RemoteObjects, index: int) -> float | None:
-    """rad/s^2 of 6048h, 6049h or 604Ah; infinite where it has no time, None if the drive has no such ramp."""
+    """Return rad/s^2 of 6048h, 6049h or 604Ah; infinite if its time is 0, None if the drive has no such
+    ramp."""
     speed, seconds = objects.read_if_there(index, 1, "I"), objects.read_if_there(index, 2, "H")
     if not speed or seconds is None:
         return None

@@ -1,6 +1,6 @@
 """Objects of CiA 301 and CiA 402 that the drive client writes, with the reason for each.
 
-Whoever has the client write a further object adds a line here; docs/make_writes.py then renews the page.
+To have the client write a further object, add a line here; docs/make_writes.py then renews the page.
 """
 
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ _MOTION: Final = "before a move"
 
 
 def listed(entry: Cia301 | Object, why: str, when: str, subs: Iterable[int] = (0,)) -> ListedWrite:
-    """One object of a profile, or the sub-indices of one."""
+    """List one object of a profile, or sub-indices of one."""
     return ListedWrite(range(entry, entry + 1), tuple(subs), entry.title, why, when)
 
 
@@ -41,7 +41,7 @@ _MAPPING_SUBS: Final = tuple(range(PDO_ENTRIES_MAX + 1))
 CONTROL = WriteList(
     "state control", (listed(Object.CONTROLWORD, "leads the drive through its states", _ALWAYS),)
 )
-"""Stopping, disabling, resetting a fault."""
+"""For stopping, disabling, resetting a fault."""
 
 SET_UP = CONTROL | WriteList(
     "drive set-up",
@@ -126,7 +126,7 @@ SET_UP = CONTROL | WriteList(
         ),
     ),
 )
-"""Everything that :class:`servobench.drivers.cia402.servo.ServoDrive` writes, moves and homing apart."""
+"""Every write of :class:`servobench.drivers.cia402.servo.ServoDrive`, except moves and homing."""
 
 MOTION = WriteList(
     "profile moves and homing",
@@ -141,4 +141,4 @@ MOTION = WriteList(
         listed(Object.HOMING_ACCELERATION, "ramp of homing", _MOTION),
     ),
 )
-"""What a caller asks of :mod:`servobench.drivers.cia402.motion`, beside the set-up."""
+"""Writes of :mod:`servobench.drivers.cia402.motion`, in addition to the set-up."""

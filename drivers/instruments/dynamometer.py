@@ -1,15 +1,15 @@
-"""A serial load machine: torque set-points out, readings of torque and speed in, nothing that waits.
+"""A serial load machine: torque set-points out, torque and speed readings in, without waiting.
 
     set_torque  -->  command, no answer            repeated now and then, as a spoilt one goes unnoticed
     pump        -->  OD ....... data string        one request at a time
                      |-- too late: asked again, three times, then the instrument counts as lost
                      |-- spoilt:   asked again
 
-The instrument puts no time on what it says. A reading is taken to be of the middle between the end of the
-request on the line and the beginning of the answer, and knows how far off that may be.
+The instrument does not time-stamp its answers. A reading is dated midway between the end of the request on
+the line and the beginning of the answer, with its possible error.
 
 ``pump`` is called in each cycle of a loop; it reads and writes what the port has and takes, and returns.
-What has to wait (connecting, taking the load off) does so by a function of the caller's that lets time pass.
+Operations that wait (connecting, removing the load) call a function of the caller's that lets time pass.
 """
 
 from collections.abc import Callable
@@ -28,56 +28,56 @@ READING_EVERY = Duration(20 * NS_PER_MS)
 ATTEMPTS_MAX = 3
 """Requests for one reading before the instrument counts as lost."""
 SPOILT_MAX = 10
-"""Spoilt answers in a row, as of a wrong baud rate or another instrument, that end it too."""
+"""Consecutive spoilt answers, as at a wrong baud rate or from another instrument, that end it too."""
 REPEAT_NS = Duration(NS_PER_S // 2)
-"""A set-point is sent again so often."""
+"""Repeat interval of a set-point."""
 QUIET_NS = Duration(20 * NS_PER_MS)
-"""After an answer that came late or spoilt, so long nothing is asked, and what still comes is thrown away."""
+"""Pause after a late or spoilt answer: nothing is requested, and late bytes are discarded."""
 RELEASE_S = 3
-"""In which a load must be gone."""
+"""Time within which a load must be removed."""
 RESIDUE_NM, RESIDUE_SHARE = 0.02, 0.05
-"""What may be left of a load, of itself and of the largest one asked for: drag and the instrument's zero."""
+"""Residual load allowed: absolute, and as a share of the largest load requested (drag, instrument zero)."""
 LINE_BYTES_MAX = 256
-"""Of a line without an end no more is kept; a data string has 15, and no command is as long."""
+"""Limit for a line without an end; a data string has 15 bytes, and no command is longer."""
 _STEP_NS = 5 * NS_PER_MS
-"""While it waits: a quarter of :data:`READING_EVERY`."""
+"""Step while waiting: a quarter of :data:`READING_EVERY`."""
 
 
 class LoadReading(NamedTuple):
-    """What the instrument measured."""
+    """One reading of the instrument."""
 
     at: Instant
     """On the bench's clock."""
     error_ns: Duration
-    """It may have been so much earlier or later."""
+    """Largest error of ``at``, either way."""
     torque_nm: float
-    """What the brake takes from the shaft."""
+    """Torque that the brake takes from the shaft."""
     speed_rad_s: float
     alarm: bool
 
 
 @dataclass(frozen=True, slots=True)
 class DynamometerSettings:
-    """How to deal with one instrument."""
+    """Timing of one instrument."""
 
     baud: int = BAUD
     answer_timeout: Duration = ANSWER_TIMEOUT
-    """The manuals ask for at least a second."""
+    """The manuals require at least a second."""
     reading_every: Duration = READING_EVERY
-    """From one request to the next; longer if the line is slower than that."""
+    """Interval between requests; longer if the line is slower."""
 
 
 @dataclass(slots=True)
 class LineCounts:
-    """What went over the line."""
+    """Line statistics."""
 
     readings: int = 0
     late: int = 0
     """Answers that did not come in time."""
     spoilt: int = 0
-    """Lines that were no reading."""
+    """Lines that were not a reading."""
     unasked: int = 0
-    """Lines that nobody had asked for."""
+    """Unsolicited lines."""
     error_ns_max: int = 0
 
 
@@ -94,7 +94,7 @@ class Dynamometer:
         self._rest = b""
         self._asked_at: Instant | None = None
         self._late = self._spoilt = 0
-        """In a row."""
+        """Consecutive late and spoilt answers."""
         self._next_at = Instant(0)
         self._quiet_until = Instant(0)
         self._wanted_nm = 0.0
@@ -105,7 +105,7 @@ class Dynamometer:
         self._identifying = False
 
     def connect(self, wait: Callable[[Instant], None]) -> str:
-        """Open the brake and learn who is there; ``wait`` lets time pass until an instant.
+        """Open the brake and identify the instrument; ``wait`` lets time pass until an instant.
 
         Raises NoAnswer.
         """
@@ -130,13 +130,13 @@ class Dynamometer:
         )
 
     def set_torque(self, torque_nm: float) -> None:
-        """Ask for ``torque_nm``, N m, against the motion of the shaft; sent at once. Raises PeerFault."""
+        """Request ``torque_nm``, N m, against the motion of the shaft; sent at once. Raises PeerFault."""
         self._wanted_nm = torque_nm
         self._largest_nm = max(self._largest_nm, abs(torque_nm))
         self._send_torque(self._clock.now())
 
     def pump(self, now: Instant) -> None:
-        """Take in what has come and send what is due; returns at once.
+        """Take in received bytes and send what is due; return at once.
 
         Raises NoAnswer if the instrument is lost, PeerFault if its port is, or if it reports an alarm.
         """
@@ -154,12 +154,12 @@ class Dynamometer:
             self._next_at = Instant(now + self._settings.reading_every)
 
     def take_readings(self) -> list[LoadReading]:
-        """The readings since the last call, oldest first."""
+        """Return the readings since the last call, oldest first."""
         readings, self._readings = self._readings, []
         return readings
 
     def read_now(self, wait: Callable[[Instant], None]) -> LoadReading:
-        """The next reading, waited for. Raises as :meth:`pump` does."""
+        """Wait for the next reading. Raises as :meth:`pump` does."""
         known = self.tally.readings
         while self.tally.readings == known:
             self.pump(self._clock.now())
@@ -167,7 +167,7 @@ class Dynamometer:
         return self._readings[-1]
 
     def take_off(self, wait: Callable[[Instant], None]) -> None:
-        """Take the load off and see that it is gone. Raises PeerFault."""
+        """Remove the load and verify that it is gone. Raises PeerFault."""
         self.set_torque(0.0)
         deadline = Instant(self._clock.now() + RELEASE_S * NS_PER_S)
         residue_nm = max(RESIDUE_NM, RESIDUE_SHARE * self._largest_nm)

@@ -1,4 +1,4 @@
-"""What Magtrol's dynamometer controllers say and understand on their serial line; no I/O.
+"""The serial protocol of Magtrol's dynamometer controllers; no I/O.
 
 Sources: DSP6001 user's manual, chapter 8 (8.6, command set); DSP7000 user's manual, 7.2 (data format), 7.4
 (command set; 7.4.2 OD, 7.4.6 Q, 7.4.7 MODE); DSP6000 manual, chapter 5 (serial line, example of the data
@@ -38,33 +38,33 @@ class DataString(NamedTuple):
     speed_rad_s: float
     """Positive clockwise (R), as looked upon the shaft's end; without sign during an alarm."""
     alarm: bool
-    """The instrument is in an alarm: temperature, overload, flow, or whatever it watches."""
+    """The instrument reports an alarm: temperature, overload, flow, or another quantity that it watches."""
 
 
 class Dialect(NamedTuple):
-    """How one model, and one channel of it, is spoken to."""
+    """The commands of one model, and of one channel of it."""
 
     kind: str
     ask: bytes
-    """Asks for speed, torque and direction."""
+    """Requests speed, torque and direction."""
     release: bytes
     """Torque mode off, brake off."""
     torque: bytes
-    """What stands before a set-point."""
+    """Prefix of a set-point."""
     unit: str = "N.m"
     clockwise_is_positive: bool = True
 
     identify: bytes = b"*IDN?" + END
 
     def set_torque(self, torque_nm: float) -> bytes:
-        """The command that asks for ``torque_nm``, N m; zero opens the brake."""
+        """Return the command that requests ``torque_nm``, N m; zero opens the brake."""
         shown = torque_nm / TORQUE_UNITS_NM[self.unit]
         if round(shown, TORQUE_DIGITS) == 0.0:
             return self.release
         return self.torque + f"{shown:.{TORQUE_DIGITS}f}".encode("ascii") + END
 
     def read(self, line: bytes) -> DataString | None:
-        """The data string in ``line``, which has lost its end; None for anything else."""
+        """Parse ``line``, without its line end, as a data string; None for anything else."""
         match = _READING.fullmatch(line.strip())
         if match is None or not any(digit in match[2] for digit in b"0123456789"):
             return None
@@ -74,9 +74,9 @@ class Dialect(NamedTuple):
 
 
 def dialect(kind: str, channel: int = 1, unit: str = "N.m", clockwise_is_positive: bool = True) -> Dialect:
-    """How to speak to an instrument of ``kind``; a DSP7000 in its 6001 mode is a ``magtrol_dsp6001``.
+    """Return the dialect of an instrument of ``kind``; a DSP7000 in its 6001 mode is a ``magtrol_dsp6001``.
 
-    Raises KeyError or ValueError for what there is not.
+    Raises KeyError or ValueError for an unknown kind, channel or unit.
     """
     if unit not in TORQUE_UNITS_NM:
         raise KeyError(unit)

@@ -1,1 +1,1 @@
-"""Data sheets: EDS and DCF read, the object dictionary, what a drive can serve by them."""
+"""Data sheets: reading EDS and DCF files, the object dictionary, and a drive's capability by it."""

@@ -1,4 +1,4 @@
-"""What a drive can do with PDOs, as its dictionary tells it."""
+"""PDO capability of a drive by its dictionary."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,14 +12,14 @@ from servobench.drivers.canopen.pdo_capability import MappedObject, PdoCapabilit
 from servobench.drivers.sheets.dictionary import LoadedDictionary, held_by
 
 _PDOS_MAX = 64
-"""Those of the first axis: 512 are there for eight. The largest of six makers' data sheets has 8."""
+"""PDOs of the first axis: 512 are shared by eight. The largest of six makers' data sheets has 8."""
 _WRITABLE = ("rw", "wo", "rwr", "rww")
 _TRANSMITTED = ("ro", "rw", "rwr", "const")
 _RECEIVED = ("wo", "rw", "rww")
 
 
 def capability_of(loaded: LoadedDictionary) -> PdoCapability:
-    """As a dictionary tells it, loaded for the drive's node-ID."""
+    """Read the capability from a dictionary loaded for the drive's node-ID."""
     dictionary = loaded.dictionary
     objects = {}
     for index, entry in dictionary.items():
@@ -91,7 +91,7 @@ def _writable(members: Mapping[int, Any], sub: int) -> bool:
 
 
 def _entries(mapping: Mapping[int, Any], places: list[int]) -> tuple[int, int]:
-    """How many entries are there, and how many sub-index 0 allows beyond them (0: no more)."""
+    """Return how many entries exist, and how many sub-index 0 allows beyond them (0: no more)."""
     most = mapping[0].max if 0 in mapping else None
     there = len(places)
     if not isinstance(most, int) or most <= 0:
@@ -100,7 +100,7 @@ def _entries(mapping: Mapping[int, Any], places: list[int]) -> tuple[int, int]:
 
 
 def _mapping_words(mapping: Mapping[int, Any]) -> tuple[int, ...]:
-    """What is mapped by default: as many entries as sub-index 0 says, or all that are not 0."""
+    """Return the default mapping: as many entries as sub-index 0 says, or all that are not 0."""
     words = [_number(mapping[sub]) or 0 for sub in sorted(mapping) if sub]
     count = _number(mapping.get(0))
     if count is None or count > len(words):

@@ -1,7 +1,7 @@
 """EDS and DCF files (CiA 306-1), XDD and XDC (CiA 311), as object dictionaries, tolerant of vendors' faults.
 
-How a file is read stands in :mod:`servobench.drivers.sheets.eds`. Each thing that was mended on the way is a
-:class:`Repair`; nothing is mended silently.
+:mod:`servobench.drivers.sheets.eds` reads the files. Every repair on the way is a :class:`Repair`; none is
+silent.
 """
 
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ from servobench.drivers.sheets.eds.xml_sections import NoXmlSheet, read_xml_sect
 
 _WHAT = "EDS or DCF file (CiA 306-1), or XDD or XDC file (CiA 311)"
 _KINDS = {(False, False): "EDS", (False, True): "DCF", (True, False): "XDD", (True, True): "XDC"}
-"""By whether it is XML, and whether it is of a commissioned node."""
+"""Name of the format, by whether it is XML and whether it describes a commissioned node."""
 _OTHER_XML = "of XML only CANopen's XDD and XDC are read; for EtherCAT, POWERLINK and others ask for an EDS"
 _EXPECTED = f"an {_WHAT}"
 _SIZE_MAX_BYTES = 8_000_000
@@ -43,30 +43,30 @@ _SIZE_MAX_BYTES = 8_000_000
 
 @dataclass(frozen=True, slots=True)
 class LoadedDictionary:
-    """An object dictionary and the repairs without which it could not be read."""
+    """An object dictionary and the repairs made to read it."""
 
     dictionary: ObjectDictionary
     repairs: tuple[Repair, ...]
     file: FileInformation = field(default_factory=FileInformation)
     device: DeviceInformation = field(default_factory=DeviceInformation)
     commissioning: Commissioning | None = None
-    """What a DCF says of the node that it is for; None for an EDS."""
+    """A DCF's data about its node; None for an EDS."""
     dummies: tuple[int, ...] = ()
     objects: Mapping[int, EdsObject] = field(default_factory=dict)
-    """As the file has them: formulas of $NODEID, denotations, flags."""
+    """Objects as in the file: formulas of $NODEID, denotations, flags."""
     kind: str = "EDS"
     """EDS, DCF, XDD or XDC."""
 
 
 def held_by(variable: Any) -> Any:
-    """The value of a variable by its file: a DCF's parameter value first; None if it gives none."""
+    """Return a variable's value by its file: a DCF's parameter value first; None if it gives none."""
     if variable is None:
         return None
     return variable.default if variable.value is None else variable.value
 
 
 def held(dictionary: ObjectDictionary, index: int, sub: int = 0) -> Any:
-    """As :func:`held_by`, of an object, which need not be there."""
+    """Return the file's value of an object, which may be missing; see :func:`held_by`."""
     entry = dictionary.get(index)
     if isinstance(entry, ODVariable):
         return None if sub else held_by(entry)
@@ -74,7 +74,7 @@ def held(dictionary: ObjectDictionary, index: int, sub: int = 0) -> Any:
 
 
 def held_number(dictionary: ObjectDictionary, index: int, sub: int = 0) -> int | None:
-    """As :func:`held`; None if that is no integer."""
+    """Return the file's value of an object; None if it is no integer."""
     value = held(dictionary, index, sub)
     return value if isinstance(value, int) else None
 
@@ -88,7 +88,7 @@ def load_dictionary(path: Path, node_id: int | None = None) -> LoadedDictionary:
 
 
 def parse_dictionary(data: bytes, source: str, node_id: int | None = None) -> LoadedDictionary:
-    """As :func:`load_dictionary`, of the bytes of a file."""
+    """Parse the bytes of a data sheet; see :func:`load_dictionary`."""
     _refuse_other_formats(data, source)
     log = RepairLog()
     xml = _is_xml(data)
@@ -130,7 +130,7 @@ def _loaded(sections: Sections, node_id: int | None, log: RepairLog, xml: bool) 
 
 
 def _beginning(data: bytes) -> bytes:
-    """The first characters in lower case, without marks of byte order and zeros of UTF-16."""
+    """Return the first characters in lower case, without byte order marks and the zeros of UTF-16."""
     return data[:200].lstrip(b"\xef\xbb\xbf\xff\xfe\0 \t\r\n").replace(b"\0", b"").lower()
 
 
@@ -139,6 +139,6 @@ def _is_xml(data: bytes) -> bool:
 
 
 def _refuse_other_formats(data: bytes, source: str) -> None:
-    """Files that people mistake for data sheets, each with what to do instead."""
+    """Refuse files that are mistaken for data sheets, each with the cure."""
     if _beginning(data).startswith((b"pk\x03\x04", b"\x1f\x8b", b"rar!", b"7z\xbc\xaf")):
         raise BadInput(source, "", "an archive", _EXPECTED, "unpack it first")

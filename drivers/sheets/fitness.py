@@ -1,7 +1,7 @@
-"""Whether a drive can serve a bench, by its dictionary: identity, modes, PDOs, and what it lacks.
+"""Judges by its dictionary whether a drive can serve a bench: identity, modes, PDOs, and missing objects.
 
-An obstacle is what no bench can do without. Everything else degrades by itself, with a word on what is then
-lost: of real dictionaries of drives one in four defines 603Fh, one in three 6091h.
+An obstacle is the lack of an essential object. Everything else degrades by itself, with a note on the loss:
+of real drive dictionaries one in four defines 603Fh, one in three 6091h.
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,15 +24,15 @@ from servobench.drivers.vendors.families import stamp_for
 from servobench.drivers.vendors.stamps import StampProfile
 
 _NAMED_MAX = 4
-"""Contradictions of a kind that are named one by one; the others are counted."""
+"""Contradictions of a kind that are listed one by one; the others are counted."""
 AXIS_STEP = 0x800
-"""CiA 402-2: the objects of a second axis lie so much higher."""
+"""CiA 402-2: offset of the objects of the next axis."""
 _TORQUE_MODES = (Mode.CYCLIC_SYNCHRONOUS_TORQUE, Mode.PROFILE_TORQUE)
 _READ_ONLY = ("ro", "const")
 _RAMP_BOUNDLESS = (1 << 31) - 1
-"""A greatest value that is but the end of a type, of 31 bits or 32, says nothing of a drive."""
+"""A greatest value that is only the end of a type, of 31 or 32 bits, says nothing about a drive."""
 MODES_TOLD = "6502h"
-"""What tells the modes, where they are not to be tried."""
+"""Source of the modes, if they need not be tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Lack:
 
 
 class FileIdentity(NamedTuple):
-    """Who the dictionary is for; None and empty for what it does not tell."""
+    """The device of a dictionary; None and empty where it is silent."""
 
     vendor_name: str
     product_name: str
@@ -61,7 +61,7 @@ class FileIdentity(NamedTuple):
 
     @property
     def profile(self) -> int | None:
-        """The number of its device profile; None if 1000h tells nothing."""
+        """The number of its device profile; None without 1000h."""
         return None if self.device_type is None else self.device_type & 0xFFFF
 
     @property
@@ -72,27 +72,27 @@ class FileIdentity(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Fitness:
-    """What a dictionary offers a bench."""
+    """A dictionary's fitness for a bench."""
 
     identity: FileIdentity
     profile: int | None
     axes: int
-    """Axes with a controlword of their own."""
+    """Axes that have their own controlword."""
     modes: tuple[Mode, ...]
     modes_told_by: str
-    """"6502h", or what they were concluded from."""
+    """"6502h", or the basis of the conclusion."""
     usable: tuple[ModeFitness, ...]
     """The modes in which the bench could command it, the best first."""
     pdos: tuple[PdoSlot, ...]
     lacks: tuple[Lack, ...]
     obstacles: tuple[str, ...]
     conditions: tuple[str, ...]
-    """What has to be allowed before it can be commissioned or run."""
+    """Conditions that the user must accept before it can be commissioned or run."""
     remarks: tuple[str, ...]
 
     @property
     def serves(self) -> bool:
-        """It can serve a bench."""
+        """True if it can serve a bench."""
         return not self.obstacles
 
     @property
@@ -133,7 +133,7 @@ RECOMMENDED = (
     (0x60A9, "SI unit velocity", "velocity units are concluded from the factors"),
     (0x6502, "supported drive modes", "its modes are concluded from its objects"),
 )
-"""Objects that a bench makes use of, and what is lost without."""
+"""Objects that a bench uses, and the loss without each."""
 
 
 def assess(loaded: LoadedDictionary, node_id: int, asked: Sequence[Mode]) -> Fitness:
@@ -158,12 +158,12 @@ def assess(loaded: LoadedDictionary, node_id: int, asked: Sequence[Mode]) -> Fit
 
 
 def _place(index: int, told: ToldDrive) -> int:
-    """Where the maker has what the standard has at ``index``."""
+    """Return the maker's equivalent of the standard object at ``index``."""
     return told.stamp[0] if index == Cia301.HIGH_RESOLUTION_TIME_STAMP else index
 
 
 def told_by_sheet(loaded: LoadedDictionary) -> ToldDrive:
-    """What a data sheet tells of its drive."""
+    """Collect the facts about a drive from its data sheet."""
     dictionary = loaded.dictionary
     mode = dictionary.get(Object.MODES_OF_OPERATION)
     limits: tuple[int | None, int | None] = (None, None)
@@ -199,7 +199,7 @@ def _identity(loaded: LoadedDictionary) -> FileIdentity:
 
 
 def _axes(dictionary: od.ObjectDictionary) -> int:
-    """How many axes have a controlword; up to eight share a device."""
+    """Count the axes that have a controlword; up to eight share a device."""
     return sum(Object.CONTROLWORD + AXIS_STEP * axis in dictionary for axis in range(8))
 
 
@@ -220,7 +220,8 @@ def _remarks(dictionary: od.ObjectDictionary, profile: int | None, judgement: Ju
 
 
 def _limited_ramps(dictionary: od.ObjectDictionary, served: Sequence[Mode]) -> list[str]:
-    """Ramps and speeds whose greatest value a motor may find too slow, if no mode does without them."""
+    """Name ramps and speeds with a greatest value that a motor may find too slow, if every mode needs
+    them."""
     obeyed = {mode: {*RAMPS.get(mode, ()), *SPEEDS.get(mode, ())} for mode in served}
     limited = {
         index: most
@@ -236,7 +237,8 @@ def _limited_ramps(dictionary: od.ObjectDictionary, served: Sequence[Mode]) -> l
 
 
 def _most(dictionary: od.ObjectDictionary, index: int) -> int | None:
-    """The greatest value of an object, of a record that of its sub-index 1; None if the sheet tells none."""
+    """Return the greatest value of an object, of a record that of its sub-index 1; None without one in the
+    sheet."""
     entry = dictionary.get(index)
     return getattr(entry if isinstance(entry, od.ODVariable) else (entry or {}).get(1), "max", None)
 
@@ -245,7 +247,7 @@ def _most(dictionary: od.ObjectDictionary, index: int) -> int | None:
 
 
 def doubts(dictionary: od.ObjectDictionary, capability: PdoCapability) -> tuple[str, ...]:
-    """Default mappings that cannot be, and objects whose sub-index 0 is not their highest sub-index."""
+    """Name impossible default mappings, and objects whose sub-index 0 is not their highest sub-index."""
     all_doubts = [doubt for slot in capability.slots for doubt in _of_mapping(slot, capability)]
     counts = [doubt for index, entry in dictionary.items() if (doubt := _of_count(index, entry))]
     if counts:

@@ -1,4 +1,4 @@
-"""Which device a data sheet is of: 1018h, and [DeviceInfo] where that tells nothing (CiA 306-1)."""
+"""Identifies the device of a data sheet: by 1018h, else by [DeviceInfo] (CiA 306-1)."""
 
 from typing import NamedTuple
 
@@ -11,16 +11,16 @@ _PARTS = ("vendor", "product", "revision")
 
 
 class ToldIdentity(NamedTuple):
-    """The numbers that a sheet has for each part of an identity, 1018h's first; 0 is none. Two of them: the
-    sheet contradicts itself, and a device may have either."""
+    """The numbers in a sheet for each part of an identity, 1018h's first; 0 is none. With two the sheet
+    contradicts itself, and a device may have either."""
 
     vendor: tuple[int, ...]
     product: tuple[int, ...]
     revision: tuple[int, ...]
 
     def strangers(self, vendor: int, product: int, revision: int) -> list[tuple[str, int, int]]:
-        """Part, number of the sheet and number of the device where the device is none that the sheet is of;
-        what either does not tell does not differ."""
+        """Return part, the sheet's number and the device's number wherever they differ; an unknown number on
+        either side does not differ."""
         held = (vendor, product, revision)
         return [
             (part, told[0], number)
@@ -30,7 +30,7 @@ class ToldIdentity(NamedTuple):
 
 
 def told_identity(dictionary: od.ObjectDictionary) -> ToldIdentity:
-    """The identity by the sheet whose dictionary it is."""
+    """Return the identity in the sheet of a dictionary."""
     information = dictionary.device_information
     return ToldIdentity(
         _numbers(dictionary, 1, information.vendor_number),

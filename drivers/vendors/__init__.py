@@ -1,1 +1,1 @@
-"""What is known of makers, as TOML: quirks of their drives, their error codes."""
+"""Vendor knowledge as TOML: quirks of their drives, their error codes."""

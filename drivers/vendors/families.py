@@ -1,4 +1,4 @@
-"""What is known of families of drives beside their objects and the standard, each fact with its source.
+"""Vendor knowledge about families of drives beyond their objects and the standard, each fact with its source.
 
 One TOML file a family: ``vendor`` (1018h:1), optionally ``products`` (1018h:2) and ``device_name`` (how 1008h
 begins). ``[codes]`` has the maker's texts for error codes or ranges of them, ``[numbers]`` what it puts into
@@ -29,7 +29,7 @@ _KEYS = {"vendor", "products", "device_name", "source", "codes", "numbers", "ent
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quirk:
-    """One entry; None for what it leaves to the drive's objects."""
+    """One entry; None leaves the value to the drive's objects."""
 
     source: str
     rated_torque_nm: float | None = None
@@ -44,47 +44,47 @@ class Quirk:
     velocity_rpm: float | None = None
     """Revolutions per minute of one raw velocity unit, for want of 60A9h."""
     note: str = ""
-    """What the user has to know."""
+    """A note for the user."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveFamily:
-    """What is known of one family of drives."""
+    """Known facts about one family of drives."""
 
     name: str
-    """Of its file."""
+    """Name of its file, without suffix."""
     vendor: int
     products: frozenset[int] = frozenset()
     device_name: str = ""
     source: str = ""
-    """Of codes and numbers."""
+    """Source of the codes and numbers."""
     texts: Mapping[range, str] = field(default_factory=dict)
     numbers: Mapping[int, str] = field(default_factory=dict)
-    """Bits 24 to 31 of an entry of 0x1003, for makers that tell the cause there."""
+    """Texts for bits 24 to 31 of an entry of 0x1003, for makers that report the cause there."""
     quirks: tuple[Quirk, ...] = ()
     motor: MotorObjects | None = None
-    """None: no source tells where its drives keep their motor."""
+    """Where its drives keep their motor data; None: no source says."""
     stamp: StampProfile | None = None
-    """None: no source tells that its drives stamp otherwise than CiA 301 says."""
+    """How its drives stamp; None: no source reports a difference from CiA 301."""
 
     def text(self, code: int) -> str | None:
-        """The maker's text; None for a code that it does not tell of."""
+        """Return the maker's text for an error code; None if it has none."""
         return next((text for codes, text in self.texts.items() if code in codes), None)
 
     def fits(self, vendor: int, product: int, device_name: str) -> bool:
-        """The drive is one of the family; a drive that does not tell its name may be."""
+        """Return True if the drive is, or without a name may be, one of the family."""
         if vendor != self.vendor or (self.products and product not in self.products):
             return False
         return not device_name or self.is_named_by(device_name)
 
     def is_named_by(self, device_name: str) -> bool:
-        """A drive of this name is one of its maker's family."""
+        """Return True if a drive of this name belongs to this maker's family."""
         return device_name.upper().startswith(self.device_name.upper())
 
 
 @cache
 def known_families() -> tuple[DriveFamily, ...]:
-    """All files of this folder, by name."""
+    """Read all files of this folder, by name."""
     entries = sorted(files(__package__).iterdir(), key=lambda path: path.name)
     return tuple(
         read_family(path.read_text(encoding="utf-8"), path.name)
@@ -94,7 +94,7 @@ def known_families() -> tuple[DriveFamily, ...]:
 
 
 def read_family(text: str, name: str) -> DriveFamily:
-    """A file's content. Raises BadInput for a key that is not known, and for a fact without a source."""
+    """Parse a family file. Raises BadInput for an unknown key, and for a fact without a source."""
     tables = tomllib.loads(text)
     refuse_unknown(tables, _KEYS, name)
     if not isinstance(tables.get("vendor"), int):
@@ -117,7 +117,7 @@ def read_family(text: str, name: str) -> DriveFamily:
 
 
 def _codes(key: str, name: str) -> range:
-    """``7380`` or ``6180-61F0``, hexadecimal."""
+    """Parse ``7380`` or ``6180-61F0``, hexadecimal."""
     first, _, last = key.partition("-")
     try:
         return range(int(first, 16), int(last or first, 16) + 1)
@@ -134,7 +134,7 @@ def _quirk(table: Mapping[str, Any], name: str, number: int) -> Quirk:
 
 
 def codes_of(vendor: int, device_name: str) -> list[DriveFamily]:
-    """The families that a drive of this name is one of: their codes say nothing of others."""
+    """Return the families that a drive of this name belongs to: their codes say nothing about others."""
     return [
         family for family in known_families() if family.vendor == vendor and family.is_named_by(device_name)
     ]
@@ -143,7 +143,7 @@ def codes_of(vendor: int, device_name: str) -> list[DriveFamily]:
 def quirks_for(
     vendor: int, product: int, device_name: str, known: Iterable[DriveFamily] | None = None
 ) -> tuple[tuple[str, Quirk], ...]:
-    """File and entry of everything that is known of a drive."""
+    """Return file and entry of every known quirk of a drive."""
     every = known_families() if known is None else known
     return tuple(
         (family.name, quirk)
@@ -154,7 +154,7 @@ def quirks_for(
 
 
 def motor_objects_for(vendor: int, product: int, device_name: str) -> tuple[tuple[str, MotorObjects], ...]:
-    """File and objects of every family that a drive may be one of."""
+    """Return file and objects of every family that a drive may belong to."""
     return tuple(
         (family.name, family.motor)
         for family in known_families()
@@ -163,7 +163,7 @@ def motor_objects_for(vendor: int, product: int, device_name: str) -> tuple[tupl
 
 
 def stamp_for(vendor: int, product: int, device_name: str) -> StampProfile:
-    """How a drive stamps its samples; as CiA 301 has it where nothing is known of its make."""
+    """Return how a drive stamps its samples; as in CiA 301 if nothing is known about its make."""
     fitting = (
         family.stamp
         for family in known_families()

@@ -1,7 +1,7 @@
-"""Where a maker's drives keep what somebody told them of their motor, and by which convention.
+"""Where a maker's drives keep the motor data entered into them, and in which convention.
 
     [motor]
-    source = "..."                      where all of it stands
+    source = "..."                      source of the whole table
     whole = true                        optional: taken only where the drive has every object of the table
     [motor.resistance_ohm]
     index = 0x2701
@@ -9,10 +9,10 @@
     type = "UNSIGNED16"
     unit = 1e-3                         ohm of one raw unit; 1 if absent
     between = "lines"                   or "phase", of the star that stands for the winding
-    unset = [800]                       raw values that nobody has set, beside 0
+    unset = [800]                       raw values that mean "not set", beside 0
 
-The quantities and the words of their conventions are :data:`QUANTITIES`. They are what the drive was told:
-nothing here is measured.
+The quantities and the words of their conventions are :data:`QUANTITIES`. They are values that somebody
+entered: nothing here is measured.
 """
 
 import math
@@ -25,20 +25,20 @@ from servobench.drivers.errors import BadInput
 
 
 class MotorQuantity(NamedTuple):
-    """One of what a drive may be told of its motor."""
+    """A motor quantity that a drive may hold."""
 
     title: str
     unit: str
     """SI; per phase of the star, current rms."""
     key: str
-    """Of the convention; empty: there is but one."""
+    """Key of the convention; empty if there is only one."""
     words: Mapping[str, float]
-    """What the convention may be, and the factor from a value by it to one in ``unit``."""
+    """The possible conventions, each with the factor to ``unit``."""
 
 
 _ONE: Final[Mapping[str, float]] = MappingProxyType({"": 1.0})
 _BETWEEN: Final[Mapping[str, float]] = MappingProxyType({"phase": 1.0, "lines": 0.5})
-"""Between two lines of a star lie two phases; a delta is as its star."""
+"""Between two lines of a star lie two phases; a delta is treated as its equivalent star."""
 QUANTITIES: Final[Mapping[str, MotorQuantity]] = MappingProxyType({
     "pole_pairs": MotorQuantity("pole pairs", "", "", _ONE),
     "resistance_ohm": MotorQuantity("resistance", "ohm", "between", _BETWEEN),
@@ -56,14 +56,14 @@ TYPES: Final[Mapping[str, tuple[int, bool]]] = MappingProxyType({
     "INTEGER8": (1, True), "UNSIGNED8": (1, False), "INTEGER16": (2, True),
     "UNSIGNED16": (2, False), "INTEGER32": (4, True), "UNSIGNED32": (4, False),
 })  # fmt: skip
-"""Data types by their names in CiA 301: octets, and whether signed."""
+"""Data types by their CiA 301 names: number of octets, and True if signed."""
 POLE_PAIRS_MAX: Final = 200
 """Torque motors have some tens, and this many make 1 kHz in the windings at 300 r/min: more is a slip of the
 pen, or an object that holds something else."""
 
 
 class NotTold(ValueError):
-    """A raw value that tells nothing of a motor; its text says why."""
+    """A raw value that says nothing about a motor; the text says why."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,10 +86,10 @@ class MotorObject:
         return self.unit * QUANTITIES[self.quantity].words[self.convention]
 
     def value(self, data: bytes) -> tuple[float, int]:
-        """What the octets of an upload tell, in SI units, and raw.
+        """Decode the octets of an upload: the value in SI units, and raw.
 
-        Drives that send more octets than the type has are borne with, if the value is one of the type.
-        Raises NotTold for what is no value of the type, was never set, or cannot be.
+        Extra octets are tolerated if the value fits the type. Raises NotTold for a value that is outside the
+        type, was never set, or is impossible.
         """
         octets, signed = TYPES[self.type]
         raw = int.from_bytes(data, "little", signed=signed)
@@ -103,7 +103,7 @@ class MotorObject:
         return value, raw
 
     def raw(self, value: float) -> int:
-        """The raw value nearest to one in SI units; the greatest that the type has, if it is beyond that."""
+        """Return the raw value nearest to a value in SI units; limited to the largest of the type."""
         return min(max(1, round(value / self.factor)), self._most)
 
     @property
@@ -122,25 +122,25 @@ class MotorObjects:
 
     source: str
     whole: bool = False
-    """Only a drive that has all of them keeps these quantities there: others of the maker's have something
-    else at the same indices."""
+    """Only a drive with all of these objects keeps the quantities there: other drives of the maker use the
+    same indices for something else."""
     objects: tuple[MotorObject, ...]
 
 
 def refuse_unknown(table: Mapping[str, Any], known: set[str], name: str, place: str = "") -> None:
-    """Raise BadInput for a key of ``table``, at ``place`` of the file ``name``, that is not known."""
+    """Raise BadInput for an unknown key of ``table``, at ``place`` in the file ``name``."""
     for key in table:
         if key not in known:
             raise BadInput(name, f"{place}{key}", table[key], f"one of {', '.join(sorted(known))}")
 
 
 def one_line(text: object) -> str:
-    """A source without the line ends that TOML keeps; empty for none."""
+    """Return a source without the line ends that TOML keeps; empty for none."""
     return " ".join(str(text or "").split())
 
 
 def read_motor_objects(table: Mapping[str, Any], name: str) -> MotorObjects:
-    """The ``[motor]`` of the file ``name``. Raises BadInput."""
+    """Read the ``[motor]`` table of the file ``name``. Raises BadInput."""
     source = one_line(table.get("source"))
     if not source:
         raise BadInput(name, "motor.source", table.get("source"), "where the objects stand")

@@ -1,7 +1,7 @@
-"""How a drive stamps its samples: which object, what it counts, and when it is latched.
+"""How a drive stamps its samples: which object, its unit, and when it is latched.
 
     [stamp]
-    source = "..."                      where all of it stands
+    source = "..."                      source of the whole table
     index = 0x2F31                      1013h if absent
     sub = 0
     unit_us = 1.0                       one count
@@ -10,7 +10,7 @@
     bits = 32                           it counts modulo 2^bits
     latched = "arrival"                 at the end of the last SYNC, or at the "sampling", the default
 
-The object is an UNSIGNED32. What no source tells is left out and is as CiA 301 (7.5.2.16) has 1013h.
+The object is an UNSIGNED32. Keys left out default to 1013h of CiA 301 (7.5.2.16).
 """
 
 import math
@@ -28,7 +28,7 @@ _KEYS: Final = {
 BIT_TIME: Final = "bit time"
 LATCHED: Final = ("sampling", "arrival")
 READS: Final = 4
-"""Of a counter, one after the other: no SYNCs twice as far apart as two reads fall between all of them."""
+"""Consecutive reads of a counter: SYNCs less than two read intervals apart cannot all fall outside them."""
 BITS: Final = range(16, 33)
 _INDEXES: Final = range(0x1000, 0x10000)
 _SUBS: Final = range(256)
@@ -36,7 +36,7 @@ _SUBS: Final = range(256)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StampProfile:
-    """The stamp of one family of drives; as it stands, that of CiA 301."""
+    """The stamp of one family of drives; the defaults are those of CiA 301."""
 
     source: str = ""
     index: int = 0x1013
@@ -55,18 +55,20 @@ class StampProfile:
 
     @property
     def of_events(self) -> bool:
-        """In an event-driven TPDO it is the instant of the event."""
+        """True if in an event-driven TPDO the stamp is the instant of the event."""
         return self.latched != "arrival"
 
     def if_there(self, read: Callable[[int, int], int | None]) -> "StampProfile":
-        """This one, or CiA 301's if ``read`` finds no such object: not every drive of a make has it."""
+        """Return this profile, or CiA 301's if ``read`` finds no such object: not every drive of a make has
+        it."""
         there = self.index == STANDARD_STAMP.index or read(self.index, self.sub) is not None
         return self if there else STANDARD_STAMP
 
     def as_it_counts(self, read: Callable[[int, int], int | None]) -> "StampProfile":
-        """This one, latched at the arrival of the SYNC if it stands still from one ``read`` to the next.
+        """Return this profile, latched at the arrival of the SYNC if it stands still from one ``read`` to the
+        next.
 
-        Steps as long as a read look like that as well. Another's SYNCs that come faster than reads hide it.
+        Steps as long as a read look the same. Another master's SYNCs, faster than the reads, hide it.
         """
         if not self.of_events:
             return self
@@ -81,7 +83,7 @@ class StampProfile:
         return self
 
     def resolution_at(self, bitrate_bit_s: int) -> Duration:
-        """By how much it advances at a time, on a bus of that bit rate."""
+        """Return the step of the counter on a bus of that bit rate."""
         return Duration(self.resolution_ns or max(self.unit_ns, NS_PER_S // bitrate_bit_s))
 
 
@@ -89,7 +91,7 @@ STANDARD_STAMP: Final = StampProfile()
 
 
 def read_stamp(table: Mapping[str, Any], name: str) -> StampProfile:
-    """The ``[stamp]`` of the file ``name``. Raises BadInput."""
+    """Read the ``[stamp]`` table of the file ``name``. Raises BadInput."""
     refuse_unknown(table, _KEYS, name, "stamp.")
     source = one_line(table.get("source"))
     index, sub, bits = table.get("index", 0x1013), table.get("sub", 0), table.get("bits", 32)

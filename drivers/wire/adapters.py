@@ -30,7 +30,7 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 SIMULATED = "simulated"
 HUB = "hub"
 _HUB_NAME_LENGTH_MAX = 48
-"""Characters: what a socket's path of 107 bytes leaves below the usual folders."""
+"""Characters: a socket's path of 107 bytes leaves this many below the usual folders."""
 HUB_NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_.-]{{0,{_HUB_NAME_LENGTH_MAX - 1}}}")
 _BAUD = re.compile(r"[1-9][0-9]{0,7}")
 HUB_NAME_EXPECTED = (
@@ -39,10 +39,10 @@ HUB_NAME_EXPECTED = (
 SOCKETCAN = "socketcan"
 SLCAN = "slcan"
 SERIAL_INTERFACES = (SLCAN, "serial", "robotell", "seeedstudio")
-"""Those whose channel is a serial port, which may bear a line speed."""
+"""Interfaces whose channel is a serial port, which may have a line speed."""
 
 _FOREIGN_NETWORK = ("udp_multicast",)
-"""Interfaces that send bus traffic out of the machine to whoever listens."""
+"""Interfaces that send bus traffic beyond this machine, to any listener."""
 _NUMBERED_CHANNELS = ("kvaser", "vector", "ixxat", "neovi", "canalystii", "cantact", "neousys")
 _MONOTONIC_STAMPS = (SIMULATED, HUB, SLCAN)
 _WALL_CLOCK_STAMPS = (SOCKETCAN, "virtual")
@@ -56,7 +56,7 @@ _OPENING_FAILURES = (
     AttributeError,
     RuntimeError,
 )
-"""What python-can's interfaces raise without their driver or device."""
+"""Exceptions that python-can's interfaces raise without their driver or device."""
 _NETWORK_LINKS = Path("/sys/class/net")
 _ARPHRD_CAN = "280"
 """Hardware type of an interface (linux/if_arp.h)."""
@@ -66,7 +66,7 @@ _IFF_UP = 1
 
 @dataclass(frozen=True, slots=True)
 class BusSpec:
-    """Which bus, as the user names it."""
+    """A bus as the user names it."""
 
     interface: str
     channel: str = ""
@@ -75,7 +75,7 @@ class BusSpec:
 
     @property
     def simulated(self) -> bool:
-        """The bench makes this bus itself, in simulated time."""
+        """True if the bench creates this bus itself, in simulated time."""
         return self.interface == SIMULATED
 
     def __str__(self) -> str:
@@ -84,7 +84,7 @@ class BusSpec:
 
 
 class OpenBus(NamedTuple):
-    """A bus that is up, and what its stamps count from."""
+    """A bus that is up, and the origin of its stamps."""
 
     bus: can.BusABC
     stamps: StampSource
@@ -101,12 +101,12 @@ class Adapter(NamedTuple):
 
 
 def known_interfaces() -> tuple[str, ...]:
-    """Every interface that can stand in a specification, sorted."""
+    """Return every interface allowed in a specification, sorted."""
     return tuple(sorted({*BACKENDS, SIMULATED, HUB} - set(_FOREIGN_NETWORK)))
 
 
 def parse_bus_spec(text: str, source: str = "--bus", key: str = "") -> BusSpec:
-    """``interface[:channel[@baud]]``; raises BadInput that names ``source`` and ``key``."""
+    """Parse ``interface[:channel[@baud]]``; raises BadInput naming ``source`` and ``key``."""
     interface, _, channel = text.strip().partition(":")
     known = known_interfaces()
     if interface not in known:
@@ -133,7 +133,8 @@ def parse_bus_spec(text: str, source: str = "--bus", key: str = "") -> BusSpec:
 def shared_bus(
     text: str, remedy: str = "use hub:NAME", expected: str = "a bus that other processes can join"
 ) -> BusSpec:
-    """The bus of ``--bus``. Raises BadInput for the one in simulated time, on which nobody else can be."""
+    """Parse the bus of ``--bus``. Raises BadInput for the one in simulated time, which no other process can
+    join."""
     spec = parse_bus_spec(text)
     if spec.simulated:
         raise BadInput("--bus", "", text, expected, remedy)
@@ -141,13 +142,13 @@ def shared_bus(
 
 
 def open_bus(spec: BusSpec, bitrate_bit_s: int, *, for_link: bool = True) -> OpenBus:
-    """Open a real-time bus. Raises BusDown with the remedy, or BadInput for what can never be opened.
+    """Open a real-time bus. Raises BusDown with the remedy, or BadInput for one that can never be opened.
 
     ``for_link``: a :class:`~servobench.drivers.wire.link.BusLink` uses it, so own frames come back where they
-    bear the instant at which they were on the bus, and several frames may come at once; not for one who reads
-    python-can's messages or waits on ``fileno``.
+    carry the instant at which they were on the bus, and several frames may come at once; not for a caller who
+    reads python-can's messages or waits on ``fileno``.
 
-    ``simulated`` needs its segment and is opened by who owns that.
+    ``simulated`` is opened by the owner of its segment.
     """
     if spec.simulated:
         raise BadInput(
@@ -176,7 +177,7 @@ def open_bus(spec: BusSpec, bitrate_bit_s: int, *, for_link: bool = True) -> Ope
 
 
 def socketcan_links(root: Path = _NETWORK_LINKS) -> list[Adapter]:
-    """CAN network interfaces, up or not."""
+    """Return CAN network interfaces, up or not."""
     links = []
     for link in sorted(root.iterdir()) if root.is_dir() else []:
         if _attribute(link, "type") == _ARPHRD_CAN:
@@ -187,18 +188,19 @@ def socketcan_links(root: Path = _NETWORK_LINKS) -> list[Adapter]:
 
 
 VIRTUAL = "vcan"
-"""How names of virtual interfaces begin, by custom."""
+"""Usual prefix of virtual interfaces."""
 
 
 def link_up_command(channel: str, bitrate_bit_s: int = 1_000_000) -> str:
-    """The command that brings a SocketCAN interface up."""
+    """Return the command that brings a SocketCAN interface up."""
     if channel.startswith(VIRTUAL):
         return f"ip link add dev {channel} type vcan; ip link set {channel} up"
     return f"ip link set {channel} up type can bitrate {bitrate_bit_s}"
 
 
 def _open_socketcan(spec: BusSpec, bitrate_bit_s: int, for_link: bool) -> can.BusABC:
-    """Binding to an interface that is down succeeds and only sending fails: look at its state first."""
+    """Open a SocketCAN interface. Binding to one that is down succeeds and only sending fails: check its
+    state first."""
     link = _NETWORK_LINKS / spec.channel
     if link.is_dir():
         if _attribute(link, "type") != _ARPHRD_CAN:

@@ -1,7 +1,7 @@
-"""What this machine has for a bus: the kernel's CAN interfaces, and USB serial ports. None is opened.
+"""Finds possible buses of this machine: the kernel's CAN interfaces, and USB serial ports. Opens none.
 
-Whether an interface is there and up stands in sysfs; its bit rate and the state of its controller only in
-netlink, which ``ip -json -details link`` speaks. Without that program these two are unknown.
+sysfs lists the interfaces and says which are up; bit rate and controller state come only by netlink, through
+``ip -json -details link``. Without that program these two are unknown.
 """
 
 import json
@@ -17,7 +17,7 @@ from servobench.drivers.wire.error_frames import anew_command
 
 COMMAND = ("ip", "-json", "-details", "link", "show")
 _TIMEOUT_S = 5.0
-"""A program that tells of a few interfaces needs milliseconds; one that hangs is taken for absent."""
+"""A program that lists a few interfaces needs milliseconds; one that hangs counts as absent."""
 _SYSFS = Path("/sys/class/net")
 
 
@@ -26,10 +26,10 @@ _BUS_OFF = "BUS-OFF"
 RESTART_MS = 100
 """Shorter than drives wait for a master's heartbeat, far above the 1.4 ms of a recovery at 1 Mbit/s."""
 QUEUE_LENGTH_MIN = 10
-"""What Linux gives an adapter: room for SYNC, the commands of three axes and their SDO requests."""
+"""Linux's default for an adapter: room for SYNC, the commands of three axes and their SDO requests."""
 FAST_BIT_S = 800_000
 SAMPLE_POINTS, SAMPLE_POINTS_FAST, SAMPLE_POINT = (0.85, 0.90), (0.75, 0.90), 0.875
-"""Of a bit (CiA 301, 5.3): the valid range below and from 800 kbit/s, and what is recommended."""
+"""Sample point of a bit (CiA 301, 5.3): valid range below and from 800 kbit/s, and the recommended value."""
 
 
 class CanLink(NamedTuple):
@@ -42,25 +42,27 @@ class CanLink(NamedTuple):
     bitrate_bit_s: int | None
     """None: virtual, not set, or unknown."""
     state: str
-    """Of its controller, e.g. ``ERROR-ACTIVE`` or ``BUS-OFF``; empty if unknown."""
+    """Controller state, e.g. ``ERROR-ACTIVE`` or ``BUS-OFF``; empty if unknown."""
     transmit_errors: int | None = None
     receive_errors: int | None = None
     listen_only: bool = False
     queue_length: int | None = None
     """Frames that its transmit queue holds (txqueuelen)."""
     restart_ms: int | None = None
-    """So long after bus-off it starts anew; 0: never by itself; None: unknown, or its driver cannot."""
+    """Delay of the restart after bus-off; 0: no automatic restart; None: unknown, or unsupported by the
+    driver."""
     sample_point: float | None = None
-    """Of a bit, from its beginning, 0 to 1."""
+    """Position in a bit, 0 to 1."""
 
     @property
     def spec(self) -> str:
-        """What to hand to --bus."""
+        """The value for --bus."""
         return f"{SOCKETCAN}:{self.name}"
 
 
 def can_links(root: Path = _SYSFS, described: str | None = None) -> list[CanLink]:
-    """The CAN interfaces of this machine, by name; ``described``: what ``ip`` printed, asked for if None."""
+    """Return the CAN interfaces of this machine, by name; ``described``: the output of ``ip``, which is
+    called if None."""
     if described is None:
         described = _ask_ip()
     described_links = {link.name: link for link in parse_links(described)}
@@ -72,7 +74,8 @@ def can_links(root: Path = _SYSFS, described: str | None = None) -> list[CanLink
 
 
 def parse_links(text: str) -> list[CanLink]:
-    """The CAN interfaces in the output of ``ip -json -details link show``; none in what is not that."""
+    """Parse the output of ``ip -json -details link show`` into CAN interfaces; none if it is something
+    else."""
     try:
         links = json.loads(text) if text.strip() else []
     except ValueError:
@@ -113,8 +116,8 @@ def _real(told: Any) -> float | None:
 
 
 def link_advice(link: CanLink, bitrate_bit_s: int | None = None) -> list[str]:
-    """What of an adapter's settings does not fit a bench, each with the command that mends it; nothing of a
-    virtual interface. ``bitrate_bit_s``: what the bus is meant to have; None: whatever it has."""
+    """Say which settings of an adapter do not suit a bench, each with the command that fixes it; nothing for
+    a virtual interface. ``bitrate_bit_s``: the intended bit rate; None: any."""
     if link.kind != _ADAPTER or not link.up:
         return []
     name, rate, found = link.name, bitrate_bit_s or link.bitrate_bit_s, []
@@ -148,7 +151,7 @@ def link_advice(link: CanLink, bitrate_bit_s: int | None = None) -> list[str]:
 
 
 def advice_on(spec: BusSpec, bitrate_bit_s: int | None = None) -> list[str]:
-    """:func:`link_advice` on the interface of ``spec``; nothing of a bus that is none of the kernel's."""
+    """Apply :func:`link_advice` to the interface of ``spec``; nothing for a bus that is not the kernel's."""
     links = can_links() if spec.interface == SOCKETCAN else []
     return [text for link in links if link.spec == str(spec) for text in link_advice(link, bitrate_bit_s)]
 
@@ -168,7 +171,7 @@ KNOWN_USB = {
     (0x16D0, 0x117E): "CANable with its slcan firmware",
     (0xAD50, 0x60C4): "CANable with its slcan firmware",
 }
-"""Vendor and product id -> what has them; ids of common converter chips tell nothing and are left out."""
+"""Vendor and product id -> device; ids of common converter chips say nothing and are left out."""
 
 
 class SerialPort(NamedTuple):
@@ -180,18 +183,18 @@ class SerialPort(NamedTuple):
     """``vvvv:pppp``"""
     serial_number: str
     hint: str
-    """What is known to have this id; empty if nothing."""
+    """Known device with this id; empty if none."""
     permitted: bool
-    """This user may open it."""
+    """True if this user may open it."""
 
     @property
     def spec(self) -> str:
-        """What to hand to --bus, if an SLCAN adapter is behind it."""
+        """The value for --bus, if an SLCAN adapter is behind it."""
         return f"slcan:{self.device}"
 
 
 def serial_adapters() -> list[SerialPort]:
-    """The USB serial ports, by name."""
+    """Return the USB serial ports, by name."""
     adapters = []
     for port in sorted(list_ports.comports(), key=lambda port: str(port.device)):
         if port.vid is None or port.pid is None:

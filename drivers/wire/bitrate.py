@@ -1,7 +1,7 @@
-"""Finding out the bit rate of a running bus by listening: nothing is sent, not even an acknowledgement.
+"""Finds the bit rate of a running bus by listening: nothing is sent, not even an acknowledgement.
 
 A controller at another rate than the bus's sees errors and no frame; one at the right rate sees frames
-without errors. So each rate is tried until frames come. A silent bus tells nothing.
+without errors. So each rate is tried until frames come. A silent bus gives no result.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,22 +16,22 @@ from servobench.drivers.wire.slcan import LINE_BAUD, SlcanBus
 from servobench.drivers.wire.slcan_protocol import SlcanStatus
 
 CANDIDATES_BIT_S = (1_000_000, 500_000, 250_000, 125_000, 800_000, 100_000, 50_000, 20_000, 10_000)
-"""In the order in which CANopen devices are usually set."""
+"""In the usual order of CANopen devices."""
 FRAMES_NEEDED = 2
 LISTEN_NS = Duration(400 * NS_PER_MS)
-"""At each rate; most heartbeats are heard in one of two rounds."""
+"""Time at each rate; most heartbeats are heard in one of two rounds."""
 ROUNDS = 2
 _LISTENING: dict[str, dict[str, Any]] = {
     SLCAN: {"listen_only": True},
     "pcan": {"state": can.BusState.PASSIVE},
     "kvaser": {"driver_mode": False},
 }
-"""What makes an interface of python-can listen only. Others cannot, or not by python-can."""
+"""Options that make an interface of python-can listen only. Others cannot, or not by python-can."""
 _ERRORS = SlcanStatus.BUS_ERROR | SlcanStatus.ERROR_WARNING | SlcanStatus.ERROR_PASSIVE
 
 
 class Heard(NamedTuple):
-    """What came at one rate."""
+    """Frames and errors heard at one rate."""
 
     bitrate_bit_s: int
     frames: int
@@ -47,17 +47,17 @@ class Detection(NamedTuple):
 
     @property
     def silent(self) -> bool:
-        """Nothing at all was heard, neither frames nor errors."""
+        """True if nothing was heard, neither frames nor errors."""
         return all(trial.frames == trial.errors == 0 for trial in self.trials)
 
 
 def can_listen_only(spec: BusSpec) -> bool:
-    """Whether the bit rate can be searched through this adapter without disturbing the bus."""
+    """Return True if the bit rate can be searched through this adapter without disturbing the bus."""
     return spec.interface in _LISTENING
 
 
 def open_listening(spec: BusSpec, bitrate_bit_s: int) -> can.BusABC:
-    """The adapter at this rate, only listening. Raises what opening raises."""
+    """Open the adapter at this rate in listen-only mode. Raises as opening does."""
     options = _LISTENING[spec.interface]
     if spec.interface == SLCAN:
         baud = spec.line_baud or LINE_BAUD
@@ -76,7 +76,7 @@ def detect_bitrate(
 ) -> Detection:
     """Listen at each rate until one gives frames without errors; the last attempt's trials are kept.
 
-    Raises BadInput for an adapter that cannot only listen, BusDown if it cannot be opened.
+    Raises BadInput for an adapter without listen-only mode, BusDown if it cannot be opened.
     """
     if not can_listen_only(spec):
         known = ", ".join(sorted(_LISTENING))
@@ -101,7 +101,7 @@ def _listen_at(
     open_at: Callable[[BusSpec, int], can.BusABC],
     listen: Duration,
 ) -> Heard | None:
-    """None if the adapter does not have this rate."""
+    """Listen at one rate; None if the adapter does not support it."""
     try:
         bus = open_at(spec, bitrate_bit_s)
     except can.CanInitializationError as error:

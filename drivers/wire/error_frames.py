@@ -1,4 +1,4 @@
-"""Error frames in words, as SocketCAN tells them (linux/can/error.h): classes in the identifier, details as
+"""Describes SocketCAN error frames in words (linux/can/error.h): classes in the identifier, details as
 data."""
 
 from typing import Final
@@ -47,7 +47,7 @@ _COUNTERS: Final = 0x200
 
 
 def error_frame_text(classes: int, data: bytes) -> str:
-    """All that an error frame tells."""
+    """Describe everything in an error frame."""
     data = data.ljust(8, b"\0")
     told = [text for bit, text in _CLASSES.items() if classes & bit]
     details = [text for bit, text in _CONTROLLER.items() if classes & _CONTROLLER_CLASS and data[1] & bit]
@@ -61,7 +61,7 @@ def error_frame_text(classes: int, data: bytes) -> str:
 
 
 def controller_state_text(classes: int, data: bytes) -> str:
-    """The state of the adapter's controller that an error frame tells; empty if it tells none.
+    """Return the controller state reported by an error frame; empty if it reports none.
 
     A burst of errors is many error frames and a few states.
     """
@@ -79,16 +79,16 @@ def controller_state_text(classes: int, data: bytes) -> str:
 
 
 def anew_command(name: str) -> str:
-    """The command that starts the controller of the interface ``name`` anew."""
+    """Return the command that restarts the controller of the interface ``name``."""
     return f"ip link set {name} down; ip link set {name} up"
 
 
 def controller_cure(classes: int, data: bytes, name: str) -> str:
-    """What mends the state that :func:`controller_state_text` tells of the interface ``name``; empty if it is
-    a sound one.
+    """Return the cure for the state that :func:`controller_state_text` reports of the interface ``name``;
+    empty if it is sound.
 
-    ``ip link set can0 type can restart`` is refused where restart-ms is set, and by drivers that have none,
-    as that of serial adapters; down and up starts each of them anew.
+    ``ip link set can0 type can restart`` is refused where restart-ms is set, and by drivers without it, such
+    as that of serial adapters; down and up restarts each of them.
     """
     if classes & _BUS_OFF:
         return f"{_CHECK}, then {anew_command(name)}"

@@ -1,7 +1,7 @@
-"""The way of frames into and out of a bus, and who sees the frames that pass a link.
+"""The path of frames into and out of a bus, and the taps that see the frames passing a link.
 
-A bus offers it as its ``frame_port``: frames with stamps on the bench's axis. Compiled, the
-methods of a class that is known are called directly: that takes a twentieth of the time.
+A bus offers it as its ``frame_port``: frames with stamps on the bench's axis. Compiled, methods of a known
+class are called directly, in a twentieth of the time.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ Tap = Callable[[Direction, int, bytes, bool, bool, Instant], None]
 
 
 UNTOLD: Final = Instant(-1)
-"""No instant of a hand-over is known."""
+"""The instant of a hand-over is unknown."""
 
 
 class WireFrame(Record):
@@ -46,12 +46,12 @@ class WireFrame(Record):
         self.remote_length: Final = remote_length
         """DLC of a remote frame; not used for a data frame."""
         self.handed_at = UNTOLD
-        """When its sender handed it over, if that was noted. The echo on a simulated bus or a hub bears it,
-        and so tells of which frame it is. Never on the wire, and not compared."""
+        """When its sender handed it over, if noted. The echo on a simulated bus or a hub carries it, and so
+        identifies its frame. Never on the wire, and not compared."""
 
 
 def accepts(filters: CanFilters, frame: WireFrame) -> bool:
-    """Whether at least one filter matches: equal under its mask, and of its format if it names one."""
+    """Return True if at least one filter matches: equal under its mask, and of its format if it names one."""
     for one in filters:
         if "extended" in one and one["extended"] != frame.extended:
             continue
@@ -61,7 +61,7 @@ def accepts(filters: CanFilters, frame: WireFrame) -> bool:
 
 
 class EchoBasis(Enum):
-    """Where the instants of own frames come from, once they were on the bus."""
+    """Origin of the instants of own frames that were on the bus."""
 
     NONE = "none"
     """Own frames do not come back."""
@@ -72,39 +72,40 @@ class EchoBasis(Enum):
     HARDWARE = "hardware"
     """They come back with the adapter's stamp."""
     BUS = "bus"
-    """They come back with the computed end of frame, and tell which frame it is: simulated bus and hub."""
+    """They come back with the computed end of frame, and identify their frame: simulated bus and hub."""
 
 
 class Trouble(NamedTuple):
-    """Something that befell an adapter."""
+    """An event that happened to an adapter."""
 
     text: str
-    """In words that go on after its name."""
+    """Text that continues after its name."""
     at: Instant
     unheard: bool = False
-    """Whether frames that were on the bus before may not have come, echoes among them."""
+    """True if frames that were on the bus before, echoes included, may have been missed."""
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class FramePort:
-    """What a bus has as its ``frame_port``. Override both methods."""
+    """The ``frame_port`` of a bus. Override both methods."""
 
     def __init__(self) -> None:
         self.came_at = Instant(0)
-        """Stamp of the frame that was last received."""
+        """Stamp of the last frame received."""
         self.came_own = False
-        """Whether that is one of our own, which has been on the bus: an echo. It says nothing of delivery."""
+        """True if that is one of our own that has been on the bus: an echo. It says nothing about
+        delivery."""
         self.echoes = EchoBasis.NONE
         self.needs_watching = False
-        """Whether somebody has to be inside ``receive`` while time passes: else frames are stamped or sent
+        """True if somebody must be inside ``receive`` while time passes: else frames are stamped or sent
         late."""
         self.troubles: list[Trouble] = []
-        """What befell the adapter and was not told yet."""
+        """Events of the adapter not reported yet."""
         self.cure = ""
-        """What mends the state that the adapter is in, as far as it is known; empty while it is sound."""
+        """The cure for the adapter's present state, if known; empty while it is sound."""
 
     def receive(self, until: Instant) -> WireFrame | None:
-        """The next frame; None once ``until`` has come and none is waiting."""
+        """Return the next frame; None once ``until`` has come and none is waiting."""
         raise NotImplementedError
 
     def transmit(self, frame: WireFrame) -> None:
@@ -115,7 +116,7 @@ class FramePort:
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class FrameTap:
-    """Sees every frame of a link. This one lets all pass."""
+    """Sees every frame of a link. This one ignores all."""
 
     def frame(
         self, direction: str, can_id: int, data: bytes, extended: bool, remote: bool, at: Instant

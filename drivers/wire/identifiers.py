@@ -6,7 +6,7 @@ STANDARD_ID_MAX: Final = 0x7FF
 EXTENDED_ID_MAX: Final = 0x1FFF_FFFF
 
 ERROR_FLAG: Final = 1 << 29
-"""CAN_ERR_FLAG. An identifier that bears it is that of an error frame, told by the adapter."""
+"""CAN_ERR_FLAG. Marks the identifier of an error frame, reported by the adapter."""
 REMOTE_FLAG: Final = 1 << 30
 """CAN_RTR_FLAG."""
 EXTENDED_FLAG: Final = 1 << 31

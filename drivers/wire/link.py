@@ -26,8 +26,8 @@ class BusLink:
     Only data frames with an 11-bit identifier are handed on: CANopen uses no others. Remote frames and
     extended frames reach the tap and the count ``ignored_frames``, error frames the count ``error_frames``.
 
-    A frame sent here that has been on the bus comes back as an *echo* where the bus has them (``echoes``).
-    Echoes reach no tap and are not counted as received.
+    A frame sent here comes back after the bus as an *echo* if the bus supports it (``echoes``). Echoes reach
+    no tap and are not counted as received.
 
     A frame that the bus has no room for waits here (:mod:`servobench.drivers.wire.send_queue`) and goes out
     while somebody receives. The tap sees it when the bus takes it.
@@ -36,36 +36,36 @@ class BusLink:
     def __init__(
         self, bus: can.BusABC, clock: Clock, stamps: StampSource = StampSource.RECEIPT, name: str = ""
     ) -> None:
-        """``stamps``: those of a bus without a ``frame_port``."""
+        """``stamps``: the stamps of a bus without a ``frame_port``."""
         self.bus = bus
         self.name = name or str(getattr(bus, "channel_info", "") or type(bus).__name__)
-        """How an error names this bus."""
+        """The bus's name in errors."""
         self.sent_frames = 0
         self.received_frames = 0
         self.echoed_frames = 0
         self.ignored_frames = 0
         self.error_frames = 0
         self.last_id = 0
-        """Identifier of the frame that was last fetched; ``last_data`` and ``last_at`` are its own too."""
+        """Identifier of the last frame fetched; ``last_data`` and ``last_at`` belong to it too."""
         self.last_data = b""
         self.last_at = Instant(0)
         self.last_own = False
-        """Whether it is an echo."""
+        """True if it is an echo."""
         self.last_handed_at = UNTOLD
-        """If so, when the frame had been handed over, where the bus tells that."""
+        """If it is an echo: when the frame was handed over, where the bus reports that."""
         self.on_unsent: Callable[[int, Instant], None] | None = None
-        """Is told of a frame that never went out, as a newer one took its place: identifier, and the instant
-        that :meth:`send` returned for it."""
+        """Called for a frame that was never sent because a newer one took its place: identifier, and the
+        instant returned by :meth:`send`."""
         self.on_trouble: Callable[[str, Instant], None] | None = None
-        """Is told what befell the adapter, in words."""
+        """Called with the adapter's events, in words."""
         self.on_unheard: Callable[[Instant], None] | None = None
-        """Is told that frames of before an instant may not have come, echoes among them."""
+        """Called when frames before an instant, echoes included, may have been missed."""
         self.unsent_frames = 0
-        """How many never went out."""
+        """Frames that were never sent."""
         self.patience: dict[int, Duration] = {}
         """By identifier, how long a frame may wait before it is given up; others wait for a newer one."""
         self.retry_at: Instant = NEVER
-        """When somebody has to receive at the latest, as frames wait here."""
+        """Latest instant for the next receive, as frames wait here."""
         self._waiting: SendQueue | None = None
         self._now = clock.now
         self._taps: list[FrameTap] = []
@@ -74,17 +74,17 @@ class BusLink:
 
     @property
     def echoes(self) -> EchoBasis:
-        """Whether frames sent come back once they were on the bus, and where their instants come from."""
+        """Basis of the echoes of frames sent, and of their instants."""
         return self._port.echoes
 
     @property
     def cure(self) -> str:
-        """What mends the state that the adapter is in, as far as it is known; empty while it is sound."""
+        """The cure for the adapter's present state, if known; empty while it is sound."""
         return self._port.cure
 
     @property
     def needs_watching(self) -> bool:
-        """Whether somebody has to receive while time passes, or frames are stamped or sent late."""
+        """True if somebody must receive while time passes, or frames are stamped or sent late."""
         return self._port.needs_watching or self._waiting is not None
 
     def tap(self, tap: Tap | FrameTap) -> None:
@@ -92,7 +92,7 @@ class BusLink:
         self._taps.append(tap if isinstance(tap, FrameTap) else CallbackTap(tap))
 
     def recv(self, until: Instant) -> Received | None:
-        """The next data frame of another node, or None once ``until`` has come and nothing is waiting.
+        """Return the next data frame of another node, or None once ``until`` has come and nothing is waiting.
 
         Lets time pass. Raises BusDown if the bus is gone.
         """
@@ -102,8 +102,8 @@ class BusLink:
         return None
 
     def fetch(self, until: Instant) -> bool:
-        """Whether a data frame or an echo came by ``until``; left in ``last_id``, ``last_data``, ``last_at``
-        and ``last_own``. Lets time pass. Raises BusDown if the bus is gone."""
+        """Fetch a data frame or an echo by ``until`` into ``last_id``, ``last_data``, ``last_at`` and
+        ``last_own``; False if none came. Lets time pass. Raises BusDown if the bus is gone."""
         port = self._port
         while True:
             wait = until if self._waiting is None else self._send_waiting(until)
@@ -143,11 +143,11 @@ class BusLink:
         return self._hand_over(WireFrame(can_id, data))
 
     def request(self, can_id: int, length: int) -> Instant:
-        """Queue a remote frame that asks for ``length`` bytes; as :meth:`send`."""
+        """Queue a remote frame that requests ``length`` bytes; otherwise like :meth:`send`."""
         return self._hand_over(WireFrame(can_id, b"", False, True, length))
 
     def withdraw(self, can_ids: Container[int]) -> None:
-        """Give up the PDOs and SYNCs of ``can_ids`` that wait here: they never go out."""
+        """Discard the PDOs and SYNCs of ``can_ids`` that wait here: they are never sent."""
         if self._waiting is not None:
             for frame in self._waiting.withdraw(can_ids):
                 self._give_up(frame)
@@ -161,7 +161,7 @@ class BusLink:
         return at
 
     def _takes(self, frame: WireFrame, at: Instant) -> bool:
-        """Whether the bus takes ``frame``, at ``at``; False if it has no room for it now."""
+        """Offer ``frame`` to the bus at ``at``; False if it has no room for it now."""
         try:
             self._port.transmit(frame)
         except (can.CanError, OSError) as error:
@@ -195,7 +195,7 @@ class BusLink:
         return patience is not None and now - frame.handed_at > patience
 
     def _send_waiting(self, until: Instant) -> Instant:
-        """Hand over what the bus takes by now; returns when to look again, ``until`` at the latest."""
+        """Hand over what the bus takes now; return when to look again, ``until`` at the latest."""
         waiting, now, took = self._waiting, self._now(), False
         while waiting is not None:
             frame = waiting.first()
@@ -238,7 +238,7 @@ class BusLink:
 
 
 def _code(error: Exception) -> int | None:
-    """The number of the system's error that python-can or the socket tells."""
+    """Return the system error number in an exception of python-can or the socket."""
     code = getattr(error, "error_code", None)
     if code is None:
         code = getattr(error, "errno", None)

@@ -1,4 +1,4 @@
-"""python-can's message and the frame, each made from the other."""
+"""Conversion between python-can's message and the frame."""
 
 import can
 
@@ -8,10 +8,10 @@ from servobench.drivers.wire.identifiers import ERROR_FLAG
 
 
 def frame_of(message: can.Message) -> WireFrame:
-    """The frame that ``message`` asks for.
+    """Convert ``message`` to a frame.
 
-    Raises can.CanOperationError for what classical CAN cannot carry: FD and error frames,
-    an identifier or a length out of range.
+    Raises can.CanOperationError for a message beyond classical CAN: FD and error frames, an identifier or a
+    length out of range.
     """
     can_id, extended, dlc = message.arbitration_id, message.is_extended_id, message.dlc
     if message.is_fd or message.is_error_frame:
@@ -31,7 +31,8 @@ def frame_of(message: can.Message) -> WireFrame:
 def message_of(
     frame: WireFrame, at: Instant, *, is_rx: bool = True, channel: str | None = None
 ) -> can.Message:
-    """The message of a frame that ended on the bus at ``at``; its timestamp is that instant in seconds."""
+    """Return the message of a frame that ended on the bus at ``at``; its timestamp is that instant in
+    seconds."""
     can_id, data, extended = frame.can_id, frame.data, frame.extended
     remote, remote_length = frame.remote, frame.remote_length
     if can_id >= ERROR_FLAG:

@@ -1,4 +1,4 @@
-"""The frame port of a python-can bus that has none of its own: messages in, stamps mapped, messages out."""
+"""The frame port of a python-can bus that lacks one: messages in, stamps mapped, messages out."""
 
 from enum import Enum
 from typing import Final
@@ -12,26 +12,25 @@ from servobench.drivers.wire.message import frame_of, message_of
 
 
 class StampSource(Enum):
-    """What a bus's ``Message.timestamp`` counts from."""
+    """Origin of a bus's ``Message.timestamp``."""
 
     MONOTONIC = "monotonic"
     """The bench's own axis."""
     WALL_CLOCK = "wall clock"
-    """The host's wall clock: mapped to the bench's axis here."""
+    """The host's wall clock: converted to the bench's axis here."""
     RECEIPT = "receipt"
-    """Something else, or nothing: the instant of receipt stands in for it."""
+    """Another origin, or none: the instant of receipt is used."""
 
 
 _OFFSET_KEPT_NS: Final = NS_PER_S // 10
-"""How long a comparison of wall clock and bench clock holds."""
+"""Validity of a comparison of wall clock and bench clock."""
 
 
 class MessagePort(FramePort):
-    """``bus`` by its ``recv`` and ``send``.
+    """Wraps ``bus`` by its ``recv`` and ``send``.
 
-    Own frames that it may bring are not told from others: ``Message.is_rx`` is not reliable (python-can's
-    SocketCAN bus says False of every frame on a virtual interface), so no echo is claimed. CAN FD messages
-    are dropped.
+    Own frames are not distinguished from others: ``Message.is_rx`` is not reliable (python-can's SocketCAN
+    bus says False of every frame on a virtual interface), so no echo is claimed. CAN FD messages are dropped.
     """
 
     def __init__(self, bus: can.BusABC, clock: Clock, stamps: StampSource) -> None:
@@ -59,7 +58,8 @@ class MessagePort(FramePort):
         self._bus.send(message_of(frame, Instant(0)))
 
     def _stamp(self, timestamp_s: float) -> Instant:
-        """A message's stamp on the bench's axis; never later than now, even if the wall clock was stepped."""
+        """Convert a message's stamp to the bench's axis; never later than now, even if the wall clock was
+        stepped."""
         now = self._now()
         if self._stamps is StampSource.RECEIPT:
             return now

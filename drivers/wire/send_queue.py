@@ -20,13 +20,12 @@ NO_ROOM: Final = frozenset({errno.ENOBUFS, errno.EAGAIN, errno.ENETDOWN})
 """Errors of a bus that may take the same frame later. ENETDOWN: a SocketCAN socket works again once its
 interface is up."""
 RETRY_EVERY: Final = Duration(130 * NS_PER_US)
-"""A frame of 8 bytes at 1 Mbit/s: no place becomes free faster for long."""
+"""A frame of 8 bytes at 1 Mbit/s: no room becomes free faster for long."""
 RETRY_AT_MOST: Final = Duration(NS_PER_MS)
-"""After 4 ms without one. Drivers of serial adapters free their queue in a thread of the kernel, to which a
-bench with real-time priority on one processor must leave time: tried each 130 us, it never came there."""
+"""Limit after 4 ms without room. Drivers of serial adapters free their queue in a kernel thread, to which a
+bench with real-time priority on one processor must leave time: at 130 us it never ran."""
 STUCK_AFTER: Final = Duration(NS_PER_S)
-"""No queue of a sound bus stands still so long: that is ten thousand frames. Any drive that is watched stops
-by itself before."""
+"""No queue of a sound bus stands still for ten thousand frames. A watched drive stops by itself before."""
 ROOM: Final = 512
 """Requests: each node has one under way, and each master's search as many."""
 
@@ -41,14 +40,14 @@ class SendQueue:
         self.blocked_since = Instant(0)
         """When the bus last took a frame, or the first of these began to wait."""
         self.given_up = 0
-        """How many never went out: a newer one with their identifier came, or it was too late."""
+        """Frames never sent: a newer one with their identifier came, or it was too late."""
         self._classes: tuple[deque[WireFrame], ...] = (deque(), deque(), deque())
 
     def __len__(self) -> int:
         return sum(map(len, self._classes))
 
     def put(self, frame: WireFrame, now: Instant) -> WireFrame | None:
-        """Let ``frame`` wait. Returns the one that it replaces, which is not sent at all.
+        """Queue ``frame``. Returns the one that it replaces, which is never sent.
 
         Raises can.CanOperationError if there are too many requests already.
         """
@@ -72,23 +71,23 @@ class SendQueue:
         return older
 
     def first(self) -> WireFrame | None:
-        """The one that is due next; it stays until :meth:`went`."""
+        """Return the frame due next; it stays until :meth:`went`."""
         for waiting in self._classes:
             if waiting:
                 return waiting[0]
         return None
 
     def retry_at(self, now: Instant) -> Instant:
-        """When to offer again what the bus did not take now: the later, the longer it has taken nothing."""
+        """Return when to offer a refused frame again: the longer nothing was taken, the later."""
         return Instant(now + min(RETRY_AT_MOST, max(RETRY_EVERY, (now - self.blocked_since) // 4)))
 
     def went(self, now: Instant) -> None:
-        """The bus took the first one."""
+        """Remove the first one: the bus took it."""
         self.blocked_since = now
         self._take_first()
 
     def withdraw(self, can_ids: Container[int]) -> list[WireFrame]:
-        """Give up those of ``can_ids``, NMT and requests aside; which they are."""
+        """Discard the frames of ``can_ids``, except NMT and requests; return them."""
         waiting = self._classes[1]
         withdrawn = [frame for frame in waiting if frame.can_id in can_ids]
         for frame in withdrawn:
@@ -97,7 +96,7 @@ class SendQueue:
         return withdrawn
 
     def drop(self) -> None:
-        """The first one is given up."""
+        """Give up the first one."""
         self.given_up += 1
         self._take_first()
 
@@ -105,5 +104,5 @@ class SendQueue:
         next(waiting for waiting in self._classes if waiting).popleft()
 
     def stuck(self, now: Instant) -> bool:
-        """Whether the bus takes nothing any more."""
+        """Return True if the bus takes nothing any more."""
         return bool(self) and now - self.blocked_since > STUCK_AFTER

@@ -19,9 +19,9 @@ from servobench.drivers.timebase import NS_PER_S, Clock, Instant
 BITS_A_BYTE: Final = 10
 """A start bit, eight of data, a stop bit."""
 READ_BYTES: Final = 4096
-"""As much as Linux keeps of a terminal's input (N_TTY_BUF_SIZE)."""
+"""Linux's limit for a terminal's input (N_TTY_BUF_SIZE)."""
 HELD_BYTES_MAX = 4096
-"""Bytes that wait for the port to take them; a line of 115200 baud needs a third of a second for them."""
+"""Bytes waiting for the port; a line of 115200 baud needs a third of a second for them."""
 
 
 class LineGone(OSError):
@@ -29,16 +29,16 @@ class LineGone(OSError):
 
 
 class LineFull(OSError):
-    """The port does not take what is written: its other end stands still."""
+    """The port takes no more bytes: its other end stands still."""
 
 
 class ByteLine(Protocol):
-    """What a driver of a serial instrument needs of its port."""
+    """The port of a serial instrument, as its driver sees it."""
 
     name: str
 
     def read(self) -> bytes:
-        """What has come since the last call; empty if nothing has. Raises LineGone."""
+        """Return the bytes since the last call; empty if there are none. Raises LineGone."""
         ...
 
     def write(self, data: bytes) -> None:
@@ -73,7 +73,7 @@ class SerialLine:
         self._held_bytes = 0
 
     def fileno(self) -> int:
-        """For select."""
+        """Return the descriptor, for select."""
         return self._descriptor
 
     @property
@@ -82,7 +82,7 @@ class SerialLine:
         return self._held_bytes
 
     def read(self) -> bytes:
-        """What has come; whatever waits to be written goes out first, as far as the port takes it."""
+        """Return received bytes; waiting output is sent first, as far as the port takes it."""
         if self._held:
             self._flush()
         try:

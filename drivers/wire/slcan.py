@@ -41,25 +41,24 @@ from servobench.drivers.wire.slcan_protocol import (
 
 LINE_BAUD = 115_200
 REFUSALS_MAX = 32
-"""Frames refused one after another before the adapter counts as failed."""
+"""Consecutive refusals before the adapter counts as failed."""
 ANSWER_NS = Duration(250 * NS_PER_MS)
 OBEYING_NS = Duration(1500 * NS_PER_MS)
-"""For a command that sets the CAN controller up."""
+"""Time for a command that sets the CAN controller up."""
 LEAVING_NS = Duration(10 * NS_PER_MS)
-"""For the frames that the adapter has taken: 64 of them at 1 Mbit/s."""
+"""Time for the frames that the adapter has taken: 64 of them at 1 Mbit/s."""
 OPENING_ATTEMPTS = 12
 """Requests of 250 ms: boards that start anew when their port is opened need two seconds."""
 _AWAITED_MAX = 1024
 _TELLING = (b"V", b"N", b"F")
-"""Commands whose answer bears their letter, so that it tells to what it belongs."""
+"""Commands whose answer starts with their letter, which identifies them."""
 
 
 class SlcanPort(FramePort):
     """The frames of an :class:`SlcanBus`.
 
-    They are stamped when they are taken in. That the adapter has taken a frame, which it acknowledges, does
-    not say that the frame was on the bus: there are no echoes, unless the bus was opened with
-    ``receive_own_messages``.
+    They are stamped when they are taken in. The adapter's acknowledgement does not prove that a frame was on
+    the bus: there are no echoes, unless the bus was opened with ``receive_own_messages``.
     """
 
     def __init__(self, bus: "SlcanBus") -> None:
@@ -80,7 +79,7 @@ class SlcanPort(FramePort):
 
 
 class SlcanBus(can.BusABC):
-    """One serial adapter; a participant of the bus that it hangs on.
+    """One serial adapter, as a participant of its bus.
 
     ``recv`` and ``send`` raise can.CanOperationError if the adapter is gone, does not take what is written,
     or has refused 32 frames one after another.
@@ -100,8 +99,9 @@ class SlcanBus(can.BusABC):
     ) -> None:
         """Open the port and then the adapter's CAN channel.
 
-        ``tty_baudrate``: of the serial line, baud; USB adapters ignore it. Raises can.CanInitializationError
-        if no adapter answers or it refuses the bit rate, OSError if the port cannot be opened.
+        ``tty_baudrate``: speed of the serial line, baud; USB adapters ignore it. Raises
+        can.CanInitializationError if no adapter answers or it refuses the bit rate, OSError if the port
+        cannot be opened.
         """
         if bitrate not in BITRATE_CODES:
             known = ", ".join(map(str, BITRATE_CODES))
@@ -112,18 +112,18 @@ class SlcanBus(can.BusABC):
         self.refused_frames = 0
         """Frames that the adapter did not take."""
         self.malformed_lines = 0
-        """Lines that are nothing of the protocol: cut, spoilt, or of an unknown kind."""
+        """Lines outside the protocol: cut, spoilt, or of an unknown kind."""
         self.error_reports = 0
         self.adapter_status = SlcanStatus(0)
-        """The flags told last; asked for whenever a frame is refused, and by :meth:`status`."""
+        """The last flags received; requested whenever a frame is refused, and by :meth:`status`."""
         self.acknowledges = True
-        """Whether the adapter answers each command; some firmwares never do."""
+        """True if the adapter answers each command; some firmwares never do."""
         self.version = self.serial_number = ""
         self._clock = clock or MonotonicClock()
         self._splitter = LineSplitter()
         self._inbox: deque[tuple[WireFrame, Instant, bool]] = deque()
         self._awaited: deque[WireFrame | bytes] = deque(maxlen=_AWAITED_MAX)
-        """What the adapter has still to answer, in order: frames, and texts of commands."""
+        """Items that the adapter still has to answer, in order: frames, and texts of commands."""
         self._answer: SlcanLine | None = None
         self._refusals = 0
         self._asked_why_at = Instant(0)
@@ -157,7 +157,7 @@ class SlcanBus(can.BusABC):
     # ---- python-can's interface -----------------------------------------------------------------------
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next message; None after ``timeout`` seconds."""
+        """Return the next message; None after ``timeout`` seconds."""
         until = NEVER if timeout is None else instant_after(self._clock.now(), timeout)
         received = self._receive(until)
         if received is None:
@@ -174,28 +174,28 @@ class SlcanBus(can.BusABC):
         self._transmit(frame)
 
     def fileno(self) -> int:
-        """The serial port, for an event loop to watch. Frames read already do not show there."""
+        """Return the serial port, for an event loop to watch. Frames read already do not show there."""
         return self._line.fileno()
 
     @property
     def state(self) -> can.BusState:
-        """PASSIVE if the adapter told so last; see :meth:`status`."""
+        """PASSIVE if the adapter last reported it; see :meth:`status`."""
         return (
             can.BusState.PASSIVE if self.adapter_status & SlcanStatus.ERROR_PASSIVE else can.BusState.ACTIVE
         )
 
     @state.setter
     def state(self, new_state: can.BusState) -> None:
-        """Raises NotImplementedError: the state is the adapter's own."""
+        """Raise NotImplementedError: the state belongs to the adapter."""
         raise NotImplementedError("the error state follows the adapter's error counters")
 
     def status(self) -> SlcanStatus:
-        """Ask the adapter for its flags, which clears them; frames that come meanwhile are kept."""
+        """Read the adapter's flags, which clears them; frames that come meanwhile are kept."""
         self._ask(b"F")
         return self.adapter_status
 
     def trouble(self) -> str:
-        """What went wrong so far, in words; empty if nothing did."""
+        """Describe the problems so far; empty if there were none."""
         counts = {
             "frames refused by the adapter": self.refused_frames,
             "spoilt lines from the adapter": self.malformed_lines + self._splitter.overlong,
@@ -204,7 +204,7 @@ class SlcanBus(can.BusABC):
         return ", ".join(f"{count} {what}" for what, count in counts.items() if count)
 
     def shutdown(self) -> None:
-        """Close the CAN channel and the port; what was sent before still goes out."""
+        """Close the CAN channel and the port; frames sent before still go out."""
         if self._is_shutdown:
             return
         try:
@@ -229,7 +229,7 @@ class SlcanBus(can.BusABC):
                 return None
 
     def _take(self, until: Instant) -> bool:
-        """Take in what has come, else wait for it until then; whether anything came."""
+        """Take in received bytes, else wait for some until then; False if none came."""
         try:
             data = self._line.read()
             if not data:
@@ -270,7 +270,7 @@ class SlcanBus(can.BusABC):
             self._settle(line, now)
 
     def _settle(self, line: SlcanLine, now: Instant) -> None:
-        """An answer: to the oldest command that is still to be answered, or to the one that it names."""
+        """Match an answer to the oldest command outstanding, or to the one that it names."""
         letter = line.text[:1]
         if letter in _TELLING:
             while self._awaited:
@@ -294,7 +294,7 @@ class SlcanBus(can.BusABC):
                 self._inbox.append((awaited, now, True))
 
     def _request_status(self) -> None:
-        """Ask why; the answer is taken in when it comes."""
+        """Request the flags for a reason; the answer is taken in when it comes."""
         with suppress(OSError):  # a port that is gone shows at the next call
             self._line.write(b"F\r")
             self._awaited.append(b"F")
@@ -307,7 +307,7 @@ class SlcanBus(can.BusABC):
             self.adapter_status = flags
 
     def _start(self) -> None:
-        """Bring the adapter from whatever state it was left in to an open channel."""
+        """Bring the adapter from any state to an open channel."""
         name = str(self.channel_info)
         if not self._wake_up():
             raise can.CanInitializationError(
@@ -321,7 +321,7 @@ class SlcanBus(can.BusABC):
         self._inbox.clear()
 
     def _wake_up(self) -> bool:
-        """Close the channel; whether anybody is there."""
+        """Close the channel; False if no adapter answers."""
         for _ in range(OPENING_ATTEMPTS):
             self._line.write(b"\r\r\r")  # whatever was typed in part before is ended, as the manual advises
             self._drain()
@@ -372,7 +372,7 @@ class SlcanBus(can.BusABC):
             self._take(deadline)
 
     def _drain(self) -> None:
-        """Forget what was said before."""
+        """Discard earlier input."""
         deadline = Instant(self._clock.now() + 20 * NS_PER_MS)
         while self._clock.now() < deadline:
             self._take(deadline)
@@ -390,5 +390,5 @@ class SlcanBus(can.BusABC):
 
 
 def _value(line: SlcanLine | None) -> str:
-    """What an answer says behind its letter."""
+    """Return the text of an answer after its letter."""
     return "" if line is None or line.refused else line.text[1:].decode("ascii", "replace")

@@ -21,11 +21,11 @@ BITRATE_CODES = {bitrate: code for code, bitrate in enumerate(_BITRATES_BIT_S)}
 STAMP_PERIOD_MS = 60_000
 """The stamps of Z1 count to 59999."""
 LINE_LENGTH_MAX = 128
-"""Of a line that is still taken for one; the longest frame has 30 characters."""
+"""Longest line accepted; the longest frame has 30 characters."""
 
 _END = re.compile(b"([\r\a])")
 _FRAME = re.compile(rb"([trTR])((?<=[tr])[0-9A-Fa-f]{3}|(?<=[TR])[0-9A-Fa-f]{8})([0-8])([0-9A-Fa-f]*)")
-"""Kind, identifier, length, and what stands behind it: data, and the digits of a stamp."""
+"""Kind, identifier, length, and the rest: data, and the digits of a stamp."""
 _STATUS = re.compile(rb"F([0-9A-Fa-f]{2})")
 
 
@@ -53,16 +53,16 @@ _STATUS_TEXTS = {
 
 
 def status_text(status: SlcanStatus) -> str:
-    """The flags in words; ``no error`` for none."""
+    """Describe the flags; ``no error`` for none."""
     return ", ".join(text for flag, text in _STATUS_TEXTS.items() if status & flag) or "no error"
 
 
 class SlcanLine(NamedTuple):
-    """What stands before a terminator."""
+    """A line without its terminator."""
 
     text: bytes
     refused: bool
-    """It ended with BEL."""
+    """True if it ended with BEL."""
 
 
 class LineSplitter:
@@ -74,7 +74,7 @@ class LineSplitter:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[SlcanLine]:
-        """The lines that ``data`` completes."""
+        """Return the lines that ``data`` completes."""
         *pieces, rest = _END.split(self._rest + data)
         lines = [SlcanLine(text, end == BEL) for text, end in zip(pieces[::2], pieces[1::2], strict=True)]
         if len(rest) > LINE_LENGTH_MAX:
@@ -85,7 +85,7 @@ class LineSplitter:
 
 
 def encode_frame(frame: WireFrame, stamp_ms: int | None = None) -> bytes:
-    """A frame as a line with its CR; ``stamp_ms``: as an adapter sends it with time stamps on."""
+    """Encode a frame as a line with its CR; ``stamp_ms``: as an adapter sends it with time stamps on."""
     can_id, data, extended = frame.can_id, frame.data, frame.extended
     remote, remote_length = frame.remote, frame.remote_length
     kind = ("R" if extended else "r") if remote else ("T" if extended else "t")
@@ -96,7 +96,7 @@ def encode_frame(frame: WireFrame, stamp_ms: int | None = None) -> bytes:
 
 
 def decode_frame(text: bytes) -> WireFrame | None:
-    """The frame in a line, with or without a time stamp; None for anything else, also if it is spoilt.
+    """Decode the frame in a line, with or without a time stamp; None for anything else, also if it is spoilt.
 
     The protocol has no checksum: a line in which digits were changed into other digits passes.
     """
@@ -113,13 +113,14 @@ def decode_frame(text: bytes) -> WireFrame | None:
 
 
 def decode_status(text: bytes) -> SlcanStatus | None:
-    """The flags in an answer ``Fxx``; None if it is none."""
+    """Decode the flags in an answer ``Fxx``; None for any other."""
     match = _STATUS.fullmatch(text)
     return None if match is None else SlcanStatus(int(match[1], 16) & 0xEF)
 
 
 def is_error_report(text: bytes) -> bool:
-    """A line by which some firmwares tell an error state (``sb256256``) or a bus error (``e1a``)."""
+    """Return True for a line by which some firmwares report an error state (``sb256256``) or a bus error
+    (``e1a``)."""
     if text[:1] == b"s":
         return len(text) == 8 and text[1:2] in (b"a", b"w", b"p", b"b") and text[2:].isdigit()
     return text[:1] == b"e" and text[1:2].isdigit() and len(text) == 2 + text[1] - 0x30

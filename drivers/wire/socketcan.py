@@ -32,31 +32,31 @@ from servobench.drivers.wire.socketcan_stamps import (
 )
 
 RECEIVE_BUFFER_BYTES = 4 << 20
-"""Some 5000 frames; the kernel's default holds under 300, and drops what does not fit."""
+"""Some 5000 frames; the kernel's default holds under 300, and drops the rest."""
 
 _FRAME = Struct("=IB3x8s")
 """struct can_frame: identifier with flags, length, data."""
 _SO_RCVBUFFORCE = 33
 """asm-generic/socket.h."""
 _FIRST_COMPARISONS = 8
-"""Of the clocks, before the first frame: one alone is off by half of what the processor did in between, seen
-as 105 us on a busy machine; every frame adds one more."""
+"""Comparisons of the clocks before the first frame: one alone is off by half of the processor's delay in
+between, seen as 105 us on a busy machine; every frame adds one more."""
 _UNPLUGGED = (errno.ENXIO, errno.ENODEV)
 _WHY = {
     errno.ENOBUFS: "the transmit queue of the interface is full",
     errno.ENETDOWN: "the interface is down",
     **dict.fromkeys(_UNPLUGGED, "the adapter was unplugged"),
 }
-"""What the kernel's errors mean here."""
+"""Meanings of the kernel's errors here."""
 _MSG_CONFIRM = 0x800
-"""On an own frame that comes back (linux/can.h). MSG_DONTROUTE, by which python-can tells own frames, stands
-on every frame of this machine, on a virtual interface on all."""
+"""Flag of an own frame that comes back (linux/can.h). MSG_DONTROUTE, which python-can uses to recognise own
+frames, is set on every frame of this machine: on a virtual interface on all."""
 
 
 class SocketcanPort(FramePort):
     """The frames of a SocketCAN socket, with the adapter's stamps if it has some, else the kernel's.
 
-    Hardware stamps were never seen here but in tests that make them up.
+    Hardware stamps were never seen here except made up by tests.
     """
 
     def __init__(self, opened: socket.socket, clock: Clock, receive_own: bool, channel: str) -> None:
@@ -71,17 +71,17 @@ class SocketcanPort(FramePort):
         self._wall = WallStamps()
         self._adapter = AdapterClock()
         self._down = False
-        """Whether the interface was down when it was last looked at."""
+        """True if the interface was down at the last look."""
         self._down_since = Instant(0)
         """When that was first seen, if so."""
         self._controller = ""
-        """What the last error frame told of its state."""
+        """Controller state of the last error frame."""
         self._far_off = 0
         for _ in range(_FIRST_COMPARISONS):
             self._compare()
 
     def receive(self, until: Instant) -> WireFrame | None:
-        """The next frame, error frames among them; None once ``until`` has come.
+        """Return the next frame, error frames included; None once ``until`` has come.
 
         An interface that goes down brings none until it is up again. Raises can.CanOperationError if the
         adapter was unplugged.
@@ -199,7 +199,7 @@ class StampedSocketcanBus(SocketcanBus):
         self.frame_port = SocketcanPort(self.socket, MonotonicClock(), receive_own_messages, channel)
 
     def _enlarge_buffer(self) -> None:
-        """Beyond net.core.rmem_max where the process may, up to it where not; losses are counted."""
+        """Enlarge the buffer beyond net.core.rmem_max if permitted, else up to it; losses are counted."""
         try:
             self.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
         except PermissionError:

@@ -1,4 +1,4 @@
-"""What the kernel and the adapter say of when a frame was there, on the bench's axis. No I/O.
+"""Kernel and adapter stamps of a frame, converted to the bench's axis. No I/O.
 
 The kernel stamps with the wall clock, which can be set; the adapter with a counter of its own. Both are
 mapped to the monotonic clock here:
@@ -19,17 +19,17 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 SO_TIMESTAMPNS: Final = 35
 SO_TIMESTAMPING: Final = 37
 SO_RXQ_OVFL: Final = 40
-"""Options of the kernel's, and types of the ancillary data that they bring (asm-generic/socket.h)."""
+"""Kernel options, and the types of the ancillary data that they bring (asm-generic/socket.h)."""
 SO_TIMESTAMPNS_NEW: Final = 64
 SO_TIMESTAMPING_NEW: Final = 65
 """The same with 64-bit times, as 32-bit programs that were built for them get it."""
 HARDWARE_STAMPS: Final = 1 << 2 | 1 << 6
 """SOF_TIMESTAMPING_RX_HARDWARE | SOF_TIMESTAMPING_RAW_HARDWARE (linux/net_tstamp.h). A CAN driver's transmit
-stamp is the receive stamp of the frame's echo, so that SOF_TIMESTAMPING_TX_HARDWARE, which reports by the
-error queue, tells no more."""
+stamp is the receive stamp of the frame's echo, so SOF_TIMESTAMPING_TX_HARDWARE, which reports by the error
+queue, adds nothing."""
 
 _TIMESPECS: Final = (Struct("=qq"), Struct("=ii"))
-"""struct timespec of 64-bit programs, and the old one of 32-bit programs: the length tells which."""
+"""struct timespec of 64-bit programs, and the old one of 32-bit programs, told apart by length."""
 _STAMPINGS: Final = (Struct("=qqqqqq"), Struct("=iiiiii"))
 """struct scm_timestamping: software, (unused), raw hardware."""
 _OVERFLOW: Final = Struct("=I")
@@ -47,11 +47,11 @@ _BLOCKS: Final = 32
 _RESTARTED_NS: Final = 100 * NS_PER_MS
 """Longer than any adapter takes to hand over a frame: a counter that disagrees by more has been set anew."""
 FAR_OFF_NS: Final = NS_PER_S
-"""A stamp of the kernel that lies so far before the frame in front of it, or after now, is none of this
-clock; a wall clock that is set is told from it by the comparisons."""
+"""A kernel stamp this far before the previous frame, or after now, does not belong to this clock; a wall
+clock that was set is recognised by the comparisons."""
 _RESTARTS_MAX: Final = 3
-"""Of a counter without a block of agreement between them: its stamps of own and of others' frames then count
-from different starts."""
+"""Restarts of a counter without a block of agreement between them: its stamps of own and of others' frames
+then count from different starts."""
 
 
 class FrameStamps(NamedTuple):
@@ -66,7 +66,7 @@ class FrameStamps(NamedTuple):
 
 
 def parse_ancillary(ancillary: Ancillary) -> FrameStamps:
-    """None for what is not there, or is zero as the kernel leaves it."""
+    """Parse the ancillary data; None for a value that is missing, or zero as the kernel leaves it."""
     software = hardware = lost = None
     for _, kind, value in ancillary:
         if kind in (SO_TIMESTAMPNS, SO_TIMESTAMPNS_NEW):
@@ -79,7 +79,7 @@ def parse_ancillary(ancillary: Ancillary) -> FrameStamps:
 
 
 def _last_time(value: bytes, layouts: Sequence[Struct]) -> int | None:
-    """The last time in ``value``, ns; None if it has the length of no layout."""
+    """Return the last time in ``value``, ns; None if its length fits no layout."""
     for layout in layouts:
         if len(value) == layout.size:
             *_, seconds, ns = layout.unpack(value)
@@ -92,7 +92,7 @@ class _Offset:
 
     def __init__(self, before: int, wall: int, after: int) -> None:
         self.lowest, self.highest = wall - after, wall - before
-        """ns: what all comparisons leave possible."""
+        """ns: the range left by all comparisons."""
         self.since_at_latest = after
         self.until_at_earliest = before
 
@@ -106,43 +106,43 @@ class _Offset:
 
     @property
     def value(self) -> int:
-        """The middle of what is possible, ns."""
+        """The middle of that range, ns."""
         return (self.lowest + self.highest) // 2
 
 
 class WallStamps:
     """Maps the wall-clock stamps of a queue of frames to the monotonic clock, also while that clock is set.
 
-    A frame that was stamped before a step belongs to the offset before it, although it is read after it.
-    Each offset was in force from some instant after the last comparison that found the one before it, until
-    some instant before the first that found the next. A frame gets the oldest offset that puts it there,
-    not before the frame in front of it or the instant at which the queue was empty, and not after now; once a
-    frame has a later offset, so have all behind it.
+    A frame stamped before a step belongs to the offset before it, even if read later. Each offset was in
+    force from some instant after the last comparison that found the one before it, until some instant before
+    the first that found the next. A frame gets the oldest offset that puts it there, not before the frame in
+    front of it or the instant at which the queue was empty, and not after now; once a frame has a later
+    offset, so have all behind it.
 
-    What cannot be decided is a step smaller than the time since the last comparison: a stamp may then be
-    wrong by the step.
+    A step smaller than the time since the last comparison cannot be recognised: a stamp may then be wrong by
+    the step.
     """
 
     def __init__(self) -> None:
         self.far_off = 0
-        """How many stamps were not used, as they lay far outside of what is possible."""
+        """Stamps not used because they lay far outside of the possible range."""
         self._offsets: list[_Offset] = []
         self._floor = 0
-        """No frame to come was stamped before."""
+        """No frame to come was stamped before this."""
 
     def compare(self, before: int, wall: int, after: int) -> None:
-        """The wall clock was read between two readings of the monotonic clock, ns."""
+        """Compare the clocks: the wall clock was read between two readings of the monotonic clock, ns."""
         if not self._offsets or not self._offsets[-1].agrees(before, wall, after):
             self._offsets.append(_Offset(before, wall, after))
 
     def emptied(self, at: int) -> None:
-        """The queue was found empty at ``at``."""
+        """Note that the queue was found empty at ``at``."""
         while len(self._offsets) > 1 and self._offsets[1].since_at_latest <= at:
             del self._offsets[0]
         self._floor = max(self._floor, at - REORDERED_MAX_NS)
 
     def instant(self, stamp_ns: int, now: int) -> Instant:
-        """When the next frame of the queue was stamped. Call :meth:`compare` at ``now`` first."""
+        """Return when the next frame of the queue was stamped. Call :meth:`compare` at ``now`` first."""
         offsets = self._offsets
         for number, offset in enumerate(offsets):
             at = stamp_ns - offset.value
@@ -166,22 +166,23 @@ class AdapterClock:
 
     The software stamp comes later than the hardware's by the way from the adapter to the kernel, now more,
     now less. So the line under all points (hardware, software - hardware) is sought that is closest to them:
-    the edge of their lower hull below their middle. What is constant in that way stays in the stamps.
+    the edge of their lower hull below their middle. A constant part of that delay stays in the stamps.
 
     Tested on made-up stamps only: it was never run on an adapter.
     """
 
     def __init__(self) -> None:
         self._blocks: deque[tuple[int, int]] = deque(maxlen=_BLOCKS)
-        """Of each block of time the point that lies lowest."""
+        """The lowest point of each block of time."""
         self.useless = False
-        """Whether its stamps jump so often that they are used no more."""
+        """True if its stamps jump so often that they are not used any more."""
         self._restarts = 0
         self._block_ends = 0
         self._last = 0
 
     def instant(self, hardware_ns: int, software_at: Instant) -> Instant:
-        """When the adapter stamped a frame that the kernel stamped at ``software_at``; never after that."""
+        """Return when the adapter stamped a frame that the kernel stamped at ``software_at``; never after
+        that."""
         if self.useless:
             return software_at
         late = software_at - hardware_ns
@@ -207,7 +208,7 @@ class AdapterClock:
             self._blocks[-1] = (hardware_ns, late)
 
     def _lateness_min(self, hardware_ns: int) -> int:
-        """The line at ``hardware_ns``."""
+        """Return the height of the line at ``hardware_ns``."""
         hull = _lower_hull(self._blocks)
         middle = sum(x for x, _ in self._blocks) // len(self._blocks)
         for (x0, y0), (x1, y1) in pairwise(hull):
@@ -217,7 +218,7 @@ class AdapterClock:
 
 
 def _lower_hull(points: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The points of the lower convex hull (Andrew's monotone chain). x: ascending."""
+    """Return the points of the lower convex hull (Andrew's monotone chain). x: ascending."""
     hull: list[tuple[int, int]] = []
     for x, y in points:
         while len(hull) >= 2 and _turns_down(hull[-2], hull[-1], (x, y)):

@@ -4,8 +4,8 @@
     sections.py    lines -> sections with options, each with its line
     numbers.py     the spellings of numbers and of $NODEID
     objects.py     sections -> objects with typed entries, by the rules of types.py and values.py
-    information.py what a file says of itself: file, device, configuration
+    information.py information about the file, its device and its configuration
     model.py       objects -> the object dictionary of python canopen
 
-Every stage tells a :class:`servobench.drivers.sheets.eds.repairs.RepairLog` what it had to mend.
+Every stage reports its repairs to a :class:`servobench.drivers.sheets.eds.repairs.RepairLog`.
 """

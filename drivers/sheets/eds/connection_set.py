@@ -1,7 +1,7 @@
-"""The predefined connection set (CiA 301, 7.3.5) in a file: PDOs told in short, COB-IDs of one node.
+"""The predefined connection set (CiA 301, 7.3.5) in a file: PDOs in short form, COB-IDs of one node.
 
-PDOs without sections of their own are told by CompactPDO in [DeviceInfo] (CiA 306-1 clause 4.5.3). In some
-files somebody has put a node-ID in the place of $NODEID: they have the COB-IDs of one node for all.
+CompactPDO in [DeviceInfo] defines PDOs without their own sections (CiA 306-1 clause 4.5.3). Some files have a
+node-ID in place of $NODEID: the COB-IDs of one node for all.
 """
 
 from collections.abc import Iterator, Mapping
@@ -33,7 +33,7 @@ _PREDEFINED: Final[dict[tuple[int, int], int]] = {
 }
 """COB-IDs of the predefined connection set without the node-ID (CiA 301, 7.3.5)."""
 _WITNESSES_MIN: Final = 3
-"""So many identifiers have to be those of one node: two may be by chance, or by somebody's wish."""
+"""Identifiers that must belong to one node: two may by chance, or on purpose."""
 _SUBS = {
     1: ("COB-ID", DataType.UNSIGNED32),
     2: ("Transmission type", DataType.UNSIGNED8),
@@ -45,7 +45,7 @@ _SUBS = {
 
 
 def add_compact_pdos(objects: dict[int, EdsObject], device: DeviceInformation) -> None:
-    """Define the PDOs that ``device`` has beyond those of the file."""
+    """Define the PDOs of ``device`` beyond those of the file."""
     if not device.compact_pdo:
         return
     for base, first_id, count, name in (
@@ -92,8 +92,8 @@ def _entry(index: int, sub: int, name: str, data_type: int, access: str, value: 
 
 
 def free_of_node(objects: Mapping[int, EdsObject], sections: Sections, log: RepairLog) -> None:
-    """Let the identifiers of the predefined connection set follow the node-ID, if all that are plain numbers
-    are those of one and the same node."""
+    """Make the identifiers of the predefined connection set follow the node-ID, if all that are plain numbers
+    belong to one node."""
     plain = list(_plain(objects))
     nodes = {(value & CAN_ID) - base for _, base, value in plain}
     if len(plain) < _WITNESSES_MIN or len(nodes) != 1:
@@ -110,7 +110,7 @@ def free_of_node(objects: Mapping[int, EdsObject], sections: Sections, log: Repa
 
 
 def _plain(objects: Mapping[int, EdsObject]) -> Iterator[tuple[Entry, int, int]]:
-    """Entries that are plain numbers, with the identifier's base and the number."""
+    """Yield entries that are plain numbers, with the identifier's base and the number."""
     for (index, sub), base in _PREDEFINED.items():
         entry = objects[index].entries.get(sub) if index in objects else None
         value = None if entry is None else entry.default.value

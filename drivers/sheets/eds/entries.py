@@ -1,4 +1,4 @@
-"""One variable or sub-object: its options into a typed entry."""
+"""Turns the options of one variable or sub-object into a typed entry."""
 
 import re
 from dataclasses import dataclass, field
@@ -43,18 +43,18 @@ class Entry:
     """ObjFlags: bit 0 refuses a write on download, bit 1 refuses a read on scan (CiA 306-1)."""
     storage: str | None = None
     extras: dict[str, str] = field(default_factory=dict)
-    """Unit, factor and description, which python canopen knows beside the standard."""
+    """Unit, factor and description, which python canopen knows in addition to the standard."""
 
 
 class EntryReader:
-    """Makes entries of sections."""
+    """Makes entries from sections."""
 
     def __init__(self, sections: Sections, node_id: int | None) -> None:
         self._defined = {name.upper(): section for name, section in reversed(sections.items())}
         self._node_id = node_id
 
     def entry(self, section: EdsSection, index: int, sub: int | None) -> Entry:
-        """The variable (``sub`` None) or sub-object that ``section`` defines."""
+        """Return the variable (``sub`` None) or sub-object that ``section`` defines."""
         data_type = self.data_type(section, index, sub)
         place = Place(section, index, sub, data_type)
         entry = Entry(
@@ -77,7 +77,7 @@ class EntryReader:
         return entry
 
     def name(self, section: EdsSection) -> str:
-        """ParameterName; one made up where it is missing."""
+        """Return ParameterName; an invented one if it is missing."""
         if section.text("ParameterName"):
             return section.text("ParameterName")
         name = f"Object {section.name}"
@@ -85,7 +85,7 @@ class EntryReader:
         return name
 
     def data_type(self, section: EdsSection, index: int, sub: int | None) -> int:
-        """DataType, or the standard's, or DOMAIN."""
+        """Return DataType, or the standard's, or DOMAIN."""
         option = section.option("DataType")
         if option is None:
             empty = section.options.get("datatype")
@@ -102,7 +102,8 @@ class EntryReader:
         return _supposed_type(section, index, sub, f"data type {code:04X}h is unknown", option.line)
 
     def _defined_type(self, code: int) -> int | None:
-        """CANFestival's editor defines a limited type in a section [A0], its base in [A0sub1]."""
+        """Resolve a limited type, which CANFestival's editor defines in a section [A0], its base in
+        [A0sub1]."""
         for name in (f"{code:X}sub1", section_name(code, 1)):
             section = self._defined.get(name.upper())
             spelled = integer(section.text("DefaultValue")) if section is not None else None

@@ -1,4 +1,4 @@
-"""What a file says of itself: its making, the device it is for, the node that it configures, its lists."""
+"""Information about a file: its origin, its device, the node that it configures, its lists."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ _COUNT = "supportedobjects"
 
 @dataclass(frozen=True, slots=True)
 class FileInformation:
-    """[FileInfo], as it stands."""
+    """[FileInfo], unchanged."""
 
     name: str = ""
     version: str = ""
@@ -36,7 +36,7 @@ class FileInformation:
 
 @dataclass(frozen=True, slots=True)
 class DeviceInformation:
-    """[DeviceInfo]; None for what the file does not say, or says without sense."""
+    """[DeviceInfo]; None for a value that is missing or nonsense."""
 
     vendor_name: str = ""
     product_name: str = ""
@@ -48,7 +48,7 @@ class DeviceInformation:
     receive_pdos: int | None = None
     transmit_pdos: int | None = None
     granularity: int | None = None
-    """Bits: the smallest piece that can be mapped; 0 if the mapping is fixed."""
+    """Bits: the smallest unit that can be mapped; 0 if the mapping is fixed."""
     compact_pdo: int = 0
     """Bit n: PDOs without a section of their own have sub-index n + 1 of the communication parameter."""
     lss_supported: bool | None = None
@@ -68,7 +68,7 @@ class Commissioning:
 
 
 def read_file_information(sections: Sections) -> FileInformation:
-    """[FileInfo]; empty where the file has none."""
+    """Read [FileInfo]; empty if the file has none."""
     section = sections.get("FileInfo")
     if section is None:
         return FileInformation()
@@ -89,7 +89,7 @@ def read_file_information(sections: Sections) -> FileInformation:
 
 
 def read_device_information(sections: Sections, log: RepairLog) -> DeviceInformation:
-    """[DeviceInfo]."""
+    """Read [DeviceInfo]."""
     section = sections.get("DeviceInfo")
     if section is None:
         log.add("DeviceInfo", "the section is missing", "taken for empty")
@@ -113,7 +113,7 @@ def read_device_information(sections: Sections, log: RepairLog) -> DeviceInforma
 
 
 def read_commissioning(sections: Sections) -> Commissioning | None:
-    """[DeviceComissioning]; None for an EDS."""
+    """Read [DeviceComissioning]; None for an EDS."""
     section = sections.get(COMMISSIONING)
     if section is None:
         return None
@@ -132,7 +132,7 @@ def read_commissioning(sections: Sections) -> Commissioning | None:
 
 
 def read_dummies(sections: Sections) -> tuple[int, ...]:
-    """Data types that may be mapped as placeholders (CiA 301 7.4.7)."""
+    """Return the data types that may be mapped as placeholders (CiA 301 7.4.7)."""
     section = sections.get("DummyUsage")
     if section is None:
         return ()
@@ -140,7 +140,7 @@ def read_dummies(sections: Sections) -> tuple[int, ...]:
 
 
 def check_lists(sections: Sections, log: RepairLog) -> None:
-    """Hold the lists of objects against the objects; those that are defined count."""
+    """Compare the lists of objects with the objects; the defined ones count."""
     defined = {named.index for named in map(object_of, sections) if named is not None}
     defined = {index for index in defined if index >= FIRST_OBJECT}
     lists = [sections[name] for name in LISTS if name in sections]
@@ -182,7 +182,7 @@ def _check_list(section: EdsSection, defined: set[int], listed: dict[int, str]) 
 
 
 def _listed_index(text: str, defined: set[int]) -> int | None:
-    """An index; digits without 0x are hexadecimal if only so they name an object of the file."""
+    """Parse an index; digits without 0x are hexadecimal if only then they name an object of the file."""
     spelled = integer(text)
     if spelled is None:
         return None
@@ -192,7 +192,7 @@ def _listed_index(text: str, defined: set[int]) -> int | None:
 
 
 def _number(section: EdsSection, name: str) -> int | None:
-    """A number of a section that is no object's, where an empty one is no fault."""
+    """Parse a number of a non-object section, where an empty one is no fault."""
     return section.number(name) if section.option(name) is not None else None
 
 

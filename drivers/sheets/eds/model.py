@@ -24,7 +24,7 @@ def to_canopen(
     commissioning: Commissioning | None,
     node_id: int | None,
 ) -> od.ObjectDictionary:
-    """The dictionary; ``node_id`` takes the place of $NODEID, a value that needs it is None without."""
+    """Build the dictionary; ``node_id`` replaces $NODEID; without it, a value that needs it is None."""
     dictionary = od.ObjectDictionary()  # type: ignore[no-untyped-call]
     dictionary.node_id = node_id
     if commissioning is not None and commissioning.bit_rate_kbit_s:
@@ -88,7 +88,7 @@ def _variable(entry: Entry, node_id: int | None, configured_for: int | None) -> 
 
 
 def _followed(entry: Entry, configured_for: int | None) -> Formula | None:
-    """The formula that the value follows: that of the parameter value if there is one, else the default's.
+    """Return the formula of a value: that of the parameter value if there is one, else the default's.
 
     Tools write the parameter values of a DCF as plain numbers. One that is the default's identifier on the
     node of the DCF, be it with other flags (bits 29 to 31), goes on following the node-ID.

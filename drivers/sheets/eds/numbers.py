@@ -1,4 +1,4 @@
-"""The spellings of numbers in data sheets.
+"""Spellings of numbers in data sheets.
 
 CiA 306-1 knows decimals, 0x and a leading $NODEID. What else occurs is read as its writer must have meant it.
 """
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 
 class Spelled(NamedTuple):
-    """A number and what is odd about the way it is written; empty if nothing is."""
+    """A number and any oddity of its spelling; empty if there is none."""
 
     value: int
     oddity: str = ""
@@ -24,13 +24,13 @@ class Formula(NamedTuple):
     oddity: str = ""
 
     def at(self, node_id: int) -> int:
-        """Its value for a node-ID, as UNSIGNED32."""
+        """Return its value for a node-ID, as UNSIGNED32."""
         return (self.factor * node_id + self.base) & 0xFFFF_FFFF
 
 
 LENGTH_MAX = 128
-"""Characters of a number or formula: 64 bits in binary take half of them. Turning digits into an integer
-takes the square of their number, and nested parentheses some calls each."""
+"""Characters of a number or formula: 64 bits in binary take half of them. Converting digits to an integer
+takes quadratic time, and nested parentheses some calls each."""
 _DECIMAL = re.compile(r"[+-]?\d+")
 _HEX = re.compile(r"[+-]?0[xX][0-9A-Fa-f]+")
 _ODD_HEX = (
@@ -56,7 +56,7 @@ _FUNCTION_CODE = 0x80
 
 
 def integer(text: str) -> Spelled | None:
-    """A whole number in any of the spellings that occur; None if it is none."""
+    """Parse a whole number in any of the known spellings; None if it is none."""
     bare = text.strip()
     if len(bare) > LENGTH_MAX:
         return None
@@ -101,7 +101,7 @@ def _odd_integer(text: str) -> Spelled | None:
 
 
 def real(text: str) -> tuple[float, str] | None:
-    """A REAL and what is odd about it; ``0x...`` is left to the caller, who knows the width."""
+    """Parse a REAL, with any oddity of its spelling; ``0x...`` is left to the caller, who knows the width."""
     if len(text) > LENGTH_MAX:
         return None
     tidy = text.strip().strip("\"'").rstrip("fF").strip()
@@ -116,12 +116,12 @@ def real(text: str) -> tuple[float, str] | None:
 
 
 def is_formula(text: str) -> bool:
-    """It depends on the node-ID."""
+    """Return True if it depends on the node-ID."""
     return _NODE_ID.search(text) is not None
 
 
 def formula(text: str) -> Formula | None:
-    """An expression of $NODEID and numbers with + - * | and parentheses; None if it is none.
+    """Parse an expression of $NODEID and numbers with + - * | and parentheses; None if it is none.
 
     A number without 0x is hexadecimal if only so it is a multiple of 80h, as the base of a COB-ID is:
     ``$NODEID+180`` is 180h, ``$NODEID+384`` is 384.
@@ -143,8 +143,8 @@ def formula(text: str) -> Formula | None:
 
 
 def _as_python(text: str) -> tuple[str, str] | None:
-    """An expression in N as Python writes it, every number in decimals, and what is odd about its spelling;
-    None for what is none. Where a sign is missing, it is a plus."""
+    """Rewrite an expression in N as Python, every number in decimals, with the oddities of its spelling; None
+    if it is none. A missing sign becomes a plus."""
     pieces: list[str] = []
     oddity, at = "", 0
     while at < len(text):
@@ -172,9 +172,10 @@ def _with_function_code(text: str, number: Spelled) -> Spelled:
 
 
 def _linear(node: ast.expr) -> tuple[int, int]:
-    """Factor of N, and what is added. | binds less than + and -, as in C, and adds to what has the node-ID.
+    """Return the factor of N and the addend. | binds less than + and -, as in C, and adds to the part with
+    the node-ID.
 
-    Raises ValueError for what is not linear in N.
+    Raises ValueError for an expression not linear in N.
     """
     if isinstance(node, ast.Name):
         return 1, 0

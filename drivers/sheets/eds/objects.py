@@ -20,7 +20,7 @@ from servobench.drivers.sheets.eds.sections import (
 from servobench.drivers.sheets.eds.values import Place, Value, read_value
 
 _SUBS_MAX = 254
-"""A sub-index is an UNSIGNED8, and FFh is no entry: it tells the structure of the object (CiA 301)."""
+"""A sub-index is an UNSIGNED8, and FFh is no entry but describes the object's structure (CiA 301)."""
 ENTRIES_MAX = 100_000
 """Far more than a drive of eight axes has; one line with CompactSubObj makes 254."""
 
@@ -42,7 +42,7 @@ class EdsObject:
 
 
 def build_objects(sections: Sections, node_id: int | None, log: RepairLog) -> dict[int, EdsObject]:
-    """Every object that the sections define, by index."""
+    """Build every object that the sections define, by index."""
     builder = _Builder(sections, node_id, log)
     heads: dict[int, EdsSection | None] = {}
     for name, section in sections.items():
@@ -72,7 +72,7 @@ class _Builder:
         self.subs: dict[int, dict[int, EdsSection]] = {}
         self._sections = sections
         self._configured = COMMISSIONING in sections
-        """It is a DCF: its tables of values hold what is configured, those of an EDS the defaults."""
+        """True for a DCF: its tables of values hold the configured values, those of an EDS the defaults."""
         self._log = log
         self._read = EntryReader(sections, node_id)
 
@@ -170,7 +170,7 @@ class _Builder:
     # ---- short forms --------------------------------------------------------------------------------------
 
     def _compact_count(self, head: EdsSection, made: EdsObject) -> int:
-        """CompactSubObj: how many entries like one another the object has; 0 if it is not compact."""
+        """CompactSubObj: return the number of identical entries; 0 if the object is not compact."""
         if not head.text("CompactSubObj"):
             return 0
         count = head.number("CompactSubObj") or 0
@@ -183,7 +183,7 @@ class _Builder:
         return count
 
     def _expand(self, made: EdsObject, head: EdsSection, count: int) -> None:
-        """Entries 1 to ``count`` like the head; names and values that differ stand in tables of their own."""
+        """Add entries 1 to ``count`` like the head; differing names and values have separate tables."""
         template = self._read.entry(head, made.index, 1)
         made.entries[0] = Entry(made.index, 0, "Number of entries", DataType.UNSIGNED8, "ro")
         made.entries[0].default = Value(count, text=str(count))

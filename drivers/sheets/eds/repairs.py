@@ -1,4 +1,4 @@
-"""What had to be mended in a file, and where."""
+"""Repairs made to a file, and where."""
 
 from typing import NamedTuple
 
@@ -9,14 +9,14 @@ _NAME_SHOWN_MAX = 60
 
 
 class Repair(NamedTuple):
-    """One fault of a file and what was made of it."""
+    """One fault of a file and its repair."""
 
     section: str
     """The section's name, or "file"."""
     fault: str
     action: str
     line: int = 0
-    """Counted from 1; 0 where the fault is in no line, as when something is missing altogether."""
+    """Counted from 1; 0 where the fault is in no line, as when something is missing."""
 
     def __str__(self) -> str:
         place = f"line {self.line} " if self.line else ""
@@ -24,7 +24,7 @@ class Repair(NamedTuple):
 
 
 class NoDataSheet(Exception):
-    """What is read has more faults than anybody's data sheet; the text says how many."""
+    """The file has more faults than any data sheet; the text says how many."""
 
 
 class RepairLog:
@@ -40,5 +40,5 @@ class RepairLog:
         self._repairs.append(Repair(section[:_NAME_SHOWN_MAX], fault, action, line))
 
     def in_order_of_lines(self) -> tuple[Repair, ...]:
-        """All repairs, those without a line first."""
+        """Return all repairs, those without a line first."""
         return tuple(sorted(self._repairs, key=lambda repair: repair.line))

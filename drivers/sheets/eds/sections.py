@@ -11,7 +11,7 @@ from servobench.drivers.sheets.eds.repairs import RepairLog
 
 
 class Option(NamedTuple):
-    """``name=value`` as it stands in a line of the file."""
+    """``name=value`` as in a line of the file."""
 
     name: str
     value: str
@@ -19,7 +19,7 @@ class Option(NamedTuple):
 
 
 class EdsSection:
-    """A section; its options are found whatever the case of their names. What was mended goes to ``log``."""
+    """A section; option names are case-insensitive. Repairs go to ``log``."""
 
     def __init__(self, name: str, line: int, log: RepairLog) -> None:
         self.name = name
@@ -28,17 +28,17 @@ class EdsSection:
         self.options: dict[str, Option] = {}
 
     def option(self, name: str) -> Option | None:
-        """An option that has a value; None if it is absent or empty."""
+        """Return an option with a value; None if it is absent or empty."""
         entry = self.options.get(name.lower())
         return entry if entry is not None and entry.value else None
 
     def text(self, name: str) -> str:
-        """The value of an option; empty if there is none."""
+        """Return the value of an option; empty if there is none."""
         entry = self.options.get(name.lower())
         return entry.value if entry is not None else ""
 
     def number(self, name: str) -> int | None:
-        """A whole number in any spelling; None if it is absent, empty or none, which is noted."""
+        """Return a whole number in any spelling; None if it is absent, empty or none, which is noted."""
         option = self.options.get(name.lower())
         if option is None:
             return None
@@ -63,7 +63,7 @@ class EdsSection:
 
 @dataclass(frozen=True, slots=True)
 class ObjectName:
-    """What the name of an object's section says."""
+    """The content of an object section's name."""
 
     index: int
     sub: int | None
@@ -81,7 +81,7 @@ _LOOSE_OBJECT = re.compile(
     re.IGNORECASE,
 )
 _OBJECT_NAME_MAX = 60
-"""Characters: twice what ``0x1A00 - sub-index 0x02 h`` has. The pattern takes the square of their number."""
+"""Characters: twice the length of ``0x1A00 - sub-index 0x02 h``. The pattern takes quadratic time."""
 _TABLE = re.compile(r"^([0-9A-F]{4})(Name|Value|Denotation|ObjectLinks)$", re.IGNORECASE)
 COMMISSIONING = "DeviceComissioning"
 """The section that makes a DCF; CiA 306-1 spells it with one m, and who spells it right means the same."""
@@ -105,7 +105,7 @@ _NUMBER_AND_COMMENT = re.compile(
     r"^\s*((?:\$NODEID\s*\+\s*)?[+-]?(?:0[xX][0-9A-Fa-f]+|\d+))\s*;", re.IGNORECASE
 )
 _GUESSES_MAX = 1000
-"""Names for which a word of the standard is looked for: a vendor misspells a few, and each look is slow."""
+"""Names compared with the words of the standard: a vendor misspells a few, and each comparison is slow."""
 _LIKENESS = 0.88
 """Below it a misspelt option may be another one: LowLimit and a vendor's LowLimit2 are 0.94 alike."""
 
@@ -214,7 +214,7 @@ class _Reader:
         return name
 
     def _meant(self, written: str) -> str | None:
-        """The option that a misspelt one means; None if it is one of its own."""
+        """Return the option that a misspelt one means; None if it is a vendor's own."""
         if written not in self._guesses and len(self._guesses) < _GUESSES_MAX:
             bare = re.sub(r"[\s_-]", "", written).lower()
             alike = difflib.get_close_matches(bare, _OBJECT_OPTIONS, n=1, cutoff=_LIKENESS)
@@ -235,7 +235,7 @@ class _Reader:
 
 
 def _canonical(written: str) -> str:
-    """``1A00sub2`` whatever the case and padding it is written with."""
+    """Return ``1A00sub2`` for any case and padding."""
     loose = _LOOSE_OBJECT.match(written) if len(written) <= _OBJECT_NAME_MAX else None
     if loose is not None:
         return section_name(int(loose[1], 16), None if loose[2] is None else int(loose[2], 16))
@@ -252,7 +252,7 @@ def _padded_sub(written: str) -> bool:
 
 
 def _without_comment(value: str, free: bool) -> str:
-    """A comment has a blank before it, or a number; a semicolon in a text is part of it."""
+    """Strip a comment, which follows a blank or a number; a semicolon in a text is part of it."""
     numbered = None if free else _NUMBER_AND_COMMENT.match(value)
     if numbered is not None:
         return numbered[1]

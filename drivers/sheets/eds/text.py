@@ -1,4 +1,4 @@
-"""Bytes of a file into lines, whatever desk it was written at.
+"""Splits the bytes of a file into lines, whatever editor wrote it.
 
 CiA 306-1 asks for ASCII. Vendors write names and comments in the code page of their Windows (1252), of their
 DOS tools (850), in UTF-8, or in Chinese (GB 18030), sometimes two of these in one file. A line that is valid
@@ -19,7 +19,7 @@ _CODE_PAGES = {
     "latin-1": "Latin-1",
     "gb18030": "GB 18030",
 }
-"""In order of preference where the text does not tell."""
+"""In order of preference if the text is ambiguous."""
 
 _MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32", "UTF-32"),
@@ -29,7 +29,7 @@ _MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16", "UTF-16"),
 )
 _TELLING_BYTES = 100_000
-"""Of lines in a foreign code page: so much text tells it, and each octet is weighed."""
+"""Bytes of lines in a foreign code page that suffice to identify it; each octet is weighed."""
 _LINE_END = re.compile(rb"\r{0,2}\n|\r")
 _UNITS_BESIDE_NUMBERS = "°µ²³±\xd7·½¼¾"
 _MARKS_OF_TRADE = "®©™§•"
@@ -107,7 +107,7 @@ def _likeliest_code_page(lines: Iterable[bytes]) -> str:
 
 
 def _first(lines: Iterable[bytes]) -> Iterator[bytes]:
-    """Lines, or parts of them, as many as tell the code page."""
+    """Yield lines, or parts of them, as many as identify the code page."""
     left = _TELLING_BYTES
     for line in lines:
         if left <= 0:
@@ -117,7 +117,7 @@ def _first(lines: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def _likelihood(text: str, codec: str) -> float:
-    """The higher, the likelier that a vendor meant this text; mean over its characters beyond ASCII."""
+    """Rate a text: the higher, the likelier that a vendor meant it; mean over its non-ASCII characters."""
     marks = [_rating(text, place, codec) for place, sign in enumerate(text) if sign > "\x7f"]
     return sum(marks) / len(marks) if marks else 0.0
 
@@ -144,7 +144,8 @@ def _rating(text: str, place: int, codec: str) -> float:
 
 
 def _quote_rating(sign: str, before: str, after: str) -> float:
-    """A quotation mark has a letter on its inner side alone; only an apostrophe stands in a word."""
+    """Rate a quotation mark, which has a letter on its inner side alone; only an apostrophe occurs in a
+    word."""
     if before.isalpha() and after.isalpha():
         return 0.95 if sign == _APOSTROPHE else -0.5
     opens = sign in _OPENING and not before.isalnum() and after.isalnum()
@@ -153,7 +154,7 @@ def _quote_rating(sign: str, before: str, after: str) -> float:
 
 
 def _letter_rating(sign: str, before: str, after: str) -> float:
-    """Letters belong to words, and a capital is not among small letters."""
+    """Rate a letter: letters belong to words, and a capital is not among small letters."""
     if not (before.isalpha() or after.isalpha()):
         return 0.1
     if sign.isupper() and (before.islower() or (after.islower() and before.isalpha())):

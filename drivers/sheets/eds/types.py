@@ -1,4 +1,4 @@
-"""Data types and object types: their names, and what the standards say of an object where a file does not.
+"""Data types and object types: their names, and the standards' values where a file is silent.
 
 CiA 301 clause 7.5.2, CiA 402-2.
 """
@@ -31,7 +31,8 @@ _SHORT_NAMES = {"BOOL": 0x01, "STRING": 0x09, "VISSTRING": 0x09, "FLOAT": 0x08, 
 
 
 def type_by_name(text: str) -> int | None:
-    """``UNSIGNED16``, ``Integer 16``, ``U16``, ``uint16_t``, ``VISIBLE_STRING``; None for what is no name."""
+    """Parse ``UNSIGNED16``, ``Integer 16``, ``U16``, ``uint16_t``, ``VISIBLE_STRING``; None for anything
+    else."""
     bare = re.sub(r"[\s_]", "", text).upper().removesuffix("T")
     match = re.fullmatch(r"(U|UINT|UNSIGNED|UI|I|S|INT|INTEGER|SINT|SIGNED)(\d{1,2})", bare)
     if match is not None:
@@ -42,7 +43,7 @@ def type_by_name(text: str) -> int | None:
 
 
 def type_name(data_type: int) -> str:
-    """Its name in CiA 301, or its number."""
+    """Return its name in CiA 301, or its number."""
     return DataType(data_type).name if data_type in KNOWN_TYPES else f"data type {data_type:04X}h"
 
 
@@ -75,7 +76,8 @@ COB_ID_OBJECTS = frozenset({Cia301.SYNC_COB_ID, Cia301.TIME_COB_ID, Cia301.EMCY_
 
 
 def standard_type(index: int, sub: int | None) -> int | None:
-    """The data type of an object, ``sub`` None, or of a sub-object; None if the standards do not say."""
+    """Return the data type of an object, ``sub`` None, or of a sub-object; None if the standards do not
+    define it."""
     if sub is None:
         return _TYPE_OF_VARIABLE.get(index)
     if index in _ARRAYS_OF or is_mapping(index) or is_communication(index):
@@ -90,7 +92,7 @@ def standard_type(index: int, sub: int | None) -> int | None:
 
 
 def standard_object_type(index: int) -> int | None:
-    """VARIABLE, ARRAY, RECORD or DOMAIN as the standards have it."""
+    """Return VARIABLE, ARRAY, RECORD or DOMAIN by the standards."""
     if index in _TYPE_OF_VARIABLE:
         return VARIABLE
     if index == Cia301.STORE_EDS:

@@ -24,14 +24,14 @@ _NO_NUMBER = frozenset({"-", "--", "n/a", "na", "none", "null", "?", "unknown", 
 
 
 class Value(NamedTuple):
-    """What an option says: a value, or a formula of the node-ID; neither if it says nothing."""
+    """The value of an option: a value, or a formula of the node-ID; neither if it is empty."""
 
     value: Scalar | None = None
     formula: Formula | None = None
     text: str = ""
 
     def at(self, node_id: int | None) -> Scalar | None:
-        """The value on a node; None if it needs a node-ID and there is none."""
+        """Return the value on a node; None if it needs a node-ID and none is given."""
         if self.formula is None:
             return self.value
         return None if node_id is None else self.formula.at(node_id)
@@ -42,7 +42,7 @@ NOTHING = Value()
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Which object a value belongs to, and where its option stands."""
+    """The object that a value belongs to, and the line of its option."""
 
     section: EdsSection
     index: int
@@ -51,7 +51,7 @@ class Place:
 
 
 def read_value(option: Option | None, place: Place) -> Value:
-    """A default, limit or parameter value of the type of its object; what is none is left out."""
+    """Read a default, limit or parameter value of the object's type; an impossible one is left out."""
     if option is None:
         return NOTHING
     if place.data_type in types.TEXT_TYPES:
@@ -139,7 +139,7 @@ def _integer(option: Option, place: Place) -> Value:
 
 
 def _spelled(text: str, place: Place) -> Spelled | None:
-    """A number; digits that make sense only as hexadecimal are taken for that."""
+    """Parse a number; digits that make sense only as hexadecimal are read as such."""
     spelled = integer(text)
     if spelled is None or not text.strip().isdecimal():
         return spelled
@@ -158,7 +158,7 @@ def _spelled(text: str, place: Place) -> Spelled | None:
 
 
 def fitted(value: int, data_type: int, text: str) -> tuple[int | None, str]:
-    """The value as its type holds it, and what is odd about that; None if it does not fit.
+    """Return the value as its type holds it, with any oddity; None if it does not fit.
 
     A signed value may be written as its bits: FFFFFFFFh for -1 is common, and no fault in hexadecimal.
     """

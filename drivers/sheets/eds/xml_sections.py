@@ -1,8 +1,8 @@
 """XDD and XDC files (CiA 311, the XML form of EDS and DCF) into the sections that an EDS would have.
 
 Expat of the standard library reads them, without building a tree. A document type declaration is refused: in
-it alone entities can be defined, so that none can be expanded and no other file is opened. What stands at an
-object counts before what stands at the parameter that the object refers to (``uniqueIDRef``).
+it alone entities can be defined, so that none can be expanded and no other file is opened. An object's
+attributes take precedence over those of the parameter that it refers to (``uniqueIDRef``).
 """
 
 from collections.abc import Mapping
@@ -48,7 +48,7 @@ _PLAIN_TYPES: Final = {
     "STRING": 0x09,
     "WSTRING": 0x0B,
 }
-"""Data types of IEC 61131-3, by which parameters are typed, as those of CiA 301."""
+"""CiA 301 data types for the IEC 61131-3 types of parameters."""
 _ACCESS: Final = {
     "const": "const",
     "read": "ro",
@@ -58,7 +58,7 @@ _ACCESS: Final = {
     "readWriteOutput": "rww",
 }
 _DIRECTED: Final = {("rw", "TPDO"): "rwr", ("rw", "RPDO"): "rww"}
-"""An EDS tells the direction of a mapping by the access type (CiA 306-1)."""
+"""An EDS codes the direction of a mapping in the access type (CiA 306-1)."""
 _BOOLEANS: Final = {"true": "1", "false": "0"}
 _NAMED: Final = {"vendorName": "VendorName", "vendorID": "VendorNumber", "productName": "ProductName"} | {
     "productID": "ProductNumber",
@@ -79,7 +79,7 @@ _FILE: Final = {"fileName": "FileName", "fileVersion": "FileVersion", "fileCreat
 
 
 class NoXmlSheet(Exception):
-    """An XML text that is no XDD: where, and what was found there."""
+    """An XML text that is no XDD: the place, and what was found there."""
 
     def __init__(self, line: int, what: str) -> None:
         super().__init__(what)
@@ -107,7 +107,7 @@ class _Object:
 
 
 def read_xml_sections(data: bytes, log: RepairLog) -> Sections:
-    """The sections. Raises NoXmlSheet, and NoDataSheet of the log."""
+    """Read the sections. Raises NoXmlSheet, and NoDataSheet of the log."""
     reader = _Reader(log)
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -125,7 +125,8 @@ def read_xml_sections(data: bytes, log: RepairLog) -> Sections:
 
 
 def _is_known(encoding: str) -> bool:
-    """Expat reads it, or Python for it, if a character is an octet. What else Python has would fail there."""
+    """Return True if Expat reads it, or Python for it with one octet per character. Python's other codecs
+    would fail there."""
     if encoding.upper() in ("UTF-8", "UTF-16"):
         return True
     try:
@@ -135,7 +136,7 @@ def _is_known(encoding: str) -> bool:
 
 
 class _Reader:
-    """Takes what Expat tells."""
+    """Receives the events of Expat."""
 
     def __init__(self, log: RepairLog) -> None:
         self._log = log
@@ -209,7 +210,7 @@ class _Reader:
             self._objects.append(_Object(self._index, index if of_sub else None, line, attributes))
 
     def _informed(self, local: str, attributes: dict[str, str]) -> None:
-        """What stands in attributes of other elements."""
+        """Take in the attributes of other elements."""
         if local == "ProfileBody":
             self._take("FileInfo", _FILE, attributes)
         elif local == "CANopenGeneralFeatures":
@@ -234,7 +235,7 @@ class _Reader:
         self._information.setdefault(section, {}).setdefault(name.lower(), option)
 
     def sections(self) -> Sections:
-        """All that was found."""
+        """Return all sections found."""
         sections: Sections = {}
         for name, options in self._information.items():
             line = min(option.line for option in options.values())
@@ -273,7 +274,7 @@ class _Reader:
 
 
 def _hexadecimal(text: str, most: int) -> int | None:
-    """An index or sub-index, which CiA 311 writes in hexadecimal digits alone."""
+    """Parse an index or sub-index, which CiA 311 writes in hexadecimal digits alone."""
     digits = text.strip().lower().removeprefix("0x")
     if not 1 <= len(digits) <= 4 or not all(digit in "0123456789abcdef" for digit in digits):
         return None
@@ -282,7 +283,7 @@ def _hexadecimal(text: str, most: int) -> int | None:
 
 
 def _kbit_s(text: str) -> str:
-    """The number of ``250 Kbps`` and ``1 Mbps``."""
+    """Return the number in ``250 Kbps`` and ``1 Mbps``."""
     number, _, unit = text.strip().partition(" ")
     return (
         f"{number}000"
