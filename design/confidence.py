@@ -1,6 +1,6 @@
-"""How sure a figure is that rests on a sample: closed forms, at 95 % confidence if nothing else is said.
+"""Confidence intervals of figures from a sample: closed forms, at 95 % confidence by default.
 
-Samples count as independent. Losses that come in bursts tell less than their number: see ``inflation``.
+Samples count as independent. Losses in bursts carry less information than their number: see ``inflation``.
 """
 
 import math
@@ -10,11 +10,11 @@ from typing import Final, NamedTuple
 from scipy.special import bdtr, betaincinv
 
 CONFIDENCE: Final = 0.95
-"""Two standard deviations: the custom of measuring, and known as such to who reads a figure."""
+"""Two standard deviations: customary in measurement, and familiar to the reader of a figure."""
 
 
 class Interval(NamedTuple):
-    """Where a value is."""
+    """Interval in which a value lies."""
 
     low: float
     high: float
@@ -23,11 +23,12 @@ class Interval(NamedTuple):
 def clopper_pearson(
     events: float, trials: float, inflation: float = 1.0, confidence: float = CONFIDENCE
 ) -> Interval:
-    """The probability of an event of which ``events`` were seen in ``trials`` (Clopper and Pearson 1934).
+    """Bound the probability of an event of which ``events`` were seen in ``trials`` (Clopper and Pearson
+    1934).
 
-    It covers the true one at least as often as it says. ``inflation``: by how much the variance of the count
-    is larger than that of independent trials; the sample then counts as so many times smaller.
-    Error: ValueError for more events than trials, or no trials.
+    It covers the true one at least as often as it says. ``inflation``: ratio of the count's variance to that
+    of independent trials; the sample counts as that many times smaller. Error: ValueError for more events
+    than trials, or no trials.
     """
     if not 0 <= events <= trials or trials <= 0:
         raise ValueError(f"{events} events in {trials} trials")
@@ -39,7 +40,7 @@ def clopper_pearson(
 
 
 def share_within_largest(samples: int) -> float:
-    """The share of all values, seen or to come, that the largest of ``samples`` is not exceeded by.
+    """Return the share of all values, present or future, that the largest of ``samples`` is not exceeded by.
 
     All of n samples lie below the quantile q with probability q^n; so it is 0.05^(1/n), about 1 - 3/n.
     """
@@ -47,7 +48,8 @@ def share_within_largest(samples: int) -> float:
 
 
 def rank_above(share: float, samples: int) -> int | None:
-    """Which of ``samples`` values in rising order, counted from 1, the quantile ``share`` does not exceed.
+    """Return the rank, counted from 1, of the value among ``samples`` in rising order that the quantile
+    ``share`` does not exceed.
 
     The r-th is below the quantile if at least r values are: a binomial tail. None: too few samples.
     """

@@ -1,7 +1,7 @@
-"""A motor's data sheet turned into dq parameters, each figure in its maker's own convention.
+"""Converts a motor's data sheet into dq parameters, each figure in its maker's own convention.
 
-Its figures are held against each other by :mod:`servobench.design.sheet_figures`, and a contradiction is told
-with the convention in which they would agree.
+:mod:`servobench.design.sheet_figures` compares the figures, and reports a contradiction with the convention
+in which they would agree.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,9 +27,9 @@ class InconsistentSheet(DesignError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataSheet:
-    """What a maker prints. ``flux``: figures by their names in ``CONVENTIONS``, at least one.
+    """A maker's printed figures. ``flux``: figures by their names in ``CONVENTIONS``, at least one.
 
-    Resistance and inductances are of one phase of the star that stands for the winding, :func:`of_phase`.
+    Resistance and inductances belong to one phase of the equivalent star, :func:`of_phase`.
     """
 
     name: str
@@ -50,12 +50,12 @@ class DataSheet:
     friction_nm: float = 0.0
     viscous_friction_nm_s: float = 0.0
     electrical_time_s: float | None = None
-    """L/R as the sheet gives it."""
+    """L/R as printed on the sheet."""
     mechanical_time_s: float | None = None
-    """R J/(3/2 (p phi)^2) as the sheet gives it."""
+    """R J/(3/2 (p phi)^2) as printed on the sheet."""
 
     def motor(self) -> PmsmParameters:
-        """The motor in dq parameters, amplitude-invariant: currents are peaks of a phase's."""
+        """Return the motor in dq parameters, amplitude-invariant: currents are peaks of a phase's."""
         torque_constant = 1.5 * self.emf_constant_v_s
         current_max = self.peak_current_a
         if current_max is None:
@@ -79,12 +79,12 @@ class DataSheet:
 
     @property
     def figures(self) -> SheetFigures:
-        """The same, to be held against each other."""
+        """The same figures, ready for comparison."""
         return SheetFigures(**{each.name: getattr(self, each.name) for each in fields(SheetFigures)})
 
     @property
     def made_flux(self) -> str:
-        """Which figure the flux is taken from."""
+        """The figure from which the flux is taken."""
         return self.figures.made_flux
 
     @property
@@ -95,12 +95,12 @@ class DataSheet:
         return constant
 
     def contradictions(self) -> Iterator[Contradiction]:
-        """What on the sheet cannot be true at once, if entered in the right conventions."""
+        """Yield figures of the sheet that cannot all be true, if entered in the right conventions."""
         return self.figures.contradictions()
 
 
 def of_phase(value: float, *, between_terminals: bool, delta: bool) -> float:
-    """Resistance or inductance of a phase of the star that stands for the winding, in the unit of ``value``.
+    """Return the resistance or inductance of one phase of the equivalent star, in the unit of ``value``.
 
     Between two terminals of a star lie two phases; a delta's phase is three times that of its star.
     """
@@ -110,5 +110,5 @@ def of_phase(value: float, *, between_terminals: bool, delta: bool) -> float:
 
 
 def at_temperature(resistance: float, given_c: float, wanted_c: float) -> float:
-    """A copper winding's resistance at ``wanted_c`` from that at ``given_c``, IEC 60034-1."""
+    """Return a copper winding's resistance at ``wanted_c`` from that at ``given_c``, IEC 60034-1."""
     return resistance * (COPPER_C + wanted_c) / (COPPER_C + given_c)

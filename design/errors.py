@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 class DesignError(Exception):
-    """Root of what can go wrong in a design that was asked for correctly."""
+    """Root of the failures of a design that was requested correctly."""
 
 
 @dataclass(eq=False)
@@ -12,11 +12,11 @@ class NoSolution(DesignError):
     """A solver ended without an optimum, or its answer failed the check that followed."""
 
     problem: str
-    """What was to be solved, in words."""
+    """The problem, in words."""
     status: str
-    """What the solver said, or which check failed."""
+    """The solver's status, or the check that failed."""
     evidence: str = ""
-    """Figures that show it."""
+    """Figures that show the failure."""
 
     def __str__(self) -> str:
         return "; ".join(part for part in (f"{self.problem}: {self.status}", self.evidence) if part)
@@ -24,14 +24,14 @@ class NoSolution(DesignError):
 
 @dataclass(eq=False)
 class InfeasibleDesign(DesignError):
-    """No controller of the wanted kind meets the demand; ``best``: the nearest that can be had."""
+    """No controller of the wanted kind meets the demand; ``best``: the nearest one possible."""
 
     demand: str
-    """What was asked for, in words with units."""
+    """The demand, in words with units."""
     best: str
-    """The best that can be reached, in words with units."""
+    """The best possible value, in words with units."""
     remedy: str
-    """What would make the demand feasible."""
+    """A change that would make the demand feasible."""
 
     def __str__(self) -> str:
         return f"{self.demand} cannot be reached; {self.best}; {self.remedy}"
@@ -39,7 +39,7 @@ class InfeasibleDesign(DesignError):
 
 @dataclass(eq=False)
 class UnsuitableNetwork(DesignError):
-    """A network for which the loop that was asked for is not defined."""
+    """A network for which the requested loop is not defined."""
 
     found: str
     expected: str
@@ -65,9 +65,9 @@ class SingularPlant(DesignError):
 
     assumption: str
     found: str
-    """What is wrong, with its figures."""
+    """The defect, with its figures."""
     remedy: str
-    """What would make the plant regular."""
+    """A change that would make the plant regular."""
 
     def __str__(self) -> str:
         return f"{self.assumption}: {self.found}; {self.remedy}"

@@ -1,8 +1,8 @@
-"""The constants by which a sheet gives the flux of a motor, and the conventions that makers have for them.
+"""The constants that define a motor's flux on data sheets, and their conventions.
 
 A sheet gives p phi (pole pairs times flux linkage, the peak of a phase's back-EMF per mechanical rad/s) in
-one of nine ways, which differ by sqrt(2), sqrt(3), 3/2 and pi/3 and are seldom told apart. For a sinusoidal
-back-EMF:
+one of nine ways, which differ by sqrt(2), sqrt(3), 3/2 and pi/3 and are seldom distinguished. For a
+sinusoidal back-EMF:
 
     torque per line current, rms      Kt = 3/sqrt(2) p phi        three phases, current in phase with EMF
     torque per line current, peak     Kt = 3/2 p phi
@@ -31,7 +31,7 @@ FLUX_FACTORS: Mapping[str, float] = {
     "ke_phase_vrms_krpm": math.sqrt(0.5) * RAD_S_PER_KRPM,
     "ke_phase_vpk_krpm": RAD_S_PER_KRPM,
 }
-"""What a sheet may give for p phi -> that figure per p phi in V s. The first that is given makes the flux."""
+"""The sheet's figures for p phi -> figure per p phi in V s. The first one given defines the flux."""
 SPEED_FACTORS: Mapping[str, float] = {
     "kv_rpm_vdc": _SIX_STEP * math.pi / 30.0,
     "kv_rpm_vpk": math.sqrt(3.0) * math.pi / 30.0,
@@ -42,31 +42,31 @@ CONVENTIONS = (*FLUX_FACTORS, *SPEED_FACTORS)
 
 
 def emf_constant(name: str, value: float) -> float:
-    """p phi in V s from one figure; ``name``: one of ``CONVENTIONS``."""
+    """Return p phi in V s from one figure; ``name``: one of ``CONVENTIONS``."""
     if name in SPEED_FACTORS:
         return 1.0 / (SPEED_FACTORS[name] * value)
     return value / FLUX_FACTORS[name]
 
 
 def figure(name: str, emf_constant_v_s: float) -> float:
-    """The inverse of :func:`emf_constant`."""
+    """Invert :func:`emf_constant`."""
     if name in SPEED_FACTORS:
         return 1.0 / (SPEED_FACTORS[name] * emf_constant_v_s)
     return emf_constant_v_s * FLUX_FACTORS[name]
 
 
 def agree_within(one: float, other: float, within: float) -> bool:
-    """Two figures > 0 differ by no more than a share of ``within``."""
+    """Return True if two figures > 0 differ by no more than a share of ``within``."""
     return abs(math.log(one / other)) <= math.log1p(within)
 
 
 def kind_of(name: str) -> str:
-    """kt, ke or kv."""
+    """Return kt, ke or kv."""
     return name[:2]
 
 
 def explained(first: str, one: float, second: str, other: float) -> str:
-    """Which readings of one of the two make them agree, best first; each keeps its kind."""
+    """Return readings of one of the two that make them agree, best first; each keeps its kind."""
     sides = ((first, one, emf_constant(second, other)), (second, other, emf_constant(first, one)))
     readings = sorted(
         (abs(math.log(emf_constant(reading, value) / fixed)), f"{reading} = {value:g}")

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 RAD_S_PER_KRPM = 1000.0 * math.pi / 30.0
-"""1000 r/min in rad/s: EMF constants are given for so much."""
+"""1000 r/min in rad/s: the usual reference of EMF constants."""
 
 
 class Transform(Enum):
@@ -28,7 +28,7 @@ class Transform(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PmsmParameters:
-    """A PMSM and what it is rated for. Currents, flux and voltages are dq magnitudes of ``transform``."""
+    """A PMSM and its ratings. Currents, flux and voltages are dq magnitudes of ``transform``."""
 
     name: str
     resistance_ohm: float

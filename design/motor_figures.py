@@ -1,4 +1,4 @@
-"""What follows from a motor's parameters: figures to compare with a data sheet and to choose a drive by."""
+"""Figures derived from a motor's parameters, to compare with a data sheet and to choose a drive."""
 
 import math
 
@@ -11,22 +11,21 @@ Array = NDArray[np.float64]
 
 
 def phase_emf_constant(motor: PmsmParameters) -> float:
-    """Peak of a phase's back-EMF per mechanical rad/s, V s."""
+    """Return the peak of a phase's back-EMF per mechanical rad/s, V s."""
     scale = math.sqrt(2.0 / 3.0) if motor.transform is Transform.POWER_INVARIANT else 1.0
     return motor.pole_pairs * motor.flux_linkage_wb * scale
 
 
 def phase_peak(motor: PmsmParameters) -> float:
-    """Peak of a phase's current or voltage per dq magnitude of the motor's transform."""
+    """Return the peak of a phase's current or voltage per dq magnitude of the motor's transform."""
     return math.sqrt(2.0 / 3.0) if motor.transform is Transform.POWER_INVARIANT else 1.0
 
 
 def torque_limit(motor: PmsmParameters, speed_rad_s: Array) -> Array:
-    """The largest torque (k,) in N m with i_d = 0 at k speeds >= 0, within current and voltage circle.
+    """Return the largest torque (k,) in N m with i_d = 0 at k speeds >= 0, within current and voltage circle.
 
-    (R i + w phi)^2 + (w L_q i)^2 <= V^2 with the electrical speed w, friction not taken off. Zero where
-    the back-EMF alone is above the voltage: field weakening is not reckoned with, nor done by the
-    simulated drive.
+    (R i + w phi)^2 + (w L_q i)^2 <= V^2 with the electrical speed w, friction not subtracted. Zero where the
+    back-EMF alone exceeds the voltage: there is no field weakening, here or in the simulated drive.
     """
     omega = motor.pole_pairs * speed_rad_s
     emf = omega * motor.flux_linkage_wb
@@ -38,7 +37,7 @@ def torque_limit(motor: PmsmParameters, speed_rad_s: Array) -> Array:
 
 
 def speed_limit(motor: PmsmParameters, torque_nm: float) -> float:
-    """Largest speed in rad/s at which ``torque_nm`` is there with i_d = 0; 0.0 if it is at none."""
+    """Return the largest speed in rad/s at which ``torque_nm`` is available with i_d = 0; 0.0 if at none."""
     no_load = motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb)
     if float(torque_limit(motor, np.zeros(1))[0]) < torque_nm:
         return 0.0
@@ -52,7 +51,7 @@ def speed_limit(motor: PmsmParameters, torque_nm: float) -> float:
 
 
 def motor_figures(motor: PmsmParameters) -> dict[str, float]:
-    """Derived figures, the unit last in each name. ``_rms`` and ``_peak``: of a phase's sine."""
+    """Return derived figures, the unit last in each name. ``_rms`` and ``_peak``: of a phase's sine."""
     emf = phase_emf_constant(motor)
     peak = phase_peak(motor)
     rpm = 30.0 / math.pi

@@ -1,8 +1,8 @@
-"""The figures that a data sheet or a nameplate gives of one motor, and whether they can all be true at once.
+"""Checks that the figures of a motor's data sheet or nameplate can all be true at once.
 
-Figures that are given twice are held against each other. The others are held against what they must be
-together: the power at the rated point is no more than the inverter can give (sqrt(3) U I, at a power factor
-and an efficiency of one), and times, voltages and frequencies lie in bands in which every motor does.
+Figures given twice are compared with each other, the others with their common limits: the power at the rated
+point is no more than the inverter can give (sqrt(3) U I, at a power factor and an efficiency of one), and
+times, voltages and frequencies lie in bands in which every motor does.
 """
 
 import math
@@ -21,28 +21,28 @@ from servobench.design.flux_constants import (
 )
 
 AGREEING_WELL = 0.05
-"""Within which a ratio of two time constants is taken for a convention's: two figures' rounding."""
+"""Ratio of two time constants that still counts as a convention's: two figures' rounding."""
 LOSSES = 0.25
 """Share of the torque that friction, iron and saturation may take at the rated point."""
 SATURATION = 0.5
 """The same towards the peak."""
 POWER_MAX: Final = 1.005
-"""Shaft power over what volts and amperes make at a power factor and an efficiency of one: no motor has more;
-three digits are printed. Stall torque and no-load speed of one sheet make up to 0.98."""
+"""Shaft power over volts times amperes at a power factor and an efficiency of one: no motor exceeds one;
+three digits are printed. Stall torque and no-load speed of one sheet reach up to 0.98."""
 POWER_USUAL: Final = (0.12, 0.95)
-"""The same with the copper's loss, of published motors at their own DC bus: 0.26 to 0.8. Less is seen where a
-motor runs from a bus that was made for another, and where revolutions were taken for radians."""
+"""The same with the copper's loss, for published motors at their own DC bus: 0.26 to 0.8. Less occurs where a
+motor runs from the wrong bus, and where revolutions were taken for radians."""
 HIGH_FREQUENCY_HZ: Final = 2000.0
 
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """Figures that cannot all be meant as they were entered."""
+    """Figures that cannot all be correct as entered."""
 
     figures: str
-    """Which ones, with their values."""
+    """The figures involved, with their values."""
     difference: str
-    """What follows from some for the others, with units."""
+    """The value that follows from the others, with units."""
     explanation: str = ""
     """The convention in which they agree, if there is one."""
     fields: tuple[str, ...] = ()
@@ -54,9 +54,9 @@ class Contradiction:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SheetFigures:
-    """What is given of a motor; None where nothing is.
+    """The figures given for a motor; None where none is.
 
-    Resistance and inductances are of one phase of the star that stands for the winding, currents are peaks.
+    Resistance and inductances belong to one phase of the equivalent star, currents are peaks.
     """
 
     rated_torque_nm: float | None = None
@@ -70,17 +70,17 @@ class SheetFigures:
     inductance_d_h: float | None = None
     inductance_q_h: float | None = None
     flux: Mapping[str, float] = field(default_factory=dict)
-    """By their names in ``CONVENTIONS``."""
+    """Flux figures by their names in ``CONVENTIONS``."""
     inertia_kg_m2: float | None = None
-    """Of the rotor."""
+    """Inertia of the rotor."""
     electrical_time_s: float | None = None
-    """L/R as the sheet gives it."""
+    """L/R as printed on the sheet."""
     mechanical_time_s: float | None = None
-    """R J/(3/2 (p phi)^2) as the sheet gives it."""
+    """R J/(3/2 (p phi)^2) as printed on the sheet."""
 
     @property
     def made_flux(self) -> str:
-        """Which figure the flux is taken from; empty if none is given."""
+        """The figure from which the flux is taken; empty if none is given."""
         return next((name for name in CONVENTIONS if name in self.flux), "")
 
     @property
@@ -91,11 +91,11 @@ class SheetFigures:
 
     @property
     def frequency_hz(self) -> float | None:
-        """In the winding at the rated speed."""
+        """Frequency in the winding at the rated speed."""
         return _ratio([self.pole_pairs, self.rated_speed_rad_s], [math.tau])
 
     def contradictions(self) -> Iterator[Contradiction]:
-        """What cannot be true at once, if entered in the right conventions and units."""
+        """Yield figures that cannot all be true, if entered in the right conventions and units."""
         for first, second in combinations((name for name in CONVENTIONS if name in self.flux), 2):
             yield from self._of_flux(first, second)
         yield from self._of_current("rated", self.rated_current_a, self.rated_torque_nm, LOSSES)
@@ -106,7 +106,7 @@ class SheetFigures:
         yield from self._of_times()
 
     def doubts(self) -> Iterator[Contradiction]:
-        """What can be, and is seldom meant."""
+        """Yield figures that are possible, but seldom intended."""
         share = self._power_share()
         used = None if share is None else share + (_drop(self) or 0.0)
         if used is not None and not POWER_USUAL[0] <= used <= POWER_USUAL[1]:
@@ -125,7 +125,7 @@ class SheetFigures:
             )
 
     def is_plausible(self) -> bool:
-        """No contradiction and no doubt."""
+        """Return True without contradictions and doubts."""
         return next(self.contradictions(), None) is None and next(self.doubts(), None) is None
 
     def _of_flux(self, first: str, second: str) -> Iterator[Contradiction]:
@@ -143,7 +143,8 @@ class SheetFigures:
     def _of_current(
         self, point: str, current_a: float | None, torque_nm: float | None, lost: float
     ) -> Iterator[Contradiction]:
-        """``lost``: share of the torque that need not reach the shaft."""
+        """Compare current and torque at one point. ``lost``: share of the torque that need not reach the
+        shaft."""
         constant = self.emf_constant_v_s
         if constant is None or current_a is None or torque_nm is None:
             return
@@ -166,7 +167,7 @@ class SheetFigures:
         )
 
     def _power_share(self) -> float | None:
-        """Shaft power at the rated point over the most that volts and amperes make, sqrt(3) U I."""
+        """Return the shaft power at the rated point over its limit, sqrt(3) U I."""
         phase = [1.5, self.dc_bus_voltage_v, self.rated_current_a]
         return _ratio([self.rated_torque_nm, self.rated_speed_rad_s, math.sqrt(3.0)], phase)
 
@@ -194,7 +195,7 @@ class SheetFigures:
             )
 
     def _of_bands(self) -> Iterator[Contradiction]:
-        """Ratios that lie within the same decades for every motor."""
+        """Check ratios that lie within the same decades for every motor."""
         for band in BANDS:
             value = band.value(self)
             if value is not None and not band.least <= value <= band.most:
@@ -236,7 +237,7 @@ class SheetFigures:
                 )
 
     def _named(self, *fields: str) -> str:
-        """The figures with their values and units."""
+        """Name the figures with their values and units."""
         values = ((FIELDS[name], getattr(self, name)) for name in fields)
         return ", ".join(f"{title.text} {title.shown(value)}" for title, value in values if value is not None)
 
@@ -245,7 +246,7 @@ _RATED_POINT: Final = ("rated_torque_nm", "rated_speed_rad_s", "rated_current_a"
 
 
 class Title(NamedTuple):
-    """How a field is shown."""
+    """Display of a field."""
 
     text: str
     unit: str
@@ -253,7 +254,7 @@ class Title(NamedTuple):
     """From SI units, and from a peak to rms."""
 
     def shown(self, value: float) -> str:
-        """With its unit."""
+        """Format a value with its unit."""
         return f"{value * self.scale:.4g} {self.unit}".rstrip()
 
 
@@ -276,7 +277,7 @@ _Figure = Callable[[SheetFigures], float | None]
 
 
 class Band(NamedTuple):
-    """A ratio of figures, and from where to where it lies for every motor."""
+    """A ratio of figures, with its range over all motors."""
 
     title: str
     unit: str
@@ -287,7 +288,7 @@ class Band(NamedTuple):
 
 
 def _ratio(over: Sequence[float | None], under: Sequence[float | None]) -> float | None:
-    """Product of the ones over that of the others; None where one is not given."""
+    """Return the product of the first over that of the second; None if one is not given."""
     given = [each for each in (*over, *under) if each is not None]
     if len(given) < len(over) + len(under):
         return None
@@ -295,7 +296,7 @@ def _ratio(over: Sequence[float | None], under: Sequence[float | None]) -> float
 
 
 def _drop(figures: SheetFigures) -> float | None:
-    """R i over the inverter's phase voltage."""
+    """Return R i over the inverter's phase voltage."""
     over = [figures.resistance_ohm, figures.rated_current_a, math.sqrt(3.0)]
     return _ratio(over, [figures.dc_bus_voltage_v])
 
@@ -349,7 +350,7 @@ BANDS: Final = (
 
 
 def _time_explained(ratio: float) -> str:
-    """``ratio``: the time constant on the sheet over the one that follows."""
+    """Explain a time constant. ``ratio``: the one on the sheet over the one that follows."""
     reasons = {2.0: "as if the resistance were entered between terminals and is of a phase",
                0.5: "as if the resistance were entered of a phase and is between terminals"}  # fmt: skip
     near = [text for factor, text in reasons.items() if agree_within(ratio, factor, AGREEING)]

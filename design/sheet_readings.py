@@ -1,5 +1,4 @@
-"""Slips of the pen: units and conventions in which figures of a motor are entered wrongly, and by which of
-them the figures would agree."""
+"""Usual mistakes in units and conventions of a motor's figures, and the one that would make them agree."""
 
 import math
 from collections.abc import Iterator
@@ -12,11 +11,11 @@ from servobench.design.sheet_figures import FIELDS, SheetFigures
 
 
 class Misreading(NamedTuple):
-    """A figure that was entered in another unit or convention."""
+    """A figure entered in another unit or convention."""
 
     fields: tuple[str, ...]
     factor: float
-    """From what was entered to what it is."""
+    """Factor from the entered to the true value."""
     text: str
 
 
@@ -54,17 +53,17 @@ SLIPS: Final = (
         for factor in (0.1, 10.0)
     ),
 )
-"""The usual ones, each with its factor; the most usual first."""
+"""The usual mistakes, each with its factor; the most frequent first."""
 SWAPS: Final = (
     *combinations(("rated_torque_nm", "rated_current_a", "rated_speed_rad_s", "dc_bus_voltage_v"), 2),
     ("resistance_ohm", "inductance_q_h"),
     ("rated_current_a", "peak_current_a"),
 )
-"""Figures that are entered in each other's place."""
+"""Figures entered in each other's place."""
 
 
 def readings(figures: SheetFigures) -> list[str]:
-    """Each single slip without which all figures agree, the most usual first."""
+    """Return each single mistake that explains all figures, the most frequent first."""
     return [text for text, others in _other_readings(figures) if others.is_plausible()]
 
 

@@ -1,9 +1,9 @@
-"""Linear time-invariant systems in state space, continuous or sampled, and how they are joined.
+"""Linear time-invariant systems in state space, continuous or sampled, and their connections.
 
     x' = A x + B u (or x[k+1] = A x[k] + B u[k])        y = C x + D u
 
-Every join is made of the parts' own matrices, without minimal realisation: states are never dropped
-silently. Systems whose poles lie many decades apart keep their accuracy through :func:`balanced`.
+Every connection uses the parts' own matrices, without minimal realisation: states are never dropped silently.
+Systems whose poles lie many decades apart keep their accuracy through :func:`balanced`.
 """
 
 import math
@@ -47,19 +47,20 @@ class StateSpace:
         return len(self.A)
 
     def poles(self) -> ComplexArray:
-        """(n,) eigenvalues of A, by magnitude."""
+        """Return the (n,) eigenvalues of A, by magnitude."""
         values = np.linalg.eigvals(balanced(self).A) if self.order else np.zeros(0)
         return np.asarray(values[np.argsort(np.abs(values), kind="stable")], dtype=complex)
 
     def is_stable(self) -> bool:
-        """Whether every pole lies in the open left half plane (sampled: the open unit disc)."""
+        """Return True if every pole lies in the open left half plane (sampled: the open unit disc)."""
         poles = self.poles()
         if self.period_s is None:
             return bool(np.all(poles.real < 0.0))
         return bool(np.all(np.abs(poles) < 1.0))
 
     def response(self, frequency_rad_s: ArrayLike) -> ComplexArray:
-        """(k, p, m) response at the k frequencies, rad/s; infinity gives D of a continuous system."""
+        """Return the (k, p, m) response at the k frequencies, rad/s; infinity gives D of a continuous
+        system."""
         omega = np.atleast_1d(np.asarray(frequency_rad_s, dtype=float))
         result = np.empty((len(omega), *self.D.shape), dtype=complex)
         finite = np.isfinite(omega)
@@ -71,7 +72,7 @@ class StateSpace:
         return result
 
     def at(self, points: ArrayLike) -> ComplexArray:
-        """(k, p, m) transfer matrix C (s I - A)^-1 B + D at the k complex ``points``."""
+        """Return the (k, p, m) transfer matrix C (s I - A)^-1 B + D at the k complex ``points``."""
         s = np.atleast_1d(np.asarray(points, dtype=complex))
         if not self.order:
             return np.broadcast_to(self.D.astype(complex), (len(s), *self.D.shape)).copy()
@@ -80,7 +81,7 @@ class StateSpace:
         return np.asarray(self.C @ states + self.D, dtype=complex)
 
     def steady_gain(self) -> Array:
-        """(p, m) gain at rest: s = 0, or z = 1 of a sampled system; infinite with a pole there."""
+        """Return the (p, m) gain at rest: s = 0, or z = 1 of a sampled system; infinite with a pole there."""
         point = 0.0 if self.period_s is None else 1.0
         try:
             return np.asarray(self.at(point)[0].real, dtype=float)
@@ -88,11 +89,11 @@ class StateSpace:
             return np.full(self.D.shape, math.inf)
 
     def part(self, outputs: slice, inputs: slice) -> "StateSpace":
-        """The same states seen through some ``outputs`` and ``inputs`` only."""
+        """Return the same states seen through some ``outputs`` and ``inputs`` only."""
         return StateSpace(self.A, self.B[:, inputs], self.C[outputs], self.D[outputs, inputs], self.period_s)
 
     def scaled(self, left: ArrayLike, right: ArrayLike = 1.0) -> "StateSpace":
-        """``left`` times the system times ``right``; numbers or constant matrices."""
+        """Return ``left`` times the system times ``right``; numbers or constant matrices."""
         p, m = self.D.shape
         L, R = _matrix(left, p), _matrix(right, m)
         return StateSpace(self.A, self.B @ R, L @ self.C, L @ self.D @ R, self.period_s)
@@ -100,7 +101,7 @@ class StateSpace:
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """The largest gain over frequency, and where it is reached: rad/s, 0 and infinity included."""
+    """The largest gain over frequency, and its place: rad/s, 0 and infinity included."""
 
     gain: float
     frequency_rad_s: float
@@ -114,7 +115,7 @@ def _matrix(factor: ArrayLike, size: int) -> Array:
 def state_space(
     A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, period_s: float | None = None
 ) -> StateSpace:
-    """A system from anything that makes matrices; an empty A gives a static gain."""
+    """Make a system from matrix-like arguments; an empty A gives a static gain."""
     d = np.atleast_2d(np.asarray(D, dtype=float))
     a = np.asarray(A, dtype=float).reshape((round(math.sqrt(np.size(A))),) * 2)
     n = len(a)
@@ -123,12 +124,13 @@ def state_space(
 
 
 def first_order(high: float, zero: float, pole: float) -> StateSpace:
-    """high (s + zero)/(s + pole)."""
+    """Return high (s + zero)/(s + pole)."""
     return state_space([[-pole]], [[1.0]], [[high * (zero - pole)]], [[high]])
 
 
 def from_zpk(zeros: ArrayLike, poles: ArrayLike, gain: float, period_s: float | None = None) -> StateSpace:
-    """SISO system gain * prod(s - zeros)/prod(s - poles), real: a cascade of sections of order 2 at most.
+    """Make the real SISO system gain * prod(s - zeros)/prod(s - poles): a cascade of sections of order 2 at
+    most.
 
     Error: ValueError for more zeros than poles or a complex number without its conjugate.
     """
@@ -158,7 +160,7 @@ def _static(period_s: float | None) -> StateSpace:
 
 
 def _sections(roots: ArrayLike) -> list[list[float]]:
-    """Monic polynomials of real roots and conjugate pairs, the pairs first, then by magnitude."""
+    """Return monic polynomials of real roots and conjugate pairs, the pairs first, then by magnitude."""
     values = np.atleast_1d(np.asarray(roots, dtype=complex))
     pairs = sorted((v for v in values if v.imag > 0.0), key=abs, reverse=True)
     below = [v for v in values if v.imag < 0.0]
@@ -169,7 +171,7 @@ def _sections(roots: ArrayLike) -> list[list[float]]:
 
 
 def _section(numerator: ArrayLike, denominator: ArrayLike, period_s: float | None) -> StateSpace:
-    """Controllable companion form of numerator/denominator, the latter monic."""
+    """Return the controllable companion form of numerator/denominator, the latter monic."""
     den = np.asarray(denominator, dtype=float)
     n = len(den) - 1
     num = np.concatenate([np.zeros(n + 1 - np.size(numerator)), np.atleast_1d(numerator)])
@@ -186,7 +188,7 @@ def _period(*systems: StateSpace) -> float | None:
 
 
 def series(last: StateSpace, first: StateSpace) -> StateSpace:
-    """last(first(u))."""
+    """Return last(first(u))."""
     A = np.block([[first.A, np.zeros((first.order, last.order))], [last.B @ first.C, last.A]])
     B = np.vstack([first.B, last.B @ first.D])
     C = np.hstack([last.D @ first.C, last.C])
@@ -194,13 +196,13 @@ def series(last: StateSpace, first: StateSpace) -> StateSpace:
 
 
 def append(*systems: StateSpace) -> StateSpace:
-    """The systems side by side: block diagonal."""
+    """Put the systems side by side: block diagonal."""
     A, B, C, D = (scipy.linalg.block_diag(*(getattr(each, name) for each in systems)) for name in "ABCD")
     return StateSpace(A, B, C, D, _period(*systems))
 
 
 def connect(system: StateSpace, feedback: ArrayLike, enter: ArrayLike, leave: ArrayLike) -> StateSpace:
-    """Close constant links around ``system``: u = feedback y + enter r, and leave y is what comes out.
+    """Close constant links around ``system``: u = feedback y + enter r; the output is leave y.
 
     Error: ValueError if the links make an algebraic loop without solution.
     """
@@ -214,7 +216,7 @@ def connect(system: StateSpace, feedback: ArrayLike, enter: ArrayLike, leave: Ar
 
 
 def lower_lft(plant: StateSpace, controller: StateSpace) -> StateSpace:
-    """F_l(P, K): the last outputs of ``plant`` drive ``controller``, which drives its last inputs."""
+    """Return F_l(P, K): the last outputs of ``plant`` drive ``controller``, which drives its last inputs."""
     m2, p2 = controller.D.shape
     (p, m), joined = plant.D.shape, append(plant, controller)
     p1, m1 = p - p2, m - m2
@@ -226,7 +228,8 @@ def lower_lft(plant: StateSpace, controller: StateSpace) -> StateSpace:
 
 
 def state_scales(system: StateSpace) -> Array:
-    """(n,) powers of two that balance rows and columns of A, B and C; inputs and outputs stay as they are."""
+    """Return (n,) powers of two that balance rows and columns of A, B and C; inputs and outputs are
+    unchanged."""
     n = system.order
     if not n:
         return np.ones(0)
@@ -239,13 +242,14 @@ def state_scales(system: StateSpace) -> Array:
 
 
 def balancing_scales(matrix: Array) -> Array:
-    """(n,) powers of two t for which diag(1/t) ``matrix`` diag(t) has rows and columns of like size."""
+    """Return (n,) powers of two t for which diag(1/t) ``matrix`` diag(t) has rows and columns of like
+    size."""
     _, _, _, scale, _ = scipy.linalg.lapack.dgebal(matrix, scale=1, permute=0)
     return np.asarray(scale, dtype=float)
 
 
 def balanced(system: StateSpace) -> StateSpace:
-    """The same system with its states scaled by :func:`state_scales`."""
+    """Return the same system with its states scaled by :func:`state_scales`."""
     scale = state_scales(system)
     return StateSpace(
         system.A * scale / scale[:, None],
@@ -257,7 +261,7 @@ def balanced(system: StateSpace) -> StateSpace:
 
 
 def zeros(system: StateSpace) -> ComplexArray:
-    """Finite zeros of a SISO system, by magnitude; none of a system that is zero itself.
+    """Return the finite zeros of a SISO system, by magnitude; none of a system that is zero itself.
 
     An output without direct gain is held at zero by the states in the null space of C, whose derivative
     C (A x + B u) takes the output's place: one state fewer a turn, until the input acts directly.
@@ -277,7 +281,7 @@ def zeros(system: StateSpace) -> ComplexArray:
 
 
 def rebalanced(A: Array) -> Array:
-    """``A`` in states scaled by :func:`balancing_scales`: the same eigenvalues, told more exactly."""
+    """Scale ``A`` by :func:`balancing_scales`: the same eigenvalues, more exact."""
     scale = balancing_scales(A)
     return np.asarray(A * scale / scale[:, None], dtype=float)
 
@@ -292,7 +296,7 @@ class Zpk:
 
 
 def zpk(system: StateSpace) -> Zpk:
-    """Zeros, poles and gain of a SISO system; the gain is read off at a point away from both."""
+    """Return zeros, poles and gain of a SISO system; the gain is read at a point away from both."""
     finite, poles = zeros(system), system.poles()
     everything = np.concatenate([finite, poles, [1.0]])
     point = 1.7 * np.abs(everything).max()

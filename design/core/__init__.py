@@ -1,1 +1,1 @@
-"""What of the mathematics is computed in C, and how C is built here and in virtual_bus (decision 0026)."""
+"""The mathematics computed in C, and the C build for this room and virtual_bus (decision 0026)."""

@@ -1,8 +1,8 @@
-"""Builds what is native, ``python design/core/build.py``, and tells whether what is there is fresh.
+"""Builds the native code, ``python design/core/build.py``, and checks that an existing library is fresh.
 
-A library for each room that computes in C: its own sources, and the headers that stand beside this file. By
-the machine's C compiler, or by the one that the package ziglang brings. Nothing of the project's is imported:
-this runs before anything is installed.
+A library for each room that computes in C: its own sources, and the headers beside this file. The machine's C
+compiler builds it, or the one in the package ziglang. Nothing of the project is imported: this runs before
+anything is installed.
 """
 
 import os
@@ -42,22 +42,22 @@ SANITIZED: Final = (
 )
 """Added for ``build.py debug``; Python then wants libasan preloaded."""
 PACKAGE: Final = "ziglang>=0.14"
-"""Of a machine without a C compiler."""
+"""Compiler package for a machine without a C compiler."""
 
 
 def folder_of(room: str) -> Path:
-    """Where the sources of a room are, and its library."""
+    """Return the folder of a room's sources and library."""
     return SHARED.parents[1] / room / "core"
 
 
 def sources(room: str) -> list[Path]:
-    """What is compiled, with its headers; empty in an installed package."""
+    """Return the sources with their headers; empty in an installed package."""
     folder = folder_of(room)
     return sorted({*folder.glob("*.c"), *folder.glob("*.h"), *SHARED.glob("*.h")})
 
 
 def digest(room: str) -> str:
-    """What tells one version of the sources from another."""
+    """Return a digest that identifies this version of the sources."""
     made = blake2b(" ".join(FLAGS).encode(), digest_size=16)
     for path in sources(room):
         made.update(path.name.encode() + path.read_bytes())
@@ -65,7 +65,8 @@ def digest(room: str) -> str:
 
 
 def compiler() -> list[str] | None:
-    """The command of a C compiler: ``CC``, the machine's, or that of the package; None if there is none."""
+    """Return the command of a C compiler: ``CC``, the machine's, or that of the package; None if there is
+    none."""
     if named := shlex.split(os.environ.get("CC", "")):
         return named
     for name in ("cc", "gcc", "clang"):
@@ -75,14 +76,14 @@ def compiler() -> list[str] | None:
 
 
 def required() -> list[str]:
-    """The packages that a build needs here."""
+    """Return the packages that a build needs here."""
     return [] if compiler() else [PACKAGE]
 
 
 def build(room: str, library: Path | None = None, added: Sequence[str] = ()) -> None:
     """Compile a room's sources into ``library``, that of the room if None, with flags ``added``.
 
-    Leaves the program with what is amiss.
+    Exits with a message on failure.
     """
     command = compiler()
     if command is None:
@@ -99,14 +100,14 @@ def build(room: str, library: Path | None = None, added: Sequence[str] = ()) -> 
 
 
 def build_all(added: Sequence[str] = ()) -> None:
-    """Each room's library."""
+    """Build each room's library."""
     for room in ROOMS:
         build(room, added=added)
 
 
 def check_built(room: str, refused: Callable[[str, str], Exception]) -> None:
-    """Error: ``refused`` of what was found and what was expected, where the room's library is missing, or was
-    built from other sources than those beside it."""
+    """Raise ``refused(found, expected)`` if the room's library is missing, or was built from other sources
+    than those beside it."""
     checkout = bool(sources(room))
     remedy = "make core" if checkout else "install servobench again"
     try:
@@ -118,7 +119,8 @@ def check_built(room: str, refused: Callable[[str, str], Exception]) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """``compiler``: status 1 if there is none; ``debug``: build with sanitizers; otherwise as it is used."""
+    """Run a command: ``compiler``: status 1 if there is none; ``debug``: build with sanitizers; otherwise
+    build normally."""
     if arguments == ["compiler"]:
         sys.exit(compiler() is None)
     build_all(SANITIZED if arguments == ["debug"] else ())

@@ -1,7 +1,7 @@
-"""What design computes in C; the sources beside this file say how."""
+"""The functions of design computed in C; the sources beside this file document them."""
 
 SOURCES_DIGEST: str
-"""Of the C that the library was built from (servobench.design.core.build)."""
+"""Digest of the C sources of the library (servobench.design.core.build)."""
 
 def random_runs(
     seed: int,
@@ -14,7 +14,7 @@ def random_runs(
     steps: int,
     /,
 ) -> bytes:
-    """The peaks of ``count`` runs from number ``first`` on, as doubles; other threads go on meanwhile.
+    """Return the peaks of ``count`` runs from number ``first`` on, as doubles; other threads go on meanwhile.
 
     ``figures``: doubles, in the order of ``Figures`` in random_runs.h. Error: ValueError for another count of
     them, OverflowError for a seed outside 0 to 2^64 - 1.

@@ -26,9 +26,9 @@ NDBool = NDArray[np.bool_]
 
 _PIECES_R, _PIECES_L = 6, 3
 _HALVINGS = 14
-"""Of the interval from 0 to 1 / spread, so that mu is known to 1/16384 of it."""
+"""Halvings of the interval from 0 to 1 / spread, so that mu is known to 1/16384 of it."""
 _GRID = 240
-"""First frequencies. With the refinements below 30 find the same peaks of the paper's loops."""
+"""First frequencies. With the refinements below, 30 find the same peaks of the paper's loops."""
 _REFINEMENTS, _PEAKS = 4, 5
 """Without refinements the bound falls short by 4 % at a peak of the paper's loops, with three by 4e-4; of the
 peaks two suffice."""
@@ -44,14 +44,15 @@ class CoupledRobustness:
 
     @property
     def certified(self) -> bool:
-        """Whether the whole box is stable, as far as the grid of frequencies shows."""
+        """True if the whole box is stable, as far as the grid of frequencies shows."""
         return self.real_mu_bound < 1.0
 
 
 def coupled_robustness(
     motor: PmsmParameters, K_d: StateSpace, K_q: StateSpace, speed_rad_s: float, spread: float = 0.5
 ) -> CoupledRobustness:
-    """The bound over a grid from a thousandth of the slowest r/L to thirty times the loops' own rates."""
+    """Return the bound over a grid from a thousandth of the slowest r/L to thirty times the loops' own
+    rates."""
     corners = [motor.resistance_ohm / L for L in (motor.inductance_d_h, motor.inductance_q_h)]
     rates = np.abs(np.concatenate([K_d.poles(), K_q.poles()]))
     electrical = abs(speed_rad_s) * motor.pole_pairs
@@ -69,7 +70,7 @@ def coupled_robustness(
 
 
 def _between_peaks(omega: Array, mu: Array) -> Array:
-    """Frequencies about the highest values of ``mu``, on both sides up to the next known ones."""
+    """Return frequencies about the highest values of ``mu``, on both sides up to the next known ones."""
     finer = []
     for k in np.argsort(mu)[-_PEAKS:]:
         low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
@@ -85,7 +86,8 @@ def coupled_real_mu(
     omega: Array,
     spread: float = 0.5,
 ) -> Array:
-    """(k,) bound of mu at the k frequencies, for the box +-``spread``; a box that holds r = 0 is the largest.
+    """Return the (k,) bound of mu at the k frequencies, for the box +-``spread``; at most for a box that
+    holds r = 0.
 
     Above ``spread`` only, where a motor is still one: the smallest value is ``spread`` itself. At standstill
     the axes do not meet, and it is exact.
@@ -112,7 +114,7 @@ def _may_vanish(
     omega: Array,
     spread: Array,
 ) -> NDBool:
-    """(k,) whether 0 lies in the hull of some piece of the box +-``spread`` (k,)."""
+    """Return (k,) True where 0 lies in the hull of some piece of the box +-``spread`` (k,)."""
     coupling = (motor.pole_pairs * speed_rad_s) ** 2
     r_d, r_q, off_d, off_q = (offset[:, None] * spread for offset in _CORNERS)
     r, L_d, L_q = motor.resistance_ohm, motor.inductance_d_h, motor.inductance_q_h
@@ -123,7 +125,7 @@ def _may_vanish(
 
 
 def _corners() -> Array:
-    """(4, 16 pieces) offsets of r_d, r_q, L_d, L_q in spreads, the corners of a piece together."""
+    """Return (4, 16 pieces) offsets of r_d, r_q, L_d, L_q in spreads, the corners of a piece together."""
     cuts_r, cuts_l = (np.linspace(-1.0, 1.0, pieces + 1) for pieces in (_PIECES_R, _PIECES_L))
     corners = [
         corner
@@ -139,7 +141,7 @@ _CORNERS = _corners()
 
 
 def _hull_holds_zero(points: ComplexArray) -> NDBool:
-    """(l, k) whether 0 lies in the convex hull of ``points`` (l, m, k) along m."""
+    """Return (l, k) True where 0 lies in the convex hull of ``points`` (l, m, k) along m."""
     angles = np.sort(np.angle(points), axis=1)
     gaps = np.diff(np.concatenate([angles, angles[:, :1] + 2.0 * np.pi], axis=1), axis=1)
     return np.asarray(gaps.max(axis=1) <= np.pi, dtype=bool)
@@ -159,7 +161,7 @@ class WorstMotor:
 def worst_motor(
     motor: PmsmParameters, K_d: StateSpace, K_q: StateSpace, speed_rad_s: float, spread: float = 0.5
 ) -> WorstMotor:
-    """Evidence beside the bound: five values of each parameter, corners included."""
+    """Return evidence for the bound: five values of each parameter, corners included."""
     d, q = balanced(K_d), balanced(K_q)
     factors = np.linspace(1.0 - spread, 1.0 + spread, 5)
     worst: WorstMotor | None = None
@@ -179,7 +181,7 @@ def closed_loop(
     K_q: StateSpace,
     speed_rad_s: float,
 ) -> Array:
-    """The matrix of [i_d, i_q, K_d's and K_q's states] of a motor with r, L_d, L_q in ``values``.
+    """Return the matrix of [i_d, i_q, K_d's and K_q's states] of a motor with r, L_d, L_q in ``values``.
 
     The drive decouples with the inductances of ``motor``.
     """

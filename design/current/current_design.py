@@ -1,4 +1,4 @@
-"""A current controller for one axis, and every figure that is reported about it."""
+"""A current controller for one axis, and all its reported figures."""
 
 import math
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _PAPER_RATE = {"q": _PAPER_RESISTANCE_OHM / 2.8e-3, "d": _PAPER_RESISTANCE_OHM /
 _RULES = {"q": (156.75, 1.51, 235.0 / math.sqrt(3.0)), "d": (50.0, 1.7, 1000.0 / math.sqrt(3.0))}
 """Crossing of w1, rad/s; high-frequency gain of 1/w1; end of w3's flat part, rad/s."""
 _VANISHES = 1e-12
-"""Of w3's gain at high frequency: beside it, a w2 below this is rounding."""
+"""Share of w3's gain at high frequency: a w2 below this is rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,12 +39,12 @@ class AxisDesign:
 
 
 def axis_inductance_h(motor: PmsmParameters, axis: str) -> float:
-    """L_d or L_q."""
+    """Return L_d or L_q."""
     return motor.inductance_d_h if axis == "d" else motor.inductance_q_h
 
 
 def rule_weights(motor: PmsmParameters, axis: str) -> Weights:
-    """The weights of [Azaiz2007] 3.2 by their rules, carried over to ``motor``.
+    """Return the weights of [Azaiz2007] 3.2 by their rules, carried over to ``motor``.
 
     Rates go with r/L and w2 with 1/r, so that the scaled problem, and gamma_min, is the paper's own.
     """
@@ -59,7 +59,7 @@ def rule_weights(motor: PmsmParameters, axis: str) -> Weights:
 
 
 def axis_gamma_min(G: StateSpace, weights: Weights) -> float:
-    """The least gamma of the mixed-sensitivity problem of ``G``.
+    """Return the least gamma of the mixed-sensitivity problem of ``G``.
 
     Raises SingularPlant, InfeasibleDesign and NoSolution.
     """
@@ -72,7 +72,7 @@ def axis_gamma_min(G: StateSpace, weights: Weights) -> float:
 
 
 def design_axis(motor: PmsmParameters, axis: str, weights: Weights, gamma: float) -> AxisDesign:
-    """The central controller of ``axis`` for ``gamma``. Raises as :func:`axis_gamma_min`."""
+    """Return the central controller of ``axis`` for ``gamma``. Raises as :func:`axis_gamma_min`."""
     G = axis_plant(motor.resistance_ohm, axis_inductance_h(motor, axis))
     least = axis_gamma_min(G, weights)
     K = synthesise(mixed_sensitivity(G, weights), gamma).controller
@@ -91,7 +91,7 @@ def _vanishing(weights: Weights) -> SingularPlant:
 
 
 def describe(G: StateSpace, weights: Weights, K: StateSpace, least: float) -> AxisDesign:
-    """The figures of ``K`` on ``G``; ``least``: gamma_min of the full-order problem.
+    """Return the figures of ``K`` on ``G``; ``least``: gamma_min of the full-order problem.
 
     Raises InfeasibleDesign for a loop that is not stable.
     """
@@ -116,28 +116,28 @@ def describe(G: StateSpace, weights: Weights, K: StateSpace, least: float) -> Ax
 
 
 def _steady_error(G: StateSpace, K: StateSpace) -> float:
-    """1/(1 + L(0)); 0 with an integrator."""
+    """Return 1/(1 + L(0)); 0 with an integrator."""
     gain = float((G.steady_gain() @ K.steady_gain())[0, 0])
     return 0.0 if math.isinf(gain) else 1.0 / (1.0 + gain)
 
 
 def complementary(G: StateSpace, K: StateSpace) -> StateSpace:
-    """T = G K/(1 + G K)."""
+    """Return T = G K/(1 + G K)."""
     return connect(series(G, K), [[-1.0]], [[1.0]], [[1.0]])
 
 
 def reduced_design(full: AxisDesign, order: int, method: Method) -> AxisDesign:
-    """``full`` with fewer states in its controller."""
+    """Return ``full`` with fewer states in its controller."""
     return describe(full.plant, full.weights, reduce(full.controller, order, method), full.gamma_min)
 
 
 def roots(values: ComplexArray) -> list[list[float]]:
-    """[real, imaginary] of each."""
+    """Return [real, imaginary] of each."""
     return [[float(value.real), float(value.imag)] for value in values]
 
 
 def design_figures(design: AxisDesign, reduced: AxisDesign | None = None) -> dict[str, Any]:
-    """What ``--json`` prints about one axis; zeros and poles as [real, imaginary] pairs, rad/s."""
+    """Return the figures of one axis for ``--json``; zeros and poles as [real, imaginary] pairs, rad/s."""
     margins = design.margins
     stable = design.controller.is_stable()
     figures: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""A current controller in a drive: sampled at the inner rate, its voltage out a computation delay later.
+"""A current controller in a drive: sampled at the inner rate, its voltage put out a computation delay later.
 
 Two ways to a sampled controller: the continuous one by Tustin's rule, prewarped at the crossover, or a
 design for the sampled plant itself, with its hold and delay, in the bilinear plane (s = 2/T (z-1)/(z+1)).
@@ -21,8 +21,8 @@ from servobench.design.hinf.weights import Weights
 from servobench.design.statespace import StateSpace, balanced, connect, series, state_space
 
 RATE_MAX_HZ = 1_000_000.0
-"""From where a search goes down: no drive samples its currents as fast. From 10 kHz or 1 GHz on it ends at
-the same rate with the paper's q axis."""
+"""Upper end of a search: no drive samples its currents as fast. From 10 kHz or 1 GHz on it ends at the same
+rate with the paper's q axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class SampledFigures:
 
 
 def held(plant: StateSpace, rate_hz: float, delay_samples: int) -> StateSpace:
-    """``plant`` behind a zero-order hold and ``delay_samples`` whole periods of computation."""
+    """Return ``plant`` behind a zero-order hold and ``delay_samples`` whole periods of computation."""
     period_s = 1.0 / rate_hz
     n, m = plant.order, plant.B.shape[1]
     joint = np.zeros((n + m, n + m))
@@ -47,7 +47,7 @@ def held(plant: StateSpace, rate_hz: float, delay_samples: int) -> StateSpace:
 
 
 def sampled_figures(G: StateSpace, K: StateSpace, delay_samples: int) -> SampledFigures:
-    """Margins and spectral radius of the sampled controller ``K`` on the continuous plant ``G``."""
+    """Return margins and spectral radius of the sampled controller ``K`` on the continuous plant ``G``."""
     assert K.period_s is not None
     loop = series(held(G, 1.0 / K.period_s, delay_samples), K)
     closed = connect(loop, [[-1.0]], [[1.0]], [[1.0]])
@@ -61,16 +61,17 @@ class DiscreteDesign:
     controller: StateSpace
     gamma: float
     gamma_min: float
-    """Of the sampled plant with its hold and delay."""
+    """Least gamma of the sampled plant with its hold and delay."""
     norm: float
-    """That the controller reaches there."""
+    """Norm of the controller there."""
 
 
 def discrete_plant(G: StateSpace, weights: Weights, rate_hz: float, delay_samples: int) -> GeneralisedPlant:
-    """The mixed-sensitivity problem of the sampled plant, in the bilinear plane, where its norm is the same.
+    """Return the mixed-sensitivity problem of the sampled plant, in the bilinear plane, where its norm is the
+    same.
 
-    The weights are those of the continuous problem in that plane: at a real frequency w they weigh what
-    they say at 2/T tan(w T/2).
+    The weights are those of the continuous problem in that plane: at a real frequency w they have their value
+    at 2/T tan(w T/2).
     """
     return mixed_sensitivity(to_bilinear(balanced(held(G, rate_hz, delay_samples))), weights)
 
@@ -78,7 +79,7 @@ def discrete_plant(G: StateSpace, weights: Weights, rate_hz: float, delay_sample
 def discrete_design(
     G: StateSpace, weights: Weights, gamma: float, factor: float, rate_hz: float, delay_samples: int
 ) -> DiscreteDesign:
-    """The controller for ``gamma``, or for ``factor`` times the sampled plant's gamma_min if that is more."""
+    """Design for ``gamma``, or for ``factor`` times the sampled plant's gamma_min if that is more."""
     plant = discrete_plant(G, weights, rate_hz, delay_samples)
     least = gamma_min(plant)
     reached = max(gamma, factor * least)
@@ -89,14 +90,14 @@ def discrete_design(
 def gamma_min_over_rates(
     G: StateSpace, weights: Weights, rates_hz: Sequence[float], delay_samples: int
 ) -> list[float]:
-    """gamma_min of the sampled plant at each rate: the later the voltage comes, the larger."""
+    """Return gamma_min of the sampled plant at each rate: the later the voltage comes, the larger."""
     return [gamma_min(discrete_plant(G, weights, rate, delay_samples)) for rate in rates_hz]
 
 
 def lowest_rate_hz(
     G: StateSpace, K: StateSpace, crossover_rad_s: float, modulus_margin: float, delay_samples: int
 ) -> float:
-    """The lowest sampling rate, to 0.1 %, at and above which Tustin's ``K`` holds ``modulus_margin``.
+    """Return the lowest sampling rate, to 0.1 %, at and above which Tustin's ``K`` holds ``modulus_margin``.
 
     Raises InfeasibleDesign if the continuous loop itself has no such margin.
     """
@@ -119,7 +120,7 @@ def lowest_rate_hz(
 
 
 def lowest_rate(holds: Callable[[float], bool], relative: float) -> float | None:
-    """The lowest rate, Hz, at and above which ``holds``; None if not even at ``RATE_MAX_HZ``."""
+    """Return the lowest rate, Hz, at and above which ``holds``; None if not even at ``RATE_MAX_HZ``."""
     low = high = RATE_MAX_HZ
     if not holds(high):
         return None

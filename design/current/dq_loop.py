@@ -1,4 +1,4 @@
-"""The two sampled current loops of a PMSM together, at a constant speed: what couples them is left in.
+"""The two sampled current loops of a PMSM together, at a constant speed, with their coupling.
 
 Within a period the inverter's voltage stands still in the stator's frame, so it turns backwards in the
 rotor's. It is computed from the samples at k, put out from k + delay on, and turned forward by ``advance``
@@ -21,7 +21,7 @@ _J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 @dataclass(frozen=True, slots=True)
 class Decoupling:
-    """What the drive believes: the inductances it decouples with, H, and its angle advance, periods."""
+    """The drive's model: the inductances it decouples with, H, and its angle advance, periods."""
 
     inductance_d_h: float
     inductance_q_h: float
@@ -29,18 +29,18 @@ class Decoupling:
 
 
 def nominal_decoupling(motor: PmsmParameters, delay_samples: int) -> Decoupling:
-    """Right parameters, and the angle at the middle of the period in which the voltage acts."""
+    """Return right parameters, and the angle at the middle of the period in which the voltage acts."""
     return Decoupling(motor.inductance_d_h, motor.inductance_q_h, delay_samples + 0.5)
 
 
 def rotation(angle_rad: float) -> Array:
-    """(2, 2) rotation by ``angle_rad``."""
+    """Return the (2, 2) rotation by ``angle_rad``."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s], [s, c]])
 
 
 def dq_matrix(motor: PmsmParameters, electrical_rad_s: float) -> tuple[Array, Array]:
-    """A and B of d[i_d, i_q]/dt at a constant electrical speed; voltages in the rotor's frame."""
+    """Return A and B of d[i_d, i_q]/dt at a constant electrical speed; voltages in the rotor's frame."""
     R, Ld, Lq = motor.resistance_ohm, motor.inductance_d_h, motor.inductance_q_h
     A = np.array([[-R / Ld, electrical_rad_s * Lq / Ld], [-electrical_rad_s * Ld / Lq, -R / Lq]])
     return A, np.diag([1.0 / Ld, 1.0 / Lq])
@@ -54,7 +54,7 @@ def closed_loop_matrix(
     decoupling: Decoupling | None,
     delay_samples: int = 1,
 ) -> Array:
-    """The transition matrix over one period of [i, waiting voltages, K_d's and K_q's states].
+    """Return the transition matrix over one period of [i, waiting voltages, K_d's and K_q's states].
 
     ``speed_rad_s`` is mechanical; ``decoupling`` None: neither decoupling nor angle advance.
     """
@@ -98,7 +98,8 @@ def lowest_coupled_rate_hz(
     speed_max_rad_s: float,
     delay_samples: int,
 ) -> float | None:
-    """The lowest rate, to 1 %, at and above which Tustin's ``K_d`` and ``K_q`` are stable up to that speed.
+    """Return the lowest rate, to 1 %, at and above which Tustin's ``K_d`` and ``K_q`` are stable up to that
+    speed.
 
     With right decoupling and angle advance, seen at six speeds. None: not even at ``RATE_MAX_HZ``.
     """
@@ -122,7 +123,7 @@ def spectral_radius(
     decoupling: Decoupling | None,
     delay_samples: int = 1,
 ) -> Array:
-    """(k,) largest pole magnitude of the coupled loops at the k mechanical speeds, rad/s."""
+    """Return the (k,) largest pole magnitude of the coupled loops at the k mechanical speeds, rad/s."""
     radii = [
         np.abs(
             np.linalg.eigvals(closed_loop_matrix(motor, K_d, K_q, float(speed), decoupling, delay_samples))

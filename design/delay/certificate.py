@@ -1,8 +1,8 @@
-"""Certified figures of a loop with constant delay: solved, then proved anew in numpy.
+"""Certified figures of a loop with constant delay: solved, then proved again in numpy.
 
-A certificate is believed only after its matrices have been put into the inequalities again: each must
-have a smallest eigenvalue above the bound of the rounding error of its entries. The figure that is
-given is the one for which that is so.
+A certificate counts only after its matrices have been put into the inequalities again: each must have a
+smallest eigenvalue above the bound of the rounding error of its entries. The figure returned is the one for
+which this holds.
 """
 
 import math
@@ -25,19 +25,20 @@ CLOSE_ENOUGH = 1.001
 _DELAY_TOLERANCE_S = 1e-7
 """A tenth of a bit time at 1 Mbit/s: no delay of a bus is known as well."""
 STABLE_MARGIN = 1e-9
-"""Of loops beyond their limit the solver makes margins of 3e-11 and less in size; what can be proved has 7e-6
-and more."""
+"""For loops beyond their limit the solver finds margins of at most 3e-11; provable ones have 7e-6 and
+more."""
 
 
 _SHARES = (1.2, 1.0, 2.0)
-"""Of the gain: units of the disturbance that are tried."""
+"""Units of the disturbance to try, as shares of the gain."""
 _CURRENT_FACTORS = (1.0, 0.2, 5.0)
-"""Of what the feedback makes of 1 rad/s: units of the current, tried where the usual ones fail."""
+"""Units of the current to try where the usual ones fail, as multiples of the feedback's response to 1
+rad/s."""
 
 
 @dataclass(frozen=True, slots=True)
 class CertifiedGain:
-    """A gain, rad/s per N m, that the loop is proved not to exceed."""
+    """A gain, rad/s per N m, that the loop provably does not exceed."""
 
     gain: float
     order: int
@@ -46,7 +47,7 @@ class CertifiedGain:
 
 
 def certified_gain(model: SpeedModel, loop: DelayLoop, order: int) -> CertifiedGain:
-    """The least gain that the functional of ``order`` certifies; order 0 is [Ling2012] Theorem 3.3.
+    """Return the least gain that the functional of ``order`` certifies; order 0 is [Ling2012] Theorem 3.3.
 
     Raises NoSolution if there is none, or if it fails its check.
     """
@@ -70,7 +71,7 @@ def certified_gain(model: SpeedModel, loop: DelayLoop, order: int) -> CertifiedG
 
 
 def _state_scales(model: SpeedModel, loop: DelayLoop) -> list[Array]:
-    """The model's own units, then currents in those of what the feedback makes of 1 rad/s."""
+    """Return the state scales: the model's own units, then currents as fed back for 1 rad/s."""
     own = float(abs(loop.K[1])) or float(model.state_scale[0])
     changed = []
     for factor in _CURRENT_FACTORS:
@@ -96,9 +97,9 @@ def _certified_in(state_scale: Array, loop: DelayLoop, order: int, scale: float)
 
 
 def certified_gain_auto(model: SpeedModel, loop: DelayLoop) -> CertifiedGain:
-    """The certificate of the lowest order that comes within :data:`CLOSE_ENOUGH` of the exact gain.
+    """Return the certificate of the lowest order that comes within :data:`CLOSE_ENOUGH` of the exact gain.
 
-    If none does up to :data:`ORDER_MAX`, or the solver fails at a higher order: the best there is.
+    If none does up to :data:`ORDER_MAX`, or the solver fails at a higher order: the best one found.
     """
     exact = hinf_norm(loop)
     best: CertifiedGain | None = None
@@ -120,7 +121,8 @@ def certified_gain_auto(model: SpeedModel, loop: DelayLoop) -> CertifiedGain:
 
 
 def certified_stable(model: SpeedModel, loop: DelayLoop, order: int) -> bool:
-    """Whether the functional of ``order`` proves the loop stable; order 0 is [Ling2012] Theorem 3.1."""
+    """Return True if the functional of ``order`` proves the loop stable; order 0 is [Ling2012] Theorem
+    3.1."""
     problem = stability_problem(scaled(loop, model.state_scale, 1.0), order)
     try:
         y = solve(problem).y
@@ -133,7 +135,8 @@ def certified_stable(model: SpeedModel, loop: DelayLoop, order: int) -> bool:
 
 
 def certified_delay_s(model: SpeedModel, loop: DelayLoop, order: int) -> float:
-    """The largest delay, s, up to the exact limit, at which the functional of ``order`` proves stability."""
+    """Return the largest delay, s, up to the exact limit, at which the functional of ``order`` proves
+    stability."""
     high = largest_stable_delay_s(loop)
     if high == 0.0:
         return 0.0
@@ -157,7 +160,8 @@ def certified_delay_s(model: SpeedModel, loop: DelayLoop, order: int) -> float:
 
 
 def proved(problem: LmiProblem, y: Array) -> float:
-    """The margin, by the check in numpy. Raises NoSolution if an inequality does not hold beyond rounding."""
+    """Return the margin, checked in numpy. Raises NoSolution if an inequality does not hold beyond
+    rounding."""
     margin = float(min(smallest_eigenvalues(problem, y)) - rounding_of(problem, y))
     if not margin > 0.0:
         raise NoSolution(problem.what, "the answer fails its check", f"smallest eigenvalue {margin:.2e}")

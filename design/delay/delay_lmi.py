@@ -36,7 +36,7 @@ class ScaledLoop:
 
 
 def scaled(loop: DelayLoop, state_scale: Array, gain_scale: float) -> ScaledLoop:
-    """The loop in the units of the module's head.
+    """Convert the loop to the units of the module's head.
 
     ``state_scale``: (n,) size of each state at one unit of z; a few per cent for e_q beside e.
     """
@@ -113,7 +113,7 @@ def _positivity(unknowns: Unknowns, n: int, order: int) -> list[MatrixInequality
 
 
 def _decrease(unknowns: Unknowns, signals: _Signals) -> MatrixInequality:
-    """-V' as a form of the signals, without what the performance adds."""
+    """Return -V' as a form of the signals, without the performance terms."""
     inequality = MatrixInequality.zero(unknowns, signals.m)
     inequality.add(unknowns, "P", -signals.moments, signals.moments_rate.T)
     inequality.add_form(unknowns, "Q", signals.now, -1.0)
@@ -125,7 +125,8 @@ def _decrease(unknowns: Unknowns, signals: _Signals) -> MatrixInequality:
 
 
 def gain_problem(loop: ScaledLoop, order: int) -> LmiProblem:
-    """Least squared gain that the functional of ``order`` certifies; the last unknown is that square.
+    """Pose the least squared gain that the functional of ``order`` certifies; the last unknown is that
+    square.
 
     Order 0: [Ling2012] Theorem 3.3, (3.10), after Schur complements and with Y and W eliminated.
     """
@@ -140,13 +141,13 @@ def gain_problem(loop: ScaledLoop, order: int) -> LmiProblem:
 
 
 def _count_gain(decrease: MatrixInequality, output: Array) -> None:
-    """Take z'z off and add gain_squared d'd; ``output``: (m,), of the signals, the last of which is d."""
+    """Subtract z'z and add gain_squared d'd; ``output``: (m,), of the signals, the last of which is d."""
     decrease.constant -= np.outer(output, output)
     decrease.coefficients[-1, -1, -1] += 1.0
 
 
 def ordinary_gain_problem(loop: DelayLoop, state_scale: Array, gain_scale: float) -> LmiProblem:
-    """Least squared gain of a loop without delay: the bounded real lemma, with x' P x alone."""
+    """Pose the least squared gain of a loop without delay: the bounded real lemma, with x' P x alone."""
     T = state_scale * gain_scale
     unit_s = 1.0 / float(np.max(np.abs(np.linalg.eigvals(loop.A + loop.BK))))
     A, E, C = unit_s * (loop.A + loop.BK) * T / T[:, None], unit_s * loop.E / T, loop.C * T / gain_scale
@@ -164,10 +165,11 @@ def ordinary_gain_problem(loop: DelayLoop, state_scale: Array, gain_scale: float
 
 
 def stability_problem(loop: ScaledLoop, order: int) -> LmiProblem:
-    """Largest margin of stability; order 0 is [Ling2012] Theorem 3.1, (3.1), with Y and W eliminated.
+    """Pose the largest margin of stability; order 0 is [Ling2012] Theorem 3.1, (3.1), with Y and W
+    eliminated.
 
-    The last unknown is minus the margin: every inequality >= margin I, with the traces of what must be
-    positive bounded by 1.
+    The last unknown is minus the margin: every inequality >= margin I, with the traces of the positive
+    matrices bounded by 1.
     """
     n = len(loop.A)
     unknowns = _unknowns(n, order)

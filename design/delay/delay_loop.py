@@ -64,7 +64,7 @@ class LoopFunction:
     time_unit_s: float
 
     def magnitude(self, w: Array) -> Array:
-        """|G(j w)| at the frequencies ``w`` in rad per time unit."""
+        """Return |G(j w)| at the frequencies ``w`` in rad per time unit."""
         s = np.asarray(1j * w, dtype=np.complex128)
         parts = [each for part in (self.numerator, self.denominator) for each in (part.plain, part.delayed)]
         coefficients = np.array(parts).reshape(2, 2, -1, *[1] * s.ndim)
@@ -76,7 +76,7 @@ class LoopFunction:
 
 
 def _resolvent(M: Array) -> tuple[Array, Array]:
-    """det(s I - M), (m, n + 1), and adj(s I - M), (n, m, n, n), ascending, of each of M (m, n, n).
+    """Return det(s I - M), (m, n + 1), and adj(s I - M), (n, m, n, n), ascending, for each of M (m, n, n).
 
     By the recursion of Faddeev and LeVerrier, exact up to rounding for small n.
     """
@@ -92,10 +92,11 @@ def _resolvent(M: Array) -> tuple[Array, Array]:
 
 
 def loop_function(loop: DelayLoop, unit_s: float | None = None) -> LoopFunction:
-    """The transfer function from d to z as quasi-polynomials; ``unit_s``: of time, if not the loop's own.
+    """Return the transfer function from d to z as quasi-polynomials; ``unit_s``: unit of time, if not the
+    loop's own.
 
     q = det(s I - A) - K adj(s I - A) B e^{-s eta} is affine in e^{-s eta} because the feedback has rank one,
-    and so is n = C adj(s I - A - B K e^{-s eta}) E: what it is without delay tells the delayed part.
+    and so is n = C adj(s I - A - B K e^{-s eta}) E: its value without delay gives the delayed part.
     """
     n = len(loop.A)
     determinant, adjugate = _resolvent(np.stack([loop.A, loop.A + loop.BK]))
@@ -112,7 +113,7 @@ def loop_function(loop: DelayLoop, unit_s: float | None = None) -> LoopFunction:
 
 
 def _time_unit_s(determinant: Array, delay_s: float) -> float:
-    """The delay; the inverse of the fastest rate, within a small factor, where that is slower.
+    """Return the delay; the inverse of the fastest rate, within a small factor, where that is slower.
 
     ``determinant``: (m, n + 1) characteristic polynomials.
     """

@@ -5,10 +5,10 @@ W(w^2) = |a(jw)|^2 - |b(jw)|^2 = 0, at delays that repeat every 2 pi/w, all in t
 sign W' (Walton and Marshall, IEE Proc. D 134(2), 1987). Counting the crossings from the roots at
 no delay gives the number of unstable roots at any delay, and the largest stable delay in closed form.
 
-Norm: |G(jw)| <= gamma is the sign of one real function of w, polynomials times cos and sin of
-w eta, whose second derivative is bounded on any interval. Intervals are halved until that bound
-shows the sign on each; a point with the wrong sign is climbed to its summit and the search begins
-anew from there. What is returned is thus a supremum up to a stated tolerance, whatever its peaks.
+Norm: |G(jw)| <= gamma is the sign of one real function of w, polynomials times cos and sin of w eta, whose
+second derivative is bounded on any interval. Intervals are halved until that bound shows the sign on each; a
+point with the wrong sign is climbed to its summit and the search begins anew from there. The result is thus a
+supremum up to a stated tolerance, whatever its peaks.
 
 Between two current loops: the rate stands in one row of A and B K, so that n and q are affine in it, and
 |n|^2 - gamma^2 |q|^2 departs from its chord between the two by gamma^2 |q_2 - q_1|^2/4 at most.
@@ -46,7 +46,7 @@ class Crossing:
 
 
 def crossings(loop: DelayLoop) -> list[Crossing]:
-    """Every crossing of the imaginary axis as the delay grows from nothing, by frequency."""
+    """Return every crossing of the imaginary axis as the delay grows from 0, by frequency."""
     function = loop_function(loop)
     a, b = function.denominator.plain, function.denominator.delayed
     W = _magnitude_squared(a) - _magnitude_squared(b)
@@ -63,7 +63,7 @@ def crossings(loop: DelayLoop) -> list[Crossing]:
 
 
 def unstable_roots(loop: DelayLoop) -> int:
-    """Number of characteristic roots with a real part that is not negative."""
+    """Return the number of characteristic roots with a real part that is not negative."""
     roots = np.linalg.eigvals(loop.A + loop.BK)
     scale = max(float(np.max(np.abs(roots))), float(np.linalg.norm(loop.A)))
     count = int(np.count_nonzero(roots.real >= -_AT_AXIS * scale))
@@ -77,12 +77,13 @@ def unstable_roots(loop: DelayLoop) -> int:
 
 
 def is_stable(loop: DelayLoop) -> bool:
-    """Every characteristic root in the open left half-plane."""
+    """Return True if every characteristic root is in the open left half-plane."""
     return unstable_roots(loop) == 0
 
 
 def largest_stable_delay_s(loop: DelayLoop) -> float:
-    """The delay up to which the loop is stable; inf if no delay makes it unstable, 0 if none is needed."""
+    """Return the delay up to which the loop is stable; inf if it is stable for any, 0 if it is not even
+    without."""
     if not is_stable(replace(loop, delay_s=0.0)):
         return 0.0
     firsts = [crossing.first_delay_s for crossing in crossings(loop) if crossing.destabilising]
@@ -90,12 +91,12 @@ def largest_stable_delay_s(loop: DelayLoop) -> float:
 
 
 def hinf_norm(loop: DelayLoop) -> float:
-    """sup over w of |G(jw)| in units of z per unit of d; inf if the loop is unstable."""
+    """Return sup over w of |G(jw)| in units of z per unit of d; inf if the loop is unstable."""
     return hinf_peak(loop).gain
 
 
 def hinf_peak(loop: DelayLoop) -> Peak:
-    """As :func:`hinf_norm`, with the frequency of the peak (0 for an unstable loop)."""
+    """Return the norm and the frequency of the peak (0 for an unstable loop); see :func:`hinf_norm`."""
     if not is_stable(loop):
         return Peak(math.inf, 0.0)
     function = loop_function(loop)
@@ -114,10 +115,10 @@ def hinf_peak(loop: DelayLoop) -> Peak:
 
 
 def norm_between(one: DelayLoop, other: DelayLoop) -> float:
-    """A bound of the norm of every loop whose current loop has a rate between those of the two.
+    """Bound the norm of every loop whose current loop has a rate between those of the two.
 
-    inf if none was shown, or one of the two is unstable. No loop between them can be unstable where it is
-    finite: no root can come to the imaginary axis.
+    inf if no bound was shown, or one of the two is unstable. If it is finite no loop between them is
+    unstable: no root can reach the imaginary axis.
     """
     largest = max(hinf_norm(one), hinf_norm(other))
     if math.isinf(largest):
@@ -138,7 +139,7 @@ def norm_between(one: DelayLoop, other: DelayLoop) -> float:
 
 
 def peaks(loop: DelayLoop, share: float = 0.5) -> list[Peak]:
-    """Local maxima of |G| found by sampling, those above ``share`` of the largest; w = 0 always first.
+    """Return local maxima of |G| found by sampling, those above ``share`` of the largest; w = 0 always first.
 
     Quick, and without the proof of :func:`hinf_peak`: for searches that evaluate many loops.
     """
@@ -155,12 +156,12 @@ def peaks(loop: DelayLoop, share: float = 0.5) -> list[Peak]:
 
 
 def sampled_norm(loop: DelayLoop) -> float:
-    """As :func:`hinf_norm` for a loop known to be stable, without the proof: the largest of :func:`peaks`."""
+    """Return the norm of a loop known to be stable, without the proof: the largest of :func:`peaks`."""
     return max(peak.gain for peak in peaks(loop, share=0.8))
 
 
 def rough_norm(loop: DelayLoop) -> float:
-    """The largest of |G| at a few frequencies, none far from the peak: for units, its size is enough.
+    """Return the largest of |G| at a few frequencies, none far from the peak: its size is enough for units.
 
     inf or nan where one of them is a root, as without friction and without feedback of the speed.
     """
@@ -169,7 +170,7 @@ def rough_norm(loop: DelayLoop) -> float:
 
 
 def _magnitude_squared(p: Array) -> Array:
-    """|p(jw)|^2 as a polynomial in w^2, ascending."""
+    """Return |p(jw)|^2 as a polynomial in w^2, ascending."""
     mirrored = p * (-1.0) ** np.arange(len(p))
     even = np.convolve(p, mirrored)[::2]
     return np.asarray(even * (-1.0) ** np.arange(len(even)))
@@ -180,7 +181,8 @@ def _at(p: Array, w: float) -> complex:
 
 
 def _first_look(function: LoopFunction) -> Array:
-    """Frequencies, 0 first, that show every ordinary peak: some to a turn of the delay, some to a decade."""
+    """Return frequencies, 0 first, that show every ordinary peak: some per turn of the delay, some per
+    decade."""
     end = _tail_start(function, 0.02 * max(float(function.magnitude(np.zeros(1))[0]), 1e-300))
     end = min(max(end, 1.0), 1e4)
     turns = np.linspace(0.0, min(end, 30.0), 181)
@@ -189,7 +191,7 @@ def _first_look(function: LoopFunction) -> Array:
 
 
 def _climb(function: LoopFunction, w: Array) -> tuple[float, float]:
-    """The highest of the samples' surroundings: (gain, w)."""
+    """Return the highest point around the samples: (gain, w)."""
     gains = function.magnitude(w)
     top = int(np.argmax(gains))
     low, high = w[max(top - 1, 0)], w[min(top + 1, len(w) - 1)]
@@ -200,7 +202,8 @@ def _climb(function: LoopFunction, w: Array) -> tuple[float, float]:
 
 
 def _zoom(function: LoopFunction, low: Array, high: Array) -> tuple[Array, Array]:
-    """Highest point inside each interval [low, high], to some 1e-13 of its gain: (gains, frequencies)."""
+    """Return the highest point inside each interval [low, high], to some 1e-13 of its gain: (gains,
+    frequencies)."""
     steps = np.linspace(0.0, 1.0, 15)
     for _ in range(9):
         w = low[:, None] + (high - low)[:, None] * steps
@@ -212,7 +215,8 @@ def _zoom(function: LoopFunction, low: Array, high: Array) -> tuple[Array, Array
 
 
 def _tail_start(function: LoopFunction, gain: float, apart: QuasiPolynomial | None = None) -> float:
-    """A frequency beyond which |G| stays below ``gain``: there s^n outweighs all the rest, ``apart`` too."""
+    """Return a frequency beyond which |G| stays below ``gain``: there s^n outweighs the rest, ``apart``
+    included."""
     top = np.abs(function.numerator.plain) + np.abs(function.numerator.delayed)
     if apart is not None:
         top = top + gain * (np.abs(apart.plain) + np.abs(apart.delayed))
@@ -231,7 +235,7 @@ def _tail_start(function: LoopFunction, gain: float, apart: QuasiPolynomial | No
 def _point_above(
     function: LoopFunction, gain: float, end: float, apart: QuasiPolynomial | None = None
 ) -> Array | None:
-    """Samples around a frequency in [0, end] where |G| > ``gain``; None if it is shown that there is none.
+    """Return samples around a frequency in [0, end] where |G| > ``gain``; None if there is provably none.
 
     ``apart``: |n|^2 + gain^2 |apart|^2 > gain^2 |q|^2 instead.
     """
@@ -275,7 +279,8 @@ class _SignFunction:
         self._within = np.abs(np.stack([bends[0], V, rates[1], bends[1]], axis=1))
 
     def on_cells(self, centre: Array, radius: Array) -> tuple[Array, Array]:
-        """f at the centres and a bound of f on each cell, from its derivatives there or for any phase."""
+        """Return f at the centres and a bound of f on each cell, from its derivatives there or for any
+        phase."""
         powers = np.arange(float(len(self._at_centre)))
         turn, h = np.exp(1j * centre * self._delay), self._delay
         U, V, dU, dV = (centre[:, None] ** powers @ self._at_centre).T
@@ -289,15 +294,15 @@ class _SignFunction:
 
 
 def _derivative(p: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Of as many coefficients, the last one 0."""
+    """Return the derivative with as many coefficients, the last one 0."""
     return np.append(p[1:] * np.arange(1.0, len(p)), 0.0)
 
 
 def _along_axis(p: Array) -> NDArray[np.complex128]:
-    """Coefficients of p(jw) in w."""
+    """Return the coefficients of p(jw) in w."""
     return np.asarray(p * 1j ** np.arange(len(p)))
 
 
 def _product(p: NDArray[np.complex128], q: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """p(w) conj(q(w)) for real w."""
+    """Return p(w) conj(q(w)) for real w."""
     return np.convolve(p, np.conj(q))

@@ -21,8 +21,8 @@ _FINE = 16
 _PIECE_TURN = 1.5
 """A piece is cut until the fastest rate times its length is at most this."""
 _INTERVALS_MAX = 1_000_000
-"""0.9999 of the largest stable delay needs 250 000, and a minute. What decays more slowly still has had its
-peak in the first of them."""
+"""0.9999 of the largest stable delay needs 250 000, and a minute. A slower decay has its peak in the first of
+them."""
 _SETTLED = 1e-7
 """Distance from the final value, relative to the peak, at which the search for a higher one ends."""
 
@@ -58,11 +58,11 @@ class DelayedSteps:
         self._fine = _interpolation(np.append(0.0, points), np.arange(_FINE) / _FINE)
 
     def start(self) -> Array:
-        """The interval before the first one of a loop at rest: (pieces, points, n)."""
+        """Return the interval before the first one of a loop at rest: (pieces, points, n)."""
         return np.zeros((self._pieces, _POINTS, self._n))
 
     def next(self, x: Array, before: Array, load: float) -> tuple[Array, Array]:
-        """From the state (n,) at an interval's begin and the interval before: the interval, and its end."""
+        """Return the next interval and its end, from the state (n,) at its begin and the interval before."""
         after = np.empty_like(before)
         for number in range(self._pieces):
             flat = (
@@ -75,19 +75,21 @@ class DelayedSteps:
         return after, x
 
     def fine(self, x: Array, interval: Array) -> Array:
-        """States at equal steps from the interval's begin, where the state is ``x``, up to before its end."""
+        """Return states at equal steps from the interval's begin, where the state is ``x``, up to before its
+        end."""
         starts = np.vstack([x[None], interval[:-1, -1]])
         through = np.concatenate([starts[:, None], interval], axis=1)
         return np.asarray(np.einsum("fp,kpn->kfn", self._fine, through).reshape(-1, self._n))
 
     @property
     def step_s(self) -> float:
-        """Between two states of :meth:`fine`."""
+        """Step between two states of :meth:`fine`."""
         return self._length_s / _FINE
 
 
 def respond(loop: DelayLoop, duration_s: float, load: float = 0.0, x0: Array | None = None) -> DelayResponse:
-    """From ``x0`` (rest if absent) at t = 0, with no history before it, under a constant disturbance."""
+    """Simulate from ``x0`` (default: rest) at t = 0, with no history before it, under a constant
+    disturbance."""
     steps = DelayedSteps(loop)
     x = np.zeros(len(loop.A)) if x0 is None else np.asarray(x0, dtype=float)
     interval = steps.start()
@@ -102,7 +104,7 @@ def respond(loop: DelayLoop, duration_s: float, load: float = 0.0, x0: Array | N
 
 
 def step_peak(loop: DelayLoop) -> float:
-    """Largest |z| after a unit step of the disturbance at rest; inf if the loop is unstable."""
+    """Return the largest |z| after a unit step of the disturbance at rest; inf if the loop is unstable."""
     if not is_stable(loop):
         return math.inf
     steps = DelayedSteps(loop)
@@ -121,7 +123,7 @@ def step_peak(loop: DelayLoop) -> float:
 
 
 def _summit(z: Array) -> float:
-    """Largest value, with a parabola through its neighbours."""
+    """Return the largest value, by a parabola through its neighbours."""
     top = int(np.argmax(z))
     if top in (0, len(z) - 1):
         return float(z[top])
@@ -131,7 +133,8 @@ def _summit(z: Array) -> float:
 
 
 def _radau(points: int) -> tuple[Array, Array]:
-    """Right Radau points in (0, 1] and the integrals from 0 to each of the polynomials through them."""
+    """Return right Radau points in (0, 1] and the integrals from 0 to each of the polynomials through
+    them."""
     last = np.zeros(points + 1)
     last[points - 1], last[points] = 1.0, -1.0
     roots = np.sort(np.polynomial.legendre.legroots(last).real)  # numpy 2.5 tells them as complex
@@ -140,7 +143,8 @@ def _radau(points: int) -> tuple[Array, Array]:
 
 
 def integrals_to(nodes: Array) -> Array:
-    """(n, n), of ``nodes`` in [-1, 1] moved to [0, 1]: from values there to the integrals from 0 to each."""
+    """Return the (n, n) map from values at ``nodes`` ([-1, 1] moved to [0, 1]) to the integrals from 0 to
+    each."""
     V = np.polynomial.legendre.legvander(nodes, len(nodes) - 1)
     integrals = np.stack(
         [
@@ -153,6 +157,6 @@ def integrals_to(nodes: Array) -> Array:
 
 
 def _interpolation(nodes: Array, at: Array) -> Array:
-    """(len(at), len(nodes)): values at ``at`` of the polynomial through values at ``nodes``."""
+    """Return (len(at), len(nodes)): values at ``at`` of the polynomial through values at ``nodes``."""
     V = np.polynomial.legendre.legvander(2.0 * nodes - 1.0, len(nodes) - 1)
     return np.asarray(np.polynomial.legendre.legvander(2.0 * at - 1.0, len(nodes) - 1) @ np.linalg.inv(V))

@@ -22,7 +22,7 @@ _ENDS = (SOLVED, "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxI
 
 
 class Unknowns:
-    """The unknown matrices of a problem and where their entries stand in y."""
+    """The unknown matrices of a problem and the places of their entries in y."""
 
     def __init__(self) -> None:
         self._bases: dict[str, Array] = {}
@@ -30,33 +30,33 @@ class Unknowns:
         self.count = 0
 
     def symmetric(self, name: str, n: int) -> None:
-        """A symmetric n x n unknown."""
+        """Add a symmetric n x n unknown."""
         self._add(name, _symmetric_basis(n))
 
     def full(self, name: str, rows: int, columns: int) -> None:
-        """An unstructured unknown."""
+        """Add an unstructured unknown."""
         self._add(name, np.eye(rows * columns).reshape(rows * columns, rows, columns))
 
     def slice_of(self, name: str) -> slice:
-        """Where the entries of ``name`` stand in y."""
+        """Return the places of the entries of ``name`` in y."""
         start = self._starts[name]
         return slice(start, start + len(self._bases[name]))
 
     def basis(self, name: str) -> Array:
-        """(entries, rows, columns): the matrix of each entry."""
+        """Return (entries, rows, columns): the matrix of each entry."""
         return self._bases[name]
 
     def value(self, name: str, y: Array) -> Array:
-        """The matrix ``name`` at ``y``."""
+        """Return the matrix ``name`` at ``y``."""
         return np.asarray(np.tensordot(y[self.slice_of(name)], self._bases[name], axes=1))
 
     @property
     def last(self) -> Array:
-        """(count,): the objective that is the last entry of y."""
+        """The (count,) objective that is the last entry of y."""
         return np.asarray(np.eye(1, self.count, self.count - 1)[0])
 
     def values(self, y: Array) -> dict[str, Array]:
-        """Every matrix at ``y``."""
+        """Return every matrix at ``y``."""
         return {name: self.value(name, y) for name in self._bases}
 
     def _add(self, name: str, basis: Array) -> None:
@@ -74,12 +74,12 @@ class MatrixInequality:
 
     @classmethod
     def zero(cls, unknowns: Unknowns, m: int) -> "MatrixInequality":
-        """F = 0, to be added to."""
+        """Return F = 0, to add to."""
         return cls(np.zeros((m, m)), np.zeros((unknowns.count, m, m)))
 
     @classmethod
     def positive(cls, unknowns: Unknowns, name: str) -> "MatrixInequality":
-        """F = V, symmetric."""
+        """Return F = V, symmetric."""
         m = unknowns.basis(name).shape[-1]
         part = cls.zero(unknowns, m)
         part.add(unknowns, name, np.eye(m))
@@ -99,7 +99,7 @@ class MatrixInequality:
             self.coefficients[part] += product + np.swapaxes(product, 1, 2)
 
     def at(self, y: Array) -> Array:
-        """F(y)."""
+        """Return F(y)."""
         return self.constant + _weighted(y, self.coefficients)
 
 
@@ -123,7 +123,7 @@ class LmiSolution:
 
 
 def solve(problem: LmiProblem, tolerance: float = 1e-9, enough: float = 1e-8) -> LmiSolution:
-    """The optimum to the relative ``tolerance``, or where the solver stops short of that, to ``enough``.
+    """Solve to the relative ``tolerance``, or where the solver stops short of that, to ``enough``.
 
     Raises NoSolution with the solver's status for anything but an optimum.
     """
@@ -145,20 +145,20 @@ def solve(problem: LmiProblem, tolerance: float = 1e-9, enough: float = 1e-8) ->
 
 
 def last_answer(problem: LmiProblem, tolerance: float) -> Array | None:
-    """y where the solver ends, at an optimum or short of it, for those who prove it; None: it says there is
-    none."""
+    """Return y where the solver ends, at an optimum or short of it, for callers who prove it; None: it
+    reports infeasibility."""
     answer = _ask(problem, tolerance, tolerance)
     y = np.asarray(answer.x)
     return y if str(answer.status) in _ENDS and np.all(np.isfinite(y)) else None
 
 
 def smallest_eigenvalues(problem: LmiProblem, y: Array) -> list[float]:
-    """Smallest eigenvalue of each inequality at ``y``, in numpy, without the solver's word."""
+    """Return the smallest eigenvalue of each inequality at ``y``, in numpy, independent of the solver."""
     return [float(np.linalg.eigvalsh(inequality.at(y))[0]) for inequality in problem.inequalities]
 
 
 def rounding_of(problem: LmiProblem, y: Array) -> float:
-    """Bound on the rounding error of those eigenvalues: m eps times the sum of the moduli of all terms."""
+    """Bound the rounding error of those eigenvalues: m eps times the sum of the moduli of all terms."""
     worst = 0.0
     for inequality in problem.inequalities:
         size = np.abs(inequality.constant) + _weighted(np.abs(y), np.abs(inequality.coefficients))
@@ -196,13 +196,14 @@ def _no_quadratic_cost(n: int) -> sparse.csc_matrix:
 
 
 def _weighted(y: Array, matrices: Array) -> Array:
-    """Sum of y_k times the k-th matrix; a product of vectors is several times as fast as a tensor's."""
+    """Return the sum of y_k times the k-th matrix; a product of vectors is several times as fast as a
+    tensor's."""
     return np.asarray(y @ matrices.reshape(len(y), -1)).reshape(matrices.shape[1:])
 
 
 @cache
 def _symmetric_basis(n: int) -> Array:
-    """(n (n + 1)/2, n, n): the matrix of each entry of an upper triangle, by rows."""
+    """Return (n (n + 1)/2, n, n): the matrix of each entry of an upper triangle, by rows."""
     rows, columns = np.triu_indices(n)
     basis = np.zeros((len(rows), n, n))
     index = np.arange(len(rows))
@@ -214,13 +215,14 @@ def _symmetric_basis(n: int) -> Array:
 
 @cache
 def _triangle_places(m: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Rows and columns of an upper triangle by columns, and weights: sqrt 2 off the diagonal."""
+    """Return rows and columns of an upper triangle by columns, and weights: sqrt 2 off the diagonal."""
     columns, rows = np.tril_indices(m)
     return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))
 
 
 def _triangle(matrices: Array) -> Array:
-    """Upper triangle by columns, off-diagonal entries times sqrt 2: the solver's vector of a matrix."""
+    """Return the upper triangle by columns, off-diagonal entries times sqrt 2: the solver's vector of a
+    matrix."""
     rows, columns, weights = _triangle_places(matrices.shape[-1])
     return np.asarray(matrices[..., rows, columns] * weights)
 

@@ -23,7 +23,7 @@ RAD_S_PER_RPM = math.tau / 60.0
 
 
 class Units(Enum):
-    """How a demand in percent of the speed becomes a gain of the model, whose speed is in rad/s."""
+    """Conversion of a demand in percent of the speed into a gain of the model, whose speed is in rad/s."""
 
     SI = "si"
     """The speed is in rad/s throughout."""
@@ -32,7 +32,7 @@ class Units(Enum):
 
 
 class Feedback(Enum):
-    """Which states the gain may use."""
+    """States that the gain may use."""
 
     FULL = "full"
     SPEED = "speed"
@@ -52,19 +52,20 @@ class SpeedModel:
 
     @property
     def has_integral(self) -> bool:
-        """Whether the integral of the speed error is a state."""
+        """True if the integral of the speed error is a state."""
         return len(self.A) == 3
 
     def loop(self, K: ArrayLike, delay_s: float) -> DelayLoop:
-        """The loop closed by u = K x(t - delay), from load torque (N m) to speed error (rad/s)."""
+        """Return the loop closed by u = K x(t - delay), from load torque (N m) to speed error (rad/s)."""
         return DelayLoop(self.A, self.B1, np.asarray(K, dtype=float), self.B2, self.C, delay_s)
 
     def free_gains(self, feedback: Feedback) -> list[int]:
-        """Indices of the entries of K that a design chooses; K3 follows K2 by the integral time."""
+        """Return the indices of the entries of K that a design chooses; K3 follows K2 by the integral
+        time."""
         return [0, 1] if feedback is Feedback.FULL else [1]
 
     def with_entries(self, K: Array, free: ArrayLike, entries: ArrayLike) -> Array:
-        """K with other ``entries`` at the indices ``free``, its integral time K2/K3 as it was."""
+        """Return K with other ``entries`` at the indices ``free``, its integral time K2/K3 unchanged."""
         changed = K.copy()
         changed[np.asarray(free)] = entries
         if self.has_integral:
@@ -77,17 +78,18 @@ class SpeedModel:
         return SpeedModel(self.A[:2, :2], self.B1[:2], self.B2[:2], self.C[:2], self.state_scale[:2])
 
     def integral_time_s(self, delay_s: float) -> float:
-        """The integral time K2/K3 that a design takes if none is given.
+        """Return the default integral time K2/K3 of a design.
 
-        The norm alone would make the integral vanish: it asks only for small errors, at whatever
-        frequency. Four times the lags of the loop, its delay and its current loop, is the ratio of
-        the symmetric optimum.
+        The norm alone would make the integral vanish: it only demands small errors, at whatever frequency.
+        Four times the lags of the loop, its delay and its current loop, is the ratio of the symmetric
+        optimum.
         """
         return 4.0 * (delay_s - 1.0 / float(self.A[0, 0]))
 
 
 def current_rate_rad_s(motor: PmsmParameters, current_bandwidth_hz: float | None) -> float:
-    """a: of a current loop of that bandwidth; None: of the winding alone, R/L, as in [Ling2012]."""
+    """Return a: the rate of a current loop of that bandwidth; None: of the winding alone, R/L, as in
+    [Ling2012]."""
     if current_bandwidth_hz is None:
         return motor.resistance_ohm / motor.inductance_q_h
     return math.tau * current_bandwidth_hz
@@ -96,9 +98,10 @@ def current_rate_rad_s(motor: PmsmParameters, current_bandwidth_hz: float | None
 def speed_model(
     motor: PmsmParameters, integral: bool = False, current_bandwidth_hz: float | None = None
 ) -> SpeedModel:
-    """The model of ``motor``, with the integral of the speed error as third state if ``integral``.
+    """Return the model of ``motor``, with the integral of the speed error as third state if ``integral``.
 
-    ``current_bandwidth_hz``: of the drive's current loop; None: the winding's own, R/L, as in [Ling2012].
+    ``current_bandwidth_hz``: bandwidth of the drive's current loop; None: the winding's own, R/L, as in
+    [Ling2012].
     """
     rate = current_rate_rad_s(motor, current_bandwidth_hz)
     J = motor.inertia_kg_m2
@@ -115,7 +118,8 @@ def speed_model(
 def gain_for_error(
     error_percent: float, load_nm: float, speed_rad_s: float, units: Units = Units.SI
 ) -> float:
-    """Gain, rad/s per N m, that keeps the error of ``load_nm`` within ``error_percent`` of the speed.
+    """Return the gain, rad/s per N m, that keeps the error of ``load_nm`` within ``error_percent`` of the
+    speed.
 
     [Ling2012] Definition 3.4 with ``load_nm`` the part of the nominal load that disturbs.
     """
@@ -124,12 +128,12 @@ def gain_for_error(
 
 
 def percent_of_speed(gain: float, load_nm: float, speed_rad_s: float) -> float:
-    """Inverse of :func:`gain_for_error`."""
+    """Invert :func:`gain_for_error`."""
     return gain / gain_for_error(1.0, load_nm, speed_rad_s)
 
 
 def peak_floor_rad_s(motor: PmsmParameters, delay_s: float) -> float:
-    """Smallest peak speed deviation after a load step of 1 N m that any controller can reach, rad/s per N m.
+    """Return the least peak speed deviation after a load step of 1 N m with any controller, rad/s per N m.
 
     Nothing acts before the delay has passed: until then inertia and friction alone meet the load,
     J omega' = -B_0 omega - 1.

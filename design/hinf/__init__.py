@@ -1,1 +1,1 @@
-"""H-infinity synthesis, and what it needs: weights, reduction, margins, robustness."""
+"""H-infinity synthesis and its tools: weights, reduction, margins, robustness."""

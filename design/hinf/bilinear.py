@@ -11,7 +11,8 @@ from servobench.design.statespace import StateSpace, balanced
 
 
 def tustin(system: StateSpace, rate_hz: float, exact_at_rad_s: float = 0.0) -> StateSpace:
-    """The bilinear image of ``system``; its response is kept exactly at ``exact_at_rad_s`` (prewarping).
+    """Return the bilinear image of ``system``; its response is kept exactly at ``exact_at_rad_s``
+    (prewarping).
 
     Error: ValueError for a prewarping frequency at or above half of the sampling rate.
     """
@@ -38,12 +39,12 @@ def tustin(system: StateSpace, rate_hz: float, exact_at_rad_s: float = 0.0) -> S
 
 
 def from_bilinear(system: StateSpace, period_s: float) -> StateSpace:
-    """The sampled system of a ``system`` in the bilinear plane: Tustin's rule without prewarping."""
+    """Return the sampled system of a ``system`` in the bilinear plane: Tustin's rule without prewarping."""
     return tustin(system, 1.0 / period_s)
 
 
 def to_bilinear(system: StateSpace) -> StateSpace:
-    """The inverse of :func:`from_bilinear`. Error: ValueError for a pole at z = -1."""
+    """Invert :func:`from_bilinear`. Error: ValueError for a pole at z = -1."""
     period_s = system.period_s
     if period_s is None:
         raise ValueError("a sampled system is expected")

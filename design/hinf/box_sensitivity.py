@@ -1,4 +1,4 @@
-"""The largest |w S| that any motor of a box reaches: found exactly at a frequency, bounded between them.
+"""The largest |w S| of any motor in a box: exact at a frequency, bounded between frequencies.
 
 One axis, z = r + j omega L anywhere in a rectangle, S = z/(z + K). At one frequency |S| is largest on an edge
 of the rectangle, where its stationary points solve a quadratic equation. Every pair of a frequency and a
@@ -24,12 +24,12 @@ from servobench.design.hinf.weights import Weight
 from servobench.design.statespace import Array, ComplexArray, StateSpace, Zpk, zpk
 
 RELATIVE = 5e-4
-"""How near the bound comes to what is reached."""
+"""Relative gap between the bound and the value reached."""
 _INTERVALS = 600
-"""Of the first pass. Any number from 10 to 2400 ends at the same bound in the same time: they are halved
-until they close."""
+"""Intervals of the first pass. Any number from 10 to 2400 ends at the same bound in the same time: they are
+halved until they close."""
 _INTERVALS_MAX = 2_000_000
-"""Held open at once; beyond them the bound is infinite, which is true if not close."""
+"""Limit of intervals open at once; beyond it the bound is infinite: true, but not close."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +42,12 @@ class AxisBox:
 
     @property
     def resistances_ohm(self) -> tuple[float, float]:
-        """Smallest and largest."""
+        """Smallest and largest resistance."""
         return self.resistance_ohm * (1.0 - self.spread), self.resistance_ohm * (1.0 + self.spread)
 
     @property
     def inductances_h(self) -> tuple[float, float]:
-        """Smallest and largest."""
+        """Smallest and largest inductance."""
         return self.inductance_h * (1.0 - self.spread), self.inductance_h * (1.0 + self.spread)
 
 
@@ -63,7 +63,7 @@ class Worst:
 
 
 def worst_over_box(box: AxisBox, K: StateSpace, weight: Weight | None = None) -> Worst:
-    """The worst motor of ``box`` for the continuous controller ``K``; ``weight`` None: 1.
+    """Find the worst motor of ``box`` for the continuous controller ``K``; ``weight`` None: 1.
 
     The bound is infinite where some motor's loop may be unstable.
     """
@@ -112,7 +112,7 @@ def _controller(form: Zpk, omega: Array) -> ComplexArray:
 
 
 def _largest(box: AxisBox, form: Zpk, omega: Array) -> tuple[Array, Array, Array]:
-    """(k,) largest |S| over the box at the k frequencies, and r and L where it is reached."""
+    """Return the (k,) largest |S| over the box at the k frequencies, and its r and L."""
     k = _controller(form, omega)
     (x1, x2), (L1, L2) = box.resistances_ohm, box.inductances_h
     y1, y2 = omega * L1, omega * L2
@@ -132,7 +132,8 @@ def _largest(box: AxisBox, form: Zpk, omega: Array) -> tuple[Array, Array, Array
 
 
 def _stationary(a: Array, b: Array, y: Array) -> tuple[Array, Array]:
-    """x where (x^2 + y^2)/((x + a)^2 + (y + b)^2) is stationary: a x^2 + (a^2 + b^2 + 2 y b) x = a y^2."""
+    """Return x where (x^2 + y^2)/((x + a)^2 + (y + b)^2) is stationary: a x^2 + (a^2 + b^2 + 2 y b) x = a
+    y^2."""
     half = 0.5 * (a * a + b * b + 2.0 * y * b)
     root = np.hypot(half, a * y)
     larger = -(half + np.copysign(root, half))
@@ -141,7 +142,7 @@ def _stationary(a: Array, b: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _grown(box: AxisBox, form: Zpk, low: Array, high: Array, S: Array) -> Array:
-    """(k,) bound of |S| over each interval from its largest value at the middle."""
+    """Return the (k,) bound of |S| over each interval from its largest value at the middle."""
     a, b = np.exp(low), np.exp(high)
     slope = _slope(form, a, b)
     r1, L2 = box.resistances_ohm[0], box.inductances_h[1]
@@ -151,7 +152,7 @@ def _grown(box: AxisBox, form: Zpk, low: Array, high: Array, S: Array) -> Array:
 
 
 def _slope(form: Zpk, a: Array, b: Array) -> Array:
-    """Bound of |d log K/d log omega| between a and b: the sum of omega/|j omega - root| of all roots."""
+    """Bound |d log K/d log omega| between a and b: the sum of omega/|j omega - root| of all roots."""
     total = np.zeros(len(a))
     for root in np.concatenate([form.zeros, form.poles]):
         if root == 0.0:
@@ -163,7 +164,7 @@ def _slope(form: Zpk, a: Array, b: Array) -> Array:
 
 
 def _low_tail(box: AxisBox, form: Zpk, weight: Weight | None, end: float) -> float:
-    """Bound of |w S| below exp(``end``)."""
+    """Bound |w S| below exp(``end``)."""
     a = np.exp(np.array([end]))
     w = float(max(_gain(weight, a)[0], _gain(weight, np.zeros(1))[0]))
     if np.any(form.poles == 0.0):  # |K| is as small as at the end, z as large
@@ -178,7 +179,7 @@ def _low_tail(box: AxisBox, form: Zpk, weight: Weight | None, end: float) -> flo
 
 
 def _high_tail(box: AxisBox, form: Zpk, weight: Weight | None, end: float) -> float:
-    """Bound of |w S| above exp(``end``), where z outgrows K."""
+    """Bound |w S| above exp(``end``), where z outgrows K."""
     b = math.exp(end)
     k = abs(form.gain) * b ** (len(form.zeros) - len(form.poles))
     k *= float(np.prod(1.0 + np.abs(form.zeros) / b) / np.prod(1.0 - np.abs(form.poles) / b))
@@ -190,7 +191,7 @@ def _high_tail(box: AxisBox, form: Zpk, weight: Weight | None, end: float) -> fl
 def _polished(
     box: AxisBox, form: Zpk, weight: Weight | None, reached: float, worst: tuple[float, float, float]
 ) -> tuple[float, tuple[float, float, float]]:
-    """The top of the hill on which the best frequency so far stands."""
+    """Climb to the top of the peak at the best frequency so far."""
 
     def depth(log_omega: float) -> float:
         omega = np.array([math.exp(log_omega)])

@@ -18,7 +18,7 @@ from servobench.design.statespace import Array
 DIRECT_GAIN = "condition (a): the direct gain from w to z"
 COUPLING = "condition (b): the spectral radius of X Y"
 _COUPLING_MIN = 1e-12
-"""Below it I - Y X/gamma^2 has no inverse with true digits."""
+"""Below this I - Y X/gamma^2 has no accurate inverse."""
 _TWO = np.longdouble(2)
 
 
@@ -34,21 +34,21 @@ class _Side:
     G: LongArray
     B2: LongArray
     free: LongArray
-    """Rows of C1 that no control reaches at once."""
+    """Rows of C1 that no control reaches directly."""
     direct: LongArray
-    """The others, less which u = -direct x is."""
+    """The other rows, less the part cancelled by u = -direct x."""
     free_gain: LongArray
-    """Rows of D11 in the same manner."""
+    """Rows of D11 in the same way."""
     direct_gain: LongArray
     sizes: Array
     """(n, n) |C1'| |C1|, of which Q is a part."""
     nothing: tuple[RiccatiSolution, LongArray] | None
-    """X = 0 and its F, where they are so for every gamma."""
+    """X = 0 and its F, if they hold for every gamma."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """The equations of X and of Y, and condition (a)."""
+    """The equations of X and Y, and condition (a)."""
 
     control: _Side
     observer: _Side
@@ -57,7 +57,7 @@ class Problem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
-    """What a gamma gives: the Riccati solutions, F and L of (20) to (22)."""
+    """Solutions for one gamma: X, Y, and F and L of (20) to (22)."""
 
     X: RiccatiSolution
     Y: RiccatiSolution
@@ -69,7 +69,7 @@ class Solved:
 
 @dataclass(frozen=True, slots=True)
 class Fails:
-    """Which condition of theorem 1 fails.
+    """The condition of theorem 1 that fails.
 
     ``distance``: below 0 and nearly straight in gamma near the limit that the condition sets; ``before``
     continues it at a gamma that is feasible. 0 and infinity where they are not known.
@@ -81,14 +81,14 @@ class Fails:
 
 
 def direct_gain_bound(D11: Array, controls: int, measurements: int) -> float:
-    """Condition (a) of theorem 1: what the direct gain from w to z leaves out of the controls' reach."""
+    """Return condition (a) of theorem 1: the direct gain from w to z out of the controls' reach."""
     rows, columns = D11[:-controls], D11[:, :-measurements]
     sizes = [float(np.linalg.norm(part, 2)) if part.size else 0.0 for part in (rows, columns)]
     return max(sizes)
 
 
 def problem_of(normal: NormalPlant) -> Problem:
-    """What is the same for every gamma."""
+    """Compute everything that does not depend on gamma."""
     m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
     return Problem(
         _side(normal.A, normal.B1, normal.B2, normal.C1, normal.D11),
@@ -98,10 +98,11 @@ def problem_of(normal: NormalPlant) -> Problem:
 
 
 def _side(A: Array, B1: Array, B2: Array, C1: Array, D11: Array) -> _Side:
-    """The equation of X (18), after u = -direct x - direct_gain w + v; of Y (19), with the transposes.
+    """Prepare the equation of X (18), after u = -direct x - direct_gain w + v; of Y (19), with the
+    transposes.
 
-    X is the same, but nothing has to cancel: Q is a sum of squares, and nothing at all where every error has
-    a control of its own.
+    X is unchanged, but nothing has to cancel: Q is a sum of squares, and 0 if every error has its own
+    control.
     """
     a, b1, b2, c, d = (np.asarray(part, dtype=np.longdouble) for part in (A, B1, B2, C1, D11))
     m2 = b2.shape[1]
@@ -116,7 +117,7 @@ def _side(A: Array, B1: Array, B2: Array, C1: Array, D11: Array) -> _Side:
 
 
 def evaluated(problem: Problem, gamma: float, thorough: bool = True) -> Solved | Fails:
-    """X, Y, F and L for ``gamma``, or which condition of theorem 1 fails.
+    """Return X, Y, F and L for ``gamma``, or the condition of theorem 1 that fails.
 
     Feasibility is decided by the signs of X and Y and by the radius of their product; eigenvalues near the
     imaginary axis are no safe sign when modes lie eight decades apart. Less than ``thorough``: for a search,
@@ -141,8 +142,9 @@ def evaluated(problem: Problem, gamma: float, thorough: bool = True) -> Solved |
 def _no_solution(
     name: str, end: RiccatiSolution | NoRiccatiSolution, of: Callable[[Solved], RiccatiSolution]
 ) -> Fails:
-    """X (or Y) stops being >= 0 through infinity, so that 1 over the eigenvalue that does so is straight. It
-    stops to exist where two eigenvalues of H meet on the axis, having come and leaving as square roots do."""
+    """Describe the failure. X (or Y) loses X >= 0 through infinity, so that 1 over the eigenvalue concerned
+    is straight. It ceases to exist where two eigenvalues of H meet on the axis, approaching and leaving like
+    square roots."""
     condition = f"condition (b): no stabilising {name} >= 0"
     if isinstance(end, RiccatiSolution):
         least = np.linalg.eigvalsh(_double(end.X))[0]
@@ -162,7 +164,7 @@ def _no_solution(
 def _solution(
     side: _Side, gamma: float, thorough: bool
 ) -> tuple[RiccatiSolution | NoRiccatiSolution, LongArray]:
-    """X and F of (20); or Y and L' of (21)."""
+    """Solve for X and F of (20); or Y and L' of (21)."""
     if side.nothing is not None:
         return side.nothing
     R = -side.free_gain.T @ side.free_gain
@@ -185,7 +187,7 @@ def _solution(
 
 
 def inverse(R: LongArray) -> LongArray:
-    """R^-1 in extended precision: the one in double precision and two steps of Newton and Schulz."""
+    """Return R^-1 in extended precision: the double-precision inverse and two steps of Newton and Schulz."""
     inverse = np.asarray(np.linalg.inv(np.asarray(R, dtype=float)), dtype=np.longdouble)
     for _ in range(2):
         inverse = inverse @ (2.0 * np.eye(len(R)) - R @ inverse)

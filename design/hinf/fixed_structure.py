@@ -24,7 +24,7 @@ from servobench.design.hinf.weights import Weights
 from servobench.design.statespace import Array, ComplexArray, StateSpace, from_zpk
 
 _BAD = 1e3
-"""A norm beyond it is no optimum but a start that ran away: no controller could be made of it. Norms of
+"""A norm beyond this is a start that ran away, not an optimum: no controller could be made from it. Norms of
 optima are near 1; a limit of 10 decides alike."""
 _ROUNDS = 6
 """Three leave 4e-5 of the norm of the paper's PI, six nothing of its eighth digit; from poor starts 2e-3 and
@@ -32,7 +32,7 @@ _ROUNDS = 6
 
 
 class Structure(Enum):
-    """What the controller may be."""
+    """Structures of the controller."""
 
     PI = "pi"
     """k (s + a)/s"""
@@ -69,9 +69,9 @@ _FORMS: dict[Structure, Callable[[Array], tuple[list[complex], list[complex], fl
 def tune(
     G: StateSpace, weights: Weights, structure: Structure, crossing_rad_s: float
 ) -> tuple[StateSpace, float]:
-    """The best controller of ``structure`` that is found for the first-order plant ``G``, and its norm.
+    """Return the best controller of ``structure`` found for the first-order plant ``G``, and its norm.
 
-    ``crossing_rad_s``: about which is begun. Raises InfeasibleDesign if no start led to a stable loop.
+    ``crossing_rad_s``: start of the search. Raises InfeasibleDesign if no start led to a stable loop.
     """
     plant = mixed_sensitivity(G, weights)
     corner, gain = -float(G.A[0, 0]), float((G.C @ G.B)[0, 0])
@@ -118,7 +118,7 @@ class _Scaled:
         return cls(systems, rate, float(rates.min()), float(rates.max()))
 
     def responses(self, omega: Array) -> list[ComplexArray]:
-        """Each (k,)."""
+        """Return the three responses, each (k,)."""
         return [system.response(omega * self.rate)[:, 0, 0] for system in self.systems]
 
 

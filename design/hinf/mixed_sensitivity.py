@@ -11,12 +11,12 @@ from servobench.design.statespace import Array, StateSpace, append, connect, sta
 
 
 def axis_plant(resistance_ohm: float, inductance_h: float) -> StateSpace:
-    """G = 1/(r + s L), A per V, (33), (34); the state is that of (50), i L."""
+    """Return G = 1/(r + s L), A per V, (33), (34); the state is that of (50), i L."""
     return state_space([[-resistance_ohm / inductance_h]], [[1.0]], [[1.0 / inductance_h]], [[0.0]])
 
 
 def mixed_sensitivity(G: StateSpace, weights: Weights) -> GeneralisedPlant:
-    """The plant (2) with the states [G, w1, w2, w3] of (55); w = i_ref, u = v."""
+    """Return the plant (2) with the states [G, w1, w2, w3] of (55); w = i_ref, u = v."""
     w1, w2, w3 = (weight.system for weight in weights.by_function.values())
     parts = append(G, w1, w2, w3)
     # inputs of the parts: v, e, u, i; outputs: i, e1, e2, e3; outside: [i_ref, u]
@@ -31,7 +31,7 @@ def mixed_sensitivity(G: StateSpace, weights: Weights) -> GeneralisedPlant:
 
 
 def loop_functions(G: StateSpace, K: StateSpace, frequency_rad_s: Array) -> dict[str, Array]:
-    """|S|, |KS| and |T| at the k frequencies, each (k,)."""
+    """Return |S|, |KS| and |T| at the k frequencies, each (k,)."""
     g = G.response(frequency_rad_s)[:, 0, 0]
     k = K.response(frequency_rad_s)[:, 0, 0]
     S = 1.0 / (1.0 + g * k)

@@ -19,7 +19,7 @@ from servobench.design.statespace import Array, ComplexArray, StateSpace, balanc
 _RANK = 1e-11
 """A singular value below this part of the largest one counts as zero."""
 _ROUNDED = 1e-13
-"""Relative error of a matrix' entries that its eigenvalues must be told apart in spite of."""
+"""Relative error of matrix entries that the eigenvalues must tolerate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,7 @@ class GeneralisedPlant:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalPlant:
-    """The plant with D12 = [0; I], D21 = [0 I], D22 = 0, and time scaled; how to come back from it.
+    """The plant with D12 = [0; I], D21 = [0 I], D22 = 0, and time scaled; with the way back.
 
     K = left K_normal right, closed over D22, in the time of ``rate_rad_s``.
     """
@@ -82,7 +82,7 @@ class NormalPlant:
 
 
 def normal_form(plant: GeneralisedPlant) -> NormalPlant:
-    """The normal form of a regular ``plant``. Raises SingularPlant, which names the assumption.
+    """Return the normal form of a regular ``plant``. Raises SingularPlant, which names the assumption.
 
     Time is scaled to the geometric mean of the modes, and states are balanced; w, z, u and y keep their
     sizes, because the norm is theirs.
@@ -123,7 +123,7 @@ def _scaled(plant: GeneralisedPlant) -> tuple[StateSpace, float]:
 
 
 def _rank(matrix: Array, sigma: Array) -> int:
-    """From its singular values: those above what rounding makes of zero."""
+    """Return the rank: the number of singular values above rounding."""
     return int(np.sum(sigma > sigma[0] * max(matrix.shape) * np.finfo(float).eps))
 
 
@@ -143,7 +143,7 @@ def _check_direct_gains(rank_D12: int, rank_D21: int, plant: GeneralisedPlant) -
 
 
 def _deficient(matrix: Array) -> bool:
-    """Whether a wide matrix has no full row rank, each row measured by its own size."""
+    """Return True if a wide matrix lacks full row rank, each row measured by its own size."""
     size = np.linalg.norm(matrix, axis=1)
     if np.any(size == 0.0):
         return True
@@ -152,7 +152,7 @@ def _deficient(matrix: Array) -> bool:
 
 
 def _check_modes(system: StateSpace, plant: GeneralisedPlant, rate: float) -> None:
-    """A1 by the test of Popov, Belevitch and Hautus at every mode that does not decay by itself."""
+    """Check A1 by the test of Popov, Belevitch and Hautus at every mode that does not decay by itself."""
     A = system.A
     values, errors = _modes(A)
     for value in values[values.real >= -errors]:
@@ -175,7 +175,7 @@ def _check_modes(system: StateSpace, plant: GeneralisedPlant, rate: float) -> No
 
 
 def _check_axis(normal: NormalPlant) -> None:
-    """A3 and A4: no invariant zero of P12 or P21 on the imaginary axis, infinity is A2's."""
+    """Check A3 and A4: no invariant zero of P12 or P21 on the imaginary axis; infinity is A2's."""
     m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
     free_z, direct_z = normal.C1[:-m2], normal.C1[-m2:]
     free_w, direct_w = normal.B1[:, :-p2], normal.B1[:, -p2:]
@@ -198,7 +198,8 @@ def _check_axis(normal: NormalPlant) -> None:
 
 
 def _modes(A: Array) -> tuple[ComplexArray, Array]:
-    """Eigenvalues of A, (n,), and how far each may move when every entry of A is off by ``_ROUNDED``.
+    """Return the eigenvalues of A, (n,), and how far each may move when every entry of A is off by
+    ``_ROUNDED``.
 
     |y|' |A| |x| / |y' x| with its eigenvectors: small for a slow mode that stands apart from the fast ones,
     however fast these are, and large for one that is defective.
@@ -217,7 +218,7 @@ def _modes(A: Array) -> tuple[ComplexArray, Array]:
 
 
 def _complex_columns(vectors: Array, imaginary: Array) -> ComplexArray:
-    """LAPACK keeps the real and the imaginary part of a pair's eigenvector in two columns."""
+    """Join the real and imaginary columns in which LAPACK keeps a pair's eigenvector."""
     columns, pair = vectors.astype(complex), np.flatnonzero(imaginary > 0.0)
     columns[:, pair] += 1j * vectors[:, pair + 1]
     columns[:, pair + 1] = columns[:, pair].conj()
@@ -225,7 +226,7 @@ def _complex_columns(vectors: Array, imaginary: Array) -> ComplexArray:
 
 
 def _hidden_on_axis(A: Array, C: Array) -> float | None:
-    """|w| of a mode of A on the imaginary axis that C does not show, or None."""
+    """Return |w| of a mode of A on the imaginary axis that C does not show, or None."""
     values, errors = _modes(A)
     for value in values[np.abs(values.real) <= errors]:
         if _deficient(np.hstack([(A - 1j * value.imag * np.eye(len(A))).T, C.T])):

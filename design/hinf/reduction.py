@@ -13,7 +13,7 @@ from servobench.design.statespace import Array, StateSpace, Zpk, balanced, from_
 
 
 class Method(Enum):
-    """How states are dropped."""
+    """Ways to drop states."""
 
     TRUNCATE = "truncate"
     """Balanced truncation: exact at infinite frequency."""
@@ -24,7 +24,7 @@ class Method(Enum):
 
 
 def _factor(A: Array, B: Array) -> Array:
-    """R (n, n) with R R' the solution W of A W + W A' + B B' = 0, found without forming W (Hammarling 1982).
+    """Return R (n, n) with R R' the solution W of A W + W A' + B B' = 0, without forming W (Hammarling 1982).
 
     W of a controller whose modes lie eight decades apart has lost its small part to rounding.
     """
@@ -46,7 +46,8 @@ def _factor(A: Array, B: Array) -> Array:
 
 
 def _balancing(system: StateSpace) -> tuple[Array, Array, Array]:
-    """Hankel singular values (n,), and the maps V (n, n), W (n, n) with W' V = I into balanced states."""
+    """Return Hankel singular values (n,), and the maps V (n, n), W (n, n) with W' V = I into balanced
+    states."""
     R, S = _factor(system.A, system.B), _factor(system.A.T, system.C.T)
     U, sigma, Vt = np.linalg.svd(S.T @ R)
     root = np.sqrt(np.maximum(sigma, sigma.max(initial=0.0) * 1e-300 + 1e-300))
@@ -54,14 +55,15 @@ def _balancing(system: StateSpace) -> tuple[Array, Array, Array]:
 
 
 def hankel_singular_values(system: StateSpace) -> Array:
-    """(n,) in falling order. Error: ValueError for an unstable system."""
+    """Return the (n,) values in falling order. Error: ValueError for an unstable system."""
     if not system.is_stable():
         raise ValueError("Hankel singular values are those of a stable system: split off the unstable part")
     return _balancing(balanced(system))[0]
 
 
 def reduce(system: StateSpace, order: int, method: Method = Method.TRUNCATE) -> StateSpace:
-    """``system`` with ``order`` states. Error: ValueError for an unstable system or an order out of range."""
+    """Return ``system`` with ``order`` states. Error: ValueError for an unstable system or an order out of
+    range."""
     if not 0 < order < system.order:
         raise ValueError(f"fewer states than the {system.order} of the controller, and one at least")
     if method is Method.PAPER:
@@ -86,7 +88,7 @@ def reduce(system: StateSpace, order: int, method: Method = Method.TRUNCATE) -> 
 
 
 def paper_rule(system: StateSpace) -> Zpk:
-    """The third-order form of (71): the fastest pole and zero cancel, the slowest pole moves to 0.
+    """Return the third-order form of (71): the fastest pole and zero cancel, the slowest pole moves to 0.
 
     The gain stays as it is, although pole and zero differ by 0.14 %: so does the printed one.
     """

@@ -23,15 +23,15 @@ _SKEW_MAX = 1e-5
 """The basis of a stable subspace has X1' X2 symmetric; more asymmetry than this part of it means that
 eigenvalues sit on the imaginary axis and the split was arbitrary."""
 _SKEW_NOISE = 1e-9
-"""The basis is orthonormal, so the entries are told to 1e-16: an X of next to nothing is asymmetric by
-rounding."""
+"""The basis is orthonormal, so entries are accurate to 1e-16: an X close to 0 is asymmetric by rounding."""
 _AXIS = 1e-12
-"""Of an eigenvalue's magnitude: 0 to 1e-10 decide alike on 80 random plants, 1e-8 moves a gamma by 1e-9."""
+"""Share of an eigenvalue's magnitude: 0 to 1e-10 decide alike on 80 random plants, 1e-8 moves a gamma by
+1e-9."""
 _RECIPROCAL_CONDITION = 1e-15
-"""Of X1, below which it counts as singular."""
+"""Below this X1 counts as singular."""
 _STEPS_MAX = 4
-"""Of 80 random plants one step loses one and moves gammas by 3e-3, two by 9e-4; eight change nothing any
-more."""
+"""Steps at most. On 80 random plants one step loses one and moves gammas by 3e-3, two by 9e-4; eight change
+nothing more."""
 _ROUGH = 1e-9
 """Relative size of the last step of Newton above which others are tried, in better coordinates."""
 _DERIVATIVE_HOLDS = 1e-3
@@ -44,24 +44,24 @@ _PRECISION = 16.0 * float(np.finfo(np.longdouble).eps)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RiccatiSolution:
-    """X (n, n), symmetric, and what the check of it said."""
+    """X (n, n), symmetric, with the results of its check."""
 
     X: LongArray
     noise: Array
-    """(n,) diagonal of a matrix S >= 0 that the rounding errors of Q alone move X by, at most."""
+    """(n,) diagonal of a matrix S >= 0: the most that the rounding errors of Q alone move X by."""
     is_nonnegative: bool
-    """Whether X >= 0."""
+    """True if X >= 0."""
     closed_loop: ComplexArray
     """Eigenvalues of E - W X."""
     error: float
-    """Norm of the last Newton step beside that of X: how far X may be off, relative."""
+    """Norm of the last Newton step relative to that of X: the possible error of X."""
     moved: float
-    """How far the X found in double precision alone is from it: what rounding of the plant's figures does."""
+    """Distance of the X found in double precision alone: the effect of rounding the plant's figures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Start:
-    """X in double precision, the eigenvalues of E - W X, and whether X >= 0 where that is known."""
+    """X in double precision, the eigenvalues of E - W X, and the sign of X where it is known."""
 
     X: Array
     modes: ComplexArray
@@ -70,21 +70,21 @@ class _Start:
 
 @dataclass(frozen=True, slots=True)
 class NoRiccatiSolution:
-    """H has no stable subspace of n dimensions that X can be had from, or was not to be had itself."""
+    """No X: H has no stable subspace of n dimensions that yields one, or could not be formed."""
 
     centre: complex
     """Middle of the two eigenvalues of H that met on the imaginary axis."""
     half_gap: float
-    """Half of what they have moved apart since, along the axis."""
+    """Half of their distance since, along the axis."""
 
 
 def stabilising_solution(
     E: LongArray, W: LongArray, Q: LongArray, terms: Array, thorough: bool = True
 ) -> RiccatiSolution | NoRiccatiSolution:
-    """The stabilising X, if there is one (no eigenvalue of H on the axis, and X1 regular).
+    """Return the stabilising X, if it exists (no eigenvalue of H on the axis, and X1 regular).
 
-    ``terms``: (n, n) magnitudes of the terms that Q is the difference of; they may cancel. ``thorough``: to
-    the last digit also where X is nearly infinite.
+    ``terms``: (n, n) magnitudes of the terms whose difference is Q; they may cancel. ``thorough``: to the
+    last digit even where X is nearly infinite.
     """
     if len(E) == 0:
         empty = np.zeros((0, 0))
@@ -121,7 +121,7 @@ def _norm(matrix: Array | LongArray) -> float:
 
 
 def _lyapunov(schur: tuple[Array, Array], Q: Array) -> Array | None:
-    """S with C' S + S C + Q = 0, Q symmetric (Bartels and Stewart 1972); None where that overflows.
+    """Return S with C' S + S C + Q = 0, Q symmetric (Bartels and Stewart 1972); None where that overflows.
 
     ``schur``: T and U of C' = U T U'.
     """
@@ -134,8 +134,8 @@ def _lyapunov(schur: tuple[Array, Array], Q: Array) -> Array | None:
 def _refined(
     E: LongArray, W: LongArray, Q: LongArray, X: LongArray
 ) -> tuple[LongArray, tuple[Array, Array], LongArray]:
-    """X after Newton's steps, each found in double precision, the last Schur form of (E - W X)', and the
-    last step.
+    """Return X after Newton's steps in double precision, the last Schur form of (E - W X)', and the last
+    step.
 
     A step is taken while it halves the residual at least. After one that nearly removes it the derivative
     still holds: the next step needs no other Schur form.
@@ -162,7 +162,7 @@ def _refined(
 def _refined_in_own_axes(
     E: LongArray, W: LongArray, Q: LongArray, X: LongArray
 ) -> tuple[LongArray, LongArray]:
-    """X after Newton's steps in the states of its eigenvectors, scaled, and the last step.
+    """Return X after Newton's steps in the states of its eigenvectors, scaled, and the last step.
 
     Near the gamma at which X is infinite E - W X is large in that direction and its eigenvalues are not:
     only in these states has its Schur form true digits.
@@ -185,11 +185,11 @@ def _is_left(real: float, _imaginary: float) -> bool:
 
 
 def _without_constant(E: Array, W: Array) -> _Start | NoRiccatiSolution:
-    """X and the eigenvalues of E - W X where Q = 0, in double precision.
+    """Return X and the eigenvalues of E - W X where Q = 0, in double precision.
 
     X = V P^-1 V' with V a basis of the unstable modes of E', E' V = V T, and P T + T' P = V' W V: linear, and
-    X >= 0 where P > 0. The Schur form of H would have to tell its eigenvalues from their mirror
-    images, which for a mode fourteen decades slower than another it cannot.
+    X >= 0 where P > 0. The Schur form of H would have to separate its eigenvalues from their mirror images,
+    which is impossible for a mode fourteen decades slower than another.
     """
     values = np.linalg.eigvals(E).astype(complex)
     if np.any(np.abs(values.real) <= _AXIS * np.abs(values)):
@@ -214,7 +214,7 @@ def _without_constant(E: Array, W: Array) -> _Start | NoRiccatiSolution:
 
 
 def _by_schur(E: Array, W: Array, Q: Array) -> _Start | NoRiccatiSolution:
-    """X and the eigenvalues of E - W X in double precision."""
+    """Return X and the eigenvalues of E - W X in double precision."""
     n = len(E)
     H = np.empty((2 * n, 2 * n))
     H[:n, :n], H[:n, n:], H[n:, :n], H[n:, n:] = E, -W, -Q, -E.T
@@ -239,7 +239,7 @@ def _by_schur(E: Array, W: Array, Q: Array) -> _Start | NoRiccatiSolution:
 
 
 def _meeting(values: ComplexArray) -> NoRiccatiSolution:
-    """Where the eigenvalue of H nearest to the axis, in its own size, met its neighbour."""
+    """Return the place where the eigenvalue of H nearest to the axis, by its own size, met its neighbour."""
     nearest = np.argmin(np.abs(values.real) / np.maximum(np.abs(values), 1e-300))
     gaps = np.abs(values - values[nearest])
     gaps[nearest] = np.inf
@@ -248,7 +248,7 @@ def _meeting(values: ComplexArray) -> NoRiccatiSolution:
 
 
 def _symplectic_scale(H: Array) -> Array:
-    """(n,) powers of two t: H in the coordinates diag(t, 1/t) has rows and columns of like size."""
+    """Return (n,) powers of two t: H in the coordinates diag(t, 1/t) has rows and columns of like size."""
     n = len(H) // 2
     magnitude = np.abs(H)
     np.fill_diagonal(magnitude, 0.0)
@@ -257,7 +257,7 @@ def _symplectic_scale(H: Array) -> Array:
 
 
 def _is_nonnegative(X: LongArray, noise: Array) -> bool:
-    """Whether X >= 0 up to :data:`_LOOSE`, each state measured by its own size.
+    """Return True if X >= 0 up to :data:`_LOOSE`, each state measured by its own size.
 
     An entry below the rounding errors counts as zero. An X that stops being >= 0 does so through
     infinity, so a loose tolerance does not hide it.

@@ -1,4 +1,4 @@
-"""What is left when r_s, L_d and L_q lie within a box about their nominal values.
+"""Robustness of a current loop when r_s, L_d and L_q lie within a box about their nominal values.
 
 Two questions, answered apart: does every motor of the box give a stable loop, and how large does the
 weighted sensitivity get. For one axis both have exact answers
@@ -23,7 +23,7 @@ class AxisRobustness:
     """One axis over resistance and inductance, each within a box about nominal."""
 
     stable: bool
-    """Of every motor of the box, by the bound of the sensitivity."""
+    """True if every motor of the box is stable, by the bound of the sensitivity."""
     real_mu_peak: float
     """Below 1: every motor of the box gives a stable loop; the box may grow by 1/mu."""
     real_mu_rad_s: float
@@ -34,14 +34,14 @@ class AxisRobustness:
 
     @property
     def worst_modulus_margin(self) -> float:
-        """Of any motor of the box; 0 if one is unstable."""
+        """Worst over all motors of the box; 0 if one is unstable."""
         return 1.0 / self.sensitivity.reached if self.stable else 0.0
 
 
 def axis_robustness(
     resistance_ohm: float, inductance_h: float, K: StateSpace, weights: Weights, spread: float = 0.5
 ) -> AxisRobustness:
-    """Worst cases and mu for the continuous controller ``K`` of one axis."""
+    """Return worst cases and mu for the continuous controller ``K`` of one axis."""
     box = AxisBox(resistance_ohm, inductance_h, spread)
     sensitivity, weighted = worst_over_box(box, K), worst_over_box(box, K, weights.error)
     nominal = connect(series(axis_plant(resistance_ohm, inductance_h), K), [[-1.0]], [[1.0]], [[1.0]])
@@ -64,7 +64,7 @@ def _grid(K: StateSpace, corner: float, slowest: float) -> Array:
 def axis_real_mu(
     resistance_ohm: float, inductance_h: float, K: StateSpace, omega: Array, spread: float
 ) -> Array:
-    """(k,) exact mu of one axis: 1 over the smallest box factor that puts a pole at j omega.
+    """Return the (k,) exact mu of one axis: 1 over the smallest box factor that puts a pole at j omega.
 
     1 + (a + j b) (x r + j w y L) = 0 with G S = a + j b has one real solution (x, y).
     """

@@ -1,4 +1,4 @@
-"""Unit step response of a stable SISO system in its modes, and the times that are read off it.
+"""Unit step response of a stable SISO system in its modes, and the times read from it.
 
 With distinct poles, y(t) = sum of r_k (exp(p_k t) - 1)/p_k + D is exact at any t, however far the poles
 lie apart. A sampled system is run step by step.
@@ -14,10 +14,10 @@ import scipy.optimize
 from servobench.design.statespace import Array, StateSpace, balanced
 
 _POINTS = 20_001
-"""For the overshoot: right to 0.1 % of the step with a damping ratio of 0.01, where 2001 leave 1 %. The times
-are found between them by root finding, whatever their number."""
+"""Points for the overshoot: right to 0.1 % of the step with a damping ratio of 0.01, where 2001 leave 1 %.
+The times are found between them by root finding, whatever their number."""
 _RISE = (0.1, 0.9)
-"""With these and the band below come the paper's 13 and 25 ms of the q axis, 32 and 59 ms of the d axis."""
+"""With these and the band below the paper's 13 and 25 ms of the q axis, 32 and 59 ms of the d axis follow."""
 _SETTLED = 0.02
 """The usual band, and the paper's."""
 
@@ -32,7 +32,7 @@ class StepFigures:
 
 
 def step_response(system: StateSpace, time_s: Array) -> Array:
-    """(k,) answer of the continuous ``system`` at the k times to a unit step at 0."""
+    """Return the (k,) response of the continuous ``system`` at the k times to a unit step at 0."""
     even = balanced(system)
     poles, V = np.linalg.eig(even.A)
     residues = (even.C @ V)[0] * np.linalg.solve(V, even.B.astype(complex))[:, 0]
@@ -44,7 +44,7 @@ def step_response(system: StateSpace, time_s: Array) -> Array:
 
 
 def step_figures(system: StateSpace) -> StepFigures:
-    """Figures of a stable system that starts at 0. Error: ValueError for an unstable one."""
+    """Return the figures of a stable system that starts at 0. Error: ValueError for an unstable one."""
     if not system.is_stable():
         raise ValueError("an unstable system does not settle")
     final = float(system.steady_gain()[0, 0])

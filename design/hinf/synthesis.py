@@ -29,31 +29,32 @@ from servobench.design.hinf.system_norm import hinf_norm, norm_is_below
 from servobench.design.statespace import Array, ComplexArray, StateSpace, connect, lower_lft
 
 GAMMA_MIN_RELATIVE = 1e-10
-"""How far apart, relative, the last feasible and the last infeasible gamma of the search are."""
+"""Relative distance of the last feasible from the last infeasible gamma of the search."""
 _DOUBLINGS_MAX = 60
 """Up to 1e18 times the first gamma, more than rounding leaves of any plant."""
 _TRIES = 3
 """Steps of regula falsi in which the interval is to shrink to a quarter, as two halvings would."""
 _KEPT_MIN = 0.2
-"""Of the distance at the end that stays: Anderson and Bjorck keep none of it where the function is flat."""
+"""Share of the end's distance that is kept: Anderson and Bjorck keep none where the function is flat."""
 _BESIDE = 0.4
-"""Of the width asked for: so far inside the interval the zero is tried at least."""
+"""Share of the requested width: the zero is tried at least this far inside the interval."""
 _ERROR_MAX = 0.02
-"""Relative error of X or Y beyond which no figure is given, but the reason."""
+"""Relative error of X or Y beyond which only the reason is given, no figure."""
 
 _MOVED_MAX = 0.05
-"""The same of what rounding the plant's own figures does, away from gamma_min, where X or Y is infinite."""
+"""Likewise for the effect of rounding the plant's own figures, away from gamma_min, where X or Y is
+infinite."""
 _CERTAIN = 0.01
-"""Rounding errors change from gamma to gamma: at gamma_min they are this part of what is borne elsewhere."""
+"""Rounding errors vary with gamma: at gamma_min they may be this part of the limit elsewhere."""
 _VERIFIED = (1.0, math.inf), (1.001, 1.02), (1.02, 1.02 * (1.0 + 1e-6))
-"""Times gamma_min: a gamma for which the loop is closed, and what its norm is to be below."""
+"""Multiples of gamma_min: a gamma for which the loop is closed, and the limit of its norm."""
 _RAISED_MAX = 0.03
-"""Of 400 random plants rounding lets 29 be verified above their least gamma only, all of them within 0.3 %.
-At 10 % two of nine that are refused would have an answer, but one that far off."""
+"""On 400 random plants, rounding allows 29 to be verified only above their least gamma, all within 0.3 %. At
+10 % two of nine refused ones would have a solution, but one that far off."""
 _RAISES = (*(10.0**k for k in range(-9, -2)), 3e-3, 0.01, _RAISED_MAX, *(10.0**k for k in range(1, 7)))
-"""Steps above the least gamma by the conditions alone, until what it promises can be verified."""
+"""Steps above the least gamma by the conditions alone, until its promise can be verified."""
 _NOTHING = 1e-6
-"""Of where the search starts: a gamma below it is raised as far, for there is no limit to keep."""
+"""Share of the search's start: a gamma below this is raised to it, as there is no limit to keep."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +72,7 @@ class Synthesis:
     """Eigenvalues of E_y - W_y Y, 1/s."""
 
     def with_parameter(self, parameter: StateSpace) -> StateSpace:
-        """F_l(M, Phi). Error: ValueError unless Phi is stable with a norm below gamma."""
+        """Return F_l(M, Phi). Error: ValueError unless Phi is stable with a norm below gamma."""
         norm = hinf_norm(parameter).gain
         if not norm < self.gamma:
             raise ValueError(f"the parameter's norm {norm:.6g} must be below gamma {self.gamma:.6g}")
@@ -79,11 +80,11 @@ class Synthesis:
 
 
 def synthesise(plant: GeneralisedPlant, gamma: float) -> Synthesis:
-    """All controllers with ||F_l(P, K)|| < ``gamma``.
+    """Return all controllers with ||F_l(P, K)|| < ``gamma``.
 
-    Where rounding hides what a ``gamma`` above gamma_min gives, they are those of a smaller gamma.
-    Raises SingularPlant (A1 to A4), InfeasibleDesign with gamma_min if ``gamma`` is below it, and NoSolution
-    where that cannot be verified.
+    Where rounding hides the solution for a ``gamma`` above gamma_min, they belong to a smaller gamma. Raises
+    SingularPlant (A1 to A4), InfeasibleDesign with gamma_min if ``gamma`` is below it, and NoSolution where
+    that cannot be verified.
     """
     normal = normal_form(plant)
     problem = problem_of(normal)
@@ -104,7 +105,7 @@ def synthesise(plant: GeneralisedPlant, gamma: float) -> Synthesis:
 
 
 def gamma_min(plant: GeneralisedPlant, relative: float = GAMMA_MIN_RELATIVE) -> float:
-    """The least gamma that a controller reaches, to ``relative``, from above: the value returned is feasible.
+    """Return the least gamma that a controller reaches, to ``relative``, from above: the value is feasible.
 
     The loops with the controllers at 1.001 and 1.02 of it keep their norm; where rounding lets them only
     further up, by 3 % at most, that is returned. 1e-12 and less: there is no lower limit.
@@ -131,7 +132,7 @@ def gamma_min(plant: GeneralisedPlant, relative: float = GAMMA_MIN_RELATIVE) -> 
 def _doubt(
     plant: GeneralisedPlant, normal: NormalPlant, problem: Problem, gamma: float
 ) -> DesignError | None:
-    """Why it cannot be said that every gamma above ``gamma`` is feasible; None if it can."""
+    """Explain why feasibility of every gamma above ``gamma`` is not certain; None if it is."""
     for factor, level in _VERIFIED:
         solved = evaluated(problem, factor * gamma)
         if isinstance(solved, Fails):
@@ -163,7 +164,7 @@ def _hidden(fails: Fails, gamma: float) -> NoSolution:
 
 
 def _least_feasible(problem: Problem, start: float, relative: float) -> float:
-    """By the conditions alone, ``start`` being above condition (a)."""
+    """Return the least gamma by the conditions alone, ``start`` being above condition (a)."""
     low, high, fails = problem.direct_gain, start, Fails(DIRECT_GAIN)
     for _ in range(_DOUBLINGS_MAX):
         solved = evaluated(problem, high, thorough=False)
@@ -187,11 +188,11 @@ def _least_feasible(problem: Problem, start: float, relative: float) -> float:
 def _last_feasible(
     problem: Problem, infeasible: tuple[float, Fails], feasible: tuple[float, Solved], relative: float
 ) -> float:
-    """The feasible gamma next to an infeasible one, between the two given.
+    """Return the feasible gamma next to an infeasible one, between the two given.
 
     The zero of the distance from the condition that fails at the lower end is tried (regula falsi with the
-    steps of Anderson and Bjorck); where that is condition (a), the very limit. Where no distance is known, or
-    three steps have not quartered the interval, that is halved.
+    steps of Anderson and Bjorck); for condition (a), the limit itself. Where no distance is known, or three
+    steps have not quartered the interval, it is halved.
     """
     (low, fails), (high, solved) = infeasible, feasible
     width, tries, weight = high - low, 0, 1.0
@@ -221,7 +222,7 @@ def _last_feasible(
 
 
 def _inaccuracy(solved: Solved, error_max: float, moved_max: float) -> SingularPlant | None:
-    """What to say where rounding leaves X or Y without true digits."""
+    """Return the error for an X or Y left without accurate digits by rounding; None if both are accurate."""
     for solution, name, assumption, end in (
         (solved.X, "X", "A2 or A3", "control a larger direct weight, D12"),
         (solved.Y, "Y", "A2 or A4", "measurement a larger direct disturbance, D21"),
@@ -236,17 +237,18 @@ def _inaccuracy(solved: Solved, error_max: float, moved_max: float) -> SingularP
 
 
 def closed_loop(plant: GeneralisedPlant, controller: StateSpace) -> StateSpace:
-    """F_l(P, K), from w to z."""
+    """Return F_l(P, K), from w to z."""
     return lower_lft(plant.system, controller)
 
 
 def verified_norm(plant: GeneralisedPlant, controller: StateSpace) -> float:
-    """||F_l(P, K)||, computed without the synthesis' own quantities; infinite if the loop is unstable."""
+    """Return ||F_l(P, K)||, computed without the synthesis' own quantities; infinite if the loop is
+    unstable."""
     return hinf_norm(closed_loop(plant, controller)).gain
 
 
 def _controllers(normal: NormalPlant, gamma: float, solved: Solved) -> Synthesis:
-    """M of theorem 2, (23) to (31), with the normalisation and D22 undone."""
+    """Return M of theorem 2, (23) to (31), with the normalisation and D22 undone."""
     m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
     m1, p1 = normal.B1.shape[1], len(normal.C1)
     D11_hat, D12_hat, D21_hat = _direct_gains(normal.D11, gamma, m2, p2)
@@ -280,7 +282,7 @@ def _controllers(normal: NormalPlant, gamma: float, solved: Solved) -> Synthesis
 
 
 def _direct_gains(D11: Array, gamma: float, m2: int, p2: int) -> tuple[Array, Array, Array]:
-    """D11hat, D12hat (lower Cholesky factor of T2) and D21hat (upper one of T3), (24) to (26)."""
+    """Return D11hat, D12hat (lower Cholesky factor of T2) and D21hat (upper one of T3), (24) to (26)."""
     D1111, D1112 = D11[:-m2, :-p2], D11[:-m2, -p2:]
     D1121, D1122 = D11[-m2:, :-p2], D11[-m2:, -p2:]
     left = gamma**2 * np.eye(len(D1111)) - D1111 @ D1111.T
@@ -294,7 +296,8 @@ def _direct_gains(D11: Array, gamma: float, m2: int, p2: int) -> tuple[Array, Ar
 
 
 def _over_direct_gain(generator: StateSpace, D22: Array) -> StateSpace:
-    """The controllers of a plant with direct gain D22 from those of the plant without: y - D22 u for y."""
+    """Return the controllers of a plant with direct gain D22 from those of the plant without: y - D22 u for
+    y."""
     p2, m2 = D22.shape
     p, m = generator.D.shape
     feedback = np.zeros((m, p))

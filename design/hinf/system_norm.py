@@ -18,23 +18,24 @@ from servobench.design.hinf.bilinear import to_bilinear
 from servobench.design.statespace import Array, Peak, StateSpace, balanced, rebalanced
 
 _NEAR_AXIS = 1e-5
-"""|real part| below this part of an eigenvalue's magnitude: perhaps a crossing, so it is looked at."""
+"""|real part| below this part of an eigenvalue's magnitude: perhaps a crossing, so it is examined."""
 _STEPS_MAX = 60
-"""A bound of the loop alone: 400 random systems, combs of resonances among them, take four at most."""
+"""Bound of the iteration: 400 random systems, combs of resonances among them, take four at most."""
 _RELATIVE = 1e-11
 """Down to 1e-13 no system takes more than five steps; at 1e-15 rounding errors are climbed, in up to
 seven."""
 _OWN_PERIOD_S = 2.0
-"""With which the bilinear map is s = (z - 1)/(z + 1), whatever the period: crossings of all rates alike."""
+"""Period for which the bilinear map is s = (z - 1)/(z + 1): crossings of all rates are treated alike."""
 
 
 def largest_gain(system: StateSpace, frequency_rad_s: Array) -> Array:
-    """(k,) largest singular value at the k frequencies, rad/s."""
+    """Return the (k,) largest singular value at the k frequencies, rad/s."""
     return np.asarray(np.linalg.norm(system.response(frequency_rad_s), 2, axis=(1, 2)), dtype=float)
 
 
 def hinf_norm(system: StateSpace) -> Peak:
-    """The largest singular value over frequency, to :data:`_RELATIVE`; infinite for an unstable system."""
+    """Return the largest singular value over frequency, to :data:`_RELATIVE`; infinite for an unstable
+    system."""
     if not system.is_stable():
         return Peak(math.inf, math.nan)
     even = balanced(system)
@@ -52,9 +53,9 @@ def hinf_norm(system: StateSpace) -> Peak:
 
 
 def norm_is_below(system: StateSpace, level: float) -> bool:
-    """Whether the largest singular value stays below ``level`` at every frequency and the system is stable.
+    """Return True if the system is stable and its largest singular value below ``level`` at every frequency.
 
-    One level takes a part of the time of :func:`hinf_norm`.
+    One level takes only part of the time of :func:`hinf_norm`.
     """
     if not system.is_stable():
         return False
@@ -95,7 +96,7 @@ def _first_frequencies(system: StateSpace) -> Array:
 
 
 def _refined(system: StateSpace, peak: Peak) -> Peak:
-    """The top of the hill on which ``peak`` stands."""
+    """Climb to the top of the hill at ``peak``."""
     omega = peak.frequency_rad_s
     if omega == 0.0 or math.isinf(omega):
         return peak
@@ -111,7 +112,7 @@ def _refined(system: StateSpace, peak: Peak) -> Peak:
 
 
 def _crossings(system: StateSpace, level: float) -> Array:
-    """Frequencies, rad/s, where a singular value may cross ``level``, in order."""
+    """Return frequencies, rad/s, where a singular value may cross ``level``, in order."""
     if system.period_s is not None:
         return _sampled_crossings(system, level)
     A, B, C, D = system.A, system.B, system.C, system.D
@@ -128,7 +129,7 @@ def _crossings(system: StateSpace, level: float) -> Array:
 
 
 def _sampled_crossings(system: StateSpace, level: float) -> Array:
-    """The same on the unit circle, through the bilinear map s = (z - 1)/(z + 1)."""
+    """Return the same on the unit circle, through the bilinear map s = (z - 1)/(z + 1)."""
     values = _crossings(to_bilinear(replace(system, period_s=_OWN_PERIOD_S)), level)
     assert system.period_s is not None
     return np.asarray(2.0 * np.arctan(values) / system.period_s)

@@ -51,7 +51,7 @@ class Weight:
         return first_order(self.high, self.zero_rad_s, self.pole_rad_s)
 
     def gain(self, omega: float) -> float:
-        """|w(j omega)|."""
+        """Return |w(j omega)|."""
         return self.high * math.hypot(omega, self.zero_rad_s) / math.hypot(omega, self.pole_rad_s)
 
 
@@ -65,12 +65,12 @@ class Weights:
 
     @property
     def by_function(self) -> dict[str, Weight]:
-        """Each by the closed-loop function that it weighs: S, K S or T."""
+        """The weights by the closed-loop function that each applies to: S, K S or T."""
         return {"S": self.error, "KS": self.control, "T": self.output}
 
 
 def crossing_weight(low: float, high: float, crossing_rad_s: float) -> Weight:
-    """The weight with these gains at the ends and |w| = 1 at ``crossing_rad_s``.
+    """Return the weight with these gains at the ends and |w| = 1 at ``crossing_rad_s``.
 
     Error: ValueError unless 1 lies between ``low`` and ``high`` and the crossing is above 0.
     """
@@ -89,7 +89,7 @@ def crossing_weight(low: float, high: float, crossing_rad_s: float) -> Weight:
 
 
 def slope_weight(low: float, high: float, slope_end_rad_s: float) -> Weight:
-    """The weight with these gains whose slope ends at ``slope_end_rad_s``.
+    """Return the weight with these gains whose slope ends at ``slope_end_rad_s``.
 
     That is the zero of a weight falling from ``low`` to ``high``; of a rising one the slope's start is the
     zero too. Error: ValueError for a gain or rate not above 0.
@@ -100,7 +100,7 @@ def slope_weight(low: float, high: float, slope_end_rad_s: float) -> Weight:
 
 
 def error_weight(crossing_rad_s: float, peak: float, static_error: float) -> Weight:
-    """w1: 1/|w1| crosses 1 at ``crossing_rad_s``, ends at ``peak`` and starts at ``static_error``."""
+    """Return w1: 1/|w1| crosses 1 at ``crossing_rad_s``, ends at ``peak`` and starts at ``static_error``."""
     if static_error <= 0.0:
         raise ValueError(
             f"static error {static_error:g} breaks A1: w1 would be an integrator, which nothing in the loop "

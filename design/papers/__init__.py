@@ -1,1 +1,1 @@
-"""[Ling2012] and [Azaiz2007] as they are printed."""
+"""[Ling2012] and [Azaiz2007] as printed."""

@@ -1,10 +1,9 @@
-"""[Ling2012] Theorems 3.1 and 3.3 with every matrix of theirs, written down in cvxpy.
+"""[Ling2012] Theorems 3.1 and 3.3 with all their matrices, written in cvxpy.
 
 A second, slower formulation of what :mod:`servobench.design.delay.delay_lmi` builds at order 0: there Y and W
 are eliminated and the problem goes to the solver as plain data; here both stay, the last block row is
-multiplied by eta Z (the correction that makes (3.1) and (3.10) linear), and cvxpy does the rest.
-``hil analyse speed --as-printed`` and the reproduction show both, the tests hold one against the other, the
-benchmark times them.
+multiplied by eta Z (the correction that makes (3.1) and (3.10) linear), and cvxpy does the rest. ``hil
+analyse speed --as-printed`` and the reproduction show both, the tests compare them, the benchmark times them.
 """
 
 import importlib
@@ -20,7 +19,7 @@ from servobench.design.errors import NoSolution
 
 
 def theorem_3_3(loop: DelayLoop, state_scale: Array, gain_scale: float) -> float:
-    """The least gamma of Theorem 3.3, rad/s per N m, at the loop's delay.
+    """Return the least gamma of Theorem 3.3, rad/s per N m, at the loop's delay.
 
     ``gain_scale``: about the gain expected, for scaling. Raises NoSolution.
     """
@@ -38,7 +37,7 @@ def theorem_3_3(loop: DelayLoop, state_scale: Array, gain_scale: float) -> float
 
 
 def theorem_3_1(loop: DelayLoop, state_scale: Array) -> bool:
-    """Whether Theorem 3.1 proves the loop stable at its delay."""
+    """Return True if Theorem 3.1 proves the loop stable at its delay."""
     cp = _cvxpy()
     unit = scaled(loop, state_scale, 1.0)
     n = len(unit.A)
@@ -52,12 +51,12 @@ def theorem_3_1(loop: DelayLoop, state_scale: Array) -> bool:
 
 
 def _cvxpy() -> Any:
-    """Loaded when asked for: it takes a second, and its own types say less than they promise."""
+    """Import cvxpy on demand: it takes a second, and its own types say less than they promise."""
     return importlib.import_module("cvxpy")
 
 
 def _blocks(cp: Any, A: Array, D: Array, E: Array, CC: Array, square: Any) -> tuple[Any, Any, Any, Any]:
-    """P, Q, Z and the matrix of (3.10), whose (4, 4) entry is -square, with eta = 1."""
+    """Return P, Q, Z and the matrix of (3.10), whose (4, 4) entry is -square, with eta = 1."""
     n, m = E.shape
     P, Q, Z = (cp.Variable((n, n), symmetric=True) for _ in range(3))
     Y, W = cp.Variable((n, n)), cp.Variable((n, n))

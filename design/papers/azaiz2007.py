@@ -109,13 +109,13 @@ DISAGREEMENTS = (
 
 
 def printed_controller(axis: str) -> StateSpace:
-    """(68) or (70) in the printed digits."""
+    """Return (68) or (70) in the printed digits."""
     gain, zeros, poles, (a, b) = _PRINTED[axis]
     return from_zpk(zeros, [*poles, *np.roots([1.0, a, b])], gain)
 
 
 def printed_figures(axis: str) -> dict[str, Any]:
-    """The printed controller on the printed plant, with the weights by their rules."""
+    """Return the figures of the printed controller on the printed plant, with the weights by their rules."""
     weights = rule_weights(MOTOR, axis)
     plant = axis_plant(MOTOR.resistance_ohm, axis_inductance_h(MOTOR, axis))
     least = gamma_min(mixed_sensitivity(plant, weights))
@@ -123,7 +123,7 @@ def printed_figures(axis: str) -> dict[str, Any]:
 
 
 def motor_of(variation: str) -> PmsmParameters:
-    """The motor of a named variation."""
+    """Return the motor of a named variation."""
     r, L = VARIATIONS[variation]
     return replace(
         MOTOR,
@@ -134,7 +134,7 @@ def motor_of(variation: str) -> PmsmParameters:
 
 
 def paper_design(axis: str) -> tuple[AxisDesign, AxisDesign]:
-    """K_q or K_d at gamma = 1 with the weights by their rules, and its third-order form (71), (72)."""
+    """Return K_q or K_d at gamma = 1 with the weights by their rules, and its third-order form (71), (72)."""
     full = design_axis(MOTOR, axis, rule_weights(MOTOR, axis), 1.0)
     return full, reduced_design(full, 3, Method.PAPER)
 
@@ -151,7 +151,7 @@ class DriveRun:
 
 
 def simulate_drive(motor: PmsmParameters, K_d: StateSpace, K_q: StateSpace, step_s: float = 1e-5) -> DriveRun:
-    """The drive of Fig. 4 with ``motor`` behind loops that decouple with the nominal inductances."""
+    """Simulate the drive of Fig. 4 with ``motor`` behind loops that decouple with the nominal inductances."""
     Kd, Kq = balanced(K_d), balanced(K_q)
     n_d = Kd.order
     total = 4 + n_d + Kq.order
@@ -205,7 +205,8 @@ def _torque(motor: PmsmParameters, i_d: _Value, i_q: _Value) -> _Value:
 
 
 def run_figures(run: DriveRun) -> dict[str, float]:
-    """The figures of one run. Rise 10 to 90 % and settling within 2 % of the step, before the load comes."""
+    """Return the figures of one run: rise 10 to 90 % and settling within 2 % of the step, before the load
+    comes."""
     before = run.time_s < LOAD_AT_S
     speed, time_s = run.speed_rad_s[before], run.time_s[before]
     peak = int(np.argmax(run.torque_nm[before]))
@@ -232,7 +233,7 @@ def _settled(time_s: Array, speed: Array) -> float:
 
 
 def reproduce() -> tuple[dict[str, Any], dict[str, tuple[AxisDesign, AxisDesign]], dict[str, DriveRun]]:
-    """All figures in the keys of ``--json``, the designs by axis, and the runs by variation."""
+    """Return all figures in the keys of ``--json``, the designs by axis, and the runs by variation."""
     designs = {axis: paper_design(axis) for axis in ("q", "d")}
     figures: dict[str, Any] = {axis: design_figures(*pair) for axis, pair in designs.items()}
     K_d, K_q = designs["d"][0].controller, designs["q"][0].controller

@@ -1,8 +1,8 @@
 """[Ling2012]: its motor, Table 2, the controller of section 5, and Cases 1 to 3 as the loop of (2.15).
 
-The loop here is the continuous one with a constant delay; the cases with real sampling, delay and
-loss run on the simulated bench. Cases 1 to 3 are taken up as the text describes them, Figs. 5 to 7
-being curves without data. Whatever the paper leaves open is named where it is chosen.
+The loop here is the continuous one with a constant delay; the cases with real sampling, delay and loss run on
+the simulated bench. Cases 1 to 3 are taken up as the text describes them, Figs. 5 to 7 being curves without
+data. Choices that the paper leaves open are named where they are made.
 """
 
 from collections.abc import Callable, Sequence
@@ -67,7 +67,7 @@ PERIOD_S, LOSSES, TAU_S = 0.01, 5, 0.004
 LOAD_ON_S = 0.05
 """Case 3: from 0.5 s to 0.55 s."""
 PID_DELAY_S = 0.001
-"""Of the PID in Fig. 6."""
+"""Delay of the PID in Fig. 6."""
 
 TABLE_2: Sequence[tuple[float, float]] = (
     (6.0, 0.082),
@@ -82,12 +82,12 @@ TABLE_2: Sequence[tuple[float, float]] = (
     (2.4, 0.026),
     (2.0, 0.005),
 )
-"""Speed error in per cent and the delay printed beside it, s."""
+"""Speed error in per cent and the printed delay, s."""
 
 DURATION_S = 1.5
 """The start of Case 1 has settled to 2 % after 0.45 s."""
 BANDS = (0.05, 0.02)
-"""Of settling: the paper's 5 %, and the usual 2 %."""
+"""Settling bands: the paper's 5 %, and the usual 2 %."""
 _CROSSINGS_RAD_S = np.linspace(5.0, 300.0, 119)
 """In steps of 2.5: the PI decays faster from 19 to 183 rad/s, and is stable up to 195."""
 _INTEGRAL_SHARE = 0.2
@@ -95,7 +95,7 @@ _INTEGRAL_SHARE = 0.2
 
 
 def table2_row(error_percent: float, published_delay_s: float, units: Units) -> dict[str, Any]:
-    """One row of Table 2 by every method; ``gain``: K of the exact optimum with full feedback."""
+    """Return one row of Table 2 by every method; ``gain``: K of the exact optimum with full feedback."""
     gamma = gain_for_error(error_percent, LOAD_NM, SPEED_RAD_S, units)
     return {
         "error_percent": error_percent,
@@ -105,7 +105,7 @@ def table2_row(error_percent: float, published_delay_s: float, units: Units) -> 
 
 
 def motor_row(motor: PmsmParameters, error_percent: float) -> dict[str, Any]:
-    """The same for another motor in SI, at its rated speed and 30 per cent of its rated torque.
+    """Return the same for another motor in SI, at its rated speed and 30 per cent of its rated torque.
 
     A delay is None where its method finds no gain that keeps the error even without delay; ``impossible``, in
     words and instead of all, where full feedback does not.
@@ -119,7 +119,7 @@ def motor_row(motor: PmsmParameters, error_percent: float) -> dict[str, Any]:
 
 
 def largest_delays(model: SpeedModel, gamma: float) -> dict[str, Any]:
-    """The largest constant delay, s, at which the gain stays below ``gamma``, by every method."""
+    """Return the largest constant delay, s, at which the gain stays below ``gamma``, by every method."""
     full = largest_delay(model, gamma)
     speed_only = _if_any(lambda: largest_delay(model, gamma, Feedback.SPEED))
     starts = () if speed_only is None else starts_between(full.K, speed_only.K)
@@ -145,7 +145,7 @@ def _if_any(find: Callable[[], _Found]) -> _Found | None:
 
 
 def published_design() -> dict[str, Any]:
-    """The controller of section 5 and what it does at 64 ms; the largest delays are for this gain."""
+    """Return the controller of section 5 and its figures at 64 ms; the largest delays are for this gain."""
     loop = MODEL.loop(K, DELAY_S)
     return {
         "gain": K.tolist(),
@@ -163,13 +163,14 @@ def published_design() -> dict[str, Any]:
 
 
 def start_up() -> DelayResponse:
-    """Case 1: from rest to 1500 r/min. Before t = 0 there was no error, so nothing acts for 64 ms."""
+    """Simulate case 1: from rest to 1500 r/min. Before t = 0 there was no error, so nothing acts for 64
+    ms."""
     current_a = MOTOR.viscous_friction_nm_s * SPEED_RAD_S / MOTOR.torque_constant_nm_a
     return respond(_loop(), DURATION_S, x0=np.array([current_a, SPEED_RAD_S]))
 
 
 def load_pulse() -> DelayResponse:
-    """Case 3: 0.6 N m for 50 ms from t = 0 on."""
+    """Simulate case 3: 0.6 N m for 50 ms from t = 0 on."""
     step = _load_step()
     since_off_s = step.time_s - LOAD_ON_S
     gone = [np.interp(since_off_s, step.time_s, part, left=0.0) for part in step.x.T]
@@ -196,8 +197,8 @@ def case1() -> dict[str, Any]:
 def case2() -> dict[str, Any]:
     """Fig. 6. The robust controller at 64 ms beside a PID "tuned to perform well" without delay, at 1 ms.
 
-    The PID's parameters are not given. Here: the PI that crosses over at some frequency w without delay,
-    Kp = J w, Ki = 0.2 w Kp, sampled every 10 ms. What the comparison says depends on w alone.
+    The PID's parameters are not given. Here: the PI that crosses over at some frequency w without delay, Kp =
+    J w, Ki = 0.2 w Kp, sampled every 10 ms. The comparison depends on w alone.
     """
     robust = HeldLoop(MODEL, K, SampledNetwork(Strategy.STAMP, PERIOD_S, LOSSES, TAU_S, DELAY_S))
     robust_decay = repeated(robust, (Delivery(LOSSES + 1, TAU_S),)).decay_per_s
@@ -217,13 +218,13 @@ def case2() -> dict[str, Any]:
 
 
 def pi_gains(crossing_rad_s: float) -> tuple[float, float]:
-    """(Kp in N m s/rad, Ki in N m/rad) of the PI that crosses over there."""
+    """Return (Kp in N m s/rad, Ki in N m/rad) of the PI that crosses over there."""
     proportional = MOTOR.inertia_kg_m2 * crossing_rad_s
     return proportional, round(_INTEGRAL_SHARE * crossing_rad_s * proportional, 12)
 
 
 def pi_decay(crossing_rad_s: float) -> float:
-    """Decay of the sampled loop with that PI and the PID's delay, 1/s; negative: unstable."""
+    """Return the decay of the sampled loop with that PI and the PID's delay, 1/s; negative: unstable."""
     model = speed_model(MOTOR, integral=True)
     gains = -np.array([0.0, *pi_gains(crossing_rad_s)]) / MOTOR.torque_constant_nm_a
     network = SampledNetwork(Strategy.ARRIVAL, PERIOD_S, 0, PID_DELAY_S)
@@ -233,7 +234,7 @@ def pi_decay(crossing_rad_s: float) -> float:
 def case3() -> dict[str, Any]:
     """Fig. 7. "Less than 5 %", and back "in about 0.03 s" after the load is gone.
 
-    ``floor``: what no controller can go below that acts after 64 ms, longer than the load lasts.
+    ``floor``: limit of any controller that acts after 64 ms, longer than the load lasts.
     """
     response = load_pulse()
     step = _load_step()
@@ -263,7 +264,7 @@ def _loop() -> DelayLoop:
 
 
 def _settling(time_s: Array, share: Array, name: str) -> dict[str, float]:
-    """When |share| stays within each band from then on."""
+    """Return when |share| finally stays within each band."""
     times_s = {}
     for band in BANDS:
         outside = np.flatnonzero(np.abs(share) > band)
@@ -294,4 +295,4 @@ DISAGREEMENTS: Sequence[str] = (
     "this one is back within 5 % 0.10 s after the load, not 0.03 s. With rad/s taken for r/min the same "
     "curve peaks at 2.4 %.",
 )
-"""Where paper and reproduction part, and why."""
+"""Differences between paper and reproduction, with reasons."""

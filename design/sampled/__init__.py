@@ -1,1 +1,2 @@
-"""The loop that really runs: sampled, with losses and delays that vary; certified and found."""
+"""The loop as it runs: sampled, with losses and varying delays; certified, and searched for its worst
+case."""

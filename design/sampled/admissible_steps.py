@@ -1,15 +1,15 @@
-"""What a network can do to a sampled loop, as the walks of a graph whose edges take one period each.
+"""The effects of a network on a sampled loop, as walks of a graph whose edges take one period each.
 
-The nodes say what may come next. With ``arrival`` node i is: the sample that acts was taken i + 1 periods
-ago. The sample that acts at a time t is some s(t) that never goes back, and any such s can happen that
+The nodes define the possible next steps. With ``arrival``, node i means: the acting sample was taken i + 1
+periods ago. The sample acting at a time t is some s(t) that never goes back; any such s is possible that
 
     is at most T old when it begins to act, and at least floor((t - T)/h) - D,
 
-for of D + 1 samples in a row one comes, and later than t only if it was taken after t - T. With ``stamp``
-node i is: i samples in a row did not come. With ``history`` there is one node.
+because one of D + 1 samples in a row comes, and later than t only if it was taken after t - T. With
+``stamp``, node i means: i samples in a row were lost. With ``history`` there is one node.
 
-A family of steps leaves the moments of its switchings open, each within its window and none before the
-one of an older sample. A sample that is overtaken is in it too: it acts for no time.
+A family of steps leaves the instants of its switchings open, each within its window and none before that of
+an older sample. It includes overtaken samples: they act for no time.
 """
 
 import itertools
@@ -21,7 +21,8 @@ from servobench.design.sampled.held_loop import PeriodStep, SampledNetwork, Stra
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """When the sample of ``back`` periods ago may begin to act, s after the period's begin."""
+    """The interval in which the sample of ``back`` periods ago may begin to act, s after the period's
+    begin."""
 
     back: int
     first_s: float
@@ -37,7 +38,7 @@ class Family:
     windows: tuple[Window, ...]
 
     def over(self, parts: Sequence[float]) -> Iterator[PeriodStep]:
-        """The steps whose switchings are at these parts of their windows, in every admissible way."""
+        """Yield the steps whose switchings are at these parts of their windows, in every admissible order."""
         tried = [
             sorted({window.first_s + part * (window.last_s - window.first_s) for part in parts})
             for window in self.windows
@@ -47,25 +48,25 @@ class Family:
                 yield self.at(times_s)
 
     def at(self, times_s: Sequence[float]) -> PeriodStep:
-        """The step whose switchings are at ``times_s``."""
+        """Return the step whose switchings are at ``times_s``."""
         switches = [Switch(window.back, time_s) for window, time_s in zip(self.windows, times_s, strict=True)]
         return PeriodStep(self.source, self.target, tuple(switches))
 
 
 def node_count(network: SampledNetwork) -> int:
-    """Of the graph."""
+    """Return the number of nodes of the graph."""
     if network.strategy is Strategy.HISTORY:
         return 1
     return network.losses_max + 1 + (network.behind if network.strategy is Strategy.ARRIVAL else 0)
 
 
 def delivery_node_count(network: SampledNetwork) -> int:
-    """Of its nodes at which a sample has just begun to act."""
+    """Return the number of nodes at which a sample has just begun to act."""
     return network.behind + 1 if network.strategy is Strategy.ARRIVAL else 1
 
 
 def families(network: SampledNetwork) -> list[Family]:
-    """Every step that the network admits."""
+    """Return every step that the network admits."""
     if network.strategy is Strategy.ARRIVAL:
         by_node = [_arrivals(network, node) for node in range(node_count(network))]
         return list(itertools.chain.from_iterable(by_node))
@@ -77,7 +78,8 @@ def families(network: SampledNetwork) -> list[Family]:
 
 
 def _arrivals(network: SampledNetwork, node: int) -> Iterator[Family]:
-    """Edges out of ``node``: for each sample that acts in the end, all between as steps on the way to it."""
+    """Yield the edges out of ``node``: for each sample that finally acts, all in between as steps on the
+    way."""
     behind, h = network.behind, network.period_s
     forced = node == node_count(network) - 1
     if not forced:
@@ -102,7 +104,7 @@ class Delivery:
 
 
 def steps_of(network: SampledNetwork, deliveries: Sequence[Delivery]) -> tuple[PeriodStep, ...]:
-    """The periods of a pattern of deliveries that is repeated for ever; what is overtaken is dropped."""
+    """Return the periods of a pattern of deliveries repeated for ever; overtaken samples are dropped."""
     total = sum(delivery.interval for delivery in deliveries)
     rounds = 2 + (network.behind + total) // total
     began: list[tuple[int, float, int]] = []
@@ -120,7 +122,8 @@ def steps_of(network: SampledNetwork, deliveries: Sequence[Delivery]) -> tuple[P
 def _periods(
     network: SampledNetwork, began: list[tuple[int, float, int]], first: int, count: int
 ) -> Iterator[PeriodStep]:
-    """Periods ``first`` .. of what began to act: (period, time in it, sample), in any order."""
+    """Yield ``count`` periods from ``first`` of what ``began`` to act: (period, time in it, sample), in any
+    order."""
     newest = -(10**9)
     by_period: dict[int, list[Switch]] = {}
     acting: dict[int, int] = {}
@@ -137,7 +140,7 @@ def _periods(
 
 
 def _node_at(network: SampledNetwork, acting: dict[int, int], period: int) -> int:
-    """The node at the begin of ``period``."""
+    """Return the node at the begin of ``period``."""
     sample = max(value for when, value in acting.items() if when < period)
     if network.strategy is Strategy.HISTORY:
         return 0
@@ -146,7 +149,7 @@ def _node_at(network: SampledNetwork, acting: dict[int, int], period: int) -> in
 
 
 def deliveries_of(network: SampledNetwork, steps: Iterable[PeriodStep]) -> tuple[Delivery, ...]:
-    """The deliveries of a pattern of periods that is repeated for ever."""
+    """Return the deliveries of a pattern of periods repeated for ever."""
     steps = list(steps)
     acted: list[tuple[int, float]] = []
     for period, step in enumerate(steps):

@@ -1,8 +1,8 @@
-"""What can be said of the loop that really runs: its decay and its gain, certified and found.
+"""Analysis of the loop as it runs: its decay and its gain, certified and found.
 
 Two kinds of statement, kept apart. What is *certified* holds under every admissible sequence of losses and
-delays. What is *found* is reached under one of them, a pattern that a search came upon: no certificate
-can be better, and between the two lies the truth.
+delays. A figure *found* is reached under one of them, a pattern from a search: no certificate can be better,
+and the truth lies between the two.
 """
 
 import math
@@ -36,31 +36,31 @@ class SampledAnalysis:
 
     loop: SwitchedLoop
     regular: list[Pattern]
-    """Under d lost of every d + 1, all others delayed by T: for each d from 0 to D."""
+    """Patterns with d lost of every d + 1, all others delayed by T: for each d from 0 to D."""
     gains: list[float]
     """Gain from load torque to speed error under each of them, rad/s per N m; inf where unstable."""
     slowest: Pattern
     """The periodic pattern of least decay that the search found."""
     worst: WorstGain
-    """The one of largest gain."""
+    """The pattern of largest gain."""
     decay_proof: SequenceCertificate | None
     """None: not even stability could be certified for every sequence."""
     gain_proof: SequenceCertificate | None
     without_certificate: str = ""
-    """Why there is none, if that is so."""
+    """Reason, if there is no certificate."""
     peak_found: float = math.nan
-    """Largest error after a load step of 1 N m that was reached, rad/s; nan: not looked at."""
+    """Largest error reached after a load step of 1 N m, rad/s; nan: not searched."""
     peak_certified: float | None = None
-    """Error that no sequence exceeds, rad/s; None: none was proved."""
+    """Error that no sequence exceeds, rad/s; None: not proved."""
 
     @property
     def patterns(self) -> list[Pattern]:
-        """The worst that are known."""
+        """The worst known patterns."""
         return [self.worst.pattern, self.slowest, *self.regular]
 
     @property
     def network(self) -> SampledNetwork:
-        """What the loop runs over."""
+        """The loop's network."""
         return self.loop.network
 
     @property
@@ -85,22 +85,22 @@ class SampledAnalysis:
 
     @property
     def certified(self) -> bool:
-        """Whether decay and gain are proved under every admissible sequence."""
+        """True if decay and gain are proved under every admissible sequence."""
         return bool(self.decay_certified_per_s) and self.gain_certified is not None
 
     @property
     def refuted(self) -> bool:
-        """Whether an admissible pattern is known that makes the loop unstable."""
+        """True if an admissible pattern is known that makes the loop unstable."""
         return self.slowest.decay_per_s <= 0.0
 
 
 def analyse_sampled(model: SpeedModel, K: Array, network: SampledNetwork) -> SampledAnalysis:
-    """Everything of :class:`SampledAnalysis` for u = K x."""
+    """Compute everything in :class:`SampledAnalysis` for u = K x."""
     return analyse_loop(HeldLoop(model, np.asarray(K, dtype=float), network))
 
 
 def analyse_loop(loop: SwitchedLoop, remembering: Sequence[bool] = (False, True)) -> SampledAnalysis:
-    """The same for any loop; ``remembering``: what is tried, as for :func:`certify_gain`."""
+    """Analyse any loop; ``remembering``: options to try, as for :func:`certify_gain`."""
     regular = regular_patterns(loop)
     gains = pattern_gains(loop, regular).tolist()
     slowest = min([slowest_pattern(loop), *regular], key=lambda pattern: pattern.decay_per_s)
@@ -122,7 +122,7 @@ def analyse_loop(loop: SwitchedLoop, remembering: Sequence[bool] = (False, True)
 
 
 def with_peak(analysis: SampledAnalysis) -> SampledAnalysis:
-    """The same with the largest error after a load step, of u = K x."""
+    """Add the largest error after a load step, for u = K x."""
     assert isinstance(analysis.loop, HeldLoop)
     if analysis.refuted:
         return replace(analysis, peak_found=math.inf)
@@ -139,7 +139,8 @@ def with_peak(analysis: SampledAnalysis) -> SampledAnalysis:
 
 
 def regular_patterns(loop: SwitchedLoop) -> list[Pattern]:
-    """d lost of every d + 1 for d = 0 .. D, each delay T; with history losses make no difference."""
+    """Return patterns with d lost of every d + 1 for d = 0 .. D, each delay T; with history losses do not
+    matter."""
     network = loop.network
     most = 0 if network.strategy is Strategy.HISTORY else network.losses_max
     return [repeated(loop, (Delivery(d + 1, network.delay_max_s),)) for d in range(most + 1)]

@@ -1,10 +1,9 @@
-"""For which bandwidths of the drive's current loop the certificates of a speed loop hold.
+"""Range of current-loop bandwidths for which the certificates of a speed loop hold.
 
-From the bandwidth of the design the range grows slice by slice, downwards and upwards. Each slice has
-certificates of its own, for every bandwidth in it (of the sampled loop
-:mod:`servobench.design.sampled.step_maps`, of the one with a constant delay
-:mod:`servobench.design.delay.delay_norm`); a slice that would raise the certified gain too far, or cannot be
-certified, ends the range on its side.
+From the bandwidth of the design the range grows slice by slice, downwards and upwards. Each slice has its own
+certificates, for every bandwidth in it (of the sampled loop :mod:`servobench.design.sampled.step_maps`, of
+the one with a constant delay :mod:`servobench.design.delay.delay_norm`); a slice that would raise the
+certified gain too far, or cannot be certified, ends the range on its side.
 """
 
 import math
@@ -24,12 +23,12 @@ _SLICE = 1.08
 _WIDEST = 1.6
 """End of the range over the bandwidth of the design, either way."""
 _ALLOWED = 1.1
-"""Certified gain of a slice over that of the design: a range in which the figure means nothing is no use."""
+"""Limit of a slice's certified gain over that of the design: a larger range would be of no use."""
 
 ModelAt = Callable[[float], SpeedModel]
 """The model with a current loop of so many Hz."""
 Figures = tuple[float, float | None]
-"""Certified gain and decay; None: the decay is not looked at."""
+"""Certified gain and decay; None: the decay is not computed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +45,9 @@ class BandwidthRange:
 def bandwidth_range(
     model_at: ModelAt, K: Array, network: SampledNetwork, patterns: list[Pattern], nominal: BandwidthRange
 ) -> BandwidthRange:
-    """The range of the sampled loop around ``nominal``, whose ends are the bandwidth of the design.
+    """Return the range of the sampled loop around ``nominal``, whose ends are the bandwidth of the design.
 
-    ``patterns``: the worst that are known there.
+    ``patterns``: the worst ones known there.
     """
 
     def figures(one_hz: float, other_hz: float) -> Figures | None:
@@ -61,7 +60,7 @@ def bandwidth_range(
 def constant_bandwidth_range(
     model_at: ModelAt, K: Array, delay_s: float, nominal: BandwidthRange
 ) -> BandwidthRange:
-    """The same of the loop with the constant delay."""
+    """Return the range of the loop with the constant delay."""
 
     def figures(one_hz: float, other_hz: float) -> Figures | None:
         gain = norm_between(*(model_at(each).loop(K, delay_s) for each in (one_hz, other_hz)))
@@ -71,7 +70,7 @@ def constant_bandwidth_range(
 
 
 def _grown(nominal: BandwidthRange, figures: Callable[[float, float], Figures | None]) -> BandwidthRange:
-    """``figures``: for every bandwidth between two."""
+    """Grow the range. ``figures``: certified for every bandwidth between two."""
     grown = nominal
     for factor in (1.0 / _SLICE, _SLICE):
         end_hz = nominal.min_hz
@@ -91,7 +90,7 @@ def _grown(nominal: BandwidthRange, figures: Callable[[float, float], Figures | 
 
 
 def _sampled(one: HeldLoop, other: HeldLoop, known: list[Pattern]) -> Figures | None:
-    """Certified gain and decay for every bandwidth between the two loops'."""
+    """Return certified gain and decay for every bandwidth between the two loops'."""
     patterns = [pattern_of(one, each.steps) for each in known]
     gain = float(max(pattern_gains(one, patterns, 1e-3)))
     if min(each.decay_per_s for each in patterns) <= 0.0:

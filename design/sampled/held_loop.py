@@ -1,10 +1,9 @@
-"""The loop that really runs: sampled, held, with delay and loss, as a linear system from sample to sample.
+"""The loop as it runs: sampled, held, with delay and loss, as a linear system from sample to sample.
 
     x' = A x + B1 u + B2 d      z = C x      u = K x(s), held; s is the sample that is applied
 
-A sensor samples at 0, h, 2h ... A sample arrives within T, and at most D in a row are lost. A
-sample that arrives after a newer one is dropped.
-Which sample is applied when is the strategy's:
+A sensor samples at 0, h, 2h ... A sample arrives within T, and at most D in a row are lost. A sample that
+arrives after a newer one is dropped. The strategy decides which sample is applied, and when:
 
     arrival   the newest, as soon as it arrives                    age     0 .. (D + 1) h + T
     stamp     x(k h) at k h + eta if it came, else the last held   age   eta .. eta + (D + 1) h
@@ -34,7 +33,7 @@ _WHOLE = 1e-9
 
 
 class Strategy(Enum):
-    """When a sample is applied."""
+    """Instant at which a sample is applied."""
 
     ARRIVAL = "arrival"
     STAMP = "stamp"
@@ -43,7 +42,7 @@ class Strategy(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SampledNetwork:
-    """What the network does at worst, and what is done about it. Raises UnsuitableNetwork."""
+    """The network's worst case, and the strategy against it. Raises UnsuitableNetwork."""
 
     strategy: Strategy
     period_s: float
@@ -81,7 +80,7 @@ class SampledNetwork:
 
     @property
     def offset_s(self) -> float:
-        """When in that period it does so at the latest."""
+        """Latest instant of its action in that period."""
         return max(0.0, min(self._latest_s - self.behind * self.period_s, self.period_s))
 
     @property
@@ -90,12 +89,12 @@ class SampledNetwork:
 
     @property
     def constant_delay_s(self) -> float:
-        """Of the loop with a constant delay that stands for this one, [Ling2012] (2.13)."""
+        """Delay of the equivalent loop with a constant delay, [Ling2012] (2.13)."""
         return (self.losses_max + 1) * self.period_s + self.delay_max_s
 
     @property
     def age_max_s(self) -> float:
-        """Oldest that an applied sample can become, s."""
+        """Greatest age of an applied sample, s."""
         if self.strategy is Strategy.ARRIVAL:
             return self.constant_delay_s
         if self.strategy is Strategy.STAMP:
@@ -122,7 +121,7 @@ Operation = Jump | Flow
 
 @dataclass(frozen=True, slots=True)
 class Switch:
-    """``at_s`` after a sample is taken the one that was taken ``back`` periods before it begins to act."""
+    """``at_s`` after a sample is taken, the one taken ``back`` periods before it begins to act."""
 
     back: int
     at_s: float
@@ -130,7 +129,7 @@ class Switch:
 
 @dataclass(frozen=True, slots=True)
 class PeriodStep:
-    """What the network does from one sample to the next; nodes:
+    """The network's actions from one sample to the next; nodes:
     :mod:`servobench.design.sampled.admissible_steps`."""
 
     source: int
@@ -144,19 +143,19 @@ class HeldInput:
     def __init__(self, model: SpeedModel, size: int, kept: int) -> None:
         self.model = model
         self.size = size
-        """Of xi."""
+        """Length of xi."""
         self.kept = kept
-        """So many entries of xi, the first, matter from one sample to the next."""
+        """Number of leading entries of xi that matter from one sample to the next."""
 
     def transition(self, chain: Sequence[Operation]) -> Array:
-        """The product of a chain, (size, size)."""
+        """Return the product of a chain, (size, size)."""
         total = np.eye(self.size)
         for operation in chain:
             total = (operation.J if isinstance(operation, Jump) else self._flow(operation.length_s)) @ total
         return total
 
     def kept_transition(self, chain: Sequence[Operation]) -> Array:
-        """The same between the entries that matter."""
+        """Return the same between the entries that matter."""
         return self.transition(chain)[: self.kept, : self.kept]
 
     @property
@@ -175,7 +174,7 @@ class HeldInput:
 
 
 class SwitchedLoop(HeldInput, ABC):
-    """One whose jumps come as ``network`` has them."""
+    """A loop with the jumps of its ``network``."""
 
     def __init__(self, model: SpeedModel, network: SampledNetwork, size: int, kept: int) -> None:
         super().__init__(model, size, kept)
@@ -183,14 +182,15 @@ class SwitchedLoop(HeldInput, ABC):
 
     @abstractmethod
     def chain(self, step: PeriodStep) -> list[Operation]:
-        """The operations of one period: a jump, a flow, and so on."""
+        """Return the operations of one period: a jump, a flow, and so on."""
 
     def variants(self, step: PeriodStep) -> list[list[Operation]]:
-        """The chains in whose hull that of ``step`` may lie: its own alone, unless the loop varies."""
+        """Return the chains whose hull contains that of ``step``: only its own, unless the loop varies."""
         return [self.chain(step)]
 
     def differences(self, backs: Sequence[int]) -> Array:
-        """(switchings, kept): what each adds to the input, as a function of xi at the period's begin."""
+        """Return (switchings, kept): what each adds to the input, as a function of xi at the period's
+        begin."""
         return np.zeros((len(backs), self.kept))
 
 
@@ -236,7 +236,7 @@ class HeldLoop(SwitchedLoop):
         return J
 
     def applying(self, back: int) -> Array:
-        """The jump when the sample of ``back`` periods ago becomes the input."""
+        """Return the jump when the sample of ``back`` periods ago becomes the input."""
         n = len(self.model.A)
         J = np.eye(self.size)
         J[n] = 0.0
@@ -245,12 +245,13 @@ class HeldLoop(SwitchedLoop):
 
 
 def periods_of(delay_s: float, period_s: float) -> tuple[int, float]:
-    """Whole periods before the one in which a delay ends, and the rest: (0, period], or no delay at all."""
+    """Return the whole periods before the one in which a delay ends, and the rest: (0, period], or no delay
+    at all."""
     back = max(0, math.ceil(delay_s / period_s - _WHOLE) - 1)
     return back, min(delay_s - back * period_s, period_s)
 
 
 def decay_of(M: Array, time_s: float) -> float:
-    """Rate at which xi decays if M, over ``time_s``, is repeated for ever, 1/s; inf for a nilpotent M."""
+    """Return the decay rate of xi if M, over ``time_s``, is repeated for ever, 1/s; inf for a nilpotent M."""
     radius = float(np.max(np.abs(np.linalg.eigvals(M))))
     return math.inf if radius == 0.0 else -math.log(radius) / time_s

@@ -1,12 +1,12 @@
 """Gain of a sampled loop from a continuous disturbance to a continuous output, by lifting.
 
-Over one period of the loop's pattern the disturbance and the output are functions; the loop maps the
-one to the other and xi to xi. On each piece between two switchings all is analytic, so d and z are
-represented there by their values at Gauss-Legendre nodes, weighted so that sums of squares are
-integrals of squares, and the flow by the collocation method on the same nodes (order 2 x nodes).
-What remains is an ordinary discrete-time system; its norm (:mod:`servobench.design.hinf.system_norm`) is the
-sampled loop's gain, up to an error that falls geometrically with the number of nodes.
-(Lifting: Chen and Francis, Optimal Sampled-Data Control Systems, 1995, ch. 10.)
+Over one period of the loop's pattern the disturbance and the output are functions; the loop maps the one to
+the other and xi to xi. On each piece between two switchings all is analytic, so d and z are represented there
+by their values at Gauss-Legendre nodes, weighted so that sums of squares are integrals of squares, and the
+flow by the collocation method on the same nodes (order 2 x nodes). The result is an ordinary discrete-time
+system; its norm (:mod:`servobench.design.hinf.system_norm`) is the sampled loop's gain, up to an error that
+falls geometrically with the number of nodes. (Lifting: Chen and Francis, Optimal Sampled-Data Control
+Systems, 1995, ch. 10.)
 """
 
 import math
@@ -27,12 +27,13 @@ _PIECE_TURN = 2.0
 
 
 def lifted_gain(loop: HeldInput, chain: Sequence[Operation]) -> float:
-    """L2 gain of the loop that repeats ``chain``, output per disturbance; inf if it is unstable."""
+    """Return the L2 gain of the loop that repeats ``chain``, output per disturbance; inf if it is
+    unstable."""
     return hinf_norm(_lifted(loop, chain)).gain
 
 
 def _lifted(loop: HeldInput, chain: Sequence[Operation]) -> StateSpace:
-    """The loop over one period of a pattern, from weighted disturbance to weighted output."""
+    """Return the loop over one period of a pattern, from weighted disturbance to weighted output."""
     collocation = _Collocation(loop)
     A, B = np.eye(loop.size), np.zeros((loop.size, 0))
     C, D = np.zeros((0, loop.size)), np.zeros((0, 0))
@@ -66,7 +67,7 @@ class _Collocation:
         self.rate = float(np.linalg.norm(self._balanced(), 2))
 
     def piece(self, length_s: float) -> StateSpace:
-        """The map of xi and weighted d over ``length_s`` to xi at its end and to weighted z, kept."""
+        """Return the map of xi and weighted d over ``length_s`` to xi at its end and to weighted z, kept."""
         known = self._pieces.get(length_s)
         if known is None:
             known = self._pieces[length_s] = self._solve(length_s)

@@ -1,10 +1,10 @@
-"""Periodic patterns of a network, and the worst of them that a search finds.
+"""Periodic patterns of a network, and a search for the worst of them.
 
 A pattern is a closed walk of :mod:`servobench.design.sampled.admissible_steps`, repeated for ever. Its decay
 is a spectral radius, its gain the largest at which the value map of its repetitions stays finite. The search
-puts patterns together from deliveries, each after as many losses as may be and at the ends of its delays:
-all short ones and all that alternate between two habits, a beam of longer ones, and then changes of
-single deliveries in the worst. What it finds is admissible: no certificate can be better.
+builds patterns from deliveries, each after any number of losses and at the ends of its delays: all short ones
+and all that alternate between two habits, a beam of longer ones, and then changes of single deliveries in the
+worst. Its results are admissible: no certificate can be better.
 """
 
 import itertools
@@ -45,25 +45,25 @@ _WORTHWHILE = 3e-4
 _CHANGED_MAX = 24
 """Deliveries up to which a pattern is changed delivery by delivery."""
 _DOUBLINGS = 16
-"""A pattern is repeated two to this power times to tell whether its gain exceeds a level."""
+"""A pattern is repeated two to this power times to decide whether its gain exceeds a level."""
 _SCORING = 10
 """The same, to rank many."""
 _FORGOTTEN = 1e-40
-"""Entries of Phi below which nothing of the beginning is left: its square changes no digit."""
+"""Entries of Phi below which the beginning is forgotten: its square changes no digit."""
 _BEYOND = 2.0
-"""Nearness of what exceeds the level: of all else it ends at 1."""
+"""Nearness of a gain that exceeds the level; all others end at 1."""
 _LEVELS = 20
 """Parts into which the span of a gain is cut at once."""
 _NEAR = 3.0
-"""Factor either way of a gain about which is looked first."""
+"""Factor either way around a gain that is searched first."""
 _LEAST = 1e-5
-"""Times what the load does in one period: where the span begins, and its inverse where it ends."""
+"""Multiple of the load's effect in one period: start of the span, and its inverse the end."""
 _ROUNDS = 30
-"""Of changes of the best."""
+"""Rounds of changes to the best pattern."""
 _DELAY_PARTS = (0.0, 0.5, 1.0)
-"""Of a window, where the moment of a single switching is tried."""
+"""Parts of a window at which the instant of a single switching is tried."""
 _ENDS = (0.0, 1.0)
-"""The same of several."""
+"""Parts of windows tried for several switchings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +80,7 @@ class _Products:
         return _Products(self.M[part], self.time_s[part])
 
     def slowness(self) -> Array:
-        """Minus the decay under the repetition of each, 1/s."""
+        """Return minus the decay under the repetition of each, 1/s."""
         radii = np.max(np.abs(np.linalg.eigvals(self.M)), axis=1)
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(radii) / self.time_s)
@@ -103,27 +103,27 @@ class WorstGain:
 
 
 def repeated(loop: SwitchedLoop, deliveries: Sequence[Delivery]) -> Pattern:
-    """The pattern of ``deliveries`` with its decay."""
+    """Return the pattern of ``deliveries`` with its decay."""
     return pattern_of(loop, steps_of(loop.network, deliveries))
 
 
 def pattern_of(loop: SwitchedLoop, steps: Sequence[PeriodStep]) -> Pattern:
-    """The pattern of ``steps`` with its decay."""
+    """Return the pattern of ``steps`` with its decay."""
     return Pattern(tuple(steps), decay_of(_transition(loop, steps), len(steps) * loop.network.period_s))
 
 
 def chain_of(loop: SwitchedLoop, pattern: Pattern) -> list[Operation]:
-    """The operations of one period of ``pattern``."""
+    """Return the operations of one period of ``pattern``."""
     return list(itertools.chain.from_iterable(loop.chain(step) for step in pattern.steps))
 
 
 def pattern_gains(
     loop: SwitchedLoop, patterns: Sequence[Pattern], tolerance: float = 1e-7, near: float | None = None
 ) -> Array:
-    """Gain under each, rad/s per N m, not above it, to the relative ``tolerance``; inf if unstable.
+    """Return the gain under each, rad/s per N m, not above it, to the relative ``tolerance``; inf if
+    unstable.
 
-    Many levels at once, then between two of them.
-    ``near``: about which gain to look first, rad/s per N m.
+    Many levels at once, then between two of them. ``near``: gain at which the search starts, rad/s per N m.
     """
     letters = sorted({letter for each in patterns for letter in _split(each.steps)}, key=repr)
     chains = [tuple(letters.index(letter) for letter in _split(each.steps)) for each in patterns]
@@ -146,7 +146,7 @@ def pattern_gains(
 
 
 def _own_product(maps: ValueMap, chains: Sequence[Chain]) -> ValueMap:
-    """Each chain's letters one after the other, of maps (letters, chains, levels)."""
+    """Concatenate each chain's letters, of maps (letters, chains, levels)."""
     numbers, rows = padded(chains), np.arange(len(chains))
     total = maps[numbers[:, 0], rows]
     for place in range(1, numbers.shape[1]):
@@ -155,7 +155,7 @@ def _own_product(maps: ValueMap, chains: Sequence[Chain]) -> ValueMap:
 
 
 def _split(steps: Sequence[PeriodStep]) -> list[tuple[PeriodStep, ...]]:
-    """Periods without a delivery and one with, as often as there is one."""
+    """Split into groups of periods without a delivery and one with."""
     runs: list[list[PeriodStep]] = [[]]
     for step in steps:
         runs[-1].append(step)
@@ -165,7 +165,7 @@ def _split(steps: Sequence[PeriodStep]) -> list[tuple[PeriodStep, ...]]:
 
 
 def slowest_pattern(loop: SwitchedLoop) -> Pattern:
-    """The periodic pattern of least decay that the search finds: a refutation of any faster certificate."""
+    """Return the periodic pattern of least decay found: it refutes any faster certificate."""
     letters = _letters(loop)
     h = loop.network.period_s
     steps = np.stack([_transition(loop, letter.steps) for letter in letters] + [np.eye(loop.kept)])
@@ -185,7 +185,7 @@ def slowest_pattern(loop: SwitchedLoop) -> Pattern:
 
 
 def worst_gain(loop: SwitchedLoop, known: Sequence[Pattern], changed_max: int = _CHANGED_MAX) -> WorstGain:
-    """The pattern of largest gain that the search finds, from ``known`` ones.
+    """Return the pattern of largest gain found, starting from ``known`` ones.
 
     ``changed_max``: deliveries up to which the best pattern is changed delivery by delivery.
     """
@@ -220,7 +220,7 @@ class _Contest:
         self.maps = _letter_maps(loop, self.letters, self._level)
 
     def enter(self, entries: Entries[ValueMap]) -> bool:
-        """Whether one of them wins: of those that exceed the level the last that does so as it rises."""
+        """Enter chains; True if one wins: of those that exceed the level, the last to do so as it rises."""
         chains, total = entries
         survivors = [chains[place] for place in np.flatnonzero(~_often(total, _SCORING).bounded)]
         if not survivors:
@@ -239,14 +239,14 @@ class _Contest:
         return True
 
     def enter_beam(self) -> None:
-        """Chains that grow from those that come nearest to the level."""
+        """Enter chains grown from those nearest to the level."""
         chain, score = by_beam(self.letters, self.maps, _nearness, _BEAM, _LENGTH_MAX)
         if score >= _BEYOND:
             self.enter(([chain], product_of(self.maps, [chain])))
 
 
 def _often(total: ValueMap, doublings: int = _DOUBLINGS) -> ValueMap:
-    """Each repeated two to the power ``doublings`` times, or until its beginning is forgotten."""
+    """Repeat each two to the power ``doublings`` times, or until its beginning is forgotten."""
     names = ("Phi", "W", "Q", "bounded")
     flat = total.reshaped((-1,))
     repeated = {name: getattr(flat, name).copy() for name in names}
@@ -263,13 +263,13 @@ def _often(total: ValueMap, doublings: int = _DOUBLINGS) -> ValueMap:
 
 
 def _nearness(total: ValueMap) -> Array:
-    """How near each gain is to the level of the maps, from 0 to 1; beyond that 2."""
+    """Return how near each gain is to the level of the maps, from 0 to 1; 2 beyond it."""
     total = _often(total, _SCORING)
     return np.where(total.bounded, largest_product(total.W, total.Q), _BEYOND)
 
 
 def _letter_maps(loop: SwitchedLoop, letters: Sequence[Letter], gains: ArrayLike) -> ValueMap:
-    """The value map of each letter at each of ``gains``, and last that of no time at all."""
+    """Return the value map of each letter at each of ``gains``, and last that of no time at all."""
     steps = sorted({step for letter in letters for step in letter.steps}, key=repr)
     by_step = dict(zip(steps, step_maps(loop, steps, gains), strict=True))
     whole = []

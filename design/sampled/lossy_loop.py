@@ -1,10 +1,10 @@
-"""The loop of a controller with states of its own, whose samples may be lost: linear, from sample to sample.
+"""The loop of a controller with its own states, whose samples may be lost: linear, from sample to sample.
 
     xi = [x, w | states of the controller and commands on their way]
 
 Each command acts a constant delay after its sample was due, whether the sample came or not: the controller
-goes on with what it has. What a period does depends on whether its sample came, and on how many before it
-did not, for a filter's gain may follow them. Such a gain may also lie anywhere in a hull: the loop then has
+goes on with what it has. The effect of a period depends on whether its sample came, and on how many before it
+were lost, as a filter's gain may follow them. Such a gain may also lie anywhere in a hull: the loop then has
 variants, one for each corner, and since the jump at a sample is affine in the gain, a convex function that
 falls along every variant falls along all between them.
 """
@@ -30,16 +30,16 @@ Period = tuple[Operation, ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LossyPeriods:
-    """What a period may do: chains of operations on xi."""
+    """Possible periods: chains of operations on xi."""
 
     lost: Period
     came: tuple[Period, ...]
     """After 0, 1 .. losses in a row."""
     corners: tuple[tuple[Period, ...], ...]
-    """The same for each of the gains in whose hull it lies."""
+    """The same for each corner of the hull of its gain."""
 
     def ordered(self, order: Sequence[int]) -> "LossyPeriods":
-        """With the entries of xi in another order."""
+        """Return the same with the entries of xi in another order."""
         return LossyPeriods(
             _ordered(self.lost, order),
             tuple(_ordered(each, order) for each in self.came),
@@ -75,7 +75,7 @@ def _ordered(period: Period, order: Sequence[int]) -> Period:
 
 
 def with_entry(J: Array, row: Array) -> Array:
-    """J of xi with one more entry at its end, which becomes ``row`` (size + 1,) times xi."""
+    """Return J of xi with one more entry at its end, which becomes ``row`` (size + 1,) times xi."""
     larger = np.zeros((len(J) + 1, len(J) + 1))
     larger[:-1, :-1] = J
     larger[-1] = row

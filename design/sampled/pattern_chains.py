@@ -1,7 +1,7 @@
-"""Chains of deliveries, of which patterns are made: those that a search tries, many at once.
+"""Chains of deliveries, the building blocks of patterns, tried many at once.
 
-A chain is a row of letters, each some periods without a delivery and one with. What a chain does is the
-product of what its letters do (:class:`Stretches`): transition matrices for the decay, value maps for the
+A chain is a row of letters, each some periods without a delivery and one with. The effect of a chain is the
+product of its letters' effects (:class:`Stretches`): transition matrices for the decay, value maps for the
 gain.
 """
 
@@ -19,14 +19,14 @@ from servobench.design.sampled.held_loop import PeriodStep
 
 _OFTEN = (1, 2, 3, 4, 6, 8, 12)
 _SELDOM = (1, 2, 3)
-"""How often two deliveries alternate: so many of the one, then so many of the other."""
+"""Alternation of two deliveries: repetitions of the first, then of the second."""
 
 Chain = tuple[int, ...]
 """Letters, by number."""
 
 
 class Stretches(Protocol):
-    """Stretches of time, many at once, that can be put one after the other."""
+    """Stretches of time, many at once, that can be concatenated."""
 
     def then(self, following: Self) -> Self: ...
 
@@ -53,13 +53,13 @@ class Letter:
 
 
 def root_of(chain: Chain) -> Chain:
-    """The chain that ``chain`` repeats."""
+    """Return the chain that ``chain`` repeats."""
     lengths = (length for length in range(1, len(chain) + 1) if len(chain) % length == 0)
     return next(chain[:k] for k in lengths if chain[:k] * (len(chain) // k) == chain)
 
 
 def top_of(entries: Entries[Total], score: Callable[[Total], Array]) -> tuple[Chain, float]:
-    """The chain of highest score, and that score."""
+    """Return the chain of highest score, and that score."""
     chains, total = entries
     if not chains:
         return (), -math.inf
@@ -69,7 +69,7 @@ def top_of(entries: Entries[Total], score: Callable[[Total], Array]) -> tuple[Ch
 
 
 def product_of(maps: Total, chains: Sequence[Chain]) -> Total:
-    """Each chain's letters one after the other; the last letter, -1, lasts no time."""
+    """Concatenate each chain's letters; the last letter, -1, lasts no time."""
     numbers = padded(chains)
     total = maps[numbers[:, 0]]
     for place in range(1, numbers.shape[1]):
@@ -78,7 +78,7 @@ def product_of(maps: Total, chains: Sequence[Chain]) -> Total:
 
 
 def padded(chains: Sequence[Chain]) -> NDArray[np.int64]:
-    """(N, length) letters; -1, the last one, after a chain's end."""
+    """Return (N, length) letters; -1, the last one, after a chain's end."""
     padded = np.full((len(chains), max(map(len, chains))), -1)
     for row, chain in enumerate(chains):
         padded[row, : len(chain)] = chain
@@ -86,7 +86,7 @@ def padded(chains: Sequence[Chain]) -> NDArray[np.int64]:
 
 
 def alternating(letters: Sequence[Letter], maps: Total) -> Entries[Total]:
-    """One delivery for ever, or so many of the one and then so many of the other."""
+    """Return chains of one delivery for ever, or of repetitions of one and then of another."""
     loops = [number for number, letter in enumerate(letters) if letter.source == letter.target]
     chains: list[Chain] = [(number,) for number in loops]
     for one, other in itertools.permutations(loops, 2):
@@ -103,7 +103,7 @@ def alternating(letters: Sequence[Letter], maps: Total) -> Entries[Total]:
 def by_beam(
     letters: Sequence[Letter], maps: Total, score: Callable[[Total], Array], beam: int, length_max: int
 ) -> tuple[Chain, float]:
-    """Every chain of one and two letters; longer ones grow from those of highest score."""
+    """Try every chain of one and two letters; grow longer ones from those of highest score."""
     chains: list[Chain] = [(number,) for number in range(len(letters))]
     best: tuple[Chain, float] = (), -math.inf
     for _ in range(length_max):
@@ -120,7 +120,7 @@ def by_beam(
 
 
 def _longer(letters: Sequence[Letter], chains: Sequence[Chain]) -> list[Chain]:
-    """Every chain with every letter that may follow it, one of each set of rotations."""
+    """Return every chain with every letter that may follow it, one of each set of rotations."""
     one_of_each: dict[Chain, Chain] = {}
     for chain in chains:
         for number, letter in enumerate(letters):
@@ -133,7 +133,7 @@ def _longer(letters: Sequence[Letter], chains: Sequence[Chain]) -> list[Chain]:
 
 
 def changed(letters: Sequence[Letter], maps: Total, chain: Chain) -> Entries[Total]:
-    """``chain`` with a letter more, less, or another, as far as it stays a closed walk."""
+    """Return ``chain`` with a letter more, less, or another, as long as it is a closed walk."""
     variants: list[tuple[Chain, int, int, int]] = []
     length, none = len(chain), len(letters)
     for place in range(length):

@@ -2,17 +2,17 @@
 
 The load steps by 1 N m at rest, anywhere in a period. Under it there is one state at rest, xi_r, for every
 sequence, and quadratic functions |xi - xi_r|_i^2 fall by rho^2 in each period (multiple Lyapunov functions).
-The states that are reached at node i are enclosed by
+The reachable states at node i are enclosed by
 
     conv(S_i) + ball of radius r in |.|_i       or       those with |xi - xi_r|_i so small that what follows
                                                          cannot exceed the largest error already reached
 
 S_i grows from the states at the first sample: each of its states is stepped through every corner of every
-edge, and what comes of it is taken in unless it is within (1 - rho) r, less what lies between the corners,
-of the hull. For steps are affine, and a ball of r becomes one of rho r. When nothing more is taken in, the
-enclosure holds for ever; the largest error of S_i, plus what a ball of r adds, is the bound. The states of
-S_i are truly reached, so their largest error is found as well. r is made smaller until S_i grows too large;
-where even the first does, the quadratic functions alone are left.
+edge, and the result is added unless it is within (1 - rho) r, less the bound between corners, of the hull:
+steps are affine, and a ball of r becomes one of rho r. When nothing more is added, the enclosure holds for
+ever; the largest error of S_i, plus that of a ball of r, is the bound. The states of S_i are really reached,
+so their largest error is found as well. r is made smaller until S_i grows too large; if even the first does,
+the quadratic functions alone remain.
 """
 
 import math
@@ -50,30 +50,31 @@ from servobench.design.sampled.sequence_inequalities import (
 from servobench.design.sampled.step_maps import corners_of
 
 _UNITS_AT = 1.2
-"""Times the largest gain: where the value functions are taken that give the units."""
+"""Multiple of the largest gain at which the value functions give the units."""
 _DECAY_PARTS = (0.85, 0.5, 0.2)
-"""Of the decay certified: the faster the functions fall, the larger steps may be left out of the hull."""
+"""Shares of the decay certified: the faster the functions fall, the larger steps may be left out of the
+hull."""
 _SHARES = (0.15, 0.04, 0.01)
-"""Of the largest error: what a ball of r may add to it."""
+"""Shares of the largest error that a ball of r may add to it."""
 _STATES_MAX = 5000
-"""Of all S_i together, for one share."""
+"""States of all S_i together, for one share."""
 _HELD_MAX = 60_000_000
-"""Points of hulls that candidates are held against, for one share: some 30 s of processor time."""
+"""Limit of hull points compared with candidates, for one share: some 30 s of processor time."""
 _NEAREST = 48
 """States of S_i that are tried first as corners of the hull around a candidate."""
 _CORNERS_SHARE = 0.5
-"""Of what may be left out: what may lie between the corners of an edge."""
+"""Share of the omission allowed that may lie between the corners of an edge."""
 _COARSER = (64.0, 16.0, 4.0, 1.0)
-"""Times that: denser corners only for the states that need them."""
+"""Multiples of that: denser corners only for the states that need them."""
 _INSTANTS_SHARE = 0.1
-"""Of what a ball adds: what may lie between two instants."""
+"""Share of a ball's error that may lie between two instants."""
 _START_PARTS = 16
-"""Into which the period is cut in which the load steps."""
+"""Number of parts of the period in which the load may step."""
 
 
 @dataclass(frozen=True, slots=True)
 class PeakBound:
-    """The bound, and the largest error that was reached on the way, rad/s per N m."""
+    """The bound, and the largest error reached on the way, rad/s per N m."""
 
     certified: float
     reached: float
@@ -91,10 +92,10 @@ class _Norm:
 def certify_peak(
     loop: HeldLoop, patterns: Sequence[Pattern], gain: float, decay_per_s: float, peak_found: float
 ) -> PeakBound | None:
-    """The least bound that is found; None if no quadratic functions are.
+    """Return the least bound found; None if there are no quadratic functions.
 
     ``patterns``, ``gain``: as for :func:`servobench.design.sampled.sequence_certificate.certify_decay`;
-    ``decay_per_s``: what it certified; ``found``: the largest error known, rad/s per N m.
+    ``decay_per_s``: decay certified there; ``found``: the largest error known, rad/s per N m.
     """
     L = coordinates(loop, patterns, _UNITS_AT * gain)
     for way in ways_of(loop, (False, True), node_count(loop.network)):
@@ -106,7 +107,7 @@ def certify_peak(
 
 
 def _bound(loop: HeldLoop, L: Array, norm: _Norm, peak_found: float, way: bool) -> PeakBound:
-    """By finer and finer balls, until the sets grow too large."""
+    """Bound by finer and finer balls, until the sets grow too large."""
     best: PeakBound | None = None
     for share in _SHARES:
         tube = _Tube(loop, L, norm, peak_found, share, way)
@@ -122,7 +123,7 @@ def _bound(loop: HeldLoop, L: Array, norm: _Norm, peak_found: float, way: bool) 
 
 
 def _norm(loop: HeldLoop, L: Array, way: bool, rate_per_s: float) -> _Norm | None:
-    """Functions that fall at ``rate_per_s`` or nearly so, and are smallest where the load begins."""
+    """Return functions that fall at ``rate_per_s`` or nearly so, and are smallest where the load begins."""
     nodes, edges = edges_of(loop, L, way)
     system = Inequalities(loop, nodes, edges, L, None)
     n, h = len(loop.model.A), loop.network.period_s
@@ -145,7 +146,8 @@ def _norm(loop: HeldLoop, L: Array, way: bool, rate_per_s: float) -> _Norm | Non
 def _problem(
     system: Inequalities, row: Array, starts: Sequence[Array], chosen: Sequence[Sequence[int]], growth: float
 ) -> LmiProblem:
-    """Least b with start' P_i start <= b, P_i >= row' row, falling by ``growth`` at the chosen corners."""
+    """Pose the least b with start' P_i start <= b, P_i >= row' row, falling by ``growth`` at the chosen
+    corners."""
     unknowns = node_unknowns(system)
     inequalities = []
     for node in range(system.nodes):
@@ -162,7 +164,7 @@ def _problem(
 
 
 def _starts(loop: HeldLoop, parts: int) -> Array:
-    """(parts + 1, kept): at the first sample, the load having begun so much before, up to a period."""
+    """Return (parts + 1, kept): states at the first sample, the load having begun up to a period before."""
     times = np.linspace(0.0, loop.network.period_s, parts + 1)
     starts = np.zeros((parts + 1, loop.kept))
     starts[:, : len(loop.model.A)] = responses(loop, times)[2]
@@ -172,7 +174,7 @@ def _starts(loop: HeldLoop, parts: int) -> Array:
 def _loaded(
     loop: HeldLoop, L: Array, edges: Sequence[Edge], target: float, instants: int
 ) -> list[LoadedSteps]:
-    """The steps of each edge, their corners so dense as
+    """Return the steps of each edge, with corners as dense as
     :func:`servobench.design.sampled.step_maps.corners_of` says."""
     corners = {id(edge.corners): corners_of(loop, edge.corners.family, L, target) for edge in edges}
     return [
@@ -203,7 +205,7 @@ class _Tube:
         self._held = 0
 
     def close(self) -> bool:
-        """Let the sets grow until nothing is left to take in; False where that goes too far."""
+        """Grow the sets until nothing is left to add; False if they grow too large."""
         first = np.vstack([self._rest, self._starts])
         if self._start_bend() > self._r:
             return False
@@ -225,7 +227,7 @@ class _Tube:
         return True
 
     def bound(self) -> float:
-        """Of the closed sets."""
+        """Return the bound of the closed sets."""
         small = (self.reached - self._rest_error) / self._spread
         largest = self.reached
         box = np.zeros(self._loop.kept)
@@ -239,7 +241,7 @@ class _Tube:
         return largest + between_instants(self._loop, box, self._instants)
 
     def bound_without_hull(self) -> float:
-        """By the quadratic functions alone: what is so near to rest at first remains so."""
+        """Return the bound by the quadratic functions alone: a state so near to rest at first remains so."""
         starts = self._starts - self._rest
         size = max(float(np.linalg.norm(starts @ T.T, axis=1).max()) for T in self._norm.T)
         size += self._start_bend()
@@ -248,7 +250,7 @@ class _Tube:
         return self._rest_error + self._spread * size + between_instants(self._loop, box, self._instants)
 
     def _stepped(self, number: int, states: Array) -> tuple[Array, Array]:
-        """What the corners make of ``states``, and how far from a hull each may lie and be left out.
+        """Return the corners' images of ``states``, and how far from a hull each may lie and be left out.
 
         Each state is stepped through the fewest corners that leave half of that.
         """
@@ -273,7 +275,7 @@ class _Tube:
         return np.vstack(came), np.concatenate(allowed)
 
     def _taken_in(self, node: int, states: Array, allowed: Array) -> Array:
-        """Those of ``states`` that are taken into S_node: the ones farthest from rest first."""
+        """Return the ``states`` added to S_node: the ones farthest from rest first."""
         T = self._norm.T[node]
         distance = np.linalg.norm((states - self._rest) @ T.T, axis=1)
         matter = self._rest_error + self._spread * (distance + self._r) > self.reached
@@ -296,36 +298,36 @@ class _Tube:
         return inside
 
     def _spread_of(self, edge: LoadedSteps) -> float:
-        """What a state of size 1 may add to the error at any instant of the period."""
+        """Return how much a state of size 1 may add to the error at any instant of the period."""
         inverse = np.linalg.inv(self._norm.T[edge.source])
         sizes = np.linalg.norm(edge.differences @ inverse, axis=1)
         return float(np.linalg.norm(edge.rows @ inverse, axis=1).max() + edge.output_bends @ sizes)
 
     def _entries(self, node: int) -> Array:
-        """What a state of size 1 may have in each entry."""
+        """Return the largest entries of a state of size 1."""
         return np.asarray(np.linalg.norm(np.linalg.inv(self._norm.T[node]), axis=1))
 
     def _start_bend(self) -> float:
-        """By how much the first states depart from the chords between those that are looked at."""
+        """Return how far the first states depart from the chords between the evaluated ones."""
         width = self._loop.network.period_s / _START_PARTS
         bend = width**2 / 8.0 * start_curvature(self._loop)
         return max(float(np.linalg.norm(T, axis=0)[: len(bend)] @ bend) for T in self._norm.T)
 
 
 def _between(edge: LoadedSteps, states: Array) -> Array:
-    """What the moments between the corners may add to the error of each state."""
+    """Return how much the instants between the corners may add to the error of each state."""
     return np.asarray(np.abs(states @ edge.differences.T) @ edge.output_bends)
 
 
 class _Hull:
-    """Points whose convex hull grows; ``count``: how many there are."""
+    """Points whose convex hull grows; ``count``: their number."""
 
     def __init__(self, points: Array) -> None:
         self._points = points.copy()
         self.count = len(points)
 
     def add(self, point: Array) -> None:
-        """One more."""
+        """Add a point."""
         if self.count == len(self._points):
             room = np.zeros((max(64, self.count), len(point)))
             self._points = np.vstack([self._points, room])
@@ -333,7 +335,7 @@ class _Hull:
         self.count += 1
 
     def is_near(self, point: Array, distance: float) -> bool:
-        """Whether some point of the hull is found within ``distance`` of ``point``."""
+        """Return True if some point of the hull is found within ``distance`` of ``point``."""
         points = self._points[: self.count]
         apart = points - point
         far = np.linalg.norm(apart, axis=1)
@@ -348,7 +350,7 @@ class _Hull:
 
 
 def _apart(points: Array) -> float:
-    """Distance of a point of their hull, nearly the nearest one, from 0: never less than the hull's."""
+    """Return the distance from 0 of a nearly nearest point of their hull: never less than the hull's."""
     weight = float(np.linalg.norm(points, axis=1).max())
     whole = np.vstack([points.T, np.full(len(points), weight)])
     shares, _ = nnls(whole, np.append(np.zeros(points.shape[1]), weight))

@@ -2,7 +2,7 @@
 
 A state is xi of :mod:`servobench.design.sampled.held_loop`, its step xi+ = M xi + m, and the error at an
 instant t of the period c xi + e. With the moments of switching between those of the corners
-(:mod:`servobench.design.sampled.step_maps`) both lie in the hull of what the corners make of them, but for
+(:mod:`servobench.design.sampled.step_maps`) both lie in the hull of the corners' results, except for
 
     |R_s| |Delta_s xi|   of each state,   Z_s |Delta_s xi|   of the error at any instant
 
@@ -46,14 +46,15 @@ class LoadedSteps:
 
 
 def rest_under_load(loop: HeldLoop) -> Array:
-    """xi at which nothing moves under the load, (kept,)."""
+    """Return xi at rest under the load, (kept,)."""
     model = loop.model
     x = np.linalg.solve(model.A + np.outer(model.B1, loop.K), -model.B2)
     return np.concatenate([x, np.full(loop.kept - len(x), float(loop.K @ x))])
 
 
 def responses(loop: HeldLoop, times_s: Array) -> tuple[Array, Array, Array]:
-    """(N, n, n), (N, n) and (N, n): e^{At}, and what the input and the load of 1 make of the state in t."""
+    """Return e^{At}, and the state's response to the input and to the load of 1 in t: (N, n, n), (N, n), (N,
+    n)."""
     A, n = loop.model.A, len(loop.model.A)
     F = np.zeros((n + 2, n + 2))
     F[:n, :n], F[:n, n], F[:n, n + 1] = A, loop.model.B1, loop.model.B2
@@ -62,7 +63,7 @@ def responses(loop: HeldLoop, times_s: Array) -> tuple[Array, Array, Array]:
 
 
 def loaded_steps(loop: HeldLoop, source: int, target: int, corners: Corners, instants: int) -> LoadedSteps:
-    """The steps of one edge; the error ``instants`` times in a period."""
+    """Return the steps of one edge; the error at ``instants`` times in a period."""
     model, h = loop.model, loop.network.period_s
     n, k, C = len(model.A), loop.kept, loop.model.C
     family = corners.family
@@ -88,20 +89,20 @@ def loaded_steps(loop: HeldLoop, source: int, target: int, corners: Corners, ins
 
 
 def _output_bend(loop: HeldLoop, times_s: Array) -> float:
-    """Z_s: the error's response to a step of the input has no slope at first, and then this curvature."""
+    """Return Z_s: the error's response to a step of the input starts without slope, with this curvature."""
     grid = np.unique(times_s)
     width = float(np.max(np.diff(grid), initial=0.0))
     return width**2 / 8.0 * _slope_max(loop) if width else 0.0
 
 
 def _slope_max(loop: HeldLoop) -> float:
-    """Bound of |C A e^{At} B1| within a period."""
+    """Bound |C A e^{At} B1| within a period."""
     model = loop.model
     return float(np.abs(model.C @ model.A) @ _growth(loop) @ np.abs(model.B1))
 
 
 def _growth(loop: HeldLoop) -> Array:
-    """Bound of |e^{At}| within a period, entry by entry: without what decays by itself."""
+    """Bound |e^{At}| within a period, entry by entry: without what decays by itself."""
     A = loop.model.A
     bound = np.abs(A)
     np.fill_diagonal(bound, np.maximum(np.diag(A), 0.0))
@@ -109,14 +110,16 @@ def _growth(loop: HeldLoop) -> Array:
 
 
 def instants_for(loop: HeldLoop, states: Array, allowed: float) -> int:
-    """So many instants that the error of ``states`` departs from its chords by ``allowed`` at most."""
+    """Return the number of instants at which the error of ``states`` departs from its chords by at most
+    ``allowed``."""
     bend = max(between_instants(loop, xi, 1) for xi in states)
     instants = math.ceil(math.sqrt(bend / allowed))
     return min(max(instants, _INSTANTS_MIN), _INSTANTS_MAX)
 
 
 def between_instants(loop: HeldLoop, xi: Array, instants: int) -> float:
-    """By how much the error may depart from its chords between the instants of a period that begins at xi."""
+    """Return how far the error may depart from its chords between the instants of a period that begins at
+    xi."""
     model, n, h = loop.model, len(loop.model.A), loop.network.period_s
     A, C = model.A, model.C
     if abs(C @ model.B1) > 0.0:
@@ -129,6 +132,6 @@ def between_instants(loop: HeldLoop, xi: Array, instants: int) -> float:
 
 
 def start_curvature(loop: HeldLoop) -> Array:
-    """(n,): bound of the second derivative of the state in the first period under load."""
+    """Bound the second derivative of the state in the first period under load, (n,)."""
     model = loop.model
     return np.asarray(np.abs(model.A) @ _growth(loop) @ np.abs(model.B2))

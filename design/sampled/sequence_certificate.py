@@ -1,19 +1,18 @@
 """Certificates of a sampled loop for every admissible sequence of losses and delays.
 
 The sequences are the walks of a graph (:mod:`servobench.design.sampled.admissible_steps`), each edge with the
-corners of all that it may mean and the bounds of what lies between
-(:mod:`servobench.design.sampled.step_maps`). Quadratic functions
-xi' P_i xi, one for each node, with
+corners of all its possible steps and the bounds between them (:mod:`servobench.design.sampled.step_maps`).
+Quadratic functions xi' P_i xi, one for each node, with
 
     value of any stretch from i to j of P_j  <=  P_i         the gain is proved
     e^{2 alpha t} M' P_j M <= P_i, P_i > 0                   the decay alpha is proved, t the stretch's length
 
 along every edge hold for every walk (multiple Lyapunov functions; Lee and Dullerud, Automatica 42(2), 2006).
-A stretch lasts from one delivery to the next; for a range of current loops it is a period, for what lies
-between two rates is known of one period at a time. Nodes that remember how the last delivery was reached
-prove more.
+A stretch lasts from one delivery to the next; for a range of current loops it is a period, as the bound
+between two rates holds for one period at a time. Nodes that remember how the last delivery was reached prove
+more.
 
-What is given out has been put into all inequalities, at its own gain, in numpy.
+Every result has been put into all inequalities, at its own gain, in numpy.
 """
 
 import math
@@ -43,32 +42,34 @@ from servobench.design.sampled.sequence_inequalities import (
 _STRICT = 1e-6
 """Margin demanded of the solver, in the same coordinates."""
 _BISECTIONS = 14
-"""At most: two first tries and twelve halvings, to 1/4096 of the worst known, about the tolerance."""
+"""Bisections at most: two first tries and twelve halvings, to 1/4096 of the worst known, about the
+tolerance."""
 _DECAY_TOLERANCE = 2e-4
 """Relative: ten times as much gives away 8e-4 of the decay, a tenth wins 6e-5."""
 _COARSE_FROM, _COARSE_TOLERANCE = 24, 1e-2
-"""States from which on a problem takes a minute, and the decay's tolerance there: its half fewer problems."""
+"""Number of states from which a problem takes a minute, and the coarser decay tolerance there, with half the
+problems."""
 _LEVELS = 5
-"""At most: of the paper's loop and of a random one the first gives the same gain."""
+"""Levels at most: for the paper's loop and a random one the first gives the same gain."""
 _RAISED = (1e-4, 1e-3, 1e-2)
-"""Relative: so much above the solver's gain the proof is tried."""
+"""Relative: raises above the solver's gain at which the proof is tried."""
 _LOWERED = (1e-6, 1e-4, 1e-2)
-"""Relative: so much below the decay of the functions the proof is tried."""
+"""Relative: reductions below the decay of the functions at which the proof is tried."""
 _NEAR = 2e-3
-"""Of the gain's square: so near to its level the solver's gain is no other than one at a level of its own."""
+"""Share of the gain's square: this near to its level the solver's gain equals one at its own level."""
 _CLOSE = 1.01
-"""Certified over found at which nodes need not remember."""
+"""Ratio of certified to found at which nodes need not remember."""
 _UNITS_AT = (1.2, 2.0, 1.05, 5.0)
-"""Times the largest gain: where the value functions are taken that give the units."""
+"""Multiples of the largest gain at which the value functions give the units."""
 _SIZE_MAX = 42.0
-"""States, times nodes to the power 1/3: it takes minutes, and grows by the sixth power."""
+"""States, times nodes to the power 1/3: this takes minutes, and grows by the sixth power."""
 _SIZE_REMEMBERING_MAX = 45.0
-"""The same where nodes remember and are squared."""
+"""The same if nodes remember and are squared."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceCertificate:
-    """The proof: P_i of each node in the loop's own coordinates, and what it proves."""
+    """The proof: P_i of each node in the loop's own coordinates, and its result."""
 
     P: list[Array]
     min_margin: float
@@ -78,7 +79,8 @@ class SequenceCertificate:
 
 
 def _problem(system: Inequalities, chosen: Sequence[Sequence[int]], growth: float) -> LmiProblem:
-    """Least gain^2/level^2 that the chosen corners allow; without a level minus the largest margin."""
+    """Pose the least gain^2/level^2 allowed by the chosen corners; without a level minus the largest
+    margin."""
     k, nodes = len(system.L), system.nodes
     unknowns = node_unknowns(system)
     inequalities = [MatrixInequality.positive(unknowns, f"P{node}") for node in range(nodes)]
@@ -102,11 +104,11 @@ def certify_gain(
     remembering: Sequence[bool] = (False, True),
     other: SwitchedLoop | None = None,
 ) -> SequenceCertificate | None:
-    """The least gain that can be certified; None if none can.
+    """Return the least gain that can be certified; None if none can.
 
-    ``patterns``: those that give the units, the worst among them; ``found``: their largest gain,
-    rad/s per N m; ``remembering``: what is tried, in turn, until it comes close; ``other``: for every
-    rate of the current loop between those of the two loops.
+    ``patterns``: patterns that give the units, the worst included; ``found``: their largest gain, rad/s per N
+    m; ``remembering``: options to try in turn, until one comes close; ``other``: for every rate of the
+    current loop between those of the two loops.
     """
     for units_at in _UNITS_AT:
         # the solver's luck turns with the units; whatever it says, the proof decides
@@ -130,7 +132,7 @@ def certify_decay(
     remembering: Sequence[bool] = (False, True),
     other: SwitchedLoop | None = None,
 ) -> SequenceCertificate | None:
-    """The fastest decay that can be certified; None if not even stability can.
+    """Return the fastest decay that can be certified; None if not even stability can.
 
     ``gain``: the largest of ``patterns``, at which the units are taken; all else as for the gain.
     """
@@ -149,7 +151,8 @@ def certify_decay(
 def _graphs(
     loop: SwitchedLoop, L: Array, remembering: Sequence[bool], other: SwitchedLoop | None
 ) -> Iterator[tuple[int, list[Edge]]]:
-    """From delivery to delivery; with an ``other`` loop period by period, for what lies between adds up."""
+    """Yield graphs from delivery to delivery; with an ``other`` loop period by period, as the bounds add
+    up."""
     count = delivery_node_count(loop.network) if other is None else node_count(loop.network)
     for way in ways_of(loop, remembering, count):
         nodes, edges = edges_of(loop, L, way, other)
@@ -157,9 +160,9 @@ def _graphs(
 
 
 def ways_of(loop: SwitchedLoop, remembering: Sequence[bool], nodes: int) -> Sequence[bool]:
-    """Whether nodes remember: not where there is nothing to be remembered, or too much.
+    """Return the options for remembering nodes: none where there is nothing to remember, or too much.
 
-    ``nodes``: of the graph where they do not. Raises NoSolution if the loop is too large.
+    ``nodes``: their number if they do not remember. Raises NoSolution if the loop is too large.
     """
     if loop.kept * nodes ** (1.0 / 3.0) > _SIZE_MAX:
         raise NoSolution(
@@ -205,7 +208,8 @@ def _least_gain(
 
 
 def _fastest(system: Inequalities, worst: float) -> SequenceCertificate | None:
-    """By bisection, after no decay at all and nearly the ``worst`` known, which often is proved."""
+    """Return the fastest decay by bisection, after no decay at all and nearly the ``worst`` known, which
+    often is proved."""
     low, high, best = 0.0, worst, None
     tolerance = _DECAY_TOLERANCE if len(system.L) < _COARSE_FROM else _COARSE_TOLERANCE
     rates = [0.0, worst * (1.0 - tolerance)]
@@ -226,7 +230,7 @@ def _fastest(system: Inequalities, worst: float) -> SequenceCertificate | None:
 
 
 def _decay_of(system: Inequalities, P: list[Array], asked: float) -> SequenceCertificate | None:
-    """The fastest decay that the functions prove, whatever they were made for; ``asked`` if that is all."""
+    """Return the fastest decay that the functions prove, whatever their purpose; ``asked`` if that is all."""
     try:
         fastest = min(
             -math.log(system.share_left(P, place)) / (2.0 * edge.periods * system.period_s)

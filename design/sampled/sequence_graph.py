@@ -1,4 +1,4 @@
-"""The graph of a certificate: nodes, and edges with the corners of all that a step may mean.
+"""The graph of a certificate: nodes, and edges with the corners of every possible step.
 
 A node may remember from which node the last delivery came: then more is proved, with more unknowns. Nodes
 at which nothing was delivered may be left out: the periods up to the next delivery are then one edge, which
@@ -14,12 +14,12 @@ from servobench.design.sampled.held_loop import PeriodStep, SwitchedLoop
 from servobench.design.sampled.step_maps import Corners, corners_of
 
 _EPSILON = 2e-5
-"""epsilon of :mod:`servobench.design.sampled.step_maps`: what a certificate gives away, each period, between
+"""epsilon of :mod:`servobench.design.sampled.step_maps`: the loss of a certificate, per period, between
 corners."""
 _BEND = 0.7 * _EPSILON
 """Bound of a bend where P is of size 1; its square over epsilon is of the order of epsilon."""
 _EPSILON_OF_RATES = 5e-4
-"""The same where the rate of the current loop may lie between two."""
+"""The same where the rate of the current loop lies between two."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,21 +31,21 @@ class Edge:
     corners: Corners
     loop: SwitchedLoop
     epsilon: float
-    """Of :mod:`servobench.design.sampled.step_maps`; nothing lies between the corners where no window is
-    open."""
+    """epsilon of :mod:`servobench.design.sampled.step_maps`; without an open window nothing lies between the
+    corners."""
     before: tuple[PeriodStep, ...] = ()
-    """Periods without a delivery, which come before that of the corners."""
+    """Periods without a delivery, before that of the corners."""
 
     @property
     def periods(self) -> int:
-        """That it lasts."""
+        """Length in periods."""
         return len(self.before) + 1
 
 
 def edges_of(
     loop: SwitchedLoop, coordinates: Array, remembering: bool, other: SwitchedLoop | None = None
 ) -> tuple[int, list[Edge]]:
-    """Number of nodes, and the edges.
+    """Return the number of nodes, and the edges.
 
     ``remembering``: nodes know from which node the last delivery came; ``other``: the loop with another
     rate of the current loop, for every rate between the two.
@@ -74,7 +74,8 @@ def edges_of(
 
 
 def between_deliveries(edges: list[Edge]) -> tuple[int, list[Edge]]:
-    """The same graph with the nodes alone at which a sample has just come: their number, and the edges."""
+    """Return the same graph with only the nodes at which a sample has just come: their number, and the
+    edges."""
     nodes = sorted({edge.target for edge in edges if edge.corners.family.windows})
     number = {node: place for place, node in enumerate(nodes)}
     by_source: dict[int, list[Edge]] = {}
@@ -98,7 +99,7 @@ def _until_delivery(
 
 
 def _reachable(count: int, edges: list[Edge]) -> tuple[int, list[Edge]]:
-    """Without the nodes that no walk comes back to."""
+    """Remove the nodes to which no walk returns."""
     alive = set(range(count))
     while True:
         entered = {edge.target for edge in edges if edge.source in alive and edge.target in alive}

@@ -1,8 +1,7 @@
-"""The inequalities of quadratic functions along every edge of a graph of steps, and how they are met.
+"""Inequalities of quadratic functions along every edge of a graph of steps, and their solution.
 
-They are solved for a few of the corners of the edges, then all are looked at, and those that do not hold
-are added. What is given out has been put into all of them in numpy
-(:mod:`servobench.design.sampled.sequence_certificate`).
+They are solved for a few corners of the edges, then all are checked, and violated ones are added. Every
+result has been put into all of them in numpy (:mod:`servobench.design.sampled.sequence_certificate`).
 """
 
 import math
@@ -24,27 +23,28 @@ from servobench.design.sampled.value_map import ValueMap, nothing
 MARGIN = 1e-9
 """Smallest eigenvalue that counts as proof."""
 _EXCHANGES = 12
-"""At most: the problems of the paper's loop and of a random one need one."""
+"""Exchanges at most: the problems of the paper's loop and of a random one need one."""
 _ADDED = 3
-"""Corners of an edge that are added in one exchange."""
+"""Corners of an edge added in one exchange."""
 _LOOKED_AT = 1000
-"""Corners of an edge that are looked at, evenly spread, until these are met; then at every one."""
+"""Corners of an edge to check, evenly spread, until these hold; then all of them."""
 _ALL = slice(None)
 _FIRST_PARTS = (0.0, 0.2, 0.5, 1.0)
-"""Of the corners, in their order; an exchange adds what is missing, so that the first alone ends alike."""
+"""Parts of the corners, in their order; an exchange adds missing ones, so that the first alone ends alike."""
 _TOLERANCE = 1e-8
-"""Of the solver, relative; whether it is reached or not, what it returns is proved anew."""
+"""Relative tolerance of the solver; its result is proved again in any case."""
 _DOUBLINGS = 14
-"""A pattern is repeated 2^14 times: by then what an error leaves behind has faded, or is beyond bounds."""
+"""A pattern is repeated 2^14 times: by then an error has faded, or is beyond bounds."""
 _ROUND = 1e-6
 """Added to correlations of 1: Cholesky needs them positive definite, and entries may go together wholly."""
 
 Build = Callable[[Sequence[Sequence[int]]], LmiProblem]
-"""The problem of the corners chosen of each edge; its unknowns P0, P1 .., its objective the last."""
+"""Poses the problem of the chosen corners of each edge; its unknowns are P0, P1 .., its objective the
+last."""
 
 
 class Inequalities:
-    """Those of one graph in good coordinates, for a gain level or for a decay."""
+    """The inequalities of one graph in good coordinates, for a gain level or for a decay."""
 
     def __init__(
         self, loop: SwitchedLoop, nodes: int, edges: list[Edge], L: Array, level: float | None
@@ -63,7 +63,8 @@ class Inequalities:
         self.excess = [self._excess(edge) for edge in edges]
 
     def _maps(self, edge: Edge, level: float | None) -> ValueMap:
-        """Of the period of the corners; the bends cost a factor of the gain. No level: no disturbance."""
+        """Return the maps of the corners' period; the bends cost a factor of the gain. No level: no
+        disturbance."""
         key = id(edge.corners)
         if key not in self._by_family:
             gain = math.inf if level is None else level / math.sqrt(1.0 + edge.epsilon)
@@ -72,7 +73,7 @@ class Inequalities:
         return self._by_family[key]
 
     def _before(self, edge: Edge) -> ValueMap:
-        """Of the periods before that of the corners: all are the same step."""
+        """Return the map of the periods before that of the corners: all are the same step."""
         periods = len(edge.before)
         if periods not in self._by_periods:
             gain = math.inf if self.level is None else self.level
@@ -83,13 +84,13 @@ class Inequalities:
         return self._by_periods[periods]
 
     def _turned(self, plain: ValueMap) -> ValueMap:
-        """In good coordinates."""
+        """Return the maps in good coordinates."""
         L, inverse = self.L, self._inverse
         Q = inverse.T @ plain.Q @ inverse if self.level is not None else np.zeros_like(plain.Q)
         return ValueMap(L @ plain.Phi @ inverse, L @ plain.W @ L.T, Q, plain.bounded)
 
     def _excess(self, edge: Edge) -> list[tuple[Array, Array, Array]]:
-        """For each window: difference (kept,), bends (N, n), output bends (N,), with their factors."""
+        """Return for each window: difference (kept,), bends (N, n), output bends (N,), with their factors."""
         corners = edge.corners
         factor = (1.0 + 1.0 / edge.epsilon) * corners.terms if edge.epsilon else 0.0
         return [
@@ -106,9 +107,10 @@ class Inequalities:
     def slack(
         self, P: Sequence[Array], place: int, growth: float, squared: float = 1.0, part: slice = _ALL
     ) -> Array:
-        """(N,): smallest eigenvalue of each corner's inequality of one edge; -inf for an infinite value.
+        """Return (N,): smallest eigenvalue of each corner's inequality of one edge; -inf for an infinite
+        value.
 
-        ``squared``: of the gain over the level's, for W alone; ``part``: of the corners.
+        ``squared``: square of the gain over the level's, for W alone; ``part``: corners to check.
         """
         values, finite = self.values(P, place, squared, part)
         edge = self.edges[place]
@@ -116,7 +118,7 @@ class Inequalities:
         return np.where(finite, smallest, -np.inf)
 
     def share_left(self, P: Sequence[Array], place: int) -> float:
-        """Largest share of xi' P_i xi that one edge leaves of it, between its corners too."""
+        """Return the largest share of xi' P_i xi that one edge leaves, between its corners too."""
         inverse = np.linalg.inv(cholesky(P[self.edges[place].source]))
         values, _ = self.values(P, place)
         return float(np.max(np.linalg.eigvalsh(inverse.T @ values @ inverse)))
@@ -124,7 +126,8 @@ class Inequalities:
     def values(
         self, P: Sequence[Array], place: int, squared: float = 1.0, part: slice = _ALL
     ) -> tuple[Array, np.ndarray]:
-        """(N, k, k): what the steps of an edge make of P_j, all between corners counted; where finite."""
+        """Return (N, k, k): the images of P_j by the steps of an edge, bounds between corners included; where
+        finite."""
         edge, maps, before = self.edges[place], self.maps[place][part], self.before[place]
         if self.level is not None:
             maps, before = (replace(each, W=each.W / squared) for each in (maps, before))
@@ -146,7 +149,8 @@ class Inequalities:
         return total
 
     def between_linear(self, unknowns: Unknowns, name: str, place: int, corner: int) -> Array:
-        """A bound of :meth:`_between` linear in P: (entries of P, kept, kept), and its constant last."""
+        """Return a bound of :meth:`_between` linear in P: (entries of P, kept, kept), and its constant
+        last."""
         n = len(self._loop.model.A)
         columns = self.L[:, :n]
         basis = unknowns.basis(name)
@@ -161,7 +165,7 @@ class Inequalities:
 
 
 def node_unknowns(system: Inequalities) -> Unknowns:
-    """P0, P1 .., one for each node, and the objective last."""
+    """Return P0, P1 .., one for each node, and the objective last."""
     unknowns = Unknowns()
     for node in range(system.nodes):
         unknowns.symmetric(f"P{node}", len(system.L))
@@ -172,7 +176,7 @@ def node_unknowns(system: Inequalities) -> Unknowns:
 def corner_inequalities(
     system: Inequalities, unknowns: Unknowns, chosen: Sequence[Sequence[int]], growth: float
 ) -> list[MatrixInequality]:
-    """Of the corners ``chosen`` of each edge."""
+    """Return the inequalities of the ``chosen`` corners of each edge."""
     return [
         _corner_inequality(system, unknowns, place, corner, growth)
         for place, corners in enumerate(chosen)
@@ -183,7 +187,8 @@ def corner_inequalities(
 def _corner_inequality(
     system: Inequalities, unknowns: Unknowns, place: int, corner: int, growth: float
 ) -> MatrixInequality:
-    """Schur's complement of P_i - growth * before((1 + epsilon) value of P_j + what lies between) >= 0.
+    """Return Schur's complement of P_i - growth * before((1 + epsilon) value of P_j + bound between corners)
+    >= 0.
 
     In [xi, d, d']: d disturbs the periods before that of the corner, d' the corner's own.
     """
@@ -211,7 +216,7 @@ def _corner_inequality(
 
 
 def _root(W: Array) -> Array:
-    """B with B B' = W, its columns without those that are nothing."""
+    """Return B with B B' = W, without its zero columns."""
     values, vectors = np.linalg.eigh(W)
     kept = values > 1e-13 * max(float(values[-1]), 1e-300)
     return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
@@ -220,8 +225,8 @@ def _root(W: Array) -> Array:
 def exchanged(
     system: Inequalities, build: Build, growth: float, objective_max: float = math.inf
 ) -> tuple[list[Array], float] | None:
-    """P_i that meet every corner, and the objective; or one that is above ``objective_max`` and too much to
-    ask for. None if the solver has none."""
+    """Return P_i that meet every corner, and the objective; or an objective above ``objective_max``, which is
+    too high. None if the solver has none."""
     chosen = [
         sorted({round(part * (len(edge.corners.times_s) - 1)) for part in _FIRST_PARTS})
         for edge in system.edges
@@ -251,7 +256,7 @@ def exchanged(
 def _broken(
     system: Inequalities, P: Sequence[Array], growth: float, squared: float, count: int | None
 ) -> dict[int, list[int]]:
-    """The worst corners that do not hold, by edge, of ``count`` or of all."""
+    """Return the worst violated corners, by edge, of ``count`` or of all."""
     broken = {}
     for place, edge in enumerate(system.edges):
         stride = 1 if count is None else max(1, len(edge.corners.times_s) // count)
@@ -263,17 +268,17 @@ def _broken(
 
 
 def proved(system: Inequalities, P: Sequence[Array], growth: float) -> float:
-    """Smallest eigenvalue of all inequalities."""
+    """Return the smallest eigenvalue of all inequalities."""
     own = min(float(np.linalg.eigvalsh(matrix)[0]) for matrix in P)
     slacks = (float(system.slack(P, place, growth).min()) for place in range(len(system.edges)))
     return min(own, *slacks)
 
 
 def coordinates(loop: SwitchedLoop, patterns: Sequence[Pattern], gain: float) -> Array:
-    """L of xi' = L xi in which the value under ``patterns``, from each of their phases, is of size 1.
+    """Return L of xi' = L xi in which the value under ``patterns``, from each of their phases, is of size 1.
 
-    Delays of whole periods are seen to as well: without them an entry that matters in one node alone, where
-    ``patterns`` may never come, would count as nothing, and every switching that it takes part in as large.
+    Delays of whole periods are included: without them an entry that matters in only one node, perhaps never
+    visited by ``patterns``, would count as nothing, and every switching that involves it as large.
     """
     total = np.zeros((loop.kept, loop.kept))
     for pattern in [*patterns, *_whole_delays(loop)]:
@@ -292,7 +297,7 @@ def coordinates(loop: SwitchedLoop, patterns: Sequence[Pattern], gain: float) ->
 
 
 def _whole_delays(loop: SwitchedLoop) -> list[Pattern]:
-    """Each delay of whole periods, for ever: there the sample that is held acts throughout."""
+    """Return each delay of whole periods, for ever: there the held sample acts throughout."""
     network = loop.network
     return [
         repeated(loop, (Delivery(1, periods * network.period_s),)) for periods in range(network.behind + 1)

@@ -1,4 +1,4 @@
-"""The steps of a sampled loop as value maps, on a grid of switching times with a bound for what lies between.
+"""The steps of a sampled loop as value maps, on a grid of switching times with a bound between grid points.
 
 With u(t) = w + sum_s Delta_s xi 1[t >= tau_s] the state at a period's end and the error within it are
 affine in F(tau_s), the response to a step of the input at tau_s. Between two neighbours of the grid F
@@ -35,12 +35,12 @@ from servobench.design.sampled.value_map import ValueMap, flows, stacked
 _SUBCELL_TURN = 0.2
 """Norm of |A| times the width of the part of a cell on which |F''| is bounded from its value at one end."""
 _CELLS_MAX = 512
-"""Of one window."""
+"""Cells of one window."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corners:
-    """All corners of a family: steps, and the bounds of what lies between them.
+    """All corners of a family: steps, and the bounds between them.
 
     ``bends``: (N, windows, n) R_s above; ``output_bends``: (N, windows) Z_s, zero where a window is a point.
     """
@@ -59,7 +59,8 @@ class Corners:
         return int(np.count_nonzero(self.bends.any(axis=(0, 2)))) if self.bends.size else 0
 
     def between_rates(self, loop: SwitchedLoop, other: SwitchedLoop) -> "Corners":
-        """The same with the terms for every rate of the current loop between those of the two loops."""
+        """Return the same with the terms for every rate of the current loop between those of the two
+        loops."""
         n = len(loop.model.A)
         start = np.zeros(loop.kept)
         start[0], start[n] = 1.0, -1.0
@@ -76,7 +77,7 @@ class Corners:
 
 
 def corners_of(loop: SwitchedLoop, family: Family, coordinates: Array, target: float) -> Corners:
-    """Corners so dense that no bend times its difference exceeds ``target`` in ``coordinates``."""
+    """Return corners so dense that no bend times its difference exceeds ``target`` in ``coordinates``."""
     differences = loop.differences([window.back for window in family.windows])
     if not isinstance(loop, HeldLoop):  # whose switchings alone may come sooner or later
         ends_s = [window.last_s for window in family.windows]
@@ -108,7 +109,8 @@ def corners_of(loop: SwitchedLoop, family: Family, coordinates: Array, target: f
 
 
 def _grid(loop: SwitchedLoop, window: Window, coordinates: Array, share: float) -> tuple[Array, Array, Array]:
-    """Times from the window's begin to its end; at each the larger of the bounds of the cells beside it."""
+    """Return times from the window's begin to its end; at each the larger of the bounds of the adjacent
+    cells."""
     n = len(loop.model.A)
     if window.last_s - window.first_s <= 1e-12 * loop.network.period_s:
         return np.array([window.first_s]), np.zeros((1, n)), np.zeros(1)
@@ -132,7 +134,8 @@ def _grid(loop: SwitchedLoop, window: Window, coordinates: Array, share: float) 
 
 
 def _bend(loop: SwitchedLoop, first_s: float, last_s: float) -> tuple[Array, float]:
-    """width^2/8 times the largest of F'' on a cell: of the state at the period's end (n,), of the output."""
+    """Return width^2/8 times the largest of F'' on a cell: of the state at the period's end (n,), of the
+    output."""
     A, B1, C = loop.model.A, loop.model.B1, loop.model.C
     if abs(C @ B1) > 0.0:
         raise NoSolution("certificate for arbitrary sequences", "the input acts on the output at once")
@@ -154,7 +157,8 @@ def _bend(loop: SwitchedLoop, first_s: float, last_s: float) -> tuple[Array, flo
 
 
 def _rate_bend(loop: SwitchedLoop, other: SwitchedLoop) -> tuple[Array, float]:
-    """(difference of the rates)^2/8 times the largest second derivative by the rate: state (n,), output.
+    """Return (difference of the rates)^2/8 times the largest second derivative by the rate: state (n,),
+    output.
 
     That of e^{-at} is t^2 e^{-at}, at most 4/(e a)^2, its integral 2/a^3; friction makes it only less.
     """
@@ -167,7 +171,8 @@ def _rate_bend(loop: SwitchedLoop, other: SwitchedLoop) -> tuple[Array, float]:
 
 
 def _energy(A: Array, B1: Array, row: Array, length_s: float) -> float:
-    """Integral over [0, length] of (row e^{At} B1)^2 (Van Loan, IEEE Trans. Autom. Control 23(3), 1978)."""
+    """Return the integral over [0, length] of (row e^{At} B1)^2 (Van Loan, IEEE Trans. Autom. Control 23(3),
+    1978)."""
     n = len(A)
     halvings = max(0, math.ceil(math.log2(max(length_s * float(np.linalg.norm(A, 2)), 1.0))))
     M = np.block([[-A.T, np.outer(row, row)], [np.zeros((n, n)), A]]) * (length_s / 2.0**halvings)
@@ -181,7 +186,8 @@ def _energy(A: Array, B1: Array, row: Array, length_s: float) -> float:
 
 
 def value_maps(loop: SwitchedLoop, family: Family, times_s: Array, gain: float) -> ValueMap:
-    """The value maps of the steps of ``family`` at ``times_s`` (N, windows), between the entries kept."""
+    """Return the value maps of the steps of ``family`` at ``times_s`` (N, windows), between the entries
+    kept."""
     if not isinstance(loop, HeldLoop):
         return stacked(_chain_maps(loop, loop.variants(family.at(times_s[0].tolist())), gain))
     h = loop.network.period_s
@@ -199,7 +205,7 @@ def value_maps(loop: SwitchedLoop, family: Family, times_s: Array, gain: float) 
 
 
 def embedded_flows(loop: SwitchedLoop, lengths_s: Array, gains: ArrayLike) -> ValueMap:
-    """The flows of x and w over ``lengths_s``, all else of xi standing still."""
+    """Return the flows of x and w over ``lengths_s``, all else of xi standing still."""
     n = len(loop.model.A) + 1
     E, C = np.append(loop.model.B2, 0.0), np.append(loop.model.C, 0.0)
     own = flows(loop.generator[:n, :n], E, C, gains, lengths_s)
@@ -211,7 +217,7 @@ def embedded_flows(loop: SwitchedLoop, lengths_s: Array, gains: ArrayLike) -> Va
 
 
 def step_maps(loop: SwitchedLoop, steps: Sequence[PeriodStep], gains: ArrayLike) -> list[ValueMap]:
-    """The value map of each of ``steps`` at each of ``gains``."""
+    """Return the value map of each of ``steps`` at each of ``gains``."""
     return _chain_maps(loop, [loop.chain(step) for step in steps], gains)
 
 

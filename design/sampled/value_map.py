@@ -8,9 +8,9 @@ is again a quadratic function of xi, xi' S xi, as long as it is finite:
 
     S = Q + Phi' P (I - W P)^{-1} Phi          I - W P with positive eigenvalues
 
-Q is what the stretch yields by itself, Phi how it turns xi, W what the disturbance can reach. For a flow
-the three are blocks of the exponential of the Hamiltonian matrix; one after the other they compose by
-Redheffer's star product. (Basar and Bernhard, H-infinity Optimal Control, 1995, ch. 4 and 8.)
+Q is the stretch's own contribution, Phi the map of xi, W the disturbance's reach. For a flow the three are
+blocks of the exponential of the Hamiltonian matrix; one after the other they compose by Redheffer's star
+product. (Basar and Bernhard, H-infinity Optimal Control, 1995, ch. 4 and 8.)
 """
 
 import math
@@ -32,7 +32,7 @@ _TURN = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ValueMap:
-    """Phi, W and Q above, (..., n, n); ``bounded``, (...): whether the largest is finite for P = 0."""
+    """Phi, W and Q above, (..., n, n); ``bounded``, (...): True where the largest is finite for P = 0."""
 
     Phi: Array
     W: Array
@@ -43,7 +43,7 @@ class ValueMap:
         return ValueMap(self.Phi[part], self.W[part], self.Q[part], self.bounded[part])
 
     def then(self, following: "ValueMap") -> "ValueMap":
-        """This stretch and after it ``following``."""
+        """Return this stretch followed by ``following``."""
         n = self.Phi.shape[-1]
         bounded = self.bounded & following.bounded & _below_one(self.W, following.Q)
         inner = np.where(bounded[..., None, None], np.eye(n) - self.W @ following.Q, np.eye(n))
@@ -62,21 +62,21 @@ class ValueMap:
         )
 
     def reshaped(self, shape: tuple[int, ...]) -> "ValueMap":
-        """The same maps in another order of axes."""
+        """Return the same maps in another order of axes."""
         bounded = self.bounded.reshape(shape)
         full = (*bounded.shape, *self.Phi.shape[-2:])
         return ValueMap(self.Phi.reshape(full), self.W.reshape(full), self.Q.reshape(full), bounded)
 
     def then_jump(self, J: Array) -> "ValueMap":
-        """This stretch, and at its end xi+ = J xi."""
+        """Return this stretch, and at its end xi+ = J xi."""
         return ValueMap(J @ self.Phi, J @ self.W @ _t(J), self.Q, self.bounded)
 
     def after_jump(self, J: Array) -> "ValueMap":
-        """xi+ = J xi, and then this stretch."""
+        """Return xi+ = J xi, and then this stretch."""
         return ValueMap(self.Phi @ J, self.W, _t(J) @ self.Q @ J, self.bounded)
 
     def of(self, P: Array) -> tuple[Array, np.ndarray]:
-        """S for P, and where it is finite."""
+        """Return S for P, and where it is finite."""
         n = self.Phi.shape[-1]
         finite = self.bounded & _below_one(self.W, P)
         inner = np.where(finite[..., None, None], np.eye(n) - self.W @ P, np.eye(n))
@@ -85,12 +85,13 @@ class ValueMap:
 
 
 def largest_product(W: Array, Q: Array) -> Array:
-    """Largest eigenvalue of W Q, both (..., n, n) and positive semidefinite."""
+    """Return the largest eigenvalue of W Q, both (..., n, n) and positive semidefinite."""
     return np.asarray(np.max(np.linalg.eigvals(W @ Q).real, axis=-1))
 
 
 def _below_one(W: Array, Q: Array) -> np.ndarray:
-    """Whether the largest eigenvalue of W Q is below 1: told by the trace, the sum of all, where that can."""
+    """Return True where the largest eigenvalue of W Q is below 1: decided by the trace, the sum of all, if
+    possible."""
     trace = np.einsum("...ij,...ji->...", W, Q)
     below = np.asarray(trace < 1.0)
     open_ = (trace >= 1.0) & (trace < W.shape[-1])
@@ -101,18 +102,19 @@ def _below_one(W: Array, Q: Array) -> np.ndarray:
 
 
 def nothing(shape: tuple[int, ...], n: int) -> ValueMap:
-    """No time at all, as often as ``shape`` says."""
+    """Return maps of no time at all, in the given shape."""
     zero = np.zeros((*shape, n, n))
     return ValueMap(zero + np.eye(n), zero, zero, np.ones(shape, dtype=bool))
 
 
 def stacked(maps: Sequence[ValueMap]) -> ValueMap:
-    """All of them as one, along a first axis."""
+    """Stack all of them along a first axis."""
     return ValueMap(*(np.stack([getattr(each, part) for each in maps]) for part in _PARTS))
 
 
 def flows(F: Array, E: Array, C: Array, gains: ArrayLike, lengths_s: Array) -> ValueMap:
-    """xi' = F xi + E d, z = C xi over each of ``lengths_s`` (N,), d measured so that each gain counts as 1.
+    """Return xi' = F xi + E d, z = C xi over each of ``lengths_s`` (N,), d measured so that each gain counts
+    as 1.
 
     F (n, n); E and C (n,); ``gains``: one, or (G,) for maps (N, G, n, n).
     """

@@ -1,9 +1,8 @@
-"""The largest speed error after a load step in a sampled loop, as a search over sequences finds it.
+"""Searches over sequences for the largest speed error after a load step in a sampled loop.
 
-The load steps by 1 N m at rest, somewhere in a period; from then on the network does what is worst. A
-beam keeps, period by period, the sequences whose error is largest now, and those in which it grows
-fastest. What is found is reached: no bound that holds for every sequence can be lower. It proves no bound
-from above.
+The load steps by 1 N m at rest, somewhere in a period; from then on the network does its worst. A beam keeps,
+period by period, the sequences whose error is largest now, and those in which it grows fastest. The error
+found is reached: no bound for every sequence can be lower. It proves no upper bound.
 """
 
 import itertools
@@ -23,11 +22,11 @@ _PHASES = (0.0, 0.25, 0.5, 0.75)
 _ENDS = (0.0, 1.0)
 """Parts of its window at which a switching is tried."""
 _INSTANTS = 8
-"""Between two switchings, at which the error is looked at."""
+"""Instants between two switchings at which the error is evaluated."""
 _PERIODS_MIN = 40
 """For ages below five periods; six loops reach their peak within 10."""
 _AGES = 8
-"""So many of the largest ages the search goes on, and some periods at least."""
+"""The search lasts this many of the largest ages, and a few periods at least."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +40,7 @@ class _Step:
 
 
 def worst_peak(loop: HeldLoop) -> float:
-    """The largest error that the search finds, rad/s per N m."""
+    """Return the largest error found, rad/s per N m."""
     steps = [_under_load(loop, step) for family in families(loop.network) for step in family.over(_ENDS)]
     h, k = loop.network.period_s, loop.kept
     periods = max(_PERIODS_MIN, int(_AGES * loop.network.age_max_s / h))
@@ -68,7 +67,7 @@ def worst_peak(loop: HeldLoop) -> float:
 
 
 def _kept(loop: HeldLoop, states: Array) -> Array:
-    """Those of largest error and of largest slope of it, either sign."""
+    """Return the states of largest error and of its largest slope, either sign."""
     n = len(loop.model.A)
     error = states[:, :n] @ loop.model.C
     slope = states[:, :n] @ (loop.model.C @ loop.model.A)
@@ -82,7 +81,7 @@ def _kept(loop: HeldLoop, states: Array) -> Array:
 
 
 def _loaded(loop: HeldLoop, length_s: float) -> Array:
-    """The flow of [xi, 1] under a load of 1 N m."""
+    """Return the flow of [xi, 1] under a load of 1 N m."""
     size = loop.size
     F = np.zeros((size + 1, size + 1))
     F[:size, :size] = loop.generator

@@ -1,1 +1,1 @@
-"""Speed controllers: designed, tuned, held against spread of the motor."""
+"""Speed controllers: design, tuning, and robustness against spread of the motor."""

@@ -1,11 +1,11 @@
-"""A sampled controller that hears of the command that was sent: coprime factors, and fewer states of them.
+"""A sampled controller that receives the command sent: coprime factors, and their reduction.
 
     K = (A, B, C, D):      x+ = A x + B e + L (u_sent - C x - D e)      u = C x + D e
 
-Sent as asked it is K. Where a limit cuts the command off the states follow what was sent, with A - L C: L is
-that of the normalised left coprime factors, so this is stable whether K is or not (Vidyasagar, Control System
-Synthesis, 1985; Hanus, Kinnaert, Henrotte, Automatica 23(6), 1987). It is these factors that are truncated:
-K may have unstable poles.
+If the command is sent unchanged it is K. If a limit clips it the states follow the value sent, with A - L C:
+L is that of the normalised left coprime factors, so this is stable whether K is or not (Vidyasagar, Control
+System Synthesis, 1985; Hanus, Kinnaert, Henrotte, Automatica 23(6), 1987). These factors are truncated, as K
+may have unstable poles.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from servobench.design.delay.delay_loop import Array
 from servobench.design.statespace import StateSpace
 
 _MODES_APART = 1e8
-"""Condition of the eigenvectors, beyond which the states stay as they are."""
+"""Condition of the eigenvectors beyond which the states are left unchanged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,19 +42,19 @@ class Conditioned:
 
     @property
     def K(self) -> StateSpace:
-        """From e to u, where all that is asked for is sent."""
+        """From e to u, if every command is sent unchanged."""
         A = self.A + np.outer(self.L, self.C)
         B = (self.B + self.L * self.D)[:, None]
         return StateSpace(A, B, self.C[None, :], np.array([[self.D]]), self.period_s)
 
     def _steady(self) -> "Conditioned":
-        """A command that is sent at rest is asked for without an error: K integrates exactly."""
+        """Return the controller whose steady command needs no error: K integrates exactly."""
         gain = self.C @ np.linalg.solve(np.eye(self.order) - self.A, self.L)
         return Conditioned(self.A, self.B, self.L / gain, self.C, self.D, self.period_s)
 
 
 def conditioned(K: StateSpace, error_size: float) -> Conditioned:
-    """``error_size``: an error that counts like a command of 1, rad/s per N m."""
+    """Make a conditioned controller. ``error_size``: an error equivalent to a command of 1, rad/s per N m."""
     assert K.period_s is not None
     B, C, D = K.B[:, 0] * error_size, K.C[0], float(K.D[0, 0]) * error_size
     R = np.array([[1.0 + D * D]])
@@ -66,7 +66,8 @@ def conditioned(K: StateSpace, error_size: float) -> Conditioned:
 
 
 def truncated(full: Conditioned, error_size: float) -> list[Conditioned]:
-    """With 2, 3 .. states, balanced, in modal states; ``error_size`` as of :func:`conditioned`."""
+    """Return reductions to 2, 3 .. states, balanced, in modal states; ``error_size`` as in
+    :func:`conditioned`."""
     B = np.stack([full.B * error_size, full.L], axis=1)
     R = _factor(full.A, B)
     S = _factor(full.A.T, full.C[:, None])
@@ -83,13 +84,14 @@ def truncated(full: Conditioned, error_size: float) -> list[Conditioned]:
 
 
 def _factor(A: Array, B: Array) -> Array:
-    """(n, n) R with R R' = A R R' A' + B B'."""
+    """Return (n, n) R with R R' = A R R' A' + B B'."""
     values, vectors = np.linalg.eigh(scipy.linalg.solve_discrete_lyapunov(A, B @ B.T))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def modal(full: Conditioned) -> Conditioned:
-    """In states whose A has a number for each real mode and a 2 by 2 for each pair: few products a cycle."""
+    """Return the controller in states whose A has a number per real mode and a 2 by 2 per pair: few products
+    a cycle."""
     values, vectors = np.linalg.eig(full.A)
     columns = []
     for value, vector in zip(values, vectors.T, strict=True):

@@ -1,19 +1,19 @@
 """[Ling2012] Theorem 4.1 and Algorithm 4.2: feedback by cone complementarity linearisation (CCL).
 
-Multiplied by X = P^-1, the certificate of Theorem 3.3 is linear in the gain as well, F = K X, but
-only beside constraints that are not linear, (4.4): S = Z^-1, N = M^-1, P = X^-1. The algorithm
-relaxes each to a linear one, (4.5), and pushes towards equality by minimising a linearised trace,
-(4.6), again and again. As it is shipped here:
+Multiplied by X = P^-1, the certificate of Theorem 3.3 is linear in the gain as well, F = K X, but only beside
+constraints that are not linear, (4.4): S = Z^-1, N = M^-1, P = X^-1. The algorithm relaxes each to a linear
+one, (4.5), and pushes towards equality by minimising a linearised trace, (4.6), again and again. Differences
+here:
 
 * (4.2) as printed, (4.3) as [Z, P; P, N] > 0, (4.5) as blocks >= 0, and the trace of (4.6) with its
   missing term N_k M; the disturbance enters through the second column of B only.
 * Step 4's check is Theorem 3.3 itself with K = F X^-1 fixed and P, Q, Z free.
-* Asked here is the largest delay for a given gamma, as in the paper's section 5. After a success the
-  delay goes on from the largest that Theorem 3.3 certifies for the gain found. A start from which
-  nothing is found is taken back to half its delay.
+* The aim is the largest delay for a given gamma, as in the paper's section 5. After a success the
+  delay goes on from the largest that Theorem 3.3 certifies for the gain found. An unsuccessful start
+  is repeated at half its delay.
 
-Time is counted in delays, the disturbance so that gamma is 1, the speed error in gamma and the
-current in what balances 1 N m: the trace is not the same in every unit.
+Time is counted in delays, the disturbance so that gamma is 1, the speed error in gamma and the current in the
+amount that balances 1 N m: the trace depends on the units.
 """
 
 import math
@@ -56,7 +56,7 @@ class _Plant:
 
 
 def largest_ccl_delay(model: SpeedModel, gamma: float) -> SpeedDesign:
-    """The delay, s, to which Algorithm 4.2 comes for ``gamma``, rad/s per N m, with full feedback.
+    """Return the delay, s, that Algorithm 4.2 reaches for ``gamma``, rad/s per N m, with full feedback.
 
     Raises NoSolution if even the first feasible set, S = X, is not found.
     """
@@ -77,7 +77,7 @@ def largest_ccl_delay(model: SpeedModel, gamma: float) -> SpeedDesign:
 
 
 def _first_gain(model: SpeedModel, gamma: float) -> tuple[float, Array, dict[str, Array]]:
-    """Steps 2 to 4 once: a delay, s, the gain that fulfils (3.10) there, the last point."""
+    """Run steps 2 to 4 once: a delay, s, the gain that fulfils (3.10) there, the last point."""
     first_s = _first_delay(model, gamma)
     for start in range(_STARTS):
         delay_s = first_s * 0.5**start
@@ -97,10 +97,10 @@ def _first_gain(model: SpeedModel, gamma: float) -> tuple[float, Array, dict[str
 def _complement(
     model: SpeedModel, delay_s: float, gamma: float, point: dict[str, Array]
 ) -> tuple[Array | None, dict[str, Array]]:
-    """Steps 3 and 4 at one delay: the gain that fulfils (3.10), or None; the last point.
+    """Run steps 3 and 4 at one delay: the gain that fulfils (3.10), or None; the last point.
 
-    A delay is given up early if the certified gain, at the pace of the last iteration, cannot come
-    within ``gamma`` in those that are left.
+    A delay is given up early if the certified gain, at the pace of the last iteration, cannot come within
+    ``gamma`` in the rest.
     """
     plant = _plant(model, delay_s, gamma)
     unknowns, inequalities = _inequalities(plant)
@@ -125,7 +125,7 @@ def _complement(
 
 
 def _first_delay(model: SpeedModel, gamma: float) -> float:
-    """Step 2: the largest delay, s, to a per cent, with a feasible set for S = X."""
+    """Return step 2: the largest delay, s, to a per cent, with a feasible set for S = X."""
     delay_s = 1.0 / abs(float(model.A[0, 0]))
     first_s: float | None = None
     low, high = 0.0, math.inf
@@ -144,7 +144,8 @@ def _first_delay(model: SpeedModel, gamma: float) -> float:
 
 
 def _with_equal(model: SpeedModel, delay_s: float, gamma: float) -> dict[str, Array] | None:
-    """A feasible set at ``delay_s`` with S = M = X, so that P = Z = N = X^-1; None if there is none."""
+    """Return a feasible set at ``delay_s`` with S = M = X, so that P = Z = N = X^-1; None if there is
+    none."""
     plant = _plant(model, delay_s, gamma)
     n = len(plant.A)
     unknowns = Unknowns()
@@ -184,7 +185,7 @@ def _free_matrices(unknowns: Unknowns, n: int) -> None:
 
 
 def _inequalities(plant: _Plant) -> tuple[Unknowns, list[MatrixInequality]]:
-    """(4.2), (4.3) and (4.5)."""
+    """Return (4.2), (4.3) and (4.5)."""
     n = len(plant.A)
     unknowns = Unknowns()
     for name in _MATRICES:
@@ -197,7 +198,7 @@ def _inequalities(plant: _Plant) -> tuple[Unknowns, list[MatrixInequality]]:
 
 
 def _pair(unknowns: Unknowns, first: str, between: str | None, second: str, n: int) -> MatrixInequality:
-    """[first, between; between, second], the identity between them if ``between`` is None."""
+    """Return [first, between; between, second], the identity between them if ``between`` is None."""
     rows = np.eye(2 * n)
     top, bottom = rows[:, :n], rows[:, n:]
     inequality = MatrixInequality.zero(unknowns, 2 * n)
@@ -211,7 +212,7 @@ def _pair(unknowns: Unknowns, first: str, between: str | None, second: str, n: i
 
 
 def _closed_loop(plant: _Plant, unknowns: Unknowns, S: str, M: str) -> MatrixInequality:
-    """The negative of (4.2), with eta = gamma = 1; ``S`` and ``M`` name the matrices that stand for them."""
+    """Return the negative of (4.2), with eta = gamma = 1; ``S`` and ``M`` name the matrices used there."""
     n = len(plant.A)
     m = 4 * n + 2
     rows = np.eye(m)
@@ -234,7 +235,7 @@ def _closed_loop(plant: _Plant, unknowns: Unknowns, S: str, M: str) -> MatrixIne
 
 
 def _linearised_trace(unknowns: Unknowns, point: dict[str, Array]) -> Array:
-    """tr(S_k Z + S Z_k + N_k M + N M_k + P_k X + P X_k) as a row over the unknowns."""
+    """Return tr(S_k Z + S Z_k + N_k M + N M_k + P_k X + P X_k) as a row over the unknowns."""
     objective = np.zeros(unknowns.count)
     for a, b in (("S", "Z"), ("N", "M"), ("P", "X")):
         for name, weight in ((a, point[b]), (b, point[a])):

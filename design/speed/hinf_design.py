@@ -1,11 +1,11 @@
-"""The H-infinity controller whose speed peaks least after a load step, within what it must bear.
+"""The H-infinity controller whose speed peaks least after a load step, within its robustness limits.
 
 search      three weights: on the speed error, of the noise, and where the integral ends
 for each    the central controller
 least       the largest peak over its own floor, of the motor and of +-30 % of its inertia, with a price on
-            what is not kept: delay margin and inertias, by the poles of those very loops, and torque noise
+            breaches: delay margin and inertias, by the poles of those very loops, and torque noise
 
-The order is then lowered as far as nothing is lost by it.
+The order is then lowered as far as possible without loss.
 
 The problem is that of the sampled plant with its delay as states, and its weights:
 
@@ -13,7 +13,7 @@ The problem is that of the sampled plant with its delay as states, and its weigh
     q+ = q + (1 - e^(-omega_i h)) (w + nu n)                    y = q + w + nu n
 
 x = [T, omega, w] of the predictor's plant; Gamma_b and Gamma_a: of the command in force for the first r of a
-period and of its successor; c_0 is u. q: whatever controller is found for y, the speed error is integrated.
+period and of its successor; c_0 is u. q: any controller for y integrates the speed error.
 
     from  d   load torque, N m                to  z1 = sigma y      the speed error and its integral
           n   noise on a sample               z2 = W u              W >= what the loop's uncertainty can be
@@ -50,37 +50,37 @@ from servobench.design.speed.predictor_plant import FILTERED, LOAD
 from servobench.design.statespace import StateSpace, balanced, series, state_space
 
 _INERTIA_LEAST = 0.7
-"""The least of the three for which the peak is made small."""
+"""Least of the three inertias for which the peak is minimised."""
 _UNCERTAIN_AT_REST = 1.0 / _INERTIA_LEAST - 1.0
-"""Of the plant, by the least inertia."""
+"""Uncertainty of the plant at rest, by the least inertia."""
 _UNCERTAIN_AT_MOST = 3.5
 _TURN = 0.74
-"""Of a radian, by the longest delay, where W is 1. The uncertainty |e^(-j phi)/0.7 - 1| is 1 at 0.78 and 2.43
-at most; this weight of first order lies above it everywhere. With an end of 3.0 for 3.5 it would have to
-turn at 0.67, with 2.5 at 0.3; no higher end lets it turn beyond 0.77."""
+"""In radians, by the longest delay, where W is 1. The uncertainty |e^(-j phi)/0.7 - 1| is 1 at 0.78 and 2.43
+at most; this weight of first order lies above it everywhere. With an end of 3.0 for 3.5 it would have to turn
+at 0.67, with 2.5 at 0.3; no higher end lets it turn beyond 0.77."""
 _ABOVE_LEAST = 1.05
-"""Times the least gamma: there the central controller has no poles that race away."""
+"""Multiple of the least gamma: there the central controller has no runaway poles."""
 _GAMMA_RELATIVE = 1e-3
 """A fiftieth of the 5 % by which the controller stays above it."""
 _SETTLED = 0.999
-"""Magnitude of the slowest pole that the loops above may have."""
+"""Limit on the slowest pole's magnitude in the loops above."""
 _NOISE_SHARE = 0.95
-"""Of the torque noise that is allowed: that of an encoder on a drive is not quite white."""
+"""Share of the torque noise allowed: that of an encoder on a drive is not quite white."""
 _PRICE = 30.0
-"""Only what breaches nothing is taken: from 3 to 300 designs end with costs within 1 %."""
+"""Price of a breach, which no final design has: from 3 to 300 designs end with costs within 1 %."""
 _STARTS = ((1.0, 1.0), (1.0, 0.1), (0.3, 0.3))
-"""Of sigma and nu, in sizes of the problem."""
+"""Starts of sigma and nu, in sizes of the problem."""
 _INTEGRAL = 0.3
 """omega_i times h + tau, at the start."""
 _EVALUATIONS = 60
 """Twice as many lower the cost by 0.6 % in twice the time, half as many raise it by 0.7 %."""
 _ORDER_PRICE = 2e-3
-"""What the reduction may add to the cost."""
+"""Cost that the reduction may add."""
 
 
 @dataclass(frozen=True, slots=True)
 class HinfWeights:
-    """What the search is over."""
+    """The weights searched."""
 
     error: float
     """sigma, per rad/s, with loads of 1 N m."""
@@ -91,22 +91,22 @@ class HinfWeights:
 
 
 def sampled_uncertainty(request: PredictorRequest) -> StateSpace:
-    """W: at every frequency above |e^(-j omega delay) /0.7 - 1| for the delays up to the margin.
+    """Return W: at every frequency above |e^(-j omega delay) /0.7 - 1| for the delays up to the margin.
 
-    By Tustin's rule, which moves it down in frequency: so it still covers.
+    By Tustin's rule, which moves it down in frequency, so it still covers them.
     """
     W = crossing_weight(_UNCERTAIN_AT_REST, _UNCERTAIN_AT_MOST, _TURN / request.delay_margin_s)
     return from_bilinear(W.system, request.period_s)
 
 
 def integral_of(request: PredictorRequest, weights: HinfWeights) -> StateSpace:
-    """From the measured speed to y."""
+    """Return the system from the measured speed to y."""
     lead = -math.expm1(-weights.integral_rad_s * request.period_s)
     return state_space([[1.0]], [[lead]], [[1.0]], [[1.0]], request.period_s)
 
 
 def generalised(request: PredictorRequest, weights: HinfWeights) -> StateSpace:
-    """From [d, n, u] to [z1, z2, y]; states [x, c_1 .., q, that of W]."""
+    """Return the plant from [d, n, u] to [z1, z2, y]; states [x, c_1 .., q, that of W]."""
     shaft, W, q = shaft_of(request), sampled_uncertainty(request), integral_of(request, weights)
     n = shaft.order
     A, B = np.zeros((n + 2, n + 2)), np.zeros((n + 2, 3))
@@ -120,7 +120,8 @@ def generalised(request: PredictorRequest, weights: HinfWeights) -> StateSpace:
 
 
 def shaft_of(request: PredictorRequest) -> StateSpace:
-    """From [d, u] to the measured speed; states [x, c_1 .. c_(m+1)]. d is held over a period."""
+    """Return the plant from [d, u] to the measured speed; states [x, c_1 .. c_(m+1)]. d is held over a
+    period."""
     h, plant = request.period_s, request.plant
     whole, rest_s = split(request.delay_s, h)
     (_, before), (later, after) = plant.step(rest_s), plant.step(h - rest_s)
@@ -144,13 +145,13 @@ class HinfController:
 
     K: StateSpace
     gamma: float
-    """Norm from [d, n] to [z1, z2], of the loop that is closed, as ``verified_norm`` computes it."""
+    """Norm from [d, n] to [z1, z2] of the closed loop, as ``verified_norm`` computes it."""
     gamma_min: float
-    """The least that any controller reaches."""
+    """Least gamma of any controller."""
 
 
 def design_controller(request: PredictorRequest, weights: HinfWeights) -> HinfController:
-    """The central controller. Raises SingularPlant or InfeasibleDesign."""
+    """Design the central controller. Raises SingularPlant or InfeasibleDesign."""
     sampled = balanced(generalised(request, weights))
     plant = GeneralisedPlant(to_bilinear(sampled), controls=1, measurements=1)
     least = gamma_min(plant, _GAMMA_RELATIVE)
@@ -160,7 +161,7 @@ def design_controller(request: PredictorRequest, weights: HinfWeights) -> HinfCo
 
 
 def weighted_norms(request: PredictorRequest, K: StateSpace, frequency_rad_s: Array) -> Array:
-    """(k,) |W T| at the k frequencies, T of the loop cut at the command."""
+    """Return the (k,) values of |W T| at the k frequencies, T of the loop cut at the command."""
     loop = shaft_of(request).part(slice(0, 1), slice(1, 2)).response(frequency_rad_s)[:, 0, 0]
     loop = loop * K.response(frequency_rad_s)[:, 0, 0]
     W = sampled_uncertainty(request).response(frequency_rad_s)[:, 0, 0]
@@ -169,7 +170,7 @@ def weighted_norms(request: PredictorRequest, K: StateSpace, frequency_rad_s: Ar
 
 @dataclass(frozen=True, eq=False)
 class HinfDesign:
-    """A controller, reduced, and where it is from."""
+    """A reduced controller and its origin."""
 
     request: PredictorRequest
     weights: HinfWeights
@@ -177,12 +178,12 @@ class HinfDesign:
     controller: Conditioned
 
     def loop(self, inertia: float = 1.0, current: float = 1.0, more_s: float = 0.0) -> HinfLoop:
-        """Around another plant, or with a longer delay."""
+        """Return the loop around another plant, or with a longer delay."""
         plant = self.request.plant.changed(inertia, current)
         return HinfLoop(self.controller, plant, self.request.delay_s + more_s)
 
     def ratio(self, inertia: float, lost: int = 0) -> float:
-        """Peak after the step over the floor of that inertia, both without noise."""
+        """Return the peak after the step over the floor of that inertia, both without noise."""
         request = self.request
         periods = math.ceil(4.0 * (request.delay_s / request.period_s + 1.0)) + 10 + 2 * lost
         speeds = self.loop(inertia).load_steps(request.load_nm, periods, PHASES, lost)
@@ -190,12 +191,12 @@ class HinfDesign:
 
     @cached_property
     def noise_nm(self) -> float:
-        """Rms of the command by the samples' noise."""
+        """Rms of the command caused by the samples' noise."""
         return self.loop().torque_noise_nm(self.request.speed_noise_rad_s)
 
     @cached_property
     def breach(self) -> float:
-        """How much of what must be kept is not; 0: all is."""
+        """Amount by which the limits are breached; 0: all are kept."""
         request = self.request
         loops = (self.loop(inertia, more_s=more_s) for inertia, more_s in request.borne)
         radius = max(loop.spectral_radius() for loop in loops)
@@ -206,13 +207,13 @@ class HinfDesign:
 
     @cached_property
     def cost(self) -> float:
-        """What the search makes least."""
+        """The cost that the search minimises."""
         cost = peak_cost(self.ratio) + _PRICE * self.breach
         return min(cost, WORST) if math.isfinite(cost) else WORST
 
 
 def design_hinf(request: PredictorRequest) -> HinfDesign:
-    """The design. Raises InfeasibleDesign where nothing keeps what is asked."""
+    """Design the controller. Raises InfeasibleDesign if none keeps the limits."""
     around_s = request.period_s + request.delay_s
     unit = request.floor_rad_s() / request.load_nm
 
@@ -259,7 +260,7 @@ def design_hinf(request: PredictorRequest) -> HinfDesign:
 
 
 def _reduced(made: HinfDesign, unit: float) -> HinfDesign:
-    """With the fewest states that cost nothing."""
+    """Return the design with the fewest states that cost nothing."""
     for fewer in truncated(made.controller, unit):
         reduced = replace(made, controller=fewer)
         if reduced.loop().spectral_radius() < 1.0 and reduced.cost <= made.cost + _ORDER_PRICE:
@@ -268,7 +269,7 @@ def _reduced(made: HinfDesign, unit: float) -> HinfDesign:
 
 
 def hinf_robustness(made: HinfDesign) -> LoopRobustness:
-    """The figures with the reduced controller."""
+    """Return the figures with the reduced controller."""
     request = made.request
 
     def gain(inertia: float = 1.0, current: float = 1.0) -> float:
@@ -290,7 +291,7 @@ def hinf_robustness(made: HinfDesign) -> LoopRobustness:
 
 
 def uncertainty_norm(made: HinfDesign) -> float:
-    """Peak of |W T|: below 1 every inertia and delay that W covers leaves the loop stable."""
+    """Return the peak of |W T|: below 1 every inertia and delay that W covers leaves the loop stable."""
     h = made.request.period_s
     omega = np.concatenate([np.geomspace(1e-3 / h, math.pi / h, 2000), np.linspace(1.0, math.pi / h, 2000)])
     return float(np.max(weighted_norms(made.request, made.controller.K, omega)))

@@ -2,7 +2,7 @@
 
     xi = [T, omega, w | u in force | b_1 .. b_n | x_c]        b_1: the newest command, b_2 the one before ...
 
-A sample is taken: its command is b_1, and the controller goes on. r into the period the command of m periods
+A sample is taken: its command is b_1, and the controller advances. r into the period the command of m periods
 ago begins to act, tau = m h + r. The plant may be another than that of the design, and so may its delay.
 """
 
@@ -28,12 +28,12 @@ class HinfLoop(PlantLoop):
     def __init__(self, controller: Conditioned, plant: PredictorPlant, delay_s: float) -> None:
         self.controller = controller
         self.first_state = _BUFFER + split(delay_s, controller.period_s)[0] + 1
-        """Where x_c begins."""
+        """Place of x_c in xi."""
         size = self.first_state + controller.order
         super().__init__(plant, controller.period_s, delay_s, _BUFFER, size)
 
     def chain(self) -> list[Operation]:
-        """A period that begins with a sample."""
+        """Return a period that begins with a sample."""
         return self.period(self._sampled())
 
     def _sampled(self) -> Array:
@@ -46,11 +46,11 @@ class HinfLoop(PlantLoop):
         return J
 
     def spectral_radius(self) -> float:
-        """Largest magnitude of a pole."""
+        """Return the largest magnitude of a pole."""
         return float(np.max(np.abs(np.linalg.eigvals(self.transition(self.chain())))))
 
     def torque_noise_nm(self, speed_noise_rad_s: float) -> float:
-        """Rms of the command by white noise on each sample; inf if unstable."""
+        """Return the rms of the command caused by white noise on each sample; inf if unstable."""
         if self.spectral_radius() >= 1.0:
             return math.inf
         noise = self._sampled()[:, FILTERED] * speed_noise_rad_s
@@ -58,14 +58,14 @@ class HinfLoop(PlantLoop):
         return self.command_rms_nm(self.chain(), np.outer(noise, noise))
 
     def margins(self) -> Margins:
-        """Of the loop cut where commands begin to act, between samples of the plant."""
+        """Return the margins of the loop cut where commands begin to act, between samples of the plant."""
         return self.margins_with(self.controller.K)
 
     def load_steps(self, load_nm: float, periods: int, phases: Sequence[float], lost: int = 0) -> Array:
-        """(instants, phases) speeds of the shaft, four a period and where commands begin to act.
+        """Return (instants, phases) speeds of the shaft, four a period and where commands begin to act.
 
-        From rest; the load comes a phase of a period after a sample. The first ``lost`` samples after it do
-        not come, so that the last before it is held.
+        From rest; the load comes a phase of a period after a sample. The first ``lost`` samples after it are
+        lost, so that the last one before it is held.
         """
         h, c, behind, acts_s = self.period_s, self.controller, self.behind, self.acts_s
         x = np.zeros((LOAD + 1, len(phases)))

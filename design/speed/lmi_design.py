@@ -1,14 +1,14 @@
-"""The best gain that the certificate of Theorem 3.3 can vouch for: Theorem 4.1 of [Ling2012], solved.
+"""The best gain with a certificate of Theorem 3.3: Theorem 4.1 of [Ling2012], solved.
 
-For a fixed gain K the certified figure is a convex programme; over K it is not. Theorem 4.1's question,
-"the largest delay with a certificate for gamma", is therefore asked over K and the delay alone:
+For a fixed gain K the certified figure is a convex programme; over K it is not. Theorem 4.1's question, "the
+largest delay with a certificate for gamma", is therefore posed over K and the delay alone:
 
     max delay   such that   certified gain(K, delay) <= gamma
 
-The certified gain is the value of a semidefinite programme, whose multipliers are its derivatives by
-whatever enters the inequalities. So a smooth method (SLSQP) walks over a handful of parameters,
-each step one or two small programmes, and where the optimum is not smooth it is begun again from
-where it came to rest. What is returned is proved afterwards, like every certificate.
+The certified gain is the value of a semidefinite programme, whose multipliers are its derivatives by the data
+of the inequalities. So a smooth method (SLSQP) walks over a handful of parameters, each step one or two small
+programmes, and where the optimum is not smooth it restarts from its last point. The result is proved
+afterwards, like every certificate.
 """
 
 import math
@@ -28,11 +28,11 @@ from servobench.design.errors import NoSolution
 from servobench.design.speed.speed_design import GainWalk, SpeedDesign, largest_delay, least_gain
 
 _ROUNDS = 6
-"""At most: from the paper's gains the first reaches the largest delay."""
+"""Rounds at most: from the paper's gains the first reaches the largest delay."""
 _ENOUGH = 2e-6
-"""Relative gain of a round below which no further one is begun."""
+"""Relative gain of a round below which no further one begins."""
 _CLIMBED = 2
-"""So many of the best starts are followed to their optimum."""
+"""Number of best starts that are followed to their optimum."""
 _STEP = 1e-5
 """Relative step of the differences by which the inequalities' derivatives are taken."""
 
@@ -43,7 +43,8 @@ def largest_certified_delay(
     feedback: Feedback = Feedback.FULL,
     starts: Sequence[Array] = (),
 ) -> SpeedDesign:
-    """The feedback with the largest delay at which the certificate keeps ``gamma``; its gain is certified.
+    """Return the feedback with the largest delay at which the certificate keeps ``gamma``; its gain is
+    certified.
 
     ``gamma``: rad/s per N m. ``starts``: gains to begin at, if some are known to be near; else the
     exact optima. Raises NoSolution if no start is certified at any delay.
@@ -65,7 +66,7 @@ def largest_certified_delay(
 def least_certified_gain(
     model: SpeedModel, delay_s: float, feedback: Feedback = Feedback.FULL
 ) -> SpeedDesign:
-    """The feedback whose certified gain at ``delay_s`` is the least.
+    """Return the feedback with the least certified gain at ``delay_s``.
 
     Raises NoSolution if none of the starts is certified.
     """
@@ -81,10 +82,10 @@ def least_certified_gain(
 
 
 def certified_delay_within(model: SpeedModel, K: Array, gamma: float) -> float:
-    """The largest delay, s, at which the certificate keeps ``gamma``; 0 if there is none.
+    """Return the largest delay, s, at which the certificate keeps ``gamma``; 0 if there is none.
 
-    What it certifies at a delay it certifies at every smaller one: a shorter delay only makes
-    the term of Jensen's inequality larger.
+    A certificate at a delay holds at every smaller one: a shorter delay only makes the term of Jensen's
+    inequality larger.
     """
     stable_s = largest_stable_delay_s(model.loop(K, 0.0))
     if stable_s == 0.0 or hinf_norm(model.loop(K, 0.0)) >= gamma:
@@ -109,7 +110,7 @@ def certified_delay_within(model: SpeedModel, K: Array, gamma: float) -> float:
 
 
 def certified_gain_or_inf(model: SpeedModel, K: Array, delay_s: float, gamma: float) -> float:
-    """The certified gain, in the scale of ``gamma``; infinite if none is."""
+    """Return the certified gain, in the scale of ``gamma``; infinite if none is."""
     value = _value(model, K, delay_s, gamma)
     return math.inf if value is None else gamma * math.sqrt(value.squared)
 
@@ -124,7 +125,7 @@ class _Value:
 
 
 def _value(model: SpeedModel, K: Array, delay_s: float, gamma: float, slopes: bool = False) -> _Value | None:
-    """None where the programme has no optimum: the loop is not certified at all, or not stable."""
+    """Return the value; None where the programme has no optimum: the loop is not certified, or not stable."""
     loop = model.loop(K, delay_s)
     if not is_stable(loop):
         return None
@@ -154,7 +155,7 @@ def _value(model: SpeedModel, K: Array, delay_s: float, gamma: float, slopes: bo
 def _climb(
     model: SpeedModel, K: Array, delay_s: float, gamma: float, feedback: Feedback
 ) -> tuple[float, Array]:
-    """From (K, delay) to the local optimum of the delay."""
+    """Climb from (K, delay) to the local optimum of the delay."""
     for _ in range(_ROUNDS):
         K_new = _Walk(model, K, feedback, delay_s, gamma, for_delay=True).run()
         reached = certified_delay_within(model, K_new, gamma)
@@ -167,7 +168,7 @@ def _climb(
 
 
 def _descend(model: SpeedModel, K: Array, delay_s: float, feedback: Feedback) -> tuple[float, Array] | None:
-    """From K to the local optimum of the certified gain."""
+    """Descend from K to the local optimum of the certified gain."""
     scale = hinf_norm(model.loop(K, delay_s))
     value = _value(model, K, delay_s, scale)
     if value is None:
@@ -183,7 +184,7 @@ def _descend(model: SpeedModel, K: Array, delay_s: float, feedback: Feedback) ->
 
 
 class _Walk(GainWalk):
-    """The certified gain stays within ``gamma``, or is made the least share of it."""
+    """Keeps the certified gain within ``gamma``, or minimises its share of it."""
 
     def __init__(
         self, model: SpeedModel, K: Array, feedback: Feedback, delay_s: float, gamma: float, for_delay: bool
@@ -193,7 +194,7 @@ class _Walk(GainWalk):
         self._known: tuple[bytes, float, Array] | None = None
 
     def run(self) -> Array:
-        """K where it ends."""
+        """Return the final K."""
         x = self.optimum(self.start, self.start, 0.4, 1e-9, 25, fun=self._slack, jac=self._slope)
         return self.gain_of(x)
 
@@ -204,7 +205,7 @@ class _Walk(GainWalk):
         return self._ask(x)[1]
 
     def _ask(self, x: Array) -> tuple[float, Array]:
-        """- log of the certified gain over what is allowed, and its gradient."""
+        """Return minus the log of the certified gain over its limit, and the gradient."""
         key = x.tobytes()
         if self._known is not None and self._known[0] == key:
             return self._known[1], self._known[2]
@@ -227,12 +228,13 @@ class _Walk(GainWalk):
 
 
 def starts_between(full: Array, speed: Array) -> list[Array]:
-    """Gains to begin at, from the exact optima with full and with speed-only feedback."""
+    """Return gains to begin at, from the exact optima with full and with speed-only feedback."""
     return [full, 0.5 * (full + speed), 0.9 * speed + 0.1 * full, speed]
 
 
 def _starts(model: SpeedModel, gamma: float, feedback: Feedback) -> list[Array]:
-    """From the exact optima; where speed alone does not keep ``gamma``, with less current feedback."""
+    """Return starts from the exact optima; where speed alone does not keep ``gamma``, with less current
+    feedback."""
     if feedback is Feedback.SPEED:
         speed = largest_delay(model, gamma, Feedback.SPEED).K
         return [speed, 1.2 * speed]
@@ -252,7 +254,7 @@ def _gain_starts(model: SpeedModel, delay_s: float, feedback: Feedback) -> list[
 
 
 def _proved(model: SpeedModel, K: Array, delay_s: float, gamma: float) -> SpeedDesign:
-    """The certificate at the delay found, or a hair below it where rounding asks for that."""
+    """Return the certificate at the delay found, or slightly below it where rounding requires that."""
     for share in (1.0, 1.0 - 1e-7, 1.0 - 1e-6, 1.0 - 1e-5, 1.0 - 1e-4):
         try:
             proof = certified_gain(model, model.loop(K, delay_s * share), 0)

@@ -1,6 +1,6 @@
 """Figures of a loop whose controller has states, a predictor's or an H-infinity one's.
 
-The plants beside the design's are those of every speed loop.
+The other plants are those of every speed loop.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,36 +10,36 @@ from typing import Final
 from servobench.design.hinf.margins import Margins
 
 LOST: Final = 5
-"""Samples in a row that a trial loses before the first that tells of the step."""
+"""Consecutive samples that a trial loses before the first one after the step."""
 CHANGES: Final[Mapping[str, tuple[float, float]]] = {
     "inertia_70_percent": (0.7, 1.0),
     "inertia_130_percent": (1.3, 1.0),
     "current_bandwidth_50_percent": (1.0, 0.5),
 }
-"""Times the inertia, and times the bandwidth of the current loop, of plants beside the design's."""
+"""Multiples of the inertia and of the current loop's bandwidth for the other plants."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoopRobustness:
-    """Exact, but for the peaks, which are of trials without noise."""
+    """Exact figures, except for the peaks, which come from trials without noise."""
 
     peaks_over_floor: Mapping[str, float]
-    """After the step of the load, as :func:`peaks_over_floor` names them."""
+    """Peaks after the step of the load, as :func:`peaks_over_floor` names them."""
     gain: float
-    """L2 gain from load torque to speed error, rad/s per N m, every sample coming."""
+    """L2 gain from load torque to speed error, rad/s per N m, with every sample received."""
     gains: Mapping[str, float]
     """With the plants of :data:`CHANGES`; inf: unstable."""
     bandwidths: tuple[float, float]
-    """Of the current loop, in shares of its own, between which the loop is stable; by steps of a tenth, down
-    to a half and up to twice."""
+    """Range of stable current-loop bandwidths, as shares of its own; by steps of a tenth, down to a half and
+    up to twice."""
     margins: Margins
     delay_margin_s: float
     command_noise_nm: float
 
 
 def peaks_over_floor(ratio: Callable[[float, int], float]) -> dict[str, float]:
-    """``ratio``: of the peak to its own floor, with so many times the inertia, and with so many samples lost
-    in a row before the first that tells of the step."""
+    """Name the peaks. ``ratio``: peak over its own floor, for a multiple of the inertia, and for a number of
+    samples lost in a row before the first one after the step."""
     return {
         "peak_over_floor": ratio(1.0, 0),
         "peak_over_floor_inertia_70_percent": ratio(0.7, 0),
@@ -49,7 +49,8 @@ def peaks_over_floor(ratio: Callable[[float, int], float]) -> dict[str, float]:
 
 
 def stable_bandwidths(stable: Callable[[float], bool]) -> tuple[float, float]:
-    """``bandwidths`` of a loop that is ``stable`` with the current loop's bandwidth times a share."""
+    """Return the ``bandwidths`` of a loop that is ``stable`` with the current loop's bandwidth times a
+    share."""
     return _last(stable, -0.1, 0.5), _last(stable, 0.1, 2.0)
 
 

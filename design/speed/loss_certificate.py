@@ -1,11 +1,11 @@
-"""What is certified of a predictor, and of an H-infinity controller, over every sequence of lost samples.
+"""Certificates of a predictor, and of an H-infinity controller, over every sequence of lost samples.
 
 The samples are those that a drive sends; every command arrives, and acts the delay of the design after its
 sample was due. The plant is that of the design. Through a loss
 
     H-infinity    the last sample is held, and its states go on as if it had come again
-    predictor     the model runs on alone, and the next sample counts for more: whatever gains the filter
-                  comes by, losses and steps that it sees included, lie in :class:`GainBoxes`
+    predictor     the model runs on alone, and the next sample counts for more: all possible gains of the
+                  filter, after losses and detected steps too, lie in :class:`GainBoxes`
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ Attempt = Callable[[int], SampledAnalysis]
 
 
 def with_losses(attempt: Attempt, losses_max: int) -> list[SampledAnalysis]:
-    """What comes of ``losses_max`` in a row and of ever fewer, until one is certified: that is the last."""
+    """Analyse ``losses_max`` in a row and ever fewer, until one is certified: that is the last."""
     attempts: list[SampledAnalysis] = []
     for losses in range(losses_max, -1, -1):
         attempts.append(attempt(losses))
@@ -39,12 +39,12 @@ def with_losses(attempt: Attempt, losses_max: int) -> list[SampledAnalysis]:
 
 
 def hinf_losses(made: HinfDesign, losses_max: int) -> SampledAnalysis:
-    """Through at most so many losses in a row."""
+    """Analyse an H-infinity controller with at most so many losses in a row."""
     return analyse_loop(lossy_hinf(made.loop(), losses_max))
 
 
 def lossy_hinf(loop: HinfLoop, losses_max: int) -> LossyLoop:
-    """``loop`` with the error that is held as its last state, before the commands on their way."""
+    """Return ``loop`` with the held error as its last state, before the commands on their way."""
     first, *rest = loop.chain()
     assert isinstance(first, Jump)
     size, commands = loop.size, slice(loop.first_command, loop.size)
@@ -65,7 +65,8 @@ def lossy_hinf(loop: HinfLoop, losses_max: int) -> LossyLoop:
 
 
 def predictor_losses(made: PredictorDesign, losses_max: int) -> SampledAnalysis:
-    """Through at most so many losses in a row; what is found is found with the gains of the quiet filter."""
+    """Analyse a predictor with at most so many losses in a row; patterns are found with the quiet filter's
+    gains."""
     loop = lossy_predictor(made, losses_max)
     analysis = analyse_loop(loop, (False,))
     gains = [losses_gain(made, losses_of(pattern)) for pattern in (analysis.worst.pattern, *analysis.regular)]
@@ -73,7 +74,7 @@ def predictor_losses(made: PredictorDesign, losses_max: int) -> SampledAnalysis:
 
 
 def lossy_predictor(made: PredictorDesign, losses_max: int) -> LossyLoop:
-    """The loop with every gain that its filter may have."""
+    """Return the loop with every gain that its filter may have."""
     own, request = PredictorLoop(made.prediction), made.request
     boxes = GainBoxes(request.kalman, made.walks, losses_max)
     losses = range(losses_max + 1)
@@ -91,7 +92,7 @@ def lossy_predictor(made: PredictorDesign, losses_max: int) -> LossyLoop:
 
 
 def _quiet_gain(made: PredictorDesign, lost: int) -> Array:
-    """L of the first sample after so many losses, before which every one came."""
+    """Return L of the first sample after so many losses, before which every one came."""
     kalman, walk = made.request.kalman, made.walks.quiet
     P = kalman.settled(walk)
     for _ in range(lost + 1):
@@ -100,5 +101,5 @@ def _quiet_gain(made: PredictorDesign, lost: int) -> Array:
 
 
 def losses_of(pattern: Pattern) -> list[int]:
-    """Before each sample of ``pattern`` that comes."""
+    """Return the losses before each received sample of ``pattern``."""
     return [step.source for step in pattern.steps if step.switches]

@@ -1,10 +1,9 @@
-"""Many runs of the sampled loop with random losses, delays and plants: what chance makes of the limits.
+"""Many runs of the sampled loop with random losses, delays and plants: the limits as chance shows them.
 
-Each run is a load step met at rest, over a network that loses each sample with some probability but
-never more than D in a row, with delays even in [0, T], and a plant whose parameters differ from the
-nominal ones. How a run is computed says ``design/core/random_runs.c``. Each has a random stream of its
-own, made from the seed and its number: the result depends neither on the number of threads nor on the
-order of the runs.
+Each run is a load step met at rest, over a network that loses each sample with some probability but never
+more than D in a row, with delays even in [0, T], and a plant whose parameters differ from the nominal ones.
+``design/core/random_runs.c`` computes a run. Each has its own random stream, made from the seed and its
+number: the result depends neither on the number of threads nor on the order of the runs.
 """
 
 import math
@@ -27,12 +26,12 @@ from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strate
 _DIVERGED = 1e3
 """A run whose error exceeds the free-running error of the load by this factor has diverged."""
 _RUNS_AT_ONCE: Final = 250
-"""A thread takes so many: some ten milliseconds, after which an interrupt is heard."""
+"""Runs per call of a thread: some ten milliseconds, after which an interrupt is noticed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chance:
-    """What the runs draw from, and how long each is."""
+    """Distributions of the runs, and their length."""
 
     runs: int
     seed: int
@@ -40,7 +39,7 @@ class Chance:
     loss_probability: float = 0.1
     load_nm: float = 1.0
     uncertainty: float = 0.0
-    """Of R, L, J, B and K_t, each drawn evenly: 0.2 means 80 to 120 per cent."""
+    """Half-width of R, L, J, B and K_t, each drawn evenly: 0.2 means 80 to 120 per cent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,17 +53,18 @@ class Estimate:
 
 
 def diverged(peaks_rad_s: Array) -> Estimate:
-    """Share of runs that diverged."""
+    """Return the share of runs that diverged."""
     return share(int(np.count_nonzero(~np.isfinite(peaks_rad_s))), len(peaks_rad_s))
 
 
 def share(hits: int, n: int) -> Estimate:
-    """A probability from ``hits`` of ``n``, with Clopper and Pearson's interval."""
+    """Return a probability from ``hits`` of ``n``, with Clopper and Pearson's interval."""
     return Estimate(hits / n, *clopper_pearson(hits, n))
 
 
 def quantile(values: Array, q: float) -> Estimate:
-    """Quantile ``q`` of a sample; the interval's ends are order statistics, by the binomial law."""
+    """Return the quantile ``q`` of a sample; the interval's ends are order statistics, by the binomial
+    law."""
     ordered = np.sort(values)
     n = len(ordered)
     spread = float(ndtri(0.5 + 0.5 * CONFIDENCE)) * math.sqrt(n * q * (1.0 - q))
@@ -80,10 +80,11 @@ def run_many(
     chance: Chance,
     current_bandwidth_hz: float | None = None,
 ) -> Array:
-    """(runs,) largest |e| of each, rad/s, inf where it diverged; on all processors that the process may use.
+    """Return the (runs,) largest |e| of each, rad/s, inf if it diverged; on all processors available to the
+    process.
 
-    ``current_bandwidth_hz``: as of :func:`servobench.design.delay.speed_loop.speed_model`; the uncertainties
-    of R and L make its.
+    ``current_bandwidth_hz``: see :func:`servobench.design.delay.speed_loop.speed_model`; its uncertainty
+    follows from R and L.
     """
     check_built("design", CoreNotBuilt)
     from servobench.design.core.native import random_runs

@@ -1,4 +1,4 @@
-"""A position loop over a drive's speed mode: its gain for a delay, and what can be proved of it.
+"""A position loop over a drive's speed mode: its gain for a delay, and its certificates.
 
     u = -K theta(t - tau), held for h         v' = omega_s (u - v)         theta' = v
 
@@ -17,8 +17,8 @@ from servobench.design.delay.delay_loop import Array
 from servobench.design.delay.speed_loop import SpeedModel
 
 SENSITIVITY_PEAK = 1.4
-"""Of |S|, by which the gain is chosen: within it gain margins are at least 1.4 / 0.4 = 3.5 and phase margins
-2 asin(1 / 2.8) = 42 degrees, and |T| of such a loop stays below 1.1, so a step hardly overshoots."""
+"""Peak of |S|, by which the gain is chosen: within it gain margins are at least 1.4 / 0.4 = 3.5 and phase
+margins 2 asin(1 / 2.8) = 42 degrees, and |T| of such a loop stays below 1.1, so a step hardly overshoots."""
 _GRID = 2000
 """Frequencies up to half the rate: S is flat between two of them, even with a delay of 100 periods."""
 _BISECTIONS = 50
@@ -26,7 +26,7 @@ _BISECTIONS = 50
 
 
 def position_model(bandwidth_rad_s: float) -> SpeedModel:
-    """The open loop; its disturbance is a speed, rad/s, at the shaft, its error the position, rad."""
+    """Return the open loop; its disturbance is a speed, rad/s, at the shaft, its error the position, rad."""
     return SpeedModel(
         A=np.array([[-bandwidth_rad_s, 0.0], [1.0, 0.0]]),
         B1=np.array([bandwidth_rad_s, 0.0]),
@@ -37,14 +37,14 @@ def position_model(bandwidth_rad_s: float) -> SpeedModel:
 
 
 def feedback(gain_per_s: float) -> Array:
-    """K of u = K x, (2,)."""
+    """Return K of u = K x, (2,)."""
     return np.array([0.0, -gain_per_s])
 
 
 def design_position(period_s: float, delay_s: float, bandwidth_rad_s: float) -> float:
-    """K, 1/s: the largest at which |S| peaks at :data:`SENSITIVITY_PEAK`.
+    """Return K, 1/s: the largest at which |S| peaks at :data:`SENSITIVITY_PEAK`.
 
-    ``delay_s``: from sample to actuator, tau. Raises ValueError for what is no time.
+    ``delay_s``: from sample to actuator, tau. Raises ValueError for an invalid time.
     """
     if not (period_s > 0.0 and delay_s >= 0.0 and bandwidth_rad_s > 0.0):
         raise ValueError("a period and a bandwidth above 0 and a delay of at least 0 expected")
@@ -60,12 +60,12 @@ def design_position(period_s: float, delay_s: float, bandwidth_rad_s: float) -> 
 
 
 def closed_loop(gain_per_s: float, period_s: float, delay_s: float, bandwidth_rad_s: float) -> Array:
-    """One period of the closed loop, (n + 3, n + 3): [v, theta, the last n + 1 samples of theta]."""
+    """Return one period of the closed loop, (n + 3, n + 3): [v, theta, the last n + 1 samples of theta]."""
     return _SampledIntegrator(period_s, delay_s, bandwidth_rad_s).step(gain_per_s)
 
 
 class _SampledIntegrator:
-    """theta at the samples out of the set-points, exactly."""
+    """theta at the samples as a function of the set-points, exactly."""
 
     def __init__(self, period_s: float, delay_s: float, bandwidth_rad_s: float) -> None:
         self.behind = math.floor(delay_s / period_s + 1e-9)
@@ -75,11 +75,11 @@ class _SampledIntegrator:
         self._old = whole - self._new
 
     def radius(self, gain_per_s: float) -> float:
-        """Spectral radius of the closed loop; below 1 it is stable."""
+        """Return the spectral radius of the closed loop; below 1 it is stable."""
         return float(np.abs(np.linalg.eigvals(self.step(gain_per_s))).max())
 
     def step(self, gain_per_s: float) -> Array:
-        """See :func:`closed_loop`."""
+        """Return the matrix of :func:`closed_loop`."""
         kept = self.behind + 1
         step = np.zeros((2 + kept, 2 + kept))
         step[:2, :2] = self.transition
@@ -91,7 +91,7 @@ class _SampledIntegrator:
         return step
 
     def sensitivity_peak(self, gain_per_s: float) -> float:
-        """max |S| over frequency."""
+        """Return max |S| over frequency."""
         z = np.exp(1j * np.pi * np.arange(1, _GRID + 1) / _GRID)
         (a, _), (c, d) = self.transition
         # theta of [v, theta] out of (zI - Phi)^-1 Gamma, Phi lower triangular
@@ -102,7 +102,7 @@ class _SampledIntegrator:
 
 
 def _held(bandwidth_rad_s: float, length_s: float) -> tuple[Array, Array]:
-    """Phi (2, 2) and Gamma (2,) of a held input."""
+    """Return Phi (2, 2) and Gamma (2,) of a held input."""
     risen = -math.expm1(-bandwidth_rad_s * length_s)
     travelled_s = risen / bandwidth_rad_s
     return np.array([[1.0 - risen, 0.0], [travelled_s, 1.0]]), np.array([risen, length_s - travelled_s])

@@ -1,8 +1,8 @@
-"""The predictor whose speed peaks least after a load step, within what it must bear.
+"""The predictor whose speed peaks least after a load step, within its robustness limits.
 
 search      two poles of the feedback: speed and torque
 for each    the fastest walk of the load that is stable within the delay margin and +-30 % of the inertia
-            and keeps the torque's noise: of the quiet filter, and of the bold one that steps are followed by
+            and keeps the torque's noise: of the quiet filter, and of the bold one that follows steps
 least       the largest peak over its own floor, of the motor and of +-30 % of its inertia, after the step
             of the load at the worst of some instants between two samples
 """
@@ -37,56 +37,57 @@ from servobench.design.speed.predictor_plant import (
 from servobench.design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
 
 _INERTIAS = (1.0, 0.7, 1.3)
-"""The motor's own, and +-30 %: what the load on a shaft may add or lack."""
+"""The motor's own inertia, and +-30 %: the usual uncertainty of the load on a shaft."""
 PHASES = (0.0, 0.2, 0.35, 0.5)
-"""Of a period, between a sample and the load step; later ones are nearer to that of the next sample."""
+"""Instants of the load step, in periods after a sample; later ones are nearer to that of the next sample."""
 DELAY_MARGIN_S = 0.5e-3
 DELAY_MARGIN_SHARE = 0.1
-"""Of the delay: the margin asked for is the larger of the two."""
+"""Share of the delay: the required margin is the larger of the two."""
 _MARGIN_STEP = 0.1
-"""Of a period: where within the delay margin the loop must be stable. Between stable delays lie unstable
-ones, half a period wide."""
+"""Step, in periods, at which the loop must be stable within the delay margin. Between stable delays lie
+unstable ones, half a period wide."""
 _MARGIN_REACH = 1.1
-"""Of the delay margin: the last instant of the grid lies at its end or beyond."""
+"""Multiple of the delay margin: the last instant of the grid lies at its end or beyond."""
 _INERTIAS_BORNE = (0.66, 0.7, 1.3, 1.35)
-"""With which it must be stable: a little beyond +-30 %, so that there it is well damped."""
+"""Inertias with which it must be stable: a little beyond +-30 %, so that there it is well damped."""
 _QUIET_SHARE = 0.75
-"""Of the torque's noise, for the quiet filter."""
+"""Share of the torque noise for the quiet filter."""
 _FALSE_STEPS = 0.45
-"""Share of the variance that is the bold filter's where nothing but noise comes, by long trials: one sample
-in seven is taken for a step, and the gains calm down within some."""
+"""Share of the variance due to the bold filter where only noise comes, by long trials: one sample in seven is
+taken for a step, and the gains calm down within a few."""
 _SLOWEST, _FASTEST = 1e-2, 3e2
-"""Walks that are looked at, in rated torques per root of s; they are the ends of a bisection."""
+"""Range of walks, in rated torques per root of s; they are the ends of a bisection."""
 _BISECTIONS = 10
 """Halvings of the ratio, 3e4: they leave 1 % of a walk."""
 _ALLOWED, _TIE = 0.1, 0.1
-"""What another inertia may cost of the ratio beside the motor's own, and the weight of that alone."""
+"""Ratio that another inertia may cost beyond the motor's own, and the weight of the latter alone."""
 WORST = 1e3
-"""The ratio of weights that stabilise nothing: beyond all that stable ones reach, and finite for a search."""
+"""Ratio for weights that stabilise nothing: beyond all stable ones, and finite for a search."""
 
 
 @dataclass(frozen=True, slots=True)
 class PredictorRequest:
-    """What is known, and what must be kept."""
+    """Known data and required limits."""
 
     motor: PmsmParameters
     current_bandwidth_hz: float
-    """Of the drive's current loop."""
+    """Bandwidth of the drive's current loop."""
     speed_filter_hz: float
-    """Of the filter behind the drive's speed."""
+    """Bandwidth of the filter behind the drive's speed."""
     speed_noise_rad_s: float
     """Rms on each sample."""
     torque_noise_nm: float
-    """What the torque of a period differs from its command, rms."""
+    """Difference between the torque of a period and its command, rms."""
     period_s: float
     delay_max_s: float
     """From a sample to its command's instant."""
     load_nm: float
     """The step of the load."""
     command_noise_nm: float
-    """Rms of the command that the samples' noise may make."""
+    """Rms of the command that the samples' noise may cause."""
     dead_time_s: float = 0.0
-    """Of the drive: from a command's instant to its voltage, and from a sample's to that of its count."""
+    """Dead time of the drive: from a command's instant to its voltage, and from a sample's to that of its
+    count."""
 
     @property
     def delay_s(self) -> float:
@@ -95,32 +96,32 @@ class PredictorRequest:
 
     @property
     def current_rate_rad_s(self) -> float:
-        """Of the drive's current loop."""
+        """Rate of the drive's current loop."""
         return math.tau * self.current_bandwidth_hz
 
     @property
     def plant(self) -> PredictorPlant:
-        """Of the motor."""
+        """The motor's plant."""
         return plant_of(self.motor, self.current_rate_rad_s, self.speed_filter_hz)
 
     @property
     def kalman(self) -> KalmanModel:
-        """Of its filter."""
+        """The model of its filter."""
         return _kalman(self)
 
     @property
     def delay_margin_s(self) -> float:
-        """That is asked for."""
+        """The required margin."""
         return max(DELAY_MARGIN_S, DELAY_MARGIN_SHARE * self.delay_s)
 
     @property
     def borne(self) -> list[tuple[float, float]]:
-        """Times the inertia, and by how much longer the delay, s: with each pair the loop must be stable."""
+        """Multiples of the inertia, and extra delays, s: with each pair the loop must be stable."""
         later = np.arange(0.0, _MARGIN_REACH * self.delay_margin_s, _MARGIN_STEP * self.period_s)
         return [(1.0, float(more_s)) for more_s in later] + [(inertia, 0.0) for inertia in _INERTIAS_BORNE]
 
     def unkept(self, kind: str) -> InfeasibleDesign:
-        """What to say where no controller of a ``kind`` keeps what is asked."""
+        """Return the error if no controller of a ``kind`` keeps the limits."""
         return InfeasibleDesign(
             f"a delay margin of {1e3 * self.delay_margin_s:g} ms and a torque noise of "
             f"{self.command_noise_nm:g} N m",
@@ -129,7 +130,7 @@ class PredictorRequest:
         )
 
     def floor_rad_s(self, inertia: float = 1.0, lost: int = 0) -> float:
-        """That no controller beats after the step, with so many samples lost in a row."""
+        """Return the peak that no controller beats after the step, with so many samples lost in a row."""
         motor = replace(self.motor, inertia_kg_m2=self.motor.inertia_kg_m2 * inertia)
         return self.load_nm * peak_floor_rad_s(motor, (1 + lost) * self.period_s + self.delay_s)
 
@@ -141,7 +142,7 @@ def _kalman(request: PredictorRequest) -> KalmanModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictorDesign:
-    """A predictor."""
+    """A predictor and its figures."""
 
     request: PredictorRequest
     F: Array
@@ -149,12 +150,12 @@ class PredictorDesign:
 
     @property
     def prediction(self) -> Prediction:
-        """What its loop reckons with."""
+        """The model in its loop."""
         request = self.request
         return Prediction(request.plant, request.period_s, request.delay_s, self.F)
 
     def ratio(self, inertia: float, lost: int = 0) -> float:
-        """Peak after the step over the floor of that inertia, both without noise."""
+        """Return the peak after the step over the floor of that inertia, both without noise."""
         request = self.request
         periods = math.ceil(3.0 * (request.delay_s / request.period_s + 1.0)) + 10 + 2 * lost
         peaks = [
@@ -173,7 +174,7 @@ class PredictorDesign:
 
 
 def design_predictor(request: PredictorRequest) -> PredictorDesign:
-    """The design. Raises InfeasibleDesign where nothing keeps what is asked."""
+    """Design the predictor. Raises InfeasibleDesign if none keeps the limits."""
     around_s = request.period_s + request.delay_s
 
     def design(poles: Array) -> PredictorDesign | None:
@@ -198,7 +199,7 @@ def design_predictor(request: PredictorRequest) -> PredictorDesign:
 
 
 def peak_cost(ratio: Callable[[float], float]) -> float:
-    """What a search makes least: the largest ``ratio`` of three inertias, the motor's own favoured."""
+    """Return the cost of a search: the largest ``ratio`` of three inertias, the motor's own favoured."""
     own, less, more = (ratio(inertia) for inertia in _INERTIAS)
     return max(own + _ALLOWED, less, more) + _TIE * own
 
@@ -236,7 +237,7 @@ def _with_walks(request: PredictorRequest, F: Array) -> PredictorDesign | None:
 
 
 def _largest(keeps: Callable[[float], bool], low: float, high: float) -> float | None:
-    """The largest value between two that ``keeps``, as far as bisection finds it; None: not even the low."""
+    """Return the largest value between two that ``keeps``, by bisection; None: not even the low one."""
     if not keeps(low):
         return None
     for _ in range(_BISECTIONS):
@@ -253,7 +254,7 @@ _SETTLED = 300
 
 
 def predictor_robustness(made: PredictorDesign) -> LoopRobustness:
-    """The figures for constant gains, of the quiet filter.
+    """Return the figures for the constant gains of the quiet filter.
 
     The loop is stable, and has its delay margin, with those of both filters.
     """
@@ -284,9 +285,10 @@ def predictor_robustness(made: PredictorDesign) -> LoopRobustness:
 
 
 def losses_gain(made: PredictorDesign, losses: Sequence[int]) -> float:
-    """L2 gain where so many samples do not come before each that does, again and again, rad/s per N m.
+    """Return the L2 gain if so many samples are lost before each received one, again and again, rad/s per N
+    m.
 
-    The gains are those that the quiet filter settles to; inf: unstable.
+    The gains are the quiet filter's steady ones; inf: unstable.
     """
     kalman, walk = made.request.kalman, made.walks.quiet
     loop, P = PredictorLoop(made.prediction), kalman.settled(walk)

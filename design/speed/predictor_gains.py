@@ -1,10 +1,10 @@
-"""The gains that a predictor's filter may have, whatever is lost and whatever it takes for a load step.
+"""All gains of a predictor's filter, for any losses and any detected load steps.
 
-The covariance after a sample follows from what it was, from the losses before the sample, and from whether
-the bold one took its place. Every such map is monotone: what lies between two covariances before a history
-of samples lies between their outcomes behind it, and the longer it is, the nearer these are. So histories
-that cover every past, each begun between the least and the largest covariance there is, enclose every gain
-there is: in a box for each number of losses before the sample, along the axes in which it is thin.
+The covariance after a sample follows from the previous one, from the losses before the sample, and from
+whether the bold one replaced it. Every such map is monotone: a covariance between two before a history of
+samples lies between their outcomes after it, and the longer the history, the nearer these are. So histories
+that cover every past, each begun between the least and the largest possible covariance, enclose every
+possible gain: in a box for each number of losses before the sample, along the axes in which it is thin.
 """
 
 import itertools
@@ -22,20 +22,20 @@ _HISTORIES_MAX = 6000
 """Five losses in a row need 1629; with 500 their certified gain is 40 % higher. At 6000 the boxes have cost
 up to 23 s."""
 _SAMPLES_MAX = 12
-"""Six are enough for five losses in a row, for by then the past is forgotten to the width below; with four
-the box of the load's gain is 14 % wider."""
+"""Six are enough for five losses in a row, as the past is then forgotten to the width below; with four the
+box of the load's gain is 14 % wider."""
 _NARROW = 1e-2
-"""Half of what a history leaves open of a gain, relative: none is made longer than that needs."""
+"""Half of the relative uncertainty of a gain that a history may leave: none is extended beyond that."""
 _ROUNDS = 2000
-"""In which the largest covariance is looked for."""
+"""Rounds of the search for the largest covariance."""
 _ROUNDING, _SLACK = 1e-12, 1e-6
-"""Relative: what counts as nothing, and by how much more that covariance is taken."""
+"""Relative: rounding, and the enlargement of that covariance."""
 _ROOM = 1e-3
-"""Of a gain: what the host's filter, in scalars and from six digits, may differ."""
+"""Share of a gain: the possible difference of the host's filter, in scalars and from six digits."""
 
 
 class _Between(NamedTuple):
-    """Covariances (N, 3, 3) between two, each of the filter and of the bold one."""
+    """Covariances (N, 3, 3) between two, each for the filter and the bold one."""
 
     low: Array
     high: Array
@@ -43,17 +43,17 @@ class _Between(NamedTuple):
     bold_high: Array
 
     def put(self, rows: NDArray[np.intp], other: "_Between") -> None:
-        """``other`` in place of ``rows``."""
+        """Put ``other`` in place of ``rows``."""
         for own, new in zip(self, other, strict=True):
             own[rows] = new
 
     def part(self, rows: NDArray[np.intp]) -> "_Between":
-        """Some of them."""
+        """Return some of them."""
         return _Between(*(own[rows] for own in self))
 
 
 class GainBoxes:
-    """Of a filter through which at most ``losses_max`` samples in a row are lost."""
+    """Gains of a filter that loses at most ``losses_max`` samples in a row."""
 
     def __init__(self, kalman: KalmanModel, walks: Walks, losses_max: int) -> None:
         self._kalman, self._walks, self._losses_max = kalman, walks, losses_max
@@ -61,7 +61,7 @@ class GainBoxes:
         self._outcomes = self._histories()
 
     def corners(self, lost: int) -> list[Array]:
-        """Those of the box of all gains, each L (4,), behind so many losses in a row."""
+        """Return the corners of the box of all gains, each L (4,), after so many losses in a row."""
         prior = self._prior(self._outcomes, lost)
         low = np.concatenate([prior.low, prior.bold_low])
         high = np.concatenate([prior.high, prior.bold_high])
@@ -81,7 +81,7 @@ class GainBoxes:
         return [of_state(size * (axes.T @ np.array(corner))) for corner in itertools.product(*ends)]
 
     def _histories(self) -> _Between:
-        """What all pasts leave behind a sample."""
+        """Return all possible covariances after a sample."""
         letters = np.arange(2 * (self._losses_max + 1))
         settled: list[_Between] = []
         count, open_ = 0, np.zeros((1, 0), dtype=int)
@@ -102,7 +102,8 @@ class GainBoxes:
         return _Between(*map(np.concatenate, zip(*settled, strict=True)))
 
     def _outcome(self, histories: NDArray[np.int_]) -> _Between:
-        """(N, samples), the oldest first: twice the losses before a sample, and 1 if a step was seen."""
+        """Return the outcomes of (N, samples), the oldest first: twice the losses before a sample, and 1 if a
+        step was seen."""
         kalman, walks, count = self._kalman, self._walks, len(histories)
         quiet, bold = kalman.settled(walks.quiet), kalman.settled(walks.bold)
         starts = (quiet, self._largest, bold, self._largest)
@@ -115,7 +116,7 @@ class GainBoxes:
         return boxes
 
     def _widths(self, outcomes: _Between) -> Array:
-        """(N,): how much each leaves open of the next gain of the load, or of the speed, relative."""
+        """Return (N,): how much each leaves open of the next gain of the load, or of the speed, relative."""
         prior = self._prior(outcomes, 0)
         widths = np.zeros(len(prior.low))
         for low, high in ((prior.low, prior.high), (prior.bold_low, prior.bold_high)):
@@ -124,7 +125,7 @@ class GainBoxes:
         return widths
 
     def _prior(self, given: _Between, lost: int) -> _Between:
-        """Before the sample that comes after so many losses."""
+        """Return the covariances before the sample that comes after so many losses."""
         quiet, bold, periods = self._walks.quiet, self._walks.bold, lost + 1
         low, high, bold_low, bold_high = given
         return _Between(
@@ -135,13 +136,13 @@ class GainBoxes:
         )
 
     def _predicted(self, P: Array, walk: float, periods: int) -> Array:
-        """(..., 3, 3) some periods later."""
+        """Return (..., 3, 3) some periods later."""
         for _ in range(periods):
             P = self._kalman.Phi @ P @ self._kalman.Phi.T + self._kalman.process(walk)
         return P
 
     def _corrected(self, prior: _Between, taken: bool) -> _Between:
-        """``taken``: a step was seen, and the bold covariance with it."""
+        """Correct the covariances. ``taken``: a step was seen, and the bold covariance with it."""
         low, high, *bold = map(self._after, prior)
         return _Between(*bold, *bold) if taken else _Between(low, high, *bold)
 
@@ -152,7 +153,7 @@ class GainBoxes:
         )
 
     def _largest_covariance(self) -> Array:
-        """Behind a sample, of the bold filter: no losses lead beyond it. Raises NoSolution.
+        """Return the covariance after a sample of the bold filter that no losses exceed. Raises NoSolution.
 
         Made a little larger it remains one: no such map grows faster than its covariance does.
         """
@@ -170,12 +171,12 @@ class GainBoxes:
 
 
 def _reach(width: Array, u: Array) -> Array:
-    """(N,): by how much u' P r may depart from that of the middle of two covariances, ``width`` apart."""
+    """Return (N,): how far u' P r may depart from that of the middle of two covariances, ``width`` apart."""
     along, across = np.einsum("i,nij,j->n", u, width, u), width @ READ @ READ
     return np.asarray(0.5 * np.sqrt(np.maximum(along * across, 0.0)))
 
 
 def _positive(M: Array) -> Array:
-    """What of it is above 0."""
+    """Return the positive part of M."""
     values, vectors = np.linalg.eigh(M)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -1,4 +1,4 @@
-"""A predictor's loop with constant gains, as it runs: sampled, held, with a delay that is no whole period.
+"""A predictor's loop with constant gains: sampled, held, with a delay that is no whole period.
 
     xi = [T, omega, w | u in force | x^ | b_1 .. b_n]        b_1: the newest command, b_2 the one before ...
 
@@ -22,17 +22,17 @@ from servobench.design.statespace import StateSpace
 _OBSERVER = INPUT + 1
 _BUFFER = _OBSERVER + STATES
 _STEADY = 1.0 - 1e-9
-"""A pole at 1, as a load that nothing corrects leaves it, is told to rounding errors."""
+"""A pole at 1, as of a load that nothing corrects, is found only to rounding errors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """What a predictor reckons with."""
+    """The predictor's model."""
 
     plant: PredictorPlant
     period_s: float
     delay_s: float
-    """tau: from a sample to the voltage that its command makes."""
+    """tau: from a sample to the voltage caused by its command."""
     F: Array
     """(4,): u = -F x^."""
 
@@ -53,22 +53,22 @@ class PredictorLoop(PlantLoop):
         lost = self.chain(None)
         self._uncorrected = self.transition(lost)
         self._entering = np.zeros((self.size, STATES))
-        """What a correction adds to xi behind its jump, of each entry of x^."""
+        """The addition of a correction to xi after its jump, for each entry of x^."""
         self._entering[_OBSERVER:_BUFFER] = np.eye(STATES)
         self._entering[_BUFFER] = -prediction.F @ self._state_ahead
         self._entered = self.transition(lost[1:]) @ self._entering
 
     def chain(self, L: Array | None) -> list[Operation]:
-        """A period that begins with a sample of gain L (4,); None: with a lost one."""
+        """Return a period that begins with a sample of gain L (4,); None: with a lost one."""
         sampled = self._sampled(np.zeros(STATES) if L is None else L)
         return [*self.period(sampled), Jump(self._followed())]
 
     def is_stable(self, L: Array) -> bool:
-        """With every sample."""
+        """Return True if the loop is stable with every sample received."""
         return bool(np.max(np.abs(np.linalg.eigvals(self._closed(L)))) < _STEADY)
 
     def _closed(self, L: Array) -> Array:
-        """The product of ``chain(L)``: it is linear in L."""
+        """Return the product of ``chain(L)``: it is linear in L."""
         return np.asarray(self._uncorrected + np.outer(self._entered @ L, self._read))
 
     @property
@@ -78,25 +78,27 @@ class PredictorLoop(PlantLoop):
         return read
 
     def torque_noise_nm(self, L: Array, speed_noise_rad_s: float) -> float:
-        """Rms of the command by white noise on each sample; inf if unstable."""
+        """Return the rms of the command caused by white noise on each sample; inf if unstable."""
         if not self.is_stable(L):
             return math.inf
         noise = self._entering @ L
         return self.command_rms_nm(self.chain(L), np.outer(noise, noise) * speed_noise_rad_s**2)
 
     def margins(self, L: Array) -> Margins:
-        """Of the loop cut where commands begin to act, between samples of the plant."""
+        """Return the margins of the loop cut where commands begin to act, between samples of the plant."""
         return self.margins_with(self._controller(L))
 
     def _controller(self, L: Array) -> StateSpace:
-        """From the speed error at a sample to its command; state: x^ as predicted to it, and the commands."""
+        """Return the system from the speed error at a sample to its command; state: predicted x^, and the
+        commands."""
         jump, follow = self._sampled(L)[_OBSERVER:, :], self._followed()[_OBSERVER:, _OBSERVER:]
         A, b = jump[:, _OBSERVER:], jump[:, [FILTERED]]
         newest = [STATES]  # b_1
         return StateSpace(follow @ A, follow @ b, -A[newest], -b[newest], self.period_s)
 
     def _ahead(self) -> tuple[Array, Array]:
-        """From x^ (4, 4) and the commands before the new one (4, n) to the state at its instant."""
+        """Return the maps from x^ (4, 4) and the commands before the new one (4, n) to the state at its
+        instant."""
         plant, h = self.prediction.plant, self.prediction.period_s
         commands = np.zeros((STATES, self.size - _BUFFER))
         first, entered = plant.step(self._rest_s)
@@ -129,7 +131,7 @@ class PredictorLoop(PlantLoop):
 
 
 def delay_margin_s(prediction: Prediction, L: Array) -> float:
-    """What the delay may be longer than the predictor reckons, to a twentieth of a period below."""
+    """Return how much longer the delay may be than predicted, rounded down to a twentieth of a period."""
     return later_s(
         lambda delay_s: PredictorLoop(prediction, delay_s=delay_s).is_stable(L),
         prediction.delay_s,

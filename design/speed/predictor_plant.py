@@ -1,10 +1,10 @@
-"""What a predictor goes by: current loop, shaft, the drive's speed filter, and a load that walks.
+"""A predictor's plant: current loop, shaft, the drive's speed filter, and a load that walks.
 
     T' = a (u - T)     J omega' = T - B omega - T_L     w' = f (omega - w)     T_L' = white noise
     y = w + noise of the encoder
 
-State x = [T, omega, w, T_L]: N m, rad/s, rad/s, N m. The torque has no variance of its own: it follows from
-the commands, and what it differs from them counts as noise on the speed.
+State x = [T, omega, w, T_L]: N m, rad/s, rad/s, N m. The torque has no variance: it follows from the
+commands, and its difference from them counts as noise on the speed.
 """
 
 import math
@@ -50,11 +50,11 @@ class PredictorPlant:
 
     @property
     def B(self) -> Array:
-        """(4,), of the command."""
+        """(4,), input of the command."""
         return np.array([self.current_rate_rad_s, 0.0, 0.0, 0.0])
 
     def changed(self, inertia: float = 1.0, current: float = 1.0) -> "PredictorPlant":
-        """With so many times the inertia, and the bandwidth of the current loop."""
+        """Return the plant with a multiple of the inertia, and of the current loop's bandwidth."""
         return replace(
             self,
             inertia_kg_m2=self.inertia_kg_m2 * inertia,
@@ -62,11 +62,12 @@ class PredictorPlant:
         )
 
     def step(self, length_s: float) -> tuple[Array, Array]:
-        """Transition (4, 4) and input (4,) under a command that is held for ``length_s``."""
+        """Return transition (4, 4) and input (4,) under a command held for ``length_s``."""
         return _step(self, length_s)
 
     def look(self, acts_s: float, at_s: float) -> tuple[Array, Array, Array]:
-        """The state ``at_s`` into a period, from that at its begin, the command before and the one after.
+        """Return the maps to the state ``at_s`` into a period, from that at its begin, the command before and
+        the one after.
 
         ``acts_s``: when the latter begins to act.
         """
@@ -77,7 +78,8 @@ class PredictorPlant:
         return second @ first, second @ held, entered
 
     def feedback(self, bandwidth_rad_s: float, torque_rate_rad_s: float) -> Array:
-        """F (4,) of u = -F x: the plant without delay gets these two poles, and the load is cancelled."""
+        """Return F (4,) of u = -F x: the plant without delay gets these two poles, and the load is
+        cancelled."""
         J, B, a = self.inertia_kg_m2, self.viscous_friction_nm_s, self.current_rate_rad_s
         torque = (bandwidth_rad_s + torque_rate_rad_s - B / J) / a - 1.0
         speed = (bandwidth_rad_s * torque_rate_rad_s - a * (1.0 + torque) * B / J) * J / a
@@ -99,16 +101,16 @@ class KalmanModel:
     Phi: Array
     Q_torque: Array
     Q_walk: Array
-    """Of a walk of 1 N m per root of s."""
+    """Process noise of a walk of 1 N m per root of s."""
     R: float
     """Variance of the noise on a sample, (rad/s)^2."""
 
     def process(self, walk: float) -> Array:
-        """Q (3, 3)."""
+        """Return Q (3, 3)."""
         return np.asarray(self.Q_torque + walk * walk * self.Q_walk)
 
     def stationary(self, walk: float) -> Array:
-        """P (3, 3) before each correction, where every sample comes."""
+        """Return P (3, 3) before each correction, where every sample comes."""
         return np.asarray(
             scipy.linalg.solve_discrete_are(
                 self.Phi.T, READ[:, None], self.process(walk), np.array([[self.R]])
@@ -117,35 +119,35 @@ class KalmanModel:
 
     @cache  # noqa: B019 - a model lives as long as its design
     def settled(self, walk: float) -> Array:
-        """P (3, 3) behind each correction, where every sample comes."""
+        """Return P (3, 3) after each correction, where every sample comes."""
         return self.corrected(self.stationary(walk))
 
     def gain(self, P: Array) -> Array:
-        """L (3,) of a correction from P."""
+        """Return L (3,) of a correction from P."""
         return np.asarray(P @ READ / (READ @ P @ READ + self.R))
 
     def corrected(self, P: Array) -> Array:
-        """P behind a correction."""
+        """Return P after a correction."""
         return np.asarray(P - np.outer(self.gain(P), READ @ P))
 
     def predicted(self, P: Array, walk: float) -> Array:
-        """P a period later."""
+        """Return P a period later."""
         return np.asarray(self.Phi @ P @ self.Phi.T + self.process(walk))
 
     def observer(self, walk: float) -> Array:
-        """L (4,) of x, where every sample comes."""
+        """Return L (4,) of x, where every sample comes."""
         return of_state(self.gain(self.stationary(walk)))
 
 
 def of_state(gain: Array) -> Array:
-    """A gain of [omega, w, T_L] as one of x: the torque stays."""
+    """Return a gain of [omega, w, T_L] as one of x: the torque stays."""
     return np.concatenate(([0.0], gain))
 
 
 def kalman_model(
     plant: PredictorPlant, period_s: float, speed_noise_rad_s: float, torque_noise_nm: float
 ) -> KalmanModel:
-    """``torque_noise_nm``: rms of what the torque of a period differs from its command."""
+    """Make the model. ``torque_noise_nm``: rms difference between the torque of a period and its command."""
     unsure = np.ix_(_UNSURE, _UNSURE)
     A = plant.A[unsure]
     n = len(A)
@@ -161,9 +163,9 @@ def kalman_model(
 
 
 def encoder_noise_rad_s(counts_per_revolution: int, filter_hz: float, rate_hz: float) -> float:
-    """Rms of what the rounding of a count adds to a filtered speed.
+    """Return the rms that the rounding of a count adds to a filtered speed.
 
-    Each count is off by an even spread of one count; their difference over a tick goes through the filter
+    Each count has an error spread evenly over one count; their difference over a tick goes through the filter
     a (1 - z^-1)/(1 - (1 - a) z^-1), whose impulse response has the square sum 2 a^2/(2 - a).
     """
     a = 1.0 / (1.0 + rate_hz / (math.tau * filter_hz))
@@ -172,7 +174,7 @@ def encoder_noise_rad_s(counts_per_revolution: int, filter_hz: float, rate_hz: f
 
 
 def plant_of(motor: PmsmParameters, current_rate_rad_s: float, filter_hz: float) -> PredictorPlant:
-    """Of a motor behind a drive."""
+    """Return the plant of a motor behind a drive."""
     return PredictorPlant(
         motor.inertia_kg_m2, motor.viscous_friction_nm_s, current_rate_rad_s, math.tau * filter_hz
     )

@@ -1,7 +1,7 @@
-"""A load step on the loop of a predictor whose gains follow what comes: lost samples, and steps that it sees.
+"""A load step on a predictor's loop with adaptive gains: lost samples, and detected steps.
 
-The filter here is matrices in numpy, that of a drive's host is scalars (hil/control/load_filter.py): tests
-hold them against each other.
+The filter here uses numpy matrices, that of a drive's host scalars (hil/control/load_filter.py): tests
+compare the two.
 """
 
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ from servobench.design.speed.predictor_plant import (
 )
 
 STEP_SIGMAS = 1.5
-"""An innovation so many times its standard deviation is taken for a step of the load."""
+"""Innovation, in standard deviations, taken for a step of the load."""
 WITHIN = 4
-"""Instants of a period at which the shaft is looked at."""
+"""Instants of a period at which the shaft is evaluated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +34,7 @@ class Walks:
 
     quiet: float
     bold: float
-    """That of the filter whose covariance is taken over when a step is seen."""
+    """Walk of the filter whose covariance is taken over when a step is seen."""
 
 
 class AdaptiveFilter:
@@ -46,12 +46,12 @@ class AdaptiveFilter:
         self.steps_seen = 0
 
     def predict(self) -> None:
-        """On by a period."""
+        """Advance by a period."""
         self._quiet = self._model.predicted(self._quiet, self._walks.quiet)
         self._bold = self._model.predicted(self._bold, self._walks.bold)
 
     def correct(self, innovation: float) -> Array:
-        """L (4,) for a sample so far from what was expected, rad/s."""
+        """Return L (4,) for a sample with this innovation, rad/s."""
         spread = float(READ @ self._quiet @ READ) + self._model.R
         if innovation * innovation > STEP_SIGMAS**2 * spread:
             self._quiet = self._bold
@@ -64,10 +64,10 @@ class AdaptiveFilter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadTrial:
-    """What came of a run."""
+    """Result of a run."""
 
     speeds_rad_s: Array
-    """(n,) of the shaft, four a period."""
+    """(n,) speeds of the shaft, four a period."""
     commands_nm: Array
     """(k,) one for each sample."""
     steps_seen: int
@@ -90,10 +90,11 @@ def load_step(
     noise_rad_s: Array | None = None,
     lost: frozenset[int] = frozenset(),
 ) -> LoadTrial:
-    """From rest; the load comes ``phase`` of a period after a sample, and the next one is number 0.
+    """Simulate a load step from rest; the load comes ``phase`` of a period after a sample, the next being
+    number 0.
 
     ``plant``, ``delay_s``: the real ones, if they are not the predictor's; ``noise_rad_s``: (periods,) on the
-    samples; ``lost``: numbers of those that do not come.
+    samples; ``lost``: numbers of the lost ones.
     """
     own, h = prediction.plant, prediction.period_s
     real = plant or own

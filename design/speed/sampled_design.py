@@ -1,10 +1,9 @@
-"""The feedback with the least gain in the loop that really runs: sampled, held, with delay and loss.
+"""The feedback with the least gain in the loop as it runs: sampled, held, with delay and loss.
 
-The figure to be made small is the largest gain under a set of patterns, under the condition that the
-loop decays under each. The set grows by exchange: what the searches for the worst patterns find beyond the
-figure is added, and the search for K begun again, until they find nothing worse. The figure is not
-smooth in K, so a simplex (Nelder and Mead) walks. What it ends with is the gain that was found; what is
-certified of it is another question.
+The figure to minimise is the largest gain under a set of patterns, provided that the loop decays under each.
+The set grows by exchange: patterns beyond the figure, found by the searches for the worst, are added and the
+search for K begins again, until they find nothing worse. The figure is not smooth in K, so a simplex (Nelder
+and Mead) is used. The result is a gain found, not certified.
 """
 
 import math
@@ -36,12 +35,12 @@ _CHANGED_MAX = 8
 _EVALUATIONS = 80
 _POLISHING = 40
 _SHARES = (0.8, 2.0)
-"""Times the speed gain of the constant delay: where the search starts."""
+"""Starts, as multiples of the speed gain for the constant delay."""
 _UNSTABLE = 50.0
-"""Of the logarithm that is searched: above any gain, and sloping towards stability."""
+"""Logarithm used for unstable loops: above any gain, and sloping towards stability."""
 _EXCHANGES = 8
 _WORSE = 1.003
-"""Found over the largest gain of the set at which the search ends."""
+"""Ratio of the gain found to the largest of the set at which the search ends."""
 _DECAY = 0.2
 """Times the inverse of the longest age: the decay that every pattern must keep."""
 
@@ -52,7 +51,7 @@ def least_sampled_gain(
     feedback: Feedback = Feedback.FULL,
     integral_time_s: float | None = None,
 ) -> SpeedDesign:
-    """The best that the search finds, with the largest gain of its loop that was found.
+    """Return the best feedback found, with the largest gain found for its loop.
 
     Raises NoSolution if no start is stable under every pattern.
     """
@@ -117,28 +116,29 @@ class _Search:
         self._tolerance = _TOLERANCE
 
     def add(self, pattern: Pattern) -> None:
-        """Look at ``pattern`` too."""
+        """Add ``pattern`` to the set."""
         self._patterns.append(pattern.steps)
 
     def gain_at(self, x: Array) -> float:
-        """The largest gain under the patterns, rad/s per N m."""
+        """Return the largest gain under the patterns, rad/s per N m."""
         return math.exp(self._figure(x))
 
     def from_point(self, x: Array) -> tuple[float, Array]:
-        """From ``x``: figure reached, and where."""
+        """Search from ``x``: figure reached, and where."""
         return self._walk(x, 0.1, _EVALUATIONS)
 
     def from_gain(self, share: float) -> tuple[float, Array]:
-        """From ``share`` of the start's speed gain, without current feedback: figure reached, and where.
+        """Search from ``share`` of the start's speed gain, without current feedback: figure reached, and
+        where.
 
-        The speed gain is searched by its logarithm, the current gain as it is.
+        The speed gain is searched by its logarithm, the current gain directly.
         """
         origin = np.zeros(len(self._free))
         origin[-1] = math.log(share)
         return self._walk(origin, 0.3, _EVALUATIONS)
 
     def polished(self, x: Array) -> Array:
-        """The same with small steps from ``x``."""
+        """Repeat with small steps from ``x``."""
         self._tolerance = _FINE
         x = self._walk(x, 0.04, _POLISHING)[1]
         self._tolerance = _TOLERANCE
@@ -158,7 +158,7 @@ class _Search:
         return self._model.with_entries(self._start, self._free, entries)
 
     def _figure(self, x: Array) -> float:
-        """Logarithm of the largest gain under the patterns."""
+        """Return the logarithm of the largest gain under the patterns."""
         loop = HeldLoop(self._model, self.gain_of(x), self._network)
         patterns = [pattern_of(loop, steps) for steps in self._patterns]
         decay = min(pattern.decay_per_s for pattern in patterns)

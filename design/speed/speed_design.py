@@ -1,4 +1,4 @@
-"""The best gain there is for a loop with constant delay: exact limits, no conservatism.
+"""The best possible gain for a loop with constant delay: exact limits, no conservatism.
 
 Two questions, for full or speed-only feedback, with or without integral action:
 
@@ -31,29 +31,29 @@ from servobench.design.delay.speed_loop import Feedback, SpeedModel
 from servobench.design.errors import NoSolution
 
 _EXCHANGES = 30
-"""Of 40 searches 35 end within 19, two are ended here."""
+"""Exchanges at most: of 40 searches 35 end within 19, two are ended here."""
 _RADIUS = 0.5
 """How far one exchange may go at first, in parts of each gain and of the delay."""
 _RESTARTS = 5
-"""At most: seven problems, with integral and without, were at their optimum after the first run, to seven
-digits."""
+"""Restarts at most: seven problems, with integral and without, reached their optimum in the first run, to
+seven digits."""
 _LEAST = 1e-12
-"""Gain at rest beside an integral, whose logarithm is asked for."""
+"""Gain at rest with an integral, whose logarithm is needed."""
 _LESS = (0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1)
-"""Of the delay: one norm each, where the bisection behind them takes some fifty."""
+"""Reductions of the delay: one norm each, where the bisection behind them takes some fifty."""
 _EXCESS = 1e-8
-"""Relative excess of a peak over the bound that is let pass."""
+"""Relative excess of a peak over the bound that is tolerated."""
 _K1_STARTS = (-2.0, -1.4, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.2)
-"""Current feedback, A/A, among which the search for full feedback chooses where to start."""
+"""Current feedback, A/A, from which the search for full feedback chooses its starts."""
 _K1_FAST = (-4.0, -8.0, -16.0, -32.0, -64.0, -128.0)
-"""The same where none of those keeps the gain: the current loop is up to 129 times as fast."""
+"""The same if none of those keeps the gain: the current loop is up to 129 times as fast."""
 _REFINED = 2
-"""So many of the best starts are refined."""
+"""Number of best starts that are refined."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeedDesign:
-    """A feedback with what it reaches: gain of the loop in rad/s per N m, at ``delay_s``."""
+    """A feedback with its result: gain of the loop in rad/s per N m, at ``delay_s``."""
 
     K: Array
     delay_s: float
@@ -66,7 +66,7 @@ def least_gain(
     feedback: Feedback = Feedback.FULL,
     integral_time_s: float | None = None,
 ) -> SpeedDesign:
-    """The feedback with the least gain from load torque to speed error at ``delay_s``.
+    """Return the feedback with the least gain from load torque to speed error at ``delay_s``.
 
     ``integral_time_s``: K2/K3 of a model with integral, by default :meth:`SpeedModel.integral_time_s`.
     Raises NoSolution if no start leads to a stable loop.
@@ -87,7 +87,7 @@ def largest_delay(
     feedback: Feedback = Feedback.FULL,
     integral_time_s: float | None = None,
 ) -> SpeedDesign:
-    """The feedback with the largest delay at which the gain stays within ``gamma``, rad/s per N m.
+    """Return the feedback with the largest delay at which the gain stays within ``gamma``, rad/s per N m.
 
     ``integral_time_s``: K2/K3 of a model with integral; by default that of the largest delay without
     integral. Raises NoSolution if no feedback was found that keeps it even without delay.
@@ -107,7 +107,8 @@ def largest_delay(
 
 
 def _delay_starts(model: SpeedModel, gamma: float, integral_time_s: float, feedback: Feedback) -> list[Array]:
-    """The most promising of many gains that keep ``gamma`` without delay; some are infeasible, or all."""
+    """Return the most promising of many gains that keep ``gamma`` without delay; some are infeasible, or
+    all."""
     speed = _speed_starts(model, gamma, integral_time_s)
     # with current feedback the current loop's rate is a (1 - K1): a small gain may need it fast
     for first in (_K1_STARTS, _K1_FAST):
@@ -124,7 +125,8 @@ def _longest(ranked: tuple[float, Array]) -> float:
 
 
 def delay_within(model: SpeedModel, K: Array, gamma: float) -> float:
-    """The largest delay, s, up to which every smaller one keeps the norm within ``gamma``; 0 if none."""
+    """Return the largest delay, s, up to which every smaller one keeps the norm within ``gamma``; 0 if
+    none."""
     return _delay_within(model, np.asarray(K, dtype=float), gamma, exact=True)
 
 
@@ -158,7 +160,7 @@ def _delay_within(
 
 
 def _keeps(loop: DelayLoop, gamma: float, exact: bool = False) -> bool:
-    """Whether the loop is stable and its norm within ``gamma``."""
+    """Return True if the loop is stable and its norm within ``gamma``."""
     if not is_stable(loop):
         return False
     norm = hinf_norm(loop) if exact else sampled_norm(loop)
@@ -166,7 +168,7 @@ def _keeps(loop: DelayLoop, gamma: float, exact: bool = False) -> bool:
 
 
 def _starts(model: SpeedModel, delay_s: float, feedback: Feedback, integral_time_s: float) -> list[Array]:
-    """Gains that are stable at ``delay_s``, from the least of speed-only feedback."""
+    """Return gains that are stable at ``delay_s``, from the least of speed-only feedback."""
     free = len(model.A)
     best: tuple[float, Array] = (math.inf, np.zeros(free))
     for k in np.geomspace(1e-5, 1e3, 161) * _natural_gain(model):
@@ -185,7 +187,7 @@ def _starts(model: SpeedModel, delay_s: float, feedback: Feedback, integral_time
 
 
 def _natural_gain(model: SpeedModel) -> float:
-    """A speed gain, A s/rad, at which the crossing is about the current loop's rate over ten."""
+    """Return a speed gain, A s/rad, at which the crossing is about the current loop's rate over ten."""
     rate = -float(model.A[0, 0])
     return rate / 10.0 / float(model.A[1, 0])
 
@@ -199,7 +201,7 @@ def _speed_gain(model: SpeedModel, K2: float, integral_time_s: float) -> Array:
 
 
 def _speed_starts(model: SpeedModel, gamma: float, integral_time_s: float) -> list[Array]:
-    """Speed gains around the least that keeps the gain at rest within ``gamma``."""
+    """Return speed gains around the least that keeps the gain at rest within ``gamma``."""
     slope, friction = float(model.A[1, 0]), -float(model.A[1, 1])
     J = 1.0 / float(model.B2[1])
     needed = max((1.0 / gamma - friction * J) / (slope * J), 1e-6 * _natural_gain(model))
@@ -209,7 +211,7 @@ def _speed_starts(model: SpeedModel, gamma: float, integral_time_s: float) -> li
 
 
 def _with_current(K: Array, K1: float) -> Array:
-    """K with current feedback and the rest turned so that the gain at rest stays."""
+    """Return K with current feedback and the rest changed so that the gain at rest stays."""
     turned = K * (1.0 - K1)
     turned[0] = K1
     return np.asarray(turned)
@@ -218,7 +220,7 @@ def _with_current(K: Array, K1: float) -> Array:
 def _refine(
     model: SpeedModel, K: Array, delay_s: float, gamma: float | None, feedback: Feedback
 ) -> SpeedDesign | None:
-    """The best that :func:`_refine_once` reaches, begun again from where it ended until it gains no more."""
+    """Return the best result of :func:`_refine_once`, restarted from its end until it gains no more."""
     best: SpeedDesign | None = None
     for _ in range(_RESTARTS):
         refined = _refine_once(model, K, delay_s, gamma, feedback)
@@ -232,7 +234,7 @@ def _refine(
 def _refine_once(
     model: SpeedModel, K: Array, delay_s: float, gamma: float | None, feedback: Feedback
 ) -> SpeedDesign | None:
-    """The local optimum next to (K, delay): of the gain, or of the delay within ``gamma``."""
+    """Return the local optimum next to (K, delay): of the gain, or of the delay within ``gamma``."""
     bound = gamma if gamma is not None else hinf_norm(model.loop(K, delay_s))
     if math.isinf(bound):
         return None
@@ -303,17 +305,18 @@ class GainWalk:
         self.start = np.append(K[self._free] / self._scale, 0.0)
 
     def gain_of(self, x: Array) -> Array:
-        """K at ``x``."""
+        """Return K at ``x``."""
         return self._model.with_entries(self._K, self._free, x[:-1] * self._scale)
 
     def delay_of(self, x: Array) -> float:
-        """The delay at ``x``, s."""
+        """Return the delay at ``x``, s."""
         return self.delay_s * math.exp(x[-1]) if self._for_delay else self.delay_s
 
     def optimum(
         self, x: Array, centre: Array, radius: float, tolerance: float, steps_max: int, **slack: Any
     ) -> Array:
-        """From ``x``, within ``radius`` of ``centre``, where the constraint ``slack`` is not below 0."""
+        """Optimise from ``x``, within ``radius`` of ``centre``, where the constraint ``slack`` is not below
+        0."""
         sign = -1.0 if self._for_delay else 1.0
         gradient = sign * np.eye(len(x))[-1]
         answer = minimize(
@@ -338,14 +341,14 @@ class _Programme(GainWalk):
         self._bound = bound
 
     def allowed(self, x: Array) -> float:
-        """The bound on |G|."""
+        """Return the bound on |G|."""
         return self._bound if self._for_delay else self._bound * math.exp(x[-1])
 
     def loop(self, x: Array) -> DelayLoop:
         return self._model.loop(self.gain_of(x), self.delay_of(x))
 
     def solve(self, x: Array, frequencies: Array, centre: Array, radius: float) -> Array:
-        """From ``x``, the optimum within ``radius`` of ``centre`` when only ``frequencies`` count."""
+        """Return the optimum from ``x``, within ``radius`` of ``centre``, when only ``frequencies`` count."""
 
         def slack(x: Array) -> Array:
             function = loop_function(self.loop(x))

@@ -5,10 +5,10 @@
 T_i: the closed current loop, torque demand to torque; tau: from the reading's instant to the torque, half a
 period of holding included. The rule:
 
-1. Td = 1/w_i, w_i the crossover of the current loop: the zero takes its lag back; Tf = one period.
+1. Td = 1/w_i, w_i the crossover of the current loop: the zero cancels its lag; Tf = one period.
 2. Ti = ratio/w_c: the integral costs atan(1/ratio) of phase at the crossover w_c. A large ratio lets a step
    that meets the torque limit pass with little in the integral.
-3. w_c is the highest frequency at which the loop keeps the phase margin asked for; Kp makes |L| = 1 there.
+3. w_c is the highest frequency at which the loop keeps the required phase margin; Kp makes |L| = 1 there.
 """
 
 import math
@@ -31,7 +31,7 @@ Loop = Callable[[Array], ComplexArray]
 
 @dataclass(frozen=True, slots=True)
 class SpeedPid:
-    """Kp, N m per rad/s, Ki = Kp/Ti, N m/rad, Kd = Kp Td, N m s^2/rad, Tf, s, and what they give."""
+    """Kp, N m per rad/s, Ki = Kp/Ti, N m/rad, Kd = Kp Td, N m s^2/rad, Tf, s, and the resulting figures."""
 
     proportional_nm_s_rad: float
     integral_nm_rad: float
@@ -43,7 +43,7 @@ class SpeedPid:
 
 
 def first_order_current_loop(bandwidth_rad_s: float) -> StateSpace:
-    """T_i of a drive whose current loops are PI with that bandwidth."""
+    """Return T_i of a drive whose current loops are PI with that bandwidth."""
     w = np.array([[bandwidth_rad_s]])
     return StateSpace(-w, w, np.ones((1, 1)), np.zeros((1, 1)))
 
@@ -57,7 +57,7 @@ def pid_by_rule(
     phase_margin_deg: float = 50.0,
     ratio: float = 40.0,
 ) -> SpeedPid:
-    """The rule above; ``latency_s``: reading to torque, without the hold.
+    """Apply the rule above; ``latency_s``: reading to torque, without the hold.
 
     Raises InfeasibleDesign where no frequency has that much phase left.
     """
@@ -77,7 +77,8 @@ def pid_by_rule(
         return L
 
     def phase_left(log_w: float) -> float:
-        """Part by part, so that no turn is lost: PID and shaft stay within 90 degrees, T_i begins at 0."""
+        """Return the phase left, part by part, so that no turn is lost: PID and shaft stay within 90 degrees,
+        T_i begins at 0."""
         w = math.exp(log_w)
         s = _imaginary(np.logspace(math.log10(w) - 6.0, math.log10(w), 300))
         inner = np.unwrap(np.angle(T_i.at(s)[:, 0, 0]))[-1]

@@ -1,8 +1,8 @@
-"""How much a speed loop bears beyond what it was designed for.
+"""Robustness of a speed loop beyond its design conditions.
 
 The margins are those of L = -K (s I - A)^{-1} B1 e^{-s eta}, the loop cut at its input, with one constant
-delay: the largest age of a sample, so that they are what is left at worst. The noise is that of the
-sampled loop, or with a constant delay of what the speed gain passes on.
+delay: the largest age of a sample, so that they are the worst case. The noise is that of the sampled loop, or
+with a constant delay that passed on by the speed gain.
 """
 
 import math
@@ -25,17 +25,17 @@ from servobench.design.speed.loop_robustness import CHANGES
 from servobench.design.statespace import ComplexArray
 
 _DECADES = 1e4
-"""Around the loop's rates, either way: where crossings are looked for."""
+"""Range around the loop's rates, either way, searched for crossings."""
 
 
 @dataclass(frozen=True, slots=True)
 class Changed:
-    """What a plant other than the design's makes of the gains, rad/s per N m; inf: unstable."""
+    """Gains with a plant other than the design's, rad/s per N m; inf: unstable."""
 
     gain: float
     """With the constant delay."""
     gain_found: float | None
-    """The largest under the patterns that are worst for the design's plant; None: no network is known."""
+    """Largest gain under the patterns that are worst for the design's plant; None: no network is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def speed_robustness(
     held: HeldLoop | None,
     patterns: list[Pattern],
 ) -> SpeedRobustness:
-    """The figures.
+    """Compute the figures.
 
     ``plant``: model of a motor whose current loop has so many times the design's rate; ``held``: the
     sampled loop, if a network is known, with the ``patterns`` that are worst for it.
@@ -85,7 +85,7 @@ def speed_robustness(
 
 
 def loop_margins(loop: DelayLoop) -> Margins:
-    """Margins of the loop cut at its input."""
+    """Return the margins of the loop cut at its input."""
 
     def response(omega: Array) -> ComplexArray:
         s = 1j * omega[:, None, None]
@@ -98,7 +98,8 @@ def loop_margins(loop: DelayLoop) -> Margins:
 
 
 def noise_gain(motor: PmsmParameters, loop: DelayLoop, held: HeldLoop | None) -> float:
-    """N m rms of torque command by 1 rad/s rms of white noise on each speed sample; inf if unstable."""
+    """Return N m rms of torque command by 1 rad/s rms of white noise on each speed sample; inf if
+    unstable."""
     own = motor.torque_constant_nm_a * abs(float(loop.K[1]))
     if held is None:
         return own
