@@ -25,7 +25,13 @@ from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.written_file import written
 from servobench.hil.reviewing.export_format import ExportFormat
 from servobench.hil.rows.records import NOTHING, Column
-from servobench.hil.rows.records_file import column_of, damage_told, is_whole, refuse_later_format
+from servobench.hil.rows.records_file import (
+    check_records,
+    column_of,
+    damage_told,
+    is_whole,
+    refuse_later_format,
+)
 from servobench.hil.rows.run_files import RECORDS_FILE
 from servobench.hil.rows.seal import NOT_CHECKED, check_seal
 
@@ -58,6 +64,7 @@ class RecordedRows:
             told = self.schema.metadata or {}
             self.metadata: Mapping[str, str] = {key.decode(): value.decode() for key, value in told.items()}
             refuse_later_format(self.metadata, self.path)
+            check_records(self.path)
             self.columns = tuple(map(column_of, self.schema))
             self.axes: tuple[str, ...] = tuple(json.loads(self.metadata.get("axes", "[]")))
             """Names by number."""

@@ -9,6 +9,7 @@ Instants are in run time, ns since the first cycle; what is not known is null.
 
 import json
 import os
+import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,17 +17,26 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute
 from numpy.typing import NDArray
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Instant
-from servobench.hil.rows.records import COLUMNS, FATE_SAMPLE, NOTHING, ROW_DTYPE, Column, Rows
+from servobench.hil.rows.records import COLUMNS, FATE_SAMPLE, NAMES, NOTHING, ROW_DTYPE, Column, Rows
 from servobench.hil.rows.run_files import FORMAT
 
 MAGIC = b"ARROW1\0\0"
 _MAGIC_END = b"ARROW1"
 _OPTIONS = pa.ipc.IpcWriteOptions(compression="zstd")
 
+BATCH_ROWS_MAX: Final = 1 << 20
+"""One is written each second, or when 8192 rows have come: so many take half a gigabyte of memory."""
+_DAMAGED: Final = "it is damaged; hil trace shows its frames, hil runs what it came to"
+_ALWAYS: Final = frozenset(NAMES[: NAMES.index("compute_ns")])
+"""Columns of every format."""
+_NEVER_NULL: Final = ("sequence", "axis", "due_at", "fate", "certain")
+_ALIASES: Final = {"float64": "double"}
+"""As Arrow writes the type."""
 RUN: Final = "run"
 PHASES: Final = ("calibrating", RUN, "stopping")
 PHASE_COLUMN: Final = Column("phase", "string", "", "in which phase of the bench the row was taken", PHASES)
@@ -190,23 +200,111 @@ def is_whole(path: Path) -> bool:
         return file.read() == _MAGIC_END
 
 
-def _stream(source: pa.NativeFile) -> pa.RecordBatchStreamReader:
+def _stream(
+    source: pa.NativeFile, options: pa.ipc.IpcReadOptions | None = None
+) -> pa.RecordBatchStreamReader:
     """What lies between the file's first bytes and its footer."""
     source.seek(len(MAGIC))
-    return pa.ipc.open_stream(source)
+    return pa.ipc.open_stream(source, options=options)
 
 
-def _batches(path: Path) -> Iterator[pa.RecordBatch]:
-    """Those that are whole."""
-    with pa.OSFile(str(path), "rb") as source:
+def _batches(path: Path, options: pa.ipc.IpcReadOptions | None = None) -> Iterator[pa.RecordBatch]:
+    """Those that are whole. Raises BadInput for one that holds what no recording has."""
+    number = 0
+    with pa.OSFile(str(path), "rb") as source, pa.OSFile(str(path), "rb") as ahead:
         try:
-            reader = _stream(source)
+            reader = _stream(source, options)
+            if options is None:
+                _check_schema(path, reader.schema)
+            ahead.seek(len(MAGIC))
+            messages = pa.ipc.MessageReader.open_stream(ahead)
             while True:
+                length = _next_length(messages)
+                if not 0 <= length <= BATCH_ROWS_MAX:
+                    place = f"batch {number + 1}"
+                    raise BadInput(str(path), place, f"{length} rows", f"at most {BATCH_ROWS_MAX}", _DAMAGED)
                 batch = reader.read_next_batch()
                 batch.validate(full=True)
+                number += 1
+                _check_values(path, f"batch {number}", batch)
                 yield batch
         except (StopIteration, pa.ArrowException, OSError):
             return
+
+
+def _next_length(messages: pa.ipc.MessageReader) -> int:
+    """Rows of the next batch, as its head tells them before its columns are unpacked.
+
+    Raises StopIteration behind the last.
+    """
+    while (message := messages.read_next_message()).type != "record batch":
+        pass
+    return _length_of(message.metadata.to_pybytes())
+
+
+def _length_of(head: bytes) -> int:
+    """Of the Message of a RecordBatch (Arrow's Message.fbs): the first field of the table in its third."""
+
+    def field(table: int, number: int) -> int:
+        """Where it lies, 0 if it is left out, by the FlatBuffers encoding: a table begins with the distance
+        to its vtable, which has its own length, the table's, and the places of the fields."""
+        (back,) = struct.unpack_from("<i", head, table)
+        length, *_ = struct.unpack_from("<HH", head, table - back)
+        at = 4 + 2 * number
+        place = struct.unpack_from("<H", head, table - back + at)[0] if at < length else 0
+        return table + int(place) if place else 0
+
+    def followed(place: int) -> int:
+        return place + int(struct.unpack_from("<I", head, place)[0])
+
+    try:
+        rows = field(followed(field(followed(0), 2)), 0)
+        return int(struct.unpack_from("<q", head, rows)[0]) if rows else 0
+    except struct.error:
+        return -1
+
+
+def _check_schema(path: Path, schema: pa.Schema) -> None:
+    """Raises BadInput for a column that is missing or of another type."""
+    for column in COLUMNS:
+        place = schema.get_field_index(column.name)
+        if place < 0 and column.name not in _ALWAYS:
+            continue
+        kind = "no such column" if place < 0 else str(schema.field(place).type)
+        if kind not in (column.kind, _ALIASES.get(column.kind)):
+            raise BadInput(str(path), f"column {column.name}", kind, column.kind, _DAMAGED)
+
+
+def _check_values(path: Path, place: str, batch: pa.RecordBatch) -> None:
+    """Raises BadInput for nulls where there can be none, and for codes that stand for nothing."""
+    for name, count in _codes(batch.schema):
+        values, where = batch.column(name), f"{place}, column {name}"
+        if values.null_count and name in _NEVER_NULL:
+            raise BadInput(str(path), where, f"{values.null_count} nulls", "a value in each row", _DAMAGED)
+        ends = pa.compute.min_max(values).as_py() if count and len(values) else {}
+        for code in ends.values():
+            if code is not None and not 0 <= code < count:
+                raise BadInput(str(path), where, code, f"0 to {count - 1}", _DAMAGED)
+
+
+def _codes(schema: pa.Schema) -> Iterator[tuple[str, int]]:
+    """Columns whose values are checked, and how many codes they have; 0: they are no codes."""
+    axes = (schema.metadata or {}).get(b"axes")
+    for column in COLUMNS:
+        if column.name == "axis" and axes is not None:
+            yield column.name, len(json.loads(axes))
+        elif column.codes or column.name in _NEVER_NULL:
+            yield column.name, len(column.codes)
+
+
+def check_records(path: Path) -> None:
+    """Look at what is checked of a file's batches, for who reads them by other means. Raises BadInput."""
+    schema = _schema_of(path)
+    if schema is not None:
+        _check_schema(path, schema)
+        places = [schema.get_field_index(name) for name, _ in _codes(schema)]
+        for _ in _batches(path, pa.ipc.IpcReadOptions(included_fields=places)):
+            pass
 
 
 def _batch(rows: Rows, schema: pa.Schema, zero: Instant) -> pa.RecordBatch:
