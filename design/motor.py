@@ -15,6 +15,8 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+from servobench.design.mechanism import Mechanism
+
 RAD_S_PER_KRPM = 1000.0 * math.pi / 30.0
 """1000 r/min in rad/s: the usual reference of EMF constants."""
 
@@ -46,6 +48,8 @@ class PmsmParameters:
     current_max_a: float
     """Largest magnitude of the dq current vector."""
     dc_bus_voltage_v: float
+    mechanism: Mechanism | None = None
+    """What is between rotor and load; None: they are one, and rub as the equations above say."""
 
     @property
     def torque_factor(self) -> float:

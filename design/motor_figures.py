@@ -50,6 +50,28 @@ def speed_limit(motor: PmsmParameters, torque_nm: float) -> float:
     return low
 
 
+def mechanism_figures(motor: PmsmParameters) -> dict[str, float]:
+    """Those of coupling, friction and cogging; none of what is not there."""
+    mechanism, figures = motor.mechanism, dict[str, float]()
+    if mechanism is None:
+        return figures
+    if (coupling := mechanism.coupling) is not None:
+        figures |= {
+            "antiresonance_hz": coupling.antiresonance_hz,
+            "resonance_hz": coupling.resonance_hz,
+            "stiffness_nm_rad": coupling.stiffness_nm_rad,
+            "twist_rated_torque_mrad": 1e3 * motor.rated_torque_nm / coupling.stiffness_nm_rad,
+        }
+        if coupling.backlash_rad:
+            figures["backlash_arcmin"] = math.degrees(coupling.backlash_rad) * 60.0
+    if (friction := mechanism.friction) is not None:
+        figures["breakaway_percent_of_rated"] = 100.0 * friction.breakaway_nm / motor.rated_torque_nm
+    if mechanism.cogging:
+        peak_nm = sum(harmonic.torque_nm for harmonic in mechanism.cogging)
+        figures["cogging_percent_of_rated"] = 100.0 * peak_nm / motor.rated_torque_nm
+    return figures
+
+
 def motor_figures(motor: PmsmParameters) -> dict[str, float]:
     """Return derived figures, the unit last in each name. ``_rms`` and ``_peak``: of a phase's sine."""
     emf = phase_emf_constant(motor)
@@ -74,4 +96,5 @@ def motor_figures(motor: PmsmParameters) -> dict[str, float]:
         "acceleration_peak_krad_s2": 1e-3 * motor.torque_max_nm / motor.inertia_kg_m2,
         "time_to_rated_speed_ms": 1e3 * motor.inertia_kg_m2 * motor.rated_speed_rad_s / motor.torque_max_nm,
         "electrical_frequency_rated_hz": motor.pole_pairs * motor.rated_speed_rad_s / (2.0 * math.pi),
+        **mechanism_figures(motor),
     }

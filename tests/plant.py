@@ -30,9 +30,11 @@ class Plant:
         turning = 1.0 if stator_fixed else 0.0
         self._inner.advance_motor(voltage_d_v, voltage_q_v, load_nm, turning, periods)
 
-    def spin(self, speed_rad_s: float) -> None:
-        """Set the shaft's speed, as if it had been driven there from outside."""
+    def spin(self, speed_rad_s: float, load_speed_rad_s: float | None = None) -> None:
+        """Set the shaft's speed, as if it had been driven there from outside; that of both its ends if the
+        load's is None."""
         self._inner.speed_rad_s = speed_rad_s
+        self._inner.load_speed_rad_s = speed_rad_s if load_speed_rad_s is None else load_speed_rad_s
 
     @property
     def current_d_a(self) -> float:
@@ -46,6 +48,16 @@ class Plant:
     def speed_rad_s(self) -> float:
         """Mechanical."""
         return self._inner.speed_rad_s
+
+    @property
+    def load_speed_rad_s(self) -> float:
+        """Behind the coupling."""
+        return self._inner.load_speed_rad_s
+
+    @property
+    def twist_rad(self) -> float:
+        """Rotor's angle less the load's."""
+        return self._inner.twist_rad
 
     @property
     def turns(self) -> int:

@@ -30,7 +30,7 @@ def copied_files(request: CommissionRequest) -> dict[str, str]:
         return {}
     return {
         _REHEARSED_MOTOR_FILE: "# The motor on the simulated drive's shaft.\n\n"
-        + toml_text(rehearsal.motor.model_dump(mode="json"))
+        + toml_text(rehearsal.motor.tables)
     }
 
 

@@ -2,15 +2,22 @@
 :class:`servobench.design.motor.PmsmParameters`."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
+from servobench.design.mechanism import Mechanism
 from servobench.design.motor import PmsmParameters, Transform
 from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX
 from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.configuration.mechanism_tables import (
+    CoggingTable,
+    CouplingTable,
+    FrictionTable,
+    mechanism_of,
+)
 from servobench.hil.configuration.quantities import (
     CoulombFriction,
     Current,
@@ -63,6 +70,38 @@ class MotorFile(Section):
     motor: Windings = Field(description="the table [motor]")
     mechanics: MotorMechanics = Field(description="the table [mechanics]")
     rating: Rating = Field(description="the table [rating]")
+    coupling: CouplingTable | None = Field(default=None, description="the table [coupling]")
+    friction: FrictionTable | None = Field(default=None, description="the table [friction]")
+    cogging: list[CoggingTable] | None = Field(default=None, description="the tables [[cogging]]")
+
+    @field_validator("coupling")
+    @classmethod
+    def _can_be_stepped(cls, coupling: CouplingTable | None, found: ValidationInfo) -> CouplingTable | None:
+        if coupling is not None and "mechanics" in found.data:
+            coupling.coupling(found.data["mechanics"].inertia_kg_m2)
+        return coupling
+
+    @field_validator("friction")
+    @classmethod
+    def _goes_with_the_rest(
+        cls, friction: FrictionTable | None, found: ValidationInfo
+    ) -> FrictionTable | None:
+        if friction is not None and "mechanics" in found.data:
+            friction.friction(found.data["mechanics"].coulomb_friction_nm)
+        if friction is not None and friction.side == "load" and found.data.get("coupling") is None:
+            raise ValueError("side 'motor', or a table [coupling]")
+        return friction
+
+    def _mechanism(self) -> Mechanism | None:
+        mechanics = self.mechanics
+        return mechanism_of(
+            self.coupling, self.friction, self.cogging, mechanics.inertia_kg_m2, mechanics.coulomb_friction_nm
+        )
+
+    @property
+    def tables(self) -> dict[str, Any]:
+        """What is to be written into a file."""
+        return self.model_dump(mode="json", exclude_none=True)
 
     @property
     def parameters(self) -> PmsmParameters:
@@ -75,6 +114,7 @@ class MotorFile(Section):
             rated_speed_rad_s=self.rating.speed_rpm * RAD_S_PER_RPM,
             current_max_a=self.rating.current_max_a,
             dc_bus_voltage_v=self.rating.dc_bus_voltage_v,
+            mechanism=self._mechanism(),
         )
 
 

@@ -46,9 +46,7 @@ class BenchRunner:
         changed = read.changed(changes or {})
         parts: dict[str, Any] = {}
         if motor is not None:
-            named = (
-                motor.model_dump(mode="json") if isinstance(motor, MotorFile) else str(Path(motor).absolute())
-            )
+            named = motor.tables if isinstance(motor, MotorFile) else str(Path(motor).absolute())
             parts = {f"drive.{axis}.motor": named for axis in changed.tables.get("drive", {})}
         if isinstance(faults, Mapping):
             parts["faults"] = dict(faults) or None

@@ -175,7 +175,7 @@ class DriveHost:
         """A file that holds ``content``; a path names one that is there."""
         if isinstance(content, str | os.PathLike):
             return Path(content)
-        tables = content.model_dump(mode="json") if isinstance(content, MotorFile) else content
+        tables = content.tables if isinstance(content, MotorFile) else content
         path = self._scratch / name
         path.write_text(toml_text(tables), encoding="utf-8")
         return path

@@ -31,7 +31,7 @@ def preloaded() -> str | None:
 def use(folder: str) -> None:
     """Let this process take the cores of that folder in the place of those beside their sources."""
     for room in ROOMS:
-        name = f"{room}.core.native"
+        name = f"servobench.{room}.core.native"
         spec = spec_from_loader(name, ExtensionFileLoader(name, str(Path(folder, room, LIBRARY))))
         assert spec is not None
         sys.modules[name] = module_from_spec(spec)

@@ -14,6 +14,8 @@ import can
 import numpy as np
 
 from servobench.design.core import native
+from servobench.design.mechanism import CoggingHarmonic, Coupling, Friction, Mechanism, Side
+from servobench.design.motor import PmsmParameters
 from servobench.design.statespace import StateSpace
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.hil.core.native import Ring, frame_row
@@ -82,6 +84,8 @@ def drive(draw: random.Random) -> None:
         coulomb_friction_nm=draw.choice([0.0, 0.05]),
         inertia_kg_m2=10.0 ** draw.uniform(-6.0, 1.0),
     )
+    if draw.random() < 0.5:
+        motor = replace(motor, mechanism=_mechanism(draw, motor))
     parameters = FirmwareParameters(
         inner_rate_hz=rate_hz,
         encoder_counts_per_revolution=draw.choice([16, 1000, 65_536, 1 << 30]),
@@ -100,6 +104,21 @@ def drive(draw: random.Random) -> None:
         assert firmware.tick_at <= now < firmware.tick_after(Instant(now + 1))
         _tell(firmware.inner, draw)
         assert len(firmware.inner.state()) == len(InnerLoops().state())
+
+
+def _mechanism(draw: random.Random, motor: PmsmParameters) -> Mechanism:
+    load_kg_m2 = motor.inertia_kg_m2 * draw.uniform(0.01, 0.99)
+    coupling = Coupling(
+        motor.inertia_kg_m2 - load_kg_m2,
+        load_kg_m2,
+        load_kg_m2 * draw.uniform(1.0, 3e3) ** 2,
+        draw.choice([0.0, 0.02, 1.0]),
+        draw.choice([0.0, 1e-5, 0.01]),
+        draw.choice(list(Side)),
+    )
+    friction = Friction(draw.uniform(0.05, 1.0), draw.uniform(0.01, 50.0), 0.1, draw.choice(list(Side)))
+    cogging = (CoggingHarmonic(draw.randrange(1, 100), draw.uniform(0.0, 1.0)),)
+    return Mechanism(draw.choice([None, coupling]), draw.choice([None, friction]), draw.choice([(), cogging]))
 
 
 def _controller(draw: random.Random, rate_hz: int) -> StateSpace:

@@ -11,6 +11,7 @@
 #include "rotation.h"
 
 static const int64_t NS_PER_S = 1000000000;
+static const double PER_TURN = 1.0 / TURN_RAD;
 
 /* One inner period of the motor under the inverter's present output.
 
@@ -29,7 +30,7 @@ static void drive_motor(InnerLoops *self, double load_nm)
             .live = 1.0,
             .turning = 1.0,
         };
-        advance_motor(shaft, p, voltage, load_nm, 0.0);
+        advance_machine(shaft, &self->load_side, p, &self->mechanism, voltage, load_nm, 0.0);
         return;
     }
     double i_d = shaft->current_d_a, i_q = shaft->current_q_a;
@@ -38,7 +39,17 @@ static void drive_motor(InnerLoops *self, double load_nm)
     double keep = magnitude > fall ? 1.0 - fall / magnitude : 0.0;
     shaft->current_d_a = keep * i_d;
     shaft->current_q_a = keep * i_q;
-    advance_motor(shaft, p, (Voltage){0}, load_nm, self->state.braked * self->loop.brake_nm);
+    double brake_nm = self->state.braked * self->loop.brake_nm;
+    advance_machine(shaft, &self->load_side, p, &self->mechanism, (Voltage){0}, load_nm, brake_nm);
+}
+
+/* Of the encoder at the load; the rotor has its own, by which the currents turn. */
+static double load_count(const InnerLoops *self)
+{
+    double angle = self->shaft.angle_rad - self->load_side.twist_rad;
+    double turns = floor(angle * PER_TURN);
+    double within_turn = floor((angle - turns * TURN_RAD) * self->loop.counts_per_rad);
+    return (self->shaft.turns + turns) * self->loop.counts + within_turn;
 }
 
 /* What the firmware sees at the start of a period: encoder count, filtered speed, dq currents in the frame of
@@ -50,6 +61,8 @@ static double sample(InnerLoops *self)
     LoopState *state = &self->state;
     double within_turn = floor(shaft->angle_rad * p->counts_per_rad);
     double count = shaft->turns * p->counts + within_turn;
+    if (self->mechanism.encoder_on_load)
+        count = load_count(self);
     if (p->encoder_held) {
         count = state->count;
         within_turn = count - p->counts * floor(count / p->counts);

@@ -7,6 +7,7 @@
 
 #include "actual_values.h"
 #include "load_table.h"
+#include "mechanism.h"
 #include "motor.h"
 
 enum { CONTROLLER_ORDER_MAX = 8 };
@@ -73,6 +74,8 @@ typedef struct InnerLoops {
     MotorParameters motor;
     LoopParameters loop;
     MotorState shaft;
+    Mechanism mechanism;
+    LoadSide load_side;
     LoopState state;
     Demand demand;
     TableLoad load;

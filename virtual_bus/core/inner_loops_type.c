@@ -8,6 +8,7 @@
 typedef struct InnerLoopsObject {
     PyObject head;
     PyObject *times, *torques; /* octets that the load table lies in */
+    PyObject *cogging;         /* octets, or NULL */
     InnerLoops loops;
 } InnerLoopsObject;
 
@@ -38,10 +39,19 @@ static void keep_table(InnerLoopsObject *self, PyObject *times, PyObject *torque
     }
 }
 
+static void keep_cogging(InnerLoopsObject *self, PyObject *octets)
+{
+    PyObject *before = self->cogging;
+    self->cogging = octets;
+    if (before != NULL)
+        Py_DecRef(before);
+}
+
 static void discard(PyObject *self)
 {
     PyTypeObject *type = self->type;
     keep_table((InnerLoopsObject *)self, NULL, NULL);
+    keep_cogging((InnerLoopsObject *)self, NULL);
     PyObject_Free(self);
     Py_DecRef((PyObject *)type);
 }
@@ -154,6 +164,24 @@ static PyObject *call_bear(PyObject *self, PyObject *const *arguments, Py_ssize_
     return nothing();
 }
 
+static PyObject *call_set_cogging(PyObject *self, PyObject *octets)
+{
+    const double *torques_nm;
+    Py_ssize_t count;
+    if (!doubles(octets, &torques_nm, &count))
+        return NULL;
+    if (count < 2 || count > INT32_MAX) {
+        PyErr_Format(PyExc_ValueError, "%zd torques: 2 expected at least", count);
+        return NULL;
+    }
+    Py_IncRef(octets);
+    keep_cogging((InnerLoopsObject *)self, octets);
+    Mechanism *mechanism = &loops_of(self)->mechanism;
+    mechanism->cogging_nm = torques_nm;
+    mechanism->cogging_points = (int)count - 1;
+    return nothing();
+}
+
 static PyObject *call_set_controller(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
 {
     LoopParameters *loop = &loops_of(self)->loop;
@@ -189,7 +217,7 @@ static PyObject *call_advance_motor(PyObject *self, PyObject *const *arguments, 
         return NULL;
     Voltage voltage = {.d = values[0], .q = values[1], .live = 1.0, .turning = values[3]};
     for (; periods > 0; periods--)
-        advance_motor(&loops->shaft, &loops->motor, voltage, values[2], 0.0);
+        advance_machine(&loops->shaft, &loops->load_side, &loops->motor, &loops->mechanism, voltage, values[2], 0.0);
     return nothing();
 }
 
@@ -197,9 +225,12 @@ static PyObject *call_state(PyObject *self, PyObject *none)
 {
     (void)none;
     InnerLoops *loops = loops_of(self);
-    char octets[sizeof loops->shaft + sizeof loops->state];
-    memcpy(octets, &loops->shaft, sizeof loops->shaft);
-    memcpy(octets + sizeof loops->shaft, &loops->state, sizeof loops->state);
+    char octets[sizeof loops->shaft + sizeof loops->load_side + sizeof loops->state], *end = octets;
+    memcpy(end, &loops->shaft, sizeof loops->shaft);
+    end += sizeof loops->shaft;
+    memcpy(end, &loops->load_side, sizeof loops->load_side);
+    end += sizeof loops->load_side;
+    memcpy(end, &loops->state, sizeof loops->state);
     return PyBytes_FromStringAndSize(octets, sizeof octets);
 }
 
@@ -215,6 +246,7 @@ static PyMethodDef methods[] = {
     {"ramp_to_speed", (PyCFunction)(void (*)(void))call_ramp_to_speed, METH_FASTCALL, NULL},
     {"bear", (PyCFunction)(void (*)(void))call_bear, METH_FASTCALL, NULL},
     {"set_controller", (PyCFunction)(void (*)(void))call_set_controller, METH_FASTCALL, NULL},
+    {"set_cogging", call_set_cogging, METH_O, NULL},
     {"advance_motor", (PyCFunction)(void (*)(void))call_advance_motor, METH_FASTCALL, NULL},
     {"state", call_state, METH_NOARGS, NULL},
     {0},
@@ -244,6 +276,19 @@ static PyMemberDef members[] = {
     PARAMETER(motor, per_inertia),
     PARAMETER(motor, per_torque_constant),
     NUMBER("per_period", motor.rate_hz),
+    {"mechanism", T_INT, PLACE(mechanism.active), 0, NULL},
+    {"coupled", T_INT, PLACE(mechanism.coupled), 0, NULL},
+    {"encoder_on_load", T_INT, PLACE(mechanism.encoder_on_load), 0, NULL},
+    {"friction_on_load", T_INT, PLACE(mechanism.friction_on_load), 0, NULL},
+    PARAMETER(mechanism, per_inertia_rotor),
+    PARAMETER(mechanism, per_inertia_load),
+    PARAMETER(mechanism, stiffness_nm_rad),
+    PARAMETER(mechanism, damping_nm_s),
+    PARAMETER(mechanism, half_backlash_rad),
+    PARAMETER(mechanism, yield_s),
+    PARAMETER(mechanism, backward_more_nm),
+    PARAMETER(mechanism, breakaway_more_nm),
+    PARAMETER(mechanism, per_stribeck),
     PARAMETER(loop, counts),
     PARAMETER(loop, counts_per_rad),
     PARAMETER(loop, rad_per_count),
@@ -266,6 +311,8 @@ static PyMemberDef members[] = {
     PARAMETER(shaft, speed_rad_s),
     PARAMETER(shaft, angle_rad),
     PARAMETER(shaft, turns),
+    NUMBER("load_speed_rad_s", load_side.speed_rad_s),
+    NUMBER("twist_rad", load_side.twist_rad),
     NUMBER("voltage_d_v", state.now.voltage_d_v),
     NUMBER("voltage_q_v", state.now.voltage_q_v),
     NUMBER("next_voltage_d_v", state.next.voltage_d_v),

@@ -7,6 +7,7 @@
 #include <math.h>
 
 #include "limits.h"
+#include "machine_equations.h"
 #include "rotation.h"
 
 static const double PER_TURN = 1.0 / TURN_RAD;
@@ -33,18 +34,10 @@ double motor_torque(const MotorParameters *p, double i_d, double i_q)
 
 static Motion slopes(const MotorParameters *p, const Motion *x, const Forcing *f)
 {
-    double electrical = p->pole_pairs * x->speed;
-    double flux_d = p->inductance_d_h * x->i_d + p->flux_linkage_wb;
-    double flux_q = p->inductance_q_h * x->i_q;
+    Electric now = {x->i_d, x->i_q, x->v_d, x->v_q};
+    Electric k = electric_slopes(p, now, x->speed, f->live, f->turning);
     double net = motor_torque(p, x->i_d, x->i_q) - p->viscous_friction_nm_s * x->speed - f->resisting;
-    double backwards = f->turning * electrical;
-    return (Motion){
-        .i_d = f->live * (x->v_d - p->resistance_ohm * x->i_d + electrical * flux_q) * p->per_inductance_d,
-        .i_q = f->live * (x->v_q - p->resistance_ohm * x->i_q - electrical * flux_d) * p->per_inductance_q,
-        .speed = f->moving * net * p->per_inertia,
-        .v_d = backwards * x->v_q,
-        .v_q = -backwards * x->v_d,
-    };
+    return (Motion){k.i_d, k.i_q, f->moving * net * p->per_inertia, k.v_d, k.v_q};
 }
 
 static Motion ahead(const Motion *x, const Motion *k, double h)

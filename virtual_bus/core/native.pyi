@@ -55,6 +55,26 @@ class InnerLoops:
     per_inductance_q: float
     per_inertia: float
 
+    # ---- between rotor and load: parameters ----
+    mechanism: int
+    """0: one rigid shaft, and nothing else of this part counts."""
+    coupled: int
+    """1: two masses."""
+    encoder_on_load: int
+    friction_on_load: int
+    per_inertia_rotor: float
+    per_inertia_load: float
+    stiffness_nm_rad: float
+    damping_nm_s: float
+    half_backlash_rad: float
+    yield_s: float
+    """Damping over stiffness."""
+    backward_more_nm: float
+    """Coulomb friction at negative speed, above that at positive."""
+    breakaway_more_nm: float
+    per_stribeck: float
+    """s/rad."""
+
     # ---- loops: parameters ----
     counts: float
     """Of the encoder, per turn."""
@@ -85,6 +105,9 @@ class InnerLoops:
     """0 <= angle < 2 pi."""
     turns: float
     """Whole turns."""
+    load_speed_rad_s: float
+    twist_rad: float
+    """Rotor's angle less the load's."""
 
     # ---- loops: state at the last tick ----
     voltage_d_v: float
@@ -179,10 +202,14 @@ class InnerLoops:
         ValueError for another count of them, or an order above 8.
         """
 
+    def set_cogging(self, torques_nm: bytes, /) -> None:
+        """Cogging over a turn of the rotor: doubles, the first once more at the end. Error: ValueError."""
+
     def advance_motor(
         self, voltage_d_v: float, voltage_q_v: float, load_nm: float, turning: float, periods: int, /
     ) -> None:
-        """The motor alone for so many periods, under a voltage in the rotor's frame at each one's start.
+        """The motor and what it turns for so many periods, under a voltage in the rotor's
+        frame at the start of each.
 
         ``turning``: 1 where the voltage stands still in the stator's frame, 0 where it turns with the rotor.
         """

@@ -24,6 +24,7 @@ from servobench.virtual_bus.core.native import InnerLoops
 from servobench.virtual_bus.drive.current_bandwidth import current_bandwidth_hz
 from servobench.virtual_bus.drive.current_controller import check_controller, fill_controllers
 from servobench.virtual_bus.drive.load_table import LoadTable
+from servobench.virtual_bus.drive.mechanism import fill_mechanism, steps_in
 
 _STEP_ANGLE_MAX = 0.25
 """Largest (R/L + electrical speed) * step, rad: keeps the error of a step below 1e-5 of the signal."""
@@ -56,6 +57,9 @@ def fill_machine(inner: InnerLoops, motor: PmsmParameters, period_s: float) -> N
     fastest_rad_s = motor.resistance_ohm / min(motor.inductance_d_h, motor.inductance_q_h)
     fastest_rad_s += _OVERSPEED * motor.pole_pairs * motor.rated_speed_rad_s
     substeps = max(1, math.ceil(period_s * fastest_rad_s / _STEP_ANGLE_MAX))
+    if motor.mechanism is not None:
+        fill_mechanism(inner, motor, motor.mechanism)
+        substeps = max(substeps, steps_in(period_s, motor.mechanism))
     inner.substeps = substeps
     inner.step_s = period_s / substeps
     inner.per_period = 1.0 / period_s

@@ -100,7 +100,7 @@ def motor_text(sheet: Sheet) -> str:
             dc_bus_voltage_v=short(motor.dc_bus_voltage_v),
         ),
     )
-    return "\n".join([*_header(sheet, entered), "", toml_text(file.model_dump())])
+    return "\n".join([*_header(sheet, entered), "", toml_text(file.tables)])
 
 
 def _header(sheet: Sheet, entered: DataSheet) -> list[str]:

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from servobench.design.mechanism import Side
 from servobench.design.motor import Transform
+from servobench.design.motor_figures import motor_figures
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.config_errors import BadInputs
-from servobench.hil.configuration.motor_file import LING2012, load_motor, speed_max_rpm
+from servobench.hil.configuration.motor_file import LING2012, MotorFile, load_motor, speed_max_rpm
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "motors"
 
@@ -85,3 +87,74 @@ def test_all_faults_are_reported_together(tmp_path: Path) -> None:
     assert "mechanic" in keys
     assert "mechanics" not in keys, "the misspelt table is not reported as missing as well"
     assert caught.value.exit_status == 2
+
+
+COUPLED = """
+[coupling]
+inertia_ratio = 4.0
+antiresonance_hz = 80.0
+backlash_rad = 0.002
+
+[friction]
+side = "load"
+breakaway_nm = 0.1
+
+[[cogging]]
+per_turn = 24
+torque_nm = 0.02
+"""
+
+
+def coupled(tmp_path: Path, old: str = "", new: str = "") -> Path:
+    text = (EXAMPLES / "ling2012.toml").read_text()
+    path = tmp_path / "motor.toml"
+    path.write_text(text + (COUPLED.replace(old, new) if old else COUPLED))
+    return path
+
+
+def test_a_coupling_parts_the_inertia_and_has_its_resonances(tmp_path: Path) -> None:
+    motor = load_motor(coupled(tmp_path)).parameters
+    assert motor.mechanism is not None
+    shaft = motor.mechanism.coupling
+    assert shaft is not None
+    assert (shaft.motor_kg_m2, shaft.load_kg_m2) == pytest.approx((0.00016, 0.00064))
+    assert shaft.stiffness_nm_rad == pytest.approx(0.00064 * (math.tau * 80.0) ** 2)
+    assert shaft.resonance_hz == pytest.approx(80.0 * math.sqrt(5.0))
+    assert motor.mechanism.friction is not None
+    assert motor.mechanism.friction.side is Side.LOAD
+    figures = motor_figures(motor)
+    assert figures["resonance_hz"] == pytest.approx(80.0 * math.sqrt(5.0))
+    assert figures["breakaway_percent_of_rated"] == pytest.approx(5.0)
+    assert figures["cogging_percent_of_rated"] == pytest.approx(1.0)
+
+
+def test_a_rigid_motor_has_no_mechanism_and_its_tables_no_key_of_one(tmp_path: Path) -> None:
+    assert LING2012.parameters.mechanism is None
+    assert set(LING2012.tables) == {"motor", "mechanics", "rating"}
+    written = load_motor(coupled(tmp_path))
+    assert MotorFile.model_validate(written.tables) == written
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "expected"),
+    [
+        ("antiresonance_hz = 80.0", "", "coupling", "either antiresonance_hz or stiffness_nm_rad"),
+        (
+            "= 80.0",
+            "= 80.0\nstiffness_nm_rad = 9.0",
+            "coupling",
+            "either antiresonance_hz or stiffness_nm_rad",
+        ),
+        ("= 80.0", "= 4000.0", "coupling", "a resonance of at most 5000 Hz, this is 8944 Hz"),
+        ("antiresonance", "resonance", "coupling.resonance_hz", "antiresonance_hz"),
+        ("per_turn = 24", "per_turn = 0", "cogging[0].per_turn", "a value >= 1"),
+        ("[coupling]", "[coupler]", "coupler", "coupling"),
+    ],
+)
+def test_what_no_coupling_can_be_is_refused(
+    tmp_path: Path, old: str, new: str, key: str, expected: str
+) -> None:
+    with pytest.raises((BadInput, BadInputs)) as refused:
+        load_motor(coupled(tmp_path, old, new))
+    assert key in str(refused.value)
+    assert expected in str(refused.value)

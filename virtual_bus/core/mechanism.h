@@ -1,0 +1,32 @@
+/* Between rotor and load: a coupling that twists, its backlash, friction that depends on the speed, cogging. */
+#ifndef CORE_MECHANISM_H
+#define CORE_MECHANISM_H
+
+#include "motor.h"
+
+typedef struct Mechanism {
+    int active;  /* 0: a rigid shaft with constant friction, motor.c alone */
+    int coupled; /* two masses; 0: rotor and load are one */
+    int encoder_on_load;
+    int friction_on_load; /* both kinds of it; an unpowered drive's brake holds the rotor */
+    double per_inertia_rotor, per_inertia_load;
+    double stiffness_nm_rad, damping_nm_s;
+    double half_backlash_rad;
+    double yield_s;           /* damping over stiffness */
+    double backward_more_nm;  /* Coulomb friction at negative speed, above that at positive */
+    double breakaway_more_nm; /* friction at rest, above Coulomb's */
+    double per_stribeck;      /* s/rad */
+    const double *cogging_nm; /* over a turn of the rotor, the first point once more behind the last */
+    int cogging_points;       /* 0: no cogging */
+} Mechanism;
+
+/* The load behind the coupling. */
+typedef struct LoadSide {
+    double speed_rad_s;
+    double twist_rad; /* rotor's angle less the load's */
+} LoadSide;
+
+void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p, const Mechanism *mechanism,
+                     Voltage voltage, double load_nm, double brake_nm);
+
+#endif
