@@ -231,7 +231,8 @@ COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --gene
 BACKEND = import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")
 
 lock: $(TOOLS)
-	$(BIN)/python -c '$(BACKEND)' | $(COMPILE) -o requirements.lock pyproject.toml -
+	$(BIN)/python -c '$(BACKEND)' | $(COMPILE) --extra view --extra design --extra report \
+	  -o requirements.lock pyproject.toml -
 	$(COMPILE) --group dev -c requirements.lock -o requirements-dev.lock
 	$(COMPILE) --group bench -o requirements-bench.lock
 	$(COMPILE) --group compiler -o requirements-compiler.lock

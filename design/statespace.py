@@ -12,7 +12,6 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-import scipy  # loads scipy.linalg when it is used first: a third of a second
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
@@ -197,7 +196,9 @@ def series(last: StateSpace, first: StateSpace) -> StateSpace:
 
 def append(*systems: StateSpace) -> StateSpace:
     """Put the systems side by side: block diagonal."""
-    A, B, C, D = (scipy.linalg.block_diag(*(getattr(each, name) for each in systems)) for name in "ABCD")
+    from scipy.linalg import block_diag  # a third of a second, and an extra, that a run does without
+
+    A, B, C, D = (block_diag(*(getattr(each, name) for each in systems)) for name in "ABCD")
     return StateSpace(A, B, C, D, _period(*systems))
 
 
@@ -244,7 +245,9 @@ def state_scales(system: StateSpace) -> Array:
 def balancing_scales(matrix: Array) -> Array:
     """Return (n,) powers of two t for which diag(1/t) ``matrix`` diag(t) has rows and columns of like
     size."""
-    _, _, _, scale, _ = scipy.linalg.lapack.dgebal(matrix, scale=1, permute=0)
+    from scipy.linalg import lapack  # as above
+
+    _, _, _, scale, _ = lapack.dgebal(matrix, scale=1, permute=0)
     return np.asarray(scale, dtype=float)
 
 
@@ -266,6 +269,8 @@ def zeros(system: StateSpace) -> ComplexArray:
     An output without direct gain is held at zero by the states in the null space of C, whose derivative
     C (A x + B u) takes the output's place: one state fewer a turn, until the input acts directly.
     """
+    from scipy.linalg import null_space  # as above
+
     even = balanced(system)
     A, B, C, D = even.A, even.B, even.C, even.D
     while len(A):
@@ -275,7 +280,7 @@ def zeros(system: StateSpace) -> ComplexArray:
             return np.asarray(values[np.argsort(np.abs(values), kind="stable")], dtype=complex)
         if not np.any(C):
             break
-        N = scipy.linalg.null_space(C)
+        N = null_space(C)
         A, B, C, D = N.T @ A @ N, N.T @ B, C @ A @ N, C @ B
     return np.zeros(0, dtype=complex)
 

@@ -23,6 +23,7 @@ import typer
 
 from servobench.drivers.compiled import notice, use_fresh
 from servobench.drivers.errors import BadInput
+from servobench.hil.machine.extras import MissingExtra, is_installed
 from servobench.hil.machine.parent_process import messages, tell_parent
 from servobench.hil.terminal import analyse_speed, design_speed
 from servobench.hil.terminal.adapter import adapter
@@ -157,9 +158,14 @@ def run(asked: RunOptions) -> None:
     docs/verdict.md
     """
     run_object = RunObject(asked.as_json)
-    with reported_errors(run_object.failed):
+    with reported_errors(run_object.failed, "hil run"):
         if asked.no_record and (asked.record is not None or asked.live):
             raise BadInput("--no-record", "", True, "neither --record nor --view beside it")
+        if not asked.no_record and not is_installed("rerun"):
+            lack = MissingExtra("rerun", "--view" if asked.live else "run.rrd")
+            if asked.live:
+                raise lack
+            say(f"hil: note: {lack}; all else is recorded")
         if asked.live and missing_display():
             say("hil: note: --view: no display here; the recording is kept, see hil view")
         config = _bench_to_run(asked)

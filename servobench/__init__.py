@@ -92,9 +92,17 @@ __path__ = [dirname(realpath(f"{each}/hil")) for each in __path__]
 
 
 def __getattr__(name: str) -> Any:
-    if name == "campaign":
-        return import_module("servobench.hil.campaign.campaign").run_campaign
-    for home, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(f"servobench.{home}"), name)
+    home = (
+        "hil.campaign.campaign"
+        if name == "campaign"
+        else next((home for home, names in _HOMES.items() if name in names), None)
+    )
+    if home is not None:
+        try:
+            module = import_module(f"servobench.{home}")
+        except ModuleNotFoundError as error:
+            from servobench.hil.machine.extras import missing_extra
+
+            raise missing_extra(error, f"servobench {name.lower()}") or error from None
+        return getattr(module, "run_campaign" if name == "campaign" else name)
     raise AttributeError(f"module 'servobench' has no attribute {name!r}")

@@ -170,11 +170,14 @@ def unmet(wanted: Iterable[str], lock: str) -> list[str]:
 
 def test_the_lock_files_pin_what_the_project_asks_for() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    extras = project["project"]["optional-dependencies"]
     runtime = [*project["project"]["dependencies"], *project["build-system"]["requires"]]
+    runtime += [*extras["view"], *extras["design"], *extras["report"]]
 
     assert unmet(runtime, "requirements.lock") == []
     for group, lock in (("dev", "requirements-dev.lock"), ("bench", "requirements-bench.lock")):
         assert unmet(project["dependency-groups"][group], lock) == []
+    assert unmet([*extras["campaign"], *extras["mf4"]], "requirements-dev.lock") == []
     assert unmet(["numpy<1", "not-in-there>=1"], "requirements.lock") == ["numpy<1", "not-in-there>=1"]
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-import scipy  # loads scipy.linalg when it is used first: a third of a second that a run does without
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.motor import PmsmParameters
@@ -88,9 +87,11 @@ class PredictorPlant:
 
 @cache
 def _step(plant: PredictorPlant, length_s: float) -> tuple[Array, Array]:
+    from scipy.linalg import expm  # a third of a second, and an extra, that a run does without
+
     M = np.zeros((STATES + 1, STATES + 1))
     M[:STATES, :STATES], M[:STATES, STATES] = plant.A, plant.B
-    total = scipy.linalg.expm(M * length_s)
+    total = expm(M * length_s)
     return total[:STATES, :STATES], total[:STATES, STATES]
 
 
@@ -111,11 +112,10 @@ class KalmanModel:
 
     def stationary(self, walk: float) -> Array:
         """Return P (3, 3) before each correction, where every sample comes."""
-        return np.asarray(
-            scipy.linalg.solve_discrete_are(
-                self.Phi.T, READ[:, None], self.process(walk), np.array([[self.R]])
-            )
-        )
+        from scipy.linalg import solve_discrete_are  # as above
+
+        noise = np.array([[self.R]])
+        return np.asarray(solve_discrete_are(self.Phi.T, READ[:, None], self.process(walk), noise))
 
     @cache  # noqa: B019 - a model lives as long as its design
     def settled(self, walk: float) -> Array:
@@ -148,6 +148,8 @@ def kalman_model(
     plant: PredictorPlant, period_s: float, speed_noise_rad_s: float, torque_noise_nm: float
 ) -> KalmanModel:
     """Make the model. ``torque_noise_nm``: rms difference between the torque of a period and its command."""
+    from scipy.linalg import expm  # as above
+
     unsure = np.ix_(_UNSURE, _UNSURE)
     A = plant.A[unsure]
     n = len(A)
@@ -155,7 +157,7 @@ def kalman_model(
     walk[-1, -1] = 1.0
     # Van Loan, IEEE Trans. Autom. Control 23(3), 1978
     M = np.block([[-A, walk], [np.zeros((n, n)), A.T]])
-    total = scipy.linalg.expm(M * period_s)
+    total = expm(M * period_s)
     Phi = total[n:, n:].T
     held = torque_noise_nm * np.append(Phi[:2, 2], 0.0)
     added = Phi @ total[:n, n:]

@@ -24,6 +24,7 @@ from servobench.hil.campaign.chunks import EACH_HOLDS, Chunks, WorkerDied
 from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.pool import RowSource
 from servobench.hil.campaign.worker import Answer, NotTheSame, Workshop, refusal
+from servobench.hil.machine.extras import missing_extra
 from servobench.hil.machine.stopping import StopRequest
 
 if TYPE_CHECKING:
@@ -40,7 +41,6 @@ LOOKED_EVERY_NS: Final = NS_PER_S
 """How many workers there are is asked of the scheduler, a millisecond each time."""
 POLL_S: Final = 0.2
 """So long after a stop was asked for it is seen."""
-_INSTALL: Final = "pip install 'servobench[campaign]'"
 
 Flying = Future[list[Answer]]
 
@@ -65,12 +65,12 @@ class Order(NamedTuple):
 def dask_client(address: str) -> Iterator["Client"]:
     """Connected to the scheduler at ``address``.
 
-    Raises BadInput: ``distributed`` is not installed, or no scheduler answers there.
+    Raises MissingExtra: ``distributed`` is not installed. BadInput: no scheduler answers there.
     """
     try:
         from distributed import Client
-    except ImportError:
-        raise BadInput("--dask", "", address, "the package distributed for it", _INSTALL) from None
+    except ModuleNotFoundError as error:
+        raise missing_extra(error, "--dask") or error from None
     try:
         with ThreadPoolExecutor(1) as thread:  # in this one a loop may run already, as in a notebook
             thread.submit(asyncio.run, _reach(address)).result()

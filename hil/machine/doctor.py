@@ -289,7 +289,7 @@ def viewer(_machine: Machine) -> Look:
     path = str(beside) if beside.exists() else shutil.which("rerun")
     if path:
         return Look(path)
-    return Look("not found", "pip install rerun-sdk")
+    return Look("not found", "pip install 'servobench[view]'")
 
 
 def display(machine: Machine) -> Look:

@@ -12,7 +12,6 @@ from servobench.drivers.printable import printable
 from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.written_file import write_file
 from servobench.hil.recorded.judgement import Judged
-from servobench.hil.recorded.paper import histogram_figure, paper_figure, svg_text
 from servobench.hil.rows.event_lines import read_events
 from servobench.hil.rows.run_files import EVENTS_FILE
 from servobench.hil.verdict.summary import Percentiles, metric_title
@@ -107,6 +106,8 @@ def _events(path: Path) -> Iterator[tuple[str, str, str]]:
 
 
 def _pictures(judged: Judged) -> Iterator[tuple[str, str]]:
+    from servobench.hil.recorded.paper import histogram_figure, paper_figure, svg_text
+
     yield "Speed, error, torque and delay; dashed: limits", svg_text(paper_figure(judged.signals))
     yield "Delays of the readings", svg_text(histogram_figure(judged.signals))
 

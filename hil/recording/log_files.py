@@ -1,14 +1,10 @@
-"""What keeps a part of a run: the files of its folder, and the live view."""
+"""What keeps a part of a run: the files of its folder."""
 
 import json
-import socket
-import subprocess
 from collections.abc import Sequence
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
-import rerun as rr
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import Duration
@@ -18,7 +14,6 @@ from servobench.hil.recording.faults_file import FaultEntries
 from servobench.hil.recording.frame_files import FrameFiles
 from servobench.hil.recording.run_metadata import run_metadata
 from servobench.hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
-from servobench.hil.recording.telemetry import Telemetry
 from servobench.hil.reviewing.network_meter import clocks_of
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.event_lines import event_json
@@ -26,7 +21,7 @@ from servobench.hil.rows.frame_order import FrameOrder
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.records import ROW_DTYPE, Rows
 from servobench.hil.rows.records_file import RecordsWriter
-from servobench.hil.rows.run_files import EVENTS_FILE, FRAMES_FILE, LOAD_FILE, RECORDS_FILE, RERUN_FILE
+from servobench.hil.rows.run_files import EVENTS_FILE, FRAMES_FILE, LOAD_FILE, RECORDS_FILE
 from servobench.hil.rows.run_zero import RunZero
 from servobench.hil.rows.side_rows import (
     FRAME_DTYPE,
@@ -38,14 +33,11 @@ from servobench.hil.rows.side_rows import (
     drives_of,
 )
 from servobench.hil.verdict.summary import Summary
-from servobench.virtual_bus.child_python import python_command, python_environment
 from servobench.virtual_bus.faults.fault_log import FAULTS_FILE, entry_line
 
-_BLOCK_ROWS = 8_192
+BLOCK_ROWS = 8_192
 """Of 30 bytes a row, where half as many take 52; twice as many take 17, and are written in 27 ms, not 18. In
 real time the flush of each second comes first."""
-_LIVE_MEMORY = "256MiB"
-_LOOPBACK = "127.0.0.1"
 LIVE_VIEW = "live view"
 
 
@@ -71,7 +63,7 @@ class Keeper:
 class RowBlocks:
     """Collects drained rows into fewer, larger blocks; small ones cost more room than their content."""
 
-    def __init__(self, size: int = _BLOCK_ROWS) -> None:
+    def __init__(self, size: int = BLOCK_ROWS) -> None:
         self._size = size
         self._parts: list[Rows] = []
         self._count = 0
@@ -278,106 +270,3 @@ class FaultsKeeper(Keeper):
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
         self._file.close()
-
-
-class PageKeeper(Keeper):
-    """What shows the run in Rerun."""
-
-    def __init__(self, telemetry: Telemetry, review: Review, block_rows: int = _BLOCK_ROWS) -> None:
-        self._telemetry = telemetry
-        self._review = review
-        self._blocks = RowBlocks(block_rows)
-
-    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
-        self._telemetry.take_events(events)
-        self._telemetry.observed.take(frames)
-        if self._blocks.add(rows):
-            self._send_block()
-
-    def flush(self) -> None:
-        self._send_block()
-        self._telemetry.flush()
-
-    def finish(self, summary: Summary) -> None:
-        self._send_block()
-        self._telemetry.finish(summary, self._review)
-
-    def _send_block(self) -> None:
-        block = self._blocks.take()
-        if block is not None:
-            self._telemetry.take_rows(block)
-
-
-class RerunKeeper(PageKeeper):
-    """run.rrd; in a stream of its own, so that no viewer can hold it up."""
-
-    name = RERUN_FILE
-
-    def __init__(self, plan: RecordingPlan, folder: Path, recording_id: str, review: Review) -> None:
-        self._path = folder / RERUN_FILE
-        super().__init__(Telemetry(plan, recording_id, rr.FileSink(self._path)), review)
-        self._shows_at_end = plan.view and not plan.real_time
-
-    def finish(self, summary: Summary) -> None:
-        super().finish(summary)
-        if self._shows_at_end:
-            start_viewer(str(self._path))
-
-
-class LiveKeeper(PageKeeper):
-    """A Rerun viewer that shows a real-time run while it goes on; served on the loopback only."""
-
-    name = LIVE_VIEW
-
-    def __init__(self, plan: RecordingPlan, recording_id: str, review: Review) -> None:
-        sink = rr.GrpcServerSink(bind_ip=_LOOPBACK, port=_free_port(), server_memory_limit=_LIVE_MEMORY)
-        super().__init__(Telemetry(plan, recording_id, sink, live=True), review, block_rows=1)
-        start_viewer("--connect", sink.uri)
-
-    def flush(self) -> None:
-        self._telemetry.show_running(self._review)
-        super().flush()
-
-
-def open_keepers(plan: RecordingPlan, review: Review) -> list[Keeper]:
-    """Everything that the plan asks for; nothing without a folder.
-
-    ``review``: of the run, for its pages.
-    """
-    if plan.folder is None:
-        return []
-    recording_id = uuid4().hex
-    keepers: list[Keeper] = [
-        RecordsKeeper(plan, plan.folder),
-        EventsKeeper(plan, plan.folder),
-        LoadKeeper(plan, plan.folder),
-    ]
-    if plan.frames:
-        keepers.append(FramesKeeper(plan, plan.folder))
-    if plan.period_us:
-        keepers.append(NetworkKeeper(plan.folder, review))
-    # last, so that on a full disk what is kept for the end is not Rerun's
-    keepers.append(RerunKeeper(plan, plan.folder, recording_id, review))
-    if plan.view and plan.real_time:
-        keepers.append(LiveKeeper(plan, recording_id, review))
-    return keepers
-
-
-def start_viewer(*arguments: str) -> None:
-    """Start the viewer as a process that outlives this one."""
-    subprocess.Popen(
-        python_command("rerun_cli", "--port", "auto", "--bind", _LOOPBACK, *arguments),
-        env=python_environment(),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-
-
-def _free_port() -> int:
-    """A port of the loopback that nobody listens on; the sink tells no port of its own choice."""
-    with socket.socket() as probe:
-        probe.bind((_LOOPBACK, 0))
-        port: int = probe.getsockname()[1]
-        return port

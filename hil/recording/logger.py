@@ -17,11 +17,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-import rerun as rr
-
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from servobench.hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
-from servobench.hil.recording.log_files import LIVE_VIEW, FaultsKeeper, Keeper, open_keepers
+from servobench.hil.recording.keepers import open_keepers
+from servobench.hil.recording.log_files import LIVE_VIEW, FaultsKeeper, Keeper
 from servobench.hil.recording.logger_process import CONFIRM, FAILED, READY, STORED, LineReader
 from servobench.hil.recording.ring import RingReader
 from servobench.hil.recording.run_folder import Reserve, write_summary
@@ -239,7 +238,6 @@ def main() -> int:
         signal.signal(number, signal.SIG_IGN)
     # Started by a real-time loop, it must not compete with it
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    rr.set_strict_mode(True)
     descriptors = [int(argument) for argument in sys.argv[1:5]]
     source = LineReader(sys.stdin.fileno())
     line = None

@@ -1,10 +1,11 @@
 """What is drawn of an axis: entity, name, colour and unit of each series."""
 
-from typing import Final, NamedTuple
-
-import rerun as rr
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan
+
+if TYPE_CHECKING:
+    import rerun as rr
 
 Color = tuple[int, int, int]
 GREY, BLUE, RED, ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 168, 60)
@@ -34,8 +35,10 @@ class Series(NamedTuple):
     steps: bool = False
     """It holds from one point to the next."""
 
-    def styled(self, color: Color | None = None, name: str = "") -> rr.SeriesLines:
+    def styled(self, color: Color | None = None, name: str = "") -> "rr.SeriesLines":
         """As Rerun is told; ``color``, ``name``: in place of its own."""
+        import rerun as rr
+
         modes = rr.components.InterpolationMode
         return rr.SeriesLines(
             names=name or self.name,
@@ -52,15 +55,18 @@ class Marks(NamedTuple):
 
     path: str
     name: str
-    marker: rr.components.MarkerShape
+    marker: str
+    """A shape of Rerun's, by its name."""
     color: Color = RED
 
-    def styled(self) -> rr.SeriesPoints:
+    def styled(self) -> "rr.SeriesPoints":
         """As Rerun is told."""
-        return rr.SeriesPoints(names=self.name, colors=self.color, markers=self.marker, marker_sizes=3.0)
+        import rerun as rr
+
+        shape = rr.components.MarkerShape.auto(self.marker)
+        return rr.SeriesPoints(names=self.name, colors=self.color, markers=shape, marker_sizes=3.0)
 
 
-_SHAPES = rr.components.MarkerShape
 SERIES: Final = (
     Series("speed/reference", "reference", GREY),
     Series("speed/estimate", "estimate", VIOLET),
@@ -82,10 +88,10 @@ SERIES: Final = (
     Series("clock/offset", "offset", VIOLET),
 )
 MARKS: Final = (
-    Marks("speed/dropped", "dropout", _SHAPES.Down),
-    Marks("delay/dropped", "dropout", _SHAPES.Cross),
-    Marks("delay/uncertain", "uncertain", _SHAPES.Diamond, VIOLET),
-    Marks("commands/lost", "lost", _SHAPES.Cross),
+    Marks("speed/dropped", "dropout", "down"),
+    Marks("delay/dropped", "dropout", "cross"),
+    Marks("delay/uncertain", "uncertain", "diamond", VIOLET),
+    Marks("commands/lost", "lost", "cross"),
 )
 LIMIT_SERIES: Final = (
     Series("speed/most", "limit of the drive", CORAL),

@@ -18,7 +18,6 @@ import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
-from scipy.io import savemat
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S
@@ -40,7 +39,6 @@ CHUNK_ROWS: Final = 1 << 17
 _EXACT_MAX: Final = 1 << 53
 """float64 holds every integer up to here."""
 _TIME, _AXIS = "due_at", "axis"
-_INSTALL = "pip install 'servobench[mf4]'"
 
 
 class RecordedRows:
@@ -184,6 +182,8 @@ def _write_mat(rows: RecordedRows, path: Path) -> None:
 
 
 def _save(file: Any, content: dict[str, Any]) -> None:
+    from scipy.io import savemat
+
     savemat(file, content, long_field_names=True, oned_as="column")
 
 
@@ -209,11 +209,8 @@ def _numbers(values: pa.ChunkedArray, truth: pa.DataType) -> pa.ChunkedArray:
 
 
 def _write_mf4(rows: RecordedRows, path: Path) -> None:
-    """Null is a sample that is marked invalid. Raises BadInput."""
-    try:
-        asammdf: Any = import_module("asammdf")
-    except ImportError:
-        raise BadInput("--to", "", "mf4", "the package asammdf for this format", _INSTALL) from None
+    """Null is a sample that is marked invalid."""
+    asammdf: Any = import_module("asammdf")
     columns = [column for column in rows.columns if column.name not in (_TIME, _AXIS)]
     # asammdf prints how fast it packs; stdout belongs to the command.
     with redirect_stdout(sys.stderr), asammdf.MDF(version="4.10") as sink:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperGroup
 
+from servobench.hil.machine.extras import MissingExtra, is_installed
 from servobench.hil.machine.parent_process import messages, results, tell_parent
 from servobench.hil.terminal.commands import add_commands
 from servobench.hil.terminal.exit_status import end_with
@@ -99,7 +100,6 @@ def report(folder: DirArgument, as_json: JsonOption = False) -> None:
     """
     from servobench.drivers.written_file import written
     from servobench.hil.campaign.campaign import Campaign
-    from servobench.hil.campaign.page import write_page
     from servobench.hil.campaign.report import write_report
     from servobench.hil.rows.run_files import CAMPAIGN_PAGE
 
@@ -107,11 +107,18 @@ def report(folder: DirArgument, as_json: JsonOption = False) -> None:
     place = folder / "report.html"
     with written("DIR", place) as part:
         write_report(done, part)
-    with written("DIR", folder / CAMPAIGN_PAGE) as part:
-        write_page(done, part)
+    files = [place]
+    if is_installed("rerun"):
+        from servobench.hil.campaign.page import write_page
+
+        with written("DIR", folder / CAMPAIGN_PAGE) as part:
+            write_page(done, part)
+        files.append(folder / CAMPAIGN_PAGE)
+    else:
+        say(f"hil: note: {MissingExtra('rerun', CAMPAIGN_PAGE)}")
     _print(done, as_json)
-    say_written(place)
-    say_written(folder / CAMPAIGN_PAGE)
+    for file in files:
+        say_written(file)
     end_with(ExitStatus.PASSED)
 
 

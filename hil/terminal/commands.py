@@ -17,16 +17,21 @@ from servobench.hil.terminal.exit_status import reported_errors
 
 def add_commands(group: typer.Typer, *functions: Callable[..., None]) -> None:
     """Each under its own name."""
+    place = group.info.name
     for function in functions:
-        group.command()(as_command(function))
+        words = function.__name__ if place in (None, "hil") else f"{place} {function.__name__}"
+        group.command()(as_command(function, f"hil {words}"))
 
 
-def as_command(function: Callable[..., None]) -> Callable[..., None]:
-    """``function`` as typer takes it: a dataclass among its parameters gives way to its fields."""
+def as_command(function: Callable[..., None], words: str = "this") -> Callable[..., None]:
+    """``function`` as typer takes it: a dataclass among its parameters gives way to its fields.
+
+    ``words``: the command, as it is typed.
+    """
 
     @wraps(function)
     def command(**values: Any) -> None:
-        with reported_errors():
+        with reported_errors(command=words):
             _called(function, values)
 
     options = list(_options(function))

@@ -9,6 +9,7 @@ from typer import Abort, BadParameter, Exit  # by name: code of the user's may r
 
 from servobench.drivers.errors import BenchError
 from servobench.drivers.printable import printable
+from servobench.hil.machine.extras import missing_extra
 from servobench.hil.machine.parent_process import messages, tell_parent
 from servobench.hil.machine.refusals import explained, raised_by_own_code
 from servobench.hil.terminal.output import say
@@ -16,10 +17,13 @@ from servobench.hil.verdict.verdict import ExitStatus
 
 
 @contextmanager
-def reported_errors(conclude: Callable[[int, str], int] = lambda status, _text: status) -> Iterator[None]:
+def reported_errors(
+    conclude: Callable[[int, str], int] = lambda status, _text: status, command: str = "this"
+) -> Iterator[None]:
     """Print what goes wrong inside on stderr and leave with its exit status.
 
     ``conclude``: told that status and the error in words, right before; the status to leave with.
+    ``command``: its words, for what it lacks.
     """
     try:
         yield
@@ -34,7 +38,7 @@ def reported_errors(conclude: Callable[[int, str], int] = lambda status, _text: 
         if isinstance(error, Exit | Abort | BadParameter) and not raised_by_own_code(error):
             raise
         tell_parent(released=False)
-        if known := explained(error):
+        if known := missing_extra(error, command) or explained(error):
             raise Exit(_told(known, conclude)) from None
         traceback.print_exc(file=messages())
         text = f"{type(error).__name__}: {error}"

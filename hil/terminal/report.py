@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.machine.extras import is_installed
 from servobench.hil.machine.parent_process import results
 from servobench.hil.terminal.output import columns, titled
 from servobench.hil.verdict.summary import Percentiles, Summary, metric_title
@@ -129,6 +130,8 @@ def recording_lines(folder: str) -> list[str]:
     """Where the recording is and the command that opens it; ``folder``: its own, empty if there is none."""
     if not folder:
         return ["Recording  none was asked for"]
+    if not is_installed("rerun"):
+        return [f"Recording  {_shortest(Path(folder))}"]
     place = _shortest(Path(folder) / "run.rrd")
     return [f"Recording  {place}", f"Open with  {viewer_command()} {place}"]
 

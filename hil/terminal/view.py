@@ -15,7 +15,7 @@ def view(run: RunArgument, unsealed: UnsealedOption = False) -> None:
     Exit status: 0 opened, or told; 2 bad input.
     """
     from servobench.hil.recorded.viewer import page_file
-    from servobench.hil.recording.log_files import start_viewer
+    from servobench.hil.recording.page_keepers import start_viewer
 
     recording = page_file(run, unsealed=unsealed, tell_seal=partial(note_seal, run))
     if missing_display():

@@ -24,6 +24,7 @@ from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.worker import Answer, Workshop
 from servobench.hil.cli import app
 from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.machine.extras import MissingExtra
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 from servobench.hil.verdict.verdict import ExitStatus
 from servobench.virtual_bus.child_python import python_command, python_environment
@@ -183,7 +184,7 @@ def test_without_the_extra_its_name_is_told(
     done: Campaign, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(BadInput, match=r"pip install 'servobench\[campaign\]'"):
+    with pytest.raises(MissingExtra, match=r"pip install 'servobench\[campaign\]'"):
         run_campaign(done.plan, tmp_path / "out", dask=f"{HOST}:8786")
     assert not (tmp_path / "out").exists()
     with pytest.raises(BadInput, match="--workers: found 2, expected nothing beside --dask"):

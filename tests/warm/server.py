@@ -49,7 +49,12 @@ ROLES: Final = {
         "typer.rich_utils",
         "servobench.virtual_bus.bus.hub_process",
     ),
-    "logger": ("servobench.hil.recording.logger", "servobench.hil.recording.recovery"),
+    "logger": (
+        "servobench.hil.recording.logger",
+        "servobench.hil.recording.recovery",
+        "servobench.hil.recording.page_keepers",
+        "servobench.hil.recording.rerun_anew",
+    ),
 }
 """What is imported before the first program is forked."""
 THREADS: Final = {

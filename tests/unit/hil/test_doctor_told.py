@@ -125,7 +125,7 @@ def test_the_viewer_beside_the_bench_comes_before_that_of_the_path(
     monkeypatch.setattr("sysconfig.get_path", lambda _kind: str(tmp_path))
     elsewhere: list[str | None] = [None]
     monkeypatch.setattr("shutil.which", lambda _name: elsewhere[0])
-    assert doctor.viewer(machine) == Look("not found", "pip install rerun-sdk")
+    assert doctor.viewer(machine) == Look("not found", "pip install 'servobench[view]'")
     elsewhere[0] = "/usr/bin/rerun"
     assert doctor.viewer(machine) == Look("/usr/bin/rerun")
     (tmp_path / "rerun").touch()

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servobench.hil.recording.log_files import FramesKeeper, LiveKeeper, RowBlocks, open_keepers
+from servobench.hil.recording.keepers import open_keepers
+from servobench.hil.recording.log_files import FramesKeeper, RowBlocks
+from servobench.hil.recording.page_keepers import LiveKeeper
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
@@ -178,21 +177,19 @@ def test_records_that_cannot_be_made_whole_are_incomplete_and_no_more(
 class Process(NamedTuple):
     signals: dict[int, object]
     policies: list[tuple[int, int, int]]
-    strict: list[bool]
     ends: list[int]
 
 
 @pytest.fixture
 def process(monkeypatch: pytest.MonkeyPatch) -> Process:
     """What the program does to its own process."""
-    found = Process({}, [], [], [])
+    found = Process({}, [], [])
     monkeypatch.setattr(signal, "signal", found.signals.__setitem__)
     monkeypatch.setattr(
         os,
         "sched_setscheduler",
         lambda pid, policy, param: found.policies.append((pid, policy, param.sched_priority)),
     )
-    monkeypatch.setattr(module, "rr", SimpleNamespace(set_strict_mode=found.strict.append))
     monkeypatch.setattr(os, "_exit", found.ends.append)
     return found
 
@@ -222,7 +219,6 @@ def test_the_program_logs_a_run_and_prints_its_summary(
     assert process == Process(
         dict.fromkeys((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), signal.SIG_IGN),
         [(0, os.SCHED_OTHER, 0)],
-        [True],
         [0],
     )
 

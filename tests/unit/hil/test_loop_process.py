@@ -12,7 +12,7 @@ import pytest
 pytestmark = pytest.mark.long
 
 KEPT_OUT = {
-    "servobench.hil.execution.bench": {"rerun", "pyarrow", "matplotlib", "cvxpy", "scipy.optimize"},
+    "servobench.hil.execution.bench": {"rerun", "pyarrow", "matplotlib", "cvxpy", "scipy"},
     "servobench.hil.recording.logger": {
         "scipy",
         "matplotlib",

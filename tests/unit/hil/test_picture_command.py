@@ -84,7 +84,7 @@ def test_pages_are_found_in_a_layout_by_the_names_of_their_tabs() -> None:
 def test_without_a_display_view_says_where_the_file_is(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
-    monkeypatch.setattr("servobench.hil.recording.log_files.subprocess.Popen", None)
+    monkeypatch.setattr("servobench.hil.recording.page_keepers.subprocess.Popen", None)
     found = CliRunner().invoke(app, ["view", str(run)])
     assert found.exit_code == 0
     assert found.stdout.strip() == str(run / RERUN_FILE)
@@ -95,7 +95,7 @@ def test_with_a_display_view_starts_the_viewer(run: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("DISPLAY", ":0")
     started: list[list[str]] = []
     monkeypatch.setattr(
-        "servobench.hil.recording.log_files.subprocess.Popen", lambda command, **_: started.append(command)
+        "servobench.hil.recording.page_keepers.subprocess.Popen", lambda command, **_: started.append(command)
     )
     found = CliRunner().invoke(app, ["view", str(run)])
     assert found.exit_code == 0

@@ -22,7 +22,7 @@ from servobench.hil.recorded import (
     report,
     viewer,
 )
-from servobench.hil.recording import log_files
+from servobench.hil.recording import page_keepers
 from servobench.hil.terminal import view as view_command
 
 
@@ -244,7 +244,7 @@ def test_a_recording_is_opened_where_there_is_a_display(
     started: list[str] = []
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(viewer, "page_file", lambda run, **_asked: run / "run.rrd")
-    monkeypatch.setattr(log_files, "start_viewer", started.append)
+    monkeypatch.setattr(page_keepers, "start_viewer", started.append)
     monkeypatch.setattr(view_command, "missing_display", lambda: False)
     told = hil("view", "one")
     assert (told.exit_code, told.stdout, told.stderr) == (0, "", "")

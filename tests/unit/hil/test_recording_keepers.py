@@ -11,16 +11,15 @@ import pytest
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
+from servobench.hil.recording.keepers import open_keepers
 from servobench.hil.recording.log_files import (
     EventsKeeper,
     Keeper,
-    LiveKeeper,
     LoadKeeper,
     RecordsKeeper,
-    RerunKeeper,
     RowBlocks,
-    open_keepers,
 )
+from servobench.hil.recording.page_keepers import LiveKeeper, RerunKeeper
 from servobench.hil.recording.tail import TAIL_FILE, read_tail
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import RecordingPlan

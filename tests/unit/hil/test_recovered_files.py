@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.configuration.network_file import load_network
-from servobench.hil.recording import recovery
+from servobench.hil.recording import rerun_anew
 from servobench.hil.recording.faults_file import BLOCK_DTYPE
 from servobench.hil.recording.log_files import EventsKeeper, FramesKeeper, RecordsKeeper
 from servobench.hil.recording.recovery import recover
@@ -303,7 +303,7 @@ def test_a_disk_without_room_keeps_the_run_rrd_that_is_there(
     (tmp_path / "run.rrd").write_bytes(b"old")
     needed = (4 << 20) + ROW_DTYPE.itemsize * COUNT
     usage: list[Any] = [SimpleNamespace(free=needed - 1)]
-    monkeypatch.setattr("servobench.hil.recording.recovery.shutil.disk_usage", lambda folder: usage[0])
+    monkeypatch.setattr("servobench.hil.recording.rerun_anew.shutil.disk_usage", lambda folder: usage[0])
     summary = recover(plan, whole_outcome(COUNT), [])
     assert summary.recording_faults == (
         "run.rrd has no verdict and may lack the last seconds: less than 4 MB are free",
@@ -343,14 +343,14 @@ MOST: Final = 1 << 62
 def test_a_line_that_is_no_event_is_passed_over(tmp_path: Path, line: str, event: RunEvent | None) -> None:
     path = tmp_path / "events.jsonl"
     path.write_text(f"{line}\n")
-    assert list(recovery._events(path)) == ([] if event is None else [event])
+    assert list(rerun_anew._events(path)) == ([] if event is None else [event])
 
 
 def test_lines_of_a_load_are_numbers_behind_a_head(tmp_path: Path) -> None:
     path = tmp_path / "load.csv"
-    assert list(recovery._loads(path)) == []
+    assert list(rerun_anew._loads(path)) == []
     path.write_text("at_ns,axis,torque_nm,speed_rad_s\n5,left,0.25,-10\n6,left,0.5\n7,left,x,1\n8,a,1,2\n")
-    assert list(recovery._loads(path)) == [
+    assert list(rerun_anew._loads(path)) == [
         LoadEvent(Instant(5), "left", 0.25, -10.0),
         LoadEvent(Instant(8), "a", 1.0, 2.0),
     ]

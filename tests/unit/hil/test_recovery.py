@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from servobench.drivers.timebase import Instant
 from servobench.hil.cli import app
 from servobench.hil.configuration.bench_file import load_bench
-from servobench.hil.recording import recovery
+from servobench.hil.recording import rerun_anew
 from servobench.hil.recording.log_files import EventsKeeper, RecordsKeeper
 from servobench.hil.recording.run_folder import Reserve
 from servobench.hil.rows.records import ROW_DTYPE
@@ -129,7 +129,7 @@ def test_run_rrd_is_left_alone_where_there_is_no_room_for_it(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there = (run / "run.rrd").read_bytes()
-    monkeypatch.setattr(recovery, "ROOM_BYTES", 1 << 60)
+    monkeypatch.setattr(rerun_anew, "ROOM_BYTES", 1 << 60)
     assert recover(run)[0] == 0
     faults = json.loads((run / "summary.json").read_text())["recording_faults"]
     assert any(fault.startswith("run.rrd has no verdict") for fault in faults)

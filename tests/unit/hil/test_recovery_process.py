@@ -13,7 +13,7 @@ from typing import Final
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.hil.recording import recovery
+from servobench.hil.recording import rerun_anew
 from servobench.hil.recording.faults_file import BLOCK_DTYPE
 from servobench.hil.recording.log_files import FaultsKeeper
 from servobench.hil.recording.recovery import _as_many_directions, main, recover
@@ -168,7 +168,7 @@ def test_records_that_find_the_disk_full_are_left_as_they_were(
     assert is_whole(tmp_path / "records.arrow")
     assert read(tmp_path).tobytes() == rows[:30].tobytes()
     assert (tmp_path / TAIL_FILE).exists()
-    assert recovery.ROOM_BYTES == 4 << 20
+    assert rerun_anew.ROOM_BYTES == 4 << 20
 
 
 @pytest.mark.parametrize(

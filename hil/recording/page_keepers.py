@@ -1,0 +1,113 @@
+"""What shows a run in Rerun: its page in a file, and the live view."""
+
+import socket
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from uuid import uuid4
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from servobench.hil.recording.log_files import BLOCK_ROWS, LIVE_VIEW, Keeper, RowBlocks
+from servobench.hil.recording.telemetry import Telemetry
+from servobench.hil.reviewing.review import Review
+from servobench.hil.rows.recording_plan import RecordingPlan
+from servobench.hil.rows.records import Rows
+from servobench.hil.rows.run_files import RERUN_FILE
+from servobench.hil.rows.side_rows import RunEvent
+from servobench.hil.verdict.summary import Summary
+from servobench.virtual_bus.child_python import python_command, python_environment
+
+_LIVE_MEMORY = "256MiB"
+_LOOPBACK = "127.0.0.1"
+
+
+class PageKeeper(Keeper):
+    """What shows the run in Rerun."""
+
+    def __init__(self, telemetry: Telemetry, review: Review, block_rows: int = BLOCK_ROWS) -> None:
+        self._telemetry = telemetry
+        self._review = review
+        self._blocks = RowBlocks(block_rows)
+
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
+        self._telemetry.take_events(events)
+        self._telemetry.observed.take(frames)
+        if self._blocks.add(rows):
+            self._send_block()
+
+    def flush(self) -> None:
+        self._send_block()
+        self._telemetry.flush()
+
+    def finish(self, summary: Summary) -> None:
+        self._send_block()
+        self._telemetry.finish(summary, self._review)
+
+    def _send_block(self) -> None:
+        block = self._blocks.take()
+        if block is not None:
+            self._telemetry.take_rows(block)
+
+
+class RerunKeeper(PageKeeper):
+    """run.rrd; in a stream of its own, so that no viewer can hold it up."""
+
+    name = RERUN_FILE
+
+    def __init__(self, plan: RecordingPlan, folder: Path, recording_id: str, review: Review) -> None:
+        self._path = folder / RERUN_FILE
+        super().__init__(Telemetry(plan, recording_id, rr.FileSink(self._path)), review)
+        self._shows_at_end = plan.view and not plan.real_time
+
+    def finish(self, summary: Summary) -> None:
+        super().finish(summary)
+        if self._shows_at_end:
+            start_viewer(str(self._path))
+
+
+class LiveKeeper(PageKeeper):
+    """A Rerun viewer that shows a real-time run while it goes on; served on the loopback only."""
+
+    name = LIVE_VIEW
+
+    def __init__(self, plan: RecordingPlan, recording_id: str, review: Review) -> None:
+        sink = rr.GrpcServerSink(bind_ip=_LOOPBACK, port=_free_port(), server_memory_limit=_LIVE_MEMORY)
+        super().__init__(Telemetry(plan, recording_id, sink, live=True), review, block_rows=1)
+        start_viewer("--connect", sink.uri)
+
+    def flush(self) -> None:
+        self._telemetry.show_running(self._review)
+        super().flush()
+
+
+def open_pages(plan: RecordingPlan, folder: Path, review: Review) -> list[Keeper]:
+    """The page in ``folder``, and beside it the live view if the plan asks for one."""
+    rr.set_strict_mode(True)
+    recording_id = uuid4().hex
+    pages: list[Keeper] = [RerunKeeper(plan, folder, recording_id, review)]
+    if plan.view and plan.real_time:
+        pages.append(LiveKeeper(plan, recording_id, review))
+    return pages
+
+
+def start_viewer(*arguments: str) -> None:
+    """Start the viewer as a process that outlives this one."""
+    subprocess.Popen(
+        python_command("rerun_cli", "--port", "auto", "--bind", _LOOPBACK, *arguments),
+        env=python_environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
+def _free_port() -> int:
+    """A port of the loopback that nobody listens on; the sink tells no port of its own choice."""
+    with socket.socket() as probe:
+        probe.bind((_LOOPBACK, 0))
+        port: int = probe.getsockname()[1]
+        return port
