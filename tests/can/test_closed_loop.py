@@ -39,14 +39,15 @@ def loggers() -> None:
 
 
 @pytest.fixture(name="driven")
-def with_a_drive(other: str, ip_link: IpLink) -> Iterator[IpLink]:
-    """``ip link`` of the bench's controller, in whose queue ten frames fit; a drive is at the other one."""
-    ip_link("txqueuelen", "10")
+def with_a_drive(other: str, ip_link: IpLink, request: pytest.FixtureRequest) -> Iterator[IpLink]:
+    """``ip link`` of the bench's controller, whose queue has that length; a drive is at the other one."""
+    ip_link("txqueuelen", str(request.param))
     with simulated_drive(f"socketcan:{other}"):
         yield ip_link
 
 
 @pytest.mark.usefixtures("driven")
+@pytest.mark.parametrize("driven", [10, pytest.param(1, marks=pytest.mark.long)], indirect=True)
 def test_a_run_through_a_short_queue(channel: str, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     status, ran = _hil("run", str(SLOW), "--bus", f"socketcan:{channel}", "--record", str(folder), "--json")
@@ -61,6 +62,7 @@ def test_a_run_through_a_short_queue(channel: str, tmp_path: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.usefixtures("driven")
+@pytest.mark.parametrize("driven", [10, 1], indirect=True)
 def test_a_measurement_through_a_short_queue(channel: str) -> None:
     """Each SYNC was on the bus, by its own echo from the driver, and no reading was lost in the queue."""
     cycles = ("--cycles", str(MEASURED), "--period-us", "100000")
@@ -75,6 +77,18 @@ def test_a_measurement_through_a_short_queue(channel: str) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("driven")
+@pytest.mark.parametrize("driven", [10, 1], indirect=True)
+def test_a_drive_is_read_for_commissioning_through_a_short_queue(channel: str, tmp_path: Path) -> None:
+    words = ("--bus", f"socketcan:{channel}", "--node", "1", "--out", str(tmp_path / "out"))
+    status, read = _hil("commission", *words, "--dry-run", "--yes", "--json")
+    assert status == ExitStatus.PASSED, read
+    assert read["left"]["settings"] == "unchanged"
+    assert not (tmp_path / "out" / "journal.jsonl").exists()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("driven", [10], indirect=True)
 def test_a_controller_that_only_listens_is_named_before_anything_moves(
     driven: IpLink, channel: str, tmp_path: Path
 ) -> None:
