@@ -69,8 +69,7 @@ GROUPS = {
         *_below("virtual_bus", "frame"),
         *_below("virtual_bus/bus", "bit_length controller error_frame error_handling"),
         *_below("virtual_bus/bus", "frame_image host_port hub_broker hub_client hub_port hub_protocol"),
-        *_below("virtual_bus/bus", "judge listener trial"),
-        *_below("virtual_bus/faults", "fates fault_injector fault_log fault_streams strikes"),
+        *_below("virtual_bus/bus", "listener trial"),
     ],
     "device": [
         *_below("virtual_bus/device", "application canopen_device device_clock heartbeat object_dictionary"),

@@ -50,4 +50,33 @@ static inline bool is_a(PyObject *object, PyTypeObject *type, const char *expect
     return fits;
 }
 
+/* Whether a class on top of `base` has a method of its own in the place of one of `base`: 1, 0, or -1 for an error. */
+static inline int is_overridden(PyTypeObject *type, PyTypeObject *base, const char *method)
+{
+    if (type == base)
+        return 0;
+    PyObject *name = PyUnicode_InternFromString(method);
+    if (name == NULL)
+        return -1;
+    PyObject *own = PyObject_GetAttr((PyObject *)type, name);
+    PyObject *original = PyObject_GetAttr((PyObject *)base, name);
+    int result = own == NULL || original == NULL ? -1 : own != original;
+    forget(&own);
+    forget(&original);
+    Py_DecRef(name);
+    return result;
+}
+
+/* Whether a method without keywords got between `least` and `most` arguments. */
+static inline bool takes_between(PyObject *arguments, PyObject *names, Py_ssize_t least, Py_ssize_t most,
+                                 const char *name)
+{
+    Py_ssize_t given = PyTuple_Size(arguments);
+    bool well = least <= given && given <= most && (names == NULL || PyObject_Size(names) == 0);
+    if (!well)
+        PyErr_Format(PyExc_TypeError, "%s() takes %zd to %zd arguments without keywords, %zd were given", name, least,
+                     most, given);
+    return well;
+}
+
 #endif

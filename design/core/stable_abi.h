@@ -62,6 +62,7 @@ typedef struct PyType_Slot {
 #define Py_tp_clear 51
 #define Py_tp_dealloc 52
 #define Py_tp_doc 56
+#define Py_tp_init 60
 #define Py_tp_methods 64
 #define Py_tp_new 65
 #define Py_tp_traverse 71
@@ -101,6 +102,7 @@ typedef struct PyModuleDef {
 #define PyMODINIT_FUNC __attribute__((visibility("default"))) PyObject *
 
 extern PyObject *PyExc_TypeError, *PyExc_ValueError, *PyExc_AttributeError, *PyExc_OSError;
+extern PyObject *PyExc_NotImplementedError;
 extern PyObject _Py_NoneStruct;
 #define Py_None (&_Py_NoneStruct)
 

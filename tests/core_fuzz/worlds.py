@@ -17,23 +17,30 @@ from servobench.design.core import native
 from servobench.design.mechanism import CoggingHarmonic, Coupling, Friction, Mechanism, Side
 from servobench.design.motor import PmsmParameters
 from servobench.design.statespace import StateSpace
-from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
+from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.hil.core.native import Ring, frame_row
 from servobench.hil.recording.ring import RingReader, RingWriter
 from servobench.hil.rows.side_rows import FRAME
 from servobench.virtual_bus.bus.host_port import HostPort
-from servobench.virtual_bus.bus.judge import Direction, Judge
+from servobench.virtual_bus.bus.judge import Direction
 from servobench.virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Listener
 from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.core.native import (
     BusLoad,
+    EntryBlock,
+    Fates,
     HeldFrames,
+    Hold,
     HostPlace,
     InnerLoops,
     Port,
+    Queue,
+    Route,
     Segment,
     SimulatedClock,
+    Strike,
     Timeline,
+    UniformNumbers,
     clipped,
     sine_cosine,
     user_position,
@@ -42,9 +49,9 @@ from servobench.virtual_bus.core.native import (
 from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.frame import Frame
+from tests.core_fuzz.fates import ODD, Refused, drawn_judge, odd_number
 from tests.motors import AZAIZ, LING
 
-ODD: Final = (math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, 1.8e308, -1e300)
 AWRY: Final[tuple[object, ...]] = (
     None,
     "",
@@ -129,8 +136,8 @@ def _controller(draw: random.Random, rate_hz: int) -> StateSpace:
 
 def _tell(inner: InnerLoops, draw: random.Random) -> None:
     """Any units; a state that is no number is refused."""
-    inner.origin, inner.counts_per_position = _number(draw), _number(draw)
-    inner.velocity_per_rad_s, inner.torque_unit_nm = _number(draw), _number(draw)
+    inner.origin, inner.counts_per_position = odd_number(draw), odd_number(draw)
+    inner.velocity_per_rad_s, inner.torque_unit_nm = odd_number(draw), odd_number(draw)
     try:
         position, velocity, torque, _ = inner.actual_values()
         demand = inner.torque_told()
@@ -142,23 +149,23 @@ def _tell(inner: InnerLoops, draw: random.Random) -> None:
     assert min(torque, demand) >= -(1 << 15)
 
 
-def _number(draw: random.Random) -> float:
-    return draw.choice(ODD) if draw.random() < 0.1 else draw.uniform(-500.0, 500.0)
-
-
 def _bear(firmware: Firmware, draw: random.Random, now: Instant) -> None:
     points = draw.choice([0, 1, 2, 300])
     times = np.cumsum([10.0 ** draw.uniform(-6.0, -1.0) for _ in range(points)])
-    torques = np.array([_number(draw) for _ in range(points)])
+    torques = np.array([odd_number(draw) for _ in range(points)])
     begins = Instant(now + draw.randrange(-NS_PER_MS, NS_PER_MS))
     firmware.bear(LoadTable(times.tobytes(), torques.tobytes()), draw.random() < 0.5, begins)
 
 
 _DONE: Final[tuple[Callable[[Firmware, random.Random, Instant], object], ...]] = (
     lambda firmware, draw, now: firmware.control(draw.choice(list(InnerControl))),
-    lambda firmware, draw, now: firmware.demand_torque(_number(draw)),
-    lambda firmware, draw, now: firmware.ramp_to_speed(_number(draw), abs(_number(draw)), _number(draw)),
-    lambda firmware, draw, now: firmware.limit(abs(_number(draw)), abs(_number(draw)), abs(_number(draw))),
+    lambda firmware, draw, now: firmware.demand_torque(odd_number(draw)),
+    lambda firmware, draw, now: firmware.ramp_to_speed(
+        odd_number(draw), abs(odd_number(draw)), odd_number(draw)
+    ),
+    lambda firmware, draw, now: firmware.limit(
+        abs(odd_number(draw)), abs(odd_number(draw)), abs(odd_number(draw))
+    ),
     lambda firmware, draw, now: firmware.hold_encoder(draw.random() < 0.5),
     lambda firmware, draw, now: firmware.bear(None),
     _bear,
@@ -181,10 +188,6 @@ def random_runs(draw: random.Random) -> None:
     assert peaks(first, count) == b"".join(peaks(first + number, 1) for number in range(count))
 
 
-class _Refused(Exception):
-    """What a callback of a drawn bus raises."""
-
-
 class _Answering(Listener):
     """Sends, detaches a port, lets time pass or raises, in the middle of a delivery."""
 
@@ -197,22 +200,7 @@ class _Answering(Listener):
         if chance < 0.2:
             _act_on_bus(self._draw, self._segment, now)
         elif chance < 0.22:
-            raise _Refused(frame)
-
-
-class _Fate(Judge):
-    """Holds, loses and doubles frames, and raises."""
-
-    def __init__(self, draw: random.Random) -> None:
-        self._draw = draw
-
-    def hold(self, way: int, can_id: int, now: Instant, extended: bool) -> int:  # noqa: ARG002
-        if self._draw.random() < 0.01:
-            raise _Refused(can_id)
-        return self._draw.choice([0, 0, -1, 1, self._draw.randrange(5 * NS_PER_MS)])
-
-    def replacements(self, frame: Frame) -> list[tuple[Frame, Duration]]:
-        return [(frame, Duration(self._draw.randrange(NS_PER_MS))) for _ in range(self._draw.randrange(4))]
+            raise Refused(frame)
 
 
 def _frame(draw: random.Random) -> Frame:
@@ -253,7 +241,7 @@ def _used_bus(draw: random.Random) -> "weakref.ref[CanSegment]":
         segment.attach(f"port{number}", _Answering(draw, segment))
     hosts = [HostPort(segment, f"host{number}") for number in range(draw.randrange(3))]
     for host in hosts:
-        host.put_before(_Fate(draw), draw.choice(list(Direction)))
+        host.put_before(drawn_judge(draw), draw.choice(list(Direction)))
         if draw.random() < 0.5:
             host.hear_itself()
     for _ in range(200):
@@ -262,7 +250,7 @@ def _used_bus(draw: random.Random) -> "weakref.ref[CanSegment]":
             for host in hosts:
                 host.transmit(_frame(draw))
                 host.receive(Instant(timeline.now + draw.randrange(NS_PER_MS)))
-        except (_Refused, can.CanOperationError):
+        except (Refused, can.CanOperationError):
             continue
         assert all(0 <= port.pending <= TRANSMIT_QUEUE_MAX for port in segment.ports)
     return weakref.ref(segment)
@@ -284,7 +272,7 @@ def ring(draw: random.Random) -> None:
         if chance < 0.02:
             Ring.close(writer)
         elif chance < 0.1:
-            raise _Refused(chance)
+            raise Refused(chance)
         elif chance < 0.4:
             reader.drain()
         return chance < 0.8
@@ -300,7 +288,7 @@ def ring(draw: random.Random) -> None:
                     draw.getrandbits(63), draw.getrandbits(33), draw.randrange(257), draw.randbytes(8)
                 )
             assert 0 <= writer.taken <= reader.released + capacity
-        except (_Refused, ValueError):
+        except (Refused, ValueError):
             continue
         assert len(reader.look()) <= capacity
     writer.close()
@@ -318,20 +306,57 @@ def misuse(draw: random.Random) -> None:
     ring = Ring(descriptor, FRAME.size, 4, bool)
     os.close(descriptor)
     calls += [frame_row, Ring, BusLoad, HeldFrames, HostPlace, Port, Segment, SimulatedClock, Timeline]
+    calls += [UniformNumbers, Strike, Hold, Queue, Route, EntryBlock, Fates]
+    faults = (
+        Strike("loss", (0, 9)),
+        Hold((0, 9), True),
+        Queue(),
+        Route(None, (), ()),
+        EntryBlock(),
+        Fates(None, 0, 0),
+    )
     calls += [
         getattr(each, name)
-        for each in (inner, timeline, segment, held, place, port, BusLoad(), SimulatedClock(timeline), ring)
+        for each in (
+            inner,
+            timeline,
+            segment,
+            held,
+            place,
+            port,
+            BusLoad(),
+            SimulatedClock(timeline),
+            ring,
+            *faults,
+        )
         for name in dir(each)
         if callable(getattr(each, name)) and name[0] != "_"
     ]
     table = pack("=3d", 0.0, 1.0, 2.0)
     for _ in range(100):
         call = draw.choice(calls)
-        odd = [*AWRY, *ODD, 0, 1, -1, 5, table, table[:8], timeline, segment, port, place, Frame(1)]
+        odd = [
+            *AWRY,
+            *ODD,
+            0,
+            1,
+            -1,
+            5,
+            table,
+            table[:8],
+            timeline,
+            segment,
+            port,
+            place,
+            Frame(1),
+            *faults,
+            lambda: table,
+            (0, 9),
+        ]
         given = [draw.choice(odd) for _ in range(draw.randrange(9))]
         try:
             call(*given)
-        except (TypeError, ValueError, OverflowError, AttributeError):
+        except (TypeError, ValueError, OverflowError, AttributeError, NotImplementedError):
             continue
 
 

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final
 
-from mypy_extensions import mypyc_attr
-
 from servobench.drivers.timebase import Duration, Instant
 from servobench.virtual_bus.frame import Frame
 
@@ -25,7 +23,6 @@ class Direction(IntEnum):
         return self.name.lower()
 
 
-@mypyc_attr(allow_interpreted_subclasses=True)
 class Judge:
     """Passes, loses or holds each frame."""
 

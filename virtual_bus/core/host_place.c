@@ -84,6 +84,12 @@ Arrival take_arrival(PlaceObject *self)
 static bool ask_judge(PlaceObject *self, int way, const WireFrame *frame, int64_t now, int64_t *held_ns)
 {
     static PyObject *name;
+    if (self->fates != NULL) {
+        PyObject *judge = another(self->judge); /* Python that it asks may put another one in its place */
+        bool judged = fate_of(self->fates, &(JudgedFrame){way, frame->can_id, frame->extended, now}, held_ns);
+        Py_DecRef(judge);
+        return judged;
+    }
     if (name == NULL && (name = PyUnicode_InternFromString("hold")) == NULL)
         return false;
     PyObject *arguments[] = {another(self->judge), PyLong_FromLongLong(way), PyLong_FromLongLong(frame->can_id),

@@ -2,6 +2,7 @@
 #ifndef CORE_HOST_PLACE_H
 #define CORE_HOST_PLACE_H
 
+#include "faults.h"
 #include "segment.h"
 
 enum {
@@ -30,6 +31,7 @@ typedef struct PlaceObject {
     TimelineObject *timeline;
     PortObject *port;
     PyObject *judge, *accepts; /* None: every frame passes */
+    FatesObject *fates;        /* the judge itself, if it has no Python in the place of its `hold` */
     HeldObject *held_in, *held_out;
     int way_out, way_in;
     bool closed;

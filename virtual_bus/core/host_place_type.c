@@ -49,6 +49,7 @@ static int visit_place(PyObject *self, visitproc visit, void *argument)
 /* Its port has a clear of its own, and it is never without it. */
 static int clear_place(PyObject *self)
 {
+    place_of(self)->fates = NULL;
     forget(&place_of(self)->judge);
     forget(&place_of(self)->accepts);
     return 0;
@@ -87,7 +88,13 @@ static PyObject *call_put_before(PyObject *self, PyObject *const *arguments, Py_
         return NULL;
     PlaceObject *place = place_of(self);
     PyObject *before = place->judge;
+    PyTypeObject *type = arguments[0]->type;
+    bool is_native = type == fates_type || PyType_IsSubtype(type, fates_type);
+    int own_hold = is_native ? is_overridden(type, fates_type, "hold") : 1;
+    if (own_hold < 0)
+        return NULL;
     place->judge = another(arguments[0]);
+    place->fates = own_hold ? NULL : (FatesObject *)place->judge;
     place->way_out = way_out != 0;
     place->way_in = way_out == 0;
     forget(&before);

@@ -1,6 +1,7 @@
 /* The module servobench.virtual_bus.core.native; native.pyi says what it holds. */
 #include "actual_values.h"
 #include "arguments.h"
+#include "faults.h"
 #include "host_place.h"
 #include "rotation.h"
 #include "types.h"
@@ -86,6 +87,12 @@ static const ShownNumber shown_numbers[] = {
     {"RECEIVE_QUEUE_MAX", RECEIVE_QUEUE_MAX},
     {"HELD_MAX", HELD_MAX},
     {"CHECKPOINTS_MAX", CHECKPOINTS_MAX},
+    {"BLOCK_ENTRIES", BLOCK_ENTRIES},
+    {"INDEPENDENT", INDEPENDENT},
+    {"NUMBERED", NUMBERED},
+    {"BURST", BURST},
+    {"PERIODIC", PERIODIC},
+    {"FIRST", FIRST},
 };
 
 typedef struct ShownType {
@@ -104,6 +111,13 @@ static const ShownType shown_types[] = {
     {&port_spec, "Port", &port_type},
     {&held_spec, "HeldFrames", &held_type},
     {&place_spec, "HostPlace", &place_type},
+    {&numbers_spec, "UniformNumbers", &numbers_type},
+    {&strike_spec, "Strike", &strike_type},
+    {&hold_spec, "Hold", &hold_type},
+    {&queue_spec, "Queue", &queue_type},
+    {&route_spec, "Route", &route_type},
+    {&block_spec, "EntryBlock", &block_type},
+    {&fates_spec, "Fates", &fates_type},
 };
 
 static bool show_type(PyObject *module, const ShownType *shown)

@@ -407,6 +407,148 @@ class HeldFrames:
     def clear(self) -> None:
         """Forget all that is held."""
 
+BLOCK_ENTRIES: int
+"""Entries of an EntryBlock."""
+INDEPENDENT: int
+"""Shapes of a Strike; see strikes.c."""
+NUMBERED: int
+BURST: int
+PERIODIC: int
+FIRST: int
+
+class UniformNumbers:
+    """Numbers even in [0, 1), drawn a block at a time."""
+
+    def __new__(cls, refill: Callable[[], bytes], /) -> Self:
+        """``refill``: gives the next block, doubles in this machine's order."""
+
+    def draw(self) -> float:
+        """The next number. Error: ValueError for a block that is empty or has one outside [0, 1)."""
+
+class Strike:
+    """A fault that strikes frames. A class on top of it chooses a shape, or has ``strikes`` and ``number`` of
+    its own."""
+
+    def __init__(self, kind: str, window: tuple[int, int], /) -> None:
+        """``kind``: of its entries in the log, which says what goes on in place of a struck frame;
+        ``window``: the first ns in which it acts, and the first in which it does so no more."""
+
+    @property
+    def kind(self) -> str: ...
+    @property
+    def begin(self) -> int: ...
+    @property
+    def end(self) -> int: ...
+    @property
+    def value(self) -> float:
+        """The second draw for the last frame."""
+
+    def by_chance(self, shape: int, numbers: UniformNumbers, /, *chances: float) -> None:
+        """INDEPENDENT and NUMBERED: the probability; BURST: of leaving the good state and the bad, then of
+        losses in each."""
+
+    def numbered(self, least: int, width: int, /) -> None:
+        """Its number is one of ``width`` from ``least`` on, which may be NONE. Error: ValueError below
+        that."""
+
+    def by_count(self, shape: int, count: int, /) -> None:
+        """PERIODIC: all but one of so many; FIRST: so many. Error: ValueError for less than 1."""
+
+    def strikes(self, elapsed: int, /) -> bool:
+        """Whether it strikes the frame that is there now; asked once for each."""
+
+    def number(self) -> int:
+        """The first number of the entry for the frame just struck; NONE if the frame is lost after all."""
+
+class Hold:
+    """A fault that delays frames. A class on top of it chooses how, or has ``holds`` of its own."""
+
+    def __init__(self, window: tuple[int, int], in_order: bool, /) -> None:
+        """``in_order``: frames of a link may not overtake one another."""
+
+    @property
+    def begin(self) -> int: ...
+    @property
+    def end(self) -> int: ...
+    @property
+    def in_order(self) -> bool: ...
+    def uniform(self, numbers: UniformNumbers, least: int, width: int, /) -> None:
+        """Any time from ``least`` on, ``width`` of them, all alike."""
+
+    def measured(self, numbers: UniformNumbers, edges_ns: Sequence[int], counts: Sequence[int], /) -> None:
+        """A bar of a histogram by its count, then a time within it."""
+
+    def holds(self, elapsed: int, /) -> int:
+        """For how many ns it holds the frame that is there now; asked once for each."""
+
+class Queue:
+    """The order of one link: no frame leaves before the one in front of it."""
+
+    def __init__(self) -> None: ...
+    released_at: int
+    def behind(self, release: int, /) -> int:
+        """``release``, or later if the one in front is held for longer; the next one waits for it."""
+
+class Route:
+    """All that can befall the frames of one COB-ID in one direction."""
+
+    def __new__(cls, queue: Queue | None, strikes: Sequence[Strike], holds: Sequence[Hold], /) -> Self:
+        """``queue``: None where frames may overtake one another, or are never held. Of several strikes the
+        first counts."""
+
+    seen: int
+    struck: str | None
+    """The kind of fault that struck the last frame, as its log entry has it."""
+    number: int
+    """The first number of that entry."""
+    @property
+    def queue(self) -> Queue | None: ...
+    def meet(self, elapsed: int, n: int, /) -> int:
+        """For how many ns the ``n``-th frame is held, and what strikes it; asked once for each."""
+
+class EntryBlock:
+    """So many entries of a log of faults."""
+
+    def __init__(self) -> None: ...
+    def note(
+        self, code: int, at_ns: int, link: int, can_id: int, n: int, a: int = 0, b: int = 0, c: int = 0, /
+    ) -> None:
+        """Add an entry, see servobench.virtual_bus.faults.fault_log.FaultEntry; the last that has room calls
+        ``flush``."""
+
+    def take(self) -> bytes:
+        """What it holds; it is empty then."""
+
+    def flush(self) -> None:
+        """Take what it holds. Override."""
+
+class Fates:
+    """The fate of each frame by the route of its COB-ID; a class on top of it makes the routes."""
+
+    def __init__(self, log: Any, place: int, delay_code: int, /) -> None:
+        """``log``: an EntryBlock, or None. ``place``: added to the way in an entry; ``delay_code``: of the
+        entry of a delay."""
+
+    @property
+    def log(self) -> Any:
+        """As it was given."""
+
+    @property
+    def zero(self) -> Instant:
+        """The plan's time zero."""
+
+    def start(self, now: Instant, /) -> None:
+        """Time zero is ``now``; routes and counts begin anew."""
+
+    def stop(self) -> None:
+        """From here on every frame passes. What is already held is not let go earlier."""
+
+    def hold(self, way: int, can_id: int, now: Instant, extended: bool, /) -> int:
+        """See servobench.virtual_bus.bus.judge; every frame passes before ``start``."""
+
+    def tally(self, way: int, /) -> tuple[int, int]:
+        """Frames seen, those delayed."""
+
 class FrameJudge(Protocol):
     """See servobench.virtual_bus.bus.judge."""
 

@@ -9,36 +9,12 @@ not. So a change of one fault never shifts the draws of another.
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.identifiers import EXTENDED_FLAG, STANDARD_ID_MAX
 from servobench.virtual_bus.bus.judge import Direction
-from servobench.virtual_bus.faults.fates import FateSource, Queue, Route
+from servobench.virtual_bus.faults.fates import FateSource, Route
 from servobench.virtual_bus.faults.fault_log import FaultLog
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.fault_streams import UniformStream
 from servobench.virtual_bus.faults.frame_fault import FrameFault, node_of
 from servobench.virtual_bus.faults.strikes import Hold, Strike
-
-
-class _DrawnRoute(Route):
-    """By the faults of a plan."""
-
-    def __init__(self, strikes: list[Strike], holds: list[Hold], queue: Queue | None) -> None:
-        super().__init__(queue)
-        self._strikes = strikes
-        self._holds = holds
-
-    def meet(self, elapsed: int, n: int) -> int:  # noqa: ARG002
-        first: Strike | None = None
-        for strike in self._strikes:
-            if strike.strikes(elapsed) and first is None:
-                first = strike
-        held = 0
-        for hold in self._holds:
-            held += hold.holds(elapsed)
-        if first is None:
-            self.struck = ""
-        else:
-            self.struck = first.kind
-            self.number = first.number()
-        return held
 
 
 class FaultInjector(FateSource):
@@ -93,7 +69,8 @@ class FaultInjector(FateSource):
                 ranked.append((fault.rank, index, at_work))
         in_order = bool(holds) and all(hold.in_order for hold in holds)
         queue = self.queue(way, can_id, extended) if in_order else None
-        return _DrawnRoute([strike for _, _, strike in sorted(ranked)], holds, queue)
+        in_rank = sorted(ranked, key=lambda each: each[:2])
+        return Route(queue, [strike for _, _, strike in in_rank], holds)
 
     def _make(self, index: int, fault: FrameFault, direction: Direction, node: int) -> Strike | Hold:
         key = index, int(direction), node

@@ -33,12 +33,11 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
-from librt.strings import BytesWriter, write_i64_le
-
 from servobench.drivers.bounded_file import parse_json
 from servobench.drivers.errors import BadInput
 from servobench.drivers.wire.identifiers import EXTENDED_FLAG, EXTENDED_ID_MAX, STANDARD_ID_MAX
 from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.core import native
 from servobench.virtual_bus.faults.log_kind import NONE, LogNumber
 from servobench.virtual_bus.faults.register import LOG_KINDS
 
@@ -58,10 +57,8 @@ _COMPACT: Final = (",", ":")
 AT_NODE: Final = len(Direction)
 """A frame's link at a drive's own connection is its direction plus so many times the drive's node id."""
 
-_ENTRY: Final = struct.Struct("<8q")
-_BLOCK_ENTRIES: Final = 60
-"""With its head 3844 bytes: a row stays within a page of memory."""
-BLOCK_BYTES: Final = _BLOCK_ENTRIES * _ENTRY.size
+_ENTRY: Final = struct.Struct("=8q")
+BLOCK_BYTES: Final = native.BLOCK_ENTRIES * _ENTRY.size
 BLOCK: Final = struct.Struct(f"<I{BLOCK_BYTES}s")
 """A row of the ring between the run and whoever writes: how much of the block is filled, and the block."""
 
@@ -96,12 +93,10 @@ class FaultEntry(NamedTuple):
         return self.link // AT_NODE
 
 
-class FaultLog:
+class FaultLog(native.EntryBlock):
     """Collects entries into blocks for a sink, in the order of injection; without a sink it keeps them."""
 
     def __init__(self) -> None:
-        self._block = BytesWriter()
-        """Entries not given on yet."""
         self._waiting: list[bytes] = []
         self._sink: Callable[[int, bytes], object] | None = None
 
@@ -112,28 +107,11 @@ class FaultLog:
             sink(len(data), data)
         self._waiting.clear()
 
-    def note(
-        self, code: int, at_ns: int, link: int, can_id: int, n: int, a: int = 0, b: int = 0, c: int = 0
-    ) -> None:
-        """Add an entry, see :class:`FaultEntry`."""
-        block = self._block
-        write_i64_le(block, at_ns)
-        write_i64_le(block, a)
-        write_i64_le(block, b)
-        write_i64_le(block, c)
-        write_i64_le(block, can_id)
-        write_i64_le(block, n)
-        write_i64_le(block, code)
-        write_i64_le(block, link)
-        if len(block) >= BLOCK_BYTES:
-            self.flush()
-
     def flush(self) -> None:
         """Let the sink have what has been collected."""
-        data = self._block.getvalue()
+        data = self.take()
         if not data:
             return
-        self._block.truncate(0)
         if self._sink is None:
             self._waiting.append(data)
         else:

@@ -6,11 +6,13 @@ numpy keeps that the same for ever, on every machine.
 """
 
 from collections.abc import Callable
+from functools import partial
 from hashlib import blake2b
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
-from librt.strings import read_f64_le
+
+from servobench.virtual_bus.core.native import UniformNumbers
 
 BLOCK: Final = 512
 """Numbers drawn at a time: a single draw from numpy costs as much as fifty from a block."""
@@ -18,26 +20,19 @@ BLOCK: Final = 512
 _RESOLUTION: Final = 2.0**-53
 
 
-class UniformStream:
+class UniformStream(UniformNumbers):
     """Numbers even in [0, 1), drawn a block at a time."""
 
-    __slots__ = ("_next", "_numbers", "_source")
-
-    def __init__(self, seed: int, name: str) -> None:
+    def __new__(cls, seed: int, name: str) -> Self:
+        """``name``: tells the streams of one seed apart."""
         digest = blake2b(name.encode(), digest_size=16).digest()
-        self._source = np.random.PCG64(np.random.SeedSequence([seed, int.from_bytes(digest, "little")]))
-        self._numbers = b""
-        self._next = 0
+        source = np.random.PCG64(np.random.SeedSequence([seed, int.from_bytes(digest, "little")]))
+        return super().__new__(cls, partial(_block, source))
 
-    def draw(self) -> float:
-        """The next number."""
-        place = self._next
-        if place == len(self._numbers) >> 3:
-            raw = self._source.random_raw(BLOCK)
-            self._numbers = ((raw >> np.uint64(11)) * _RESOLUTION).astype("<f8").tobytes()
-            place = 0
-        self._next = place + 1
-        return read_f64_le(self._numbers, place << 3)
+
+def _block(source: np.random.PCG64) -> bytes:
+    raw = source.random_raw(BLOCK)
+    return ((raw >> np.uint64(11)) * _RESOLUTION).tobytes()
 
 
 def uniform_stream(seed: int, name: str, suffix: str = "") -> Callable[[], float]:

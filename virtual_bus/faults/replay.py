@@ -4,6 +4,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 from servobench.drivers.bounded_file import NamedBy, read_lines
 from servobench.drivers.timebase import Duration
@@ -57,13 +58,16 @@ def read_recorded(path: Path, named_by: NamedBy | None = None) -> RecordedFaults
 class _ReplayedRoute(Route):
     """By what befell the frames of one COB-ID."""
 
-    def __init__(self, entries: Mapping[int, FaultEntry], queue: Queue | None) -> None:
-        super().__init__(queue)
-        self._entries = entries
+    _entries: Mapping[int, FaultEntry]
+
+    def __new__(cls, entries: Mapping[int, FaultEntry], queue: Queue | None) -> Self:
+        route = super().__new__(cls, queue, (), ())
+        route._entries = entries
+        return route
 
     def meet(self, elapsed: int, n: int) -> int:  # noqa: ARG002
         entry = self._entries.get(n)
-        self.struck = ""
+        self.struck = None
         if entry is None:
             return 0
         if entry.kind == "delay":

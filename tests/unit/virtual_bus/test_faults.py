@@ -13,6 +13,7 @@ from scipy import stats
 
 from servobench.drivers.timebase import Duration, Instant
 from servobench.virtual_bus.bus.judge import Direction
+from servobench.virtual_bus.faults.fates import Route
 from servobench.virtual_bus.faults.fault_injector import FaultInjector
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.frame_fault import COB_IDS, FrameFault
@@ -297,10 +298,18 @@ def test_counts_name_the_fault_that_struck_first() -> None:
 
 
 def test_a_flood_of_extended_identifiers_takes_no_memory() -> None:
-    injector = started(Loss(probability=0.5, frames=(*ANY_FRAME, 0x12345)))
+    routes = []
+
+    class Counted(FaultInjector):
+        def route(self, way: int, can_id: int, extended: bool) -> Route:
+            routes.append(can_id)
+            return super().route(way, can_id, extended)
+
+    injector = Counted(FaultPlan((Loss(probability=0.5, frames=(*ANY_FRAME, 0x12345)),)), 7)
+    injector.start(Instant(0))
     for can_id in range(0x12000, 0x13000):
         fate_of(injector, IN, can_id, Instant(0), extended=True)
-    assert sum(len(way.routes) for way in injector._ways) == 2
+    assert routes == [0x12000, 0x12345]
 
 
 PRINT_FATES = """
