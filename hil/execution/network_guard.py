@@ -318,6 +318,7 @@ class Certificates:
         :mod:`servobench.hil.reviewing.certificate_meter`."""
         for key, value, expected in self._axis_faults(axis):
             yield f"{key}: {value}, expected {expected}"
+        yield from self._flexible(axis)
         if self._config.simulated:
             for name in ("resistance_factor", "inductance_factor"):
                 if (factor := getattr(self._config.drive[axis].simulation, name)) != 1.0:
@@ -328,6 +329,17 @@ class Certificates:
         for kind in _ON_THE_DRIVE:
             if kind in plan:
                 yield f"faults.{kind}: the drive itself was struck"
+
+    def _flexible(self, axis: str) -> Iterator[str]:
+        """A coupling that twists, where every certificate has a rigid shaft."""
+        drive, key = self._config.drive[axis], f"drive.{axis}.motor"
+        motor = drive.motor
+        if self._config.simulated and drive.simulation.motor is not None:
+            motor, key = drive.simulation.motor, f"drive.{axis}.simulation.motor"
+        mechanism = motor.parameters.mechanism
+        if mechanism is not None and mechanism.coupling is not None:
+            found_hz = mechanism.coupling.resonance_hz
+            yield f"{key}.coupling: resonance at {found_hz:.3g} Hz, expected a rigid shaft"
 
 
 def _unknown(

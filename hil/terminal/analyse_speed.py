@@ -11,7 +11,7 @@ from servobench.hil.terminal.options import (
     MotorArgument,
     flag,
     given,
-    motor_file,
+    rigid_motor,
     seed_option,
     valued,
 )
@@ -87,7 +87,7 @@ def speed(asked: AnalysisOptions) -> None:
 
     Gains are from load torque to speed error, rad/s per N m; the load step is one of 1 N m.
     """
-    gains, parameters = _gain_of(asked.gain), motor_file(asked.motor).parameters
+    gains, parameters = _gain_of(asked.gain), rigid_motor(asked.motor)
     network = _network(asked)
     inner = asked.current_loop.known_loop()
     delay_s = _delay_s(asked.delay_ms, network)

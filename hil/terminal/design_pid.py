@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.terminal.current_loop_options import CurrentLoopOptions, bench_axis, loop_of_bench
-from servobench.hil.terminal.options import ControllerOutOption, JsonOption, MotorArgument, motor_file, valued
+from servobench.hil.terminal.options import (
+    ControllerOutOption,
+    JsonOption,
+    MotorArgument,
+    rigid_motor,
+    valued,
+)
 from servobench.hil.terminal.output import put, say_written
 
 if TYPE_CHECKING:
@@ -47,7 +53,7 @@ def pid(asked: PidOptions) -> None:
     from servobench.hil.terminal.design_errors import refused
 
     controller, loop_hz = _current_loop(asked.current_control, asked.current_loop)
-    motor = motor_file(asked.motor).parameters
+    motor = rigid_motor(asked.motor)
     closed, crossover = current_loop_of(motor, controller, loop_hz)
     with refused(str(asked.motor)):
         gains = pid_by_rule(

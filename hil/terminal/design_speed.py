@@ -18,7 +18,7 @@ from servobench.hil.terminal.options import (
     controller_out_option,
     flag,
     given,
-    motor_file,
+    rigid_motor,
     valued,
 )
 from servobench.hil.terminal.output import on_terminal, print_figures, put, say_written
@@ -108,7 +108,7 @@ def speed(asked: SpeedDesignOptions) -> None:
         _check_static(asked)
     else:
         _refuse_static(asked)
-    motor = motor_file(asked.motor).parameters
+    motor = rigid_motor(asked.motor)
     inner = asked.current_loop.known_loop()
     network = _network(asked.network, asked) if asked.network else None
     design = _design_static if static else _design_dynamic

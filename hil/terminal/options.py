@@ -9,6 +9,7 @@ from servobench.drivers.errors import BadInput
 from servobench.hil.terminal.output import say
 
 if TYPE_CHECKING:
+    from servobench.design.motor import PmsmParameters
     from servobench.hil.configuration.config import Foreign
     from servobench.hil.configuration.motor_file import MotorFile
     from servobench.virtual_bus.hosting.injection import Faults
@@ -115,6 +116,16 @@ def motor_file(path: Path, option: str = "MOTOR.toml") -> "MotorFile":
     from servobench.hil.configuration.motor_file import load_motor
 
     return load_motor(path, NamedBy(option, "", str(path)))
+
+
+def rigid_motor(path: Path) -> "PmsmParameters":
+    """The motor of a design, which knows no coupling; what it leaves out is said. Raises BadInput or
+    BadInputs."""
+    motor = motor_file(path).parameters
+    if motor.mechanism is not None and motor.mechanism.coupling is not None:
+        found_hz = f"{motor.mechanism.coupling.resonance_hz:.3g} Hz"
+        say(f"hil: note: {path}: a rigid shaft is assumed, the coupling's resonance at {found_hz} left out")
+    return motor
 
 
 def fault_plan(path: Path | None) -> "Faults | None":

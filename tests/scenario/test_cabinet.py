@@ -3,8 +3,10 @@
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from servobench import Bench, LimitExceeded, run
+from servobench.hil.cli import app
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CABINET = Bench.load(EXAMPLES / "cabinet.toml")
@@ -33,3 +35,11 @@ def test_the_pid_of_the_demo_passes_on_a_rigid_shaft_alone() -> None:
 
 def test_the_same_seed_gives_the_same_run() -> None:
     assert run(CABINET).digest == run(CABINET).digest
+
+
+@pytest.mark.parametrize(("motor", "told"), [("cabinet", True), ("ling2012", False)])
+def test_a_design_says_that_it_knows_no_coupling(motor: str, told: bool) -> None:
+    asked = ["design", "pid", str(EXAMPLES / "motors" / f"{motor}.toml"), "--current-bandwidth-hz", "800"]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 0
+    assert ("a rigid shaft is assumed, the coupling's resonance at 134 Hz left out" in done.stderr) is told

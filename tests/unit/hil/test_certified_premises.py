@@ -20,6 +20,7 @@ from tests.unit.hil.test_network_guard import LIMITS, MADE_FOR, PERIOD, REAL, Wa
 KEY = "drive.axis1.controller.made_for"
 SIMULATION = "drive.axis1.simulation"
 WORSE = "axis1: the network is worse than its controller's: "
+FLEXIBLE = LING2012.tables | {"coupling": {"inertia_ratio": 4.0, "antiresonance_hz": 60.0}}
 GOOD = {"period_us": 2000, "losses_in_a_row_max": 3, "delay_max_us": 1000}
 
 
@@ -311,6 +312,11 @@ PLAN = CertifiedPlan(
                     f"{SIMULATION}.inductance_factor: 0.5, expected 1, the motor as its file has it",
                 )
             },
+        ),
+        (
+            MADE_FOR,
+            {"simulation": {"motor": FLEXIBLE}},
+            {"left": (f"{SIMULATION}.motor.coupling: resonance at 134 Hz, expected a rigid shaft",)},
         ),
         (without("current_loop", "plant"), {}, {"bandwidths_hz": None}),
     ],
