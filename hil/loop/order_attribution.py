@@ -205,7 +205,7 @@ class OrderAttribution:
 
     def _settle(self, lag: int) -> None:
         """Readings answer the SYNC before, or one ``lag`` earlier."""
-        if lag or not self._in_question.phase_known:
+        if self._in_question.settled(self._answered, lag):
             self._unsure.clear()
             delays = self._in_question.evidence.usual_delays(lag)
             self._usual.begin(delays)
@@ -242,8 +242,7 @@ class OrderAttribution:
         """``waits``: the answer to a question will tell whether it is where it is placed."""
         health, on_bus_at = self.health, mark.on_bus_at
         assert on_bus_at is not None
-        health.placed += 1
-        delay = reading.received_at - on_bus_at
+        health.placed, delay = health.placed + 1, reading.received_at - on_bus_at
         error_ns = self._error_of(delay)
         certain = certain and not self._syncs.may_hide(mark, reading.received_at)
         if certain:
@@ -278,7 +277,8 @@ class OrderAttribution:
             return self._guess(reading, self._open.take(latest))
         age = reading.received_at - mark.on_bus_at
         next_one = mark.number == self._answered + 1
-        alone = held is None and self._is_only_one(mark, copy)
+        behind_unheard = mark.handed_at == mark.on_bus_at and age - self._transit >= self._period * 3 // 4
+        alone = not (held or behind_unheard) and self._is_only_one(mark, copy)
         if next_one or not copy:
             self._strays.append(age)
             self._strays_known = self._strays_known + 1 if alone else 0
@@ -294,7 +294,7 @@ class OrderAttribution:
         if held is None and self._is_held(mark, age, copy):
             return self._hold(reading, mark)
         probing = self._in_question.is_before_probe(reading.received_at, self._answered, self._lags())
-        if probing:
+        if probing or (self._usual.nearly_holds(age) and not copy and mark.number > self._answered):
             self._in_question.odd += 1
         else:
             self._note_untidy(copy)

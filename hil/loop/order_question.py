@@ -8,9 +8,16 @@ readings         |r              |r        |r            2 has none: lost, or al
 from typing import Final
 
 from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.loop.attribution import HELD_MAX
 from servobench.hil.loop.order_evidence import WATCHED, OrderEvidence
 from servobench.hil.loop.syncs import STAMPED_LATE, SyncLog
-from servobench.hil.loop.usual_delays import ALIKE_MIN, Resemblance, UsualDelays, lag_to_resemble
+from servobench.hil.loop.usual_delays import (
+    ALIKE_MIN,
+    Resemblance,
+    UsualDelays,
+    lag_to_resemble,
+    readings_to_resemble,
+)
 
 EVIDENCE_MIN: Final = 2
 """Readings that may tell, where the spread of delays is known;"""
@@ -27,8 +34,31 @@ PROBED_FOR: Final = 32
 
 MISSES_MAX: Final = 16
 """Readings that are missing in one question, each with the delays since; more count as one."""
+LOSSES_MIN: Final = 4
+"""Losses that say how often readings are lost."""
+LOOKS: Final = 2
+"""So many readings show a loss where all are lost and delays spread over a period. The least delay of n lies
+within 4 / n of what they spread over of the least before, and one that grew by about whole periods as near by
+chance alone; a network's delay grows less than once in 5000 readings: together 1 in 1000."""
+LOOKS_MIN: Final = 3
 WIDE_PARTS: Final = 8
 """Where delays spread over such a part of a period a reading may follow a probe by chance; hardly two do."""
+
+
+class LossShare:
+    """How many readings are lost, as questions have shown: the more, the fewer readings show another one."""
+
+    def __init__(self, since: int = 0) -> None:
+        """``since``: number of a SYNC."""
+        self.lost = 0
+        self._since = since
+
+    def readings_to_show(self, spread: int, period: Duration, number: int) -> int:
+        """After so many that look as before, delays that spread over ``spread`` have not grown at SYNC
+        ``number``."""
+        if self.lost < LOSSES_MIN:
+            return HELD_MAX
+        return max(LOOKS_MIN, LOOKS * spread * (number - self._since) // (self.lost * period))
 
 
 class OrderQuestion:
@@ -49,6 +79,7 @@ class OrderQuestion:
         self._period = period
         self._soonest = transit - syncs.error_ns
         self._usual = usual
+        self._shares = LossShare()
         self._misses: list[tuple[int, Resemblance]] = []
         """Where readings were missing since it was put: the number of the last SYNC answered before, and the
         delays since."""
@@ -74,6 +105,14 @@ class OrderQuestion:
             answered, _ = self._misses.pop()
         self._misses.append((answered, Resemblance()))
 
+    def settled(self, number: int, lag: int) -> bool:
+        """The answer is ``lag``, up to SYNC ``number``; whether delays have changed, and nothing was lost."""
+        if lag or not self.phase_known:
+            self._shares = LossShare(number)
+            return True
+        self._shares.lost += len(self._misses)
+        return False
+
     def stray(self) -> None:
         """A reading came that is not weighed."""
         for _, since in self._misses:
@@ -88,6 +127,7 @@ class OrderQuestion:
         if not self._looks_as_before(self._misses[0]):
             return 0
         del self._misses[0]
+        self._shares.lost += 1
         answered, since = self._misses[0]
         self.asked = since.seen
         self._probes = [number for number in self._probes if number > answered]
@@ -160,7 +200,8 @@ class OrderQuestion:
         if not due or len(evidence) < (EVIDENCE_MIN if phase else EVIDENCE_UNUSUAL):
             return None
         lag = evidence.verdict(-self.sooner(), lags, self._usual.spread // 4 if phase else 0, untidy)
-        if lag is None or not self._is_narrow(evidence.usual_delays(lag)):
+        follows = lag == 0 and phase and self._usual.apart and len(evidence) >= EVIDENCE_UNUSUAL
+        if lag is None or not (follows or self._is_narrow(evidence.usual_delays(lag))):
             return self._lag_by_looks()
         if lag and phase and self._is_usual(evidence.delays(0), 1 if untidy or not self._probes else 0):
             return self._lag_by_looks() if self._misses[-1][1].is_as_wide(self._usual) else None
@@ -184,8 +225,11 @@ class OrderQuestion:
 
     def _looks_as_before(self, miss: tuple[int, Resemblance]) -> bool:
         """Whether delays look as before since one of the readings that are missing."""
-        least = self._alike_least
-        return not self._speaks_against(miss) and miss[1].is_shown(self._usual, self._period, least)
+        count = readings_to_resemble(self._usual.spread, self._period, self._alike_least)
+        count = min(count, self._shares.readings_to_show(self._usual.spread, self._period, miss[0]))
+        return not self._speaks_against(miss) and miss[1].is_shown(
+            self._usual, count, frames=self._shares.lost >= LOSSES_MIN
+        )
 
     def _speaks_against(self, miss: tuple[int, Resemblance]) -> bool:
         """Whether probes have gone out, and readings have not followed them, but for what is lost and what

@@ -39,6 +39,10 @@ ALIKE_MIN: Final = 12
 ALIKE_PER_PERIOD: Final = 256
 """The same of delays that spread over a period, as far as rows wait: so many show their least one to a 64th
 of a period, and one in 32 of the delays to which a network may change looks like the old one."""
+SLIGHT_PARTS: Final = 8
+"""By less than such a part of a period a reading is off that came behind other nodes' frames, or before."""
+ALIKE_PARTS: Final = 16
+"""Of a period, such a part is the most by which the least delay may differ where delays are rare near it."""
 ALIKE_MOST: Final = 56
 """Most readings that are asked for: rows wait for 64, and some of those may be outliers."""
 
@@ -56,11 +60,14 @@ class UsualDelays:
         self.apart = True
         """Whether a usual delay is one of one SYNC only: they spread over less than a period."""
         self._period = period
+        self._transit = transit
         self._stuffing = transit // STUFFED_PARTS
         self._echo_error = echo_error
         self.parts = 2 if echoes_late else 1
         """So many times what they spread over SYNCs and readings may move against each other."""
         self._kept: list[int] = []
+        self._rare = 0
+        """How far the least of them reach that are no outliers, :data:`SLACKS` of them."""
         self._oldest = 0
         self._fresh = 0
         self._unsure = 0.0
@@ -87,8 +94,11 @@ class UsualDelays:
         return RESOLUTION_NS if self._placed >= FIRST else max(RESOLUTION_NS, self._stuffing)
 
     def tolerance(self, spread: int, count: int) -> int:
-        """How far the least of ``count`` delays may well lie from the least of those before, ns."""
-        return max(self.resolution_ns, SLACKS * spread // count)
+        """How far the least of ``count`` delays may well lie from the least of those before, ns: both are
+        chance, and where delays are rare near their least, as those of several parts, they show it."""
+        few = max(1, min(count, len(self._kept)))
+        rare = min(self._rare, self._period // ALIKE_PARTS)
+        return max(self.resolution_ns, SLACKS * spread // few, rare)
 
     def tell(self, *, certain: bool) -> bool:
         """Whether the place of a reading, ``certain`` by what is usual, may be told so: not where most of the
@@ -104,6 +114,21 @@ class UsualDelays:
     def stray(self, *, copy: bool) -> None:
         """A reading came at an unusual delay, a ``copy`` of another perhaps."""
         self._unusual += (not copy) / (RARE + self._told)
+
+    def nearly_holds(self, delay: int) -> bool:
+        """Whether one is usual but for frames of others: no sign of frames held up until another's turn."""
+        beyond = self._period // SLIGHT_PARTS
+        return self.least - beyond <= delay <= self.most + beyond
+
+    def begins_at(self, low: int, count: int, *, frames: bool) -> bool:
+        """Whether the least of ``count`` delays is that of those before; ``frames``: or would be if as many
+        frames of other axes as there are had not come in front of it, or one or two more."""
+        off = abs(low - self.low)
+        if off <= self.tolerance(self.spread, count):
+            return True
+        return frames and any(
+            off - times * self._transit in range(times * self._stuffing) for times in (1, 2)
+        )
 
     @property
     def middle(self) -> int:
@@ -148,6 +173,7 @@ class UsualDelays:
         while last < count - 1 and ordered[last + 1] - ordered[last] <= gap:
             last += 1
         self.low, self.high = ordered[first], ordered[last]
+        self._rare = ordered[min(first + SLACKS, last)] - self.low
         self._set_limits()
 
     def _set_limits(self) -> None:
@@ -196,14 +222,15 @@ class Resemblance:
         become more even as well, by just what is uneven in the SYNCs."""
         return self._count > 0 and abs(self._high - usual.high) <= usual.tolerance(usual.spread, self._count)
 
-    def is_shown(self, usual: UsualDelays, period: Duration, least: int) -> bool:
-        """By so many readings or more, ``least`` of them in any case."""
-        if (
-            self._count < readings_to_resemble(usual.spread, period, least)
-            or RARE * self._others > self._count
-        ):
+    def is_shown(self, usual: UsualDelays, least: int, *, frames: bool) -> bool:
+        """By ``least`` readings or more; see :meth:`UsualDelays.begins_at`."""
+        if self._count < least or RARE * self._others > self._count:
             return False
-        return abs(self._low - usual.low) <= usual.tolerance(usual.spread, self._count)
+        if usual.begins_at(self._low, self._count, frames=frames):
+            return True
+        if self.seen >= KEPT:  # the next ones may show it
+            self._count = self._others = 0
+        return False
 
 
 def readings_to_resemble(spread: int, period: Duration, least: int) -> int:
