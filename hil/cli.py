@@ -54,6 +54,7 @@ from servobench.hil.terminal.stop import stop
 from servobench.hil.terminal.supervision import is_supervised, supervised, unsupervised
 from servobench.hil.terminal.trace import trace
 from servobench.hil.terminal.view import missing_display, view
+from servobench.hil.terminal.why import why
 
 if TYPE_CHECKING:
     from servobench.hil.configuration.config import BenchConfig
@@ -67,7 +68,7 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 add_commands(app, init, adapter, scan, simulate, measure, eds, fault, stop, commission, restore, rehearse)
-add_commands(app, recover, trace, export, runs, picture, review, compare, view)
+add_commands(app, recover, why, trace, export, runs, picture, review, compare, view)
 
 reproduce = typer.Typer(name="reproduce", help="The papers' own results beside ours.", no_args_is_help=True)
 add_commands(reproduce, azaiz2007, ling2012)

@@ -5,7 +5,7 @@ what the timing rests on, is what ``summary.json`` says. The digest holds the tw
 those of the run are told.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +14,7 @@ from servobench.drivers.bounded_file import NamedBy
 from servobench.hil.configuration.config import VerdictConfig
 from servobench.hil.configuration.config_files import Section, load_file
 from servobench.hil.recorded.recorded_run import RecordedRun, RunSignals
+from servobench.hil.rows.records import Rows
 from servobench.hil.rows.run_files import RECORDS_FILE
 from servobench.hil.verdict.summary import Figures, Summary, summarise
 from servobench.hil.verdict.verdict import Demand, RunOutcome, VerdictKind, VerdictLimits
@@ -47,8 +48,13 @@ def load_requirements(path: Path) -> VerdictConfig:
     ).verdict
 
 
-def judge_run(run: RecordedRun, against: Path | None = None) -> Judged:
-    """Read the rows once, in bounded memory. Raises BadInput or BadInputs for ``against``."""
+def judge_run(
+    run: RecordedRun, against: Path | None = None, beside: Callable[[Rows], None] = lambda _rows: None
+) -> Judged:
+    """Read the rows once, in bounded memory; ``beside`` is given them, too.
+
+    Raises BadInput or BadInputs for ``against``.
+    """
     plan = run.review
     if against is not None:
         asked = load_requirements(against)
@@ -60,6 +66,7 @@ def judge_run(run: RecordedRun, against: Path | None = None) -> Judged:
     signals = RunSignals(run)
     for rows in run.bench_rows():
         signals.add(rows, run.first_cycle)
+        beside(rows)
     summary = _judged(run, signals.review.figures(), plan.limits)
     return Judged(run, str(against) if against else "the bench's own limits", summary, signals)
 

@@ -24,6 +24,7 @@ from servobench.hil.rows.seal import seal_of
 from servobench.virtual_bus.child_python import python_command, python_environment
 
 SIZE: Final = "1920x1080"
+_LOOPBACK: Final = "127.0.0.1"
 _START_MAX_NS: Final = 30 * NS_PER_S
 """It starts in a second or two; on a busy machine without a GPU in ten."""
 _LOAD_MAX_NS: Final = 300 * NS_PER_S
@@ -181,19 +182,37 @@ def draw_page(
         return viewer.picture()
 
 
-@contextmanager
-def headless_viewer() -> Iterator[HeadlessViewer]:
-    """A viewer that ends with the block. Raises PeerFault if it cannot run here."""
+def open_at(recording: Path, at_s: float, span_s: float | None) -> None:
+    """A viewer with a window that outlives this process, the cursor at an instant of the run time.
+
+    ``span_s``: so much time about it, None: as the page opens. Raises PeerFault if it does not run here.
+    """
+    process, port = _start_viewer("--bind", _LOOPBACK)
+    viewer = HeadlessViewer(_connect(process, port))
+    viewer.show(recording)
+    if span_s is not None:
+        viewer.look_at(at_s - span_s / 2, at_s + span_s / 2)
+    viewer.put_cursor(at_s)
+
+
+def _start_viewer(*options: str) -> "tuple[subprocess.Popen[bytes], int]":
+    """A viewer in a session of its own, and the port at which it is spoken to."""
     port = _free_port()
-    options = ["--headless", "--bind", "127.0.0.1", "--port", str(port), "--window-size", SIZE]
     process = subprocess.Popen(
-        python_command("rerun_cli", *options, "--hide-welcome-screen"),
+        python_command("rerun_cli", *options, "--port", str(port), "--hide-welcome-screen"),
         env=python_environment(),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         start_new_session=True,
     )
+    return process, port
+
+
+@contextmanager
+def headless_viewer() -> Iterator[HeadlessViewer]:
+    """A viewer that ends with the block. Raises PeerFault if it cannot run here."""
+    process, port = _start_viewer("--headless", "--bind", _LOOPBACK, "--window-size", SIZE)
     try:
         yield HeadlessViewer(_connect(process, port))
     except ConnectionError:  # it listens before it looks for a graphics driver

@@ -103,6 +103,9 @@ AllowOption = Annotated[
     ),
 ]
 DriveFaultsOption = Annotated[Path | None, faults_option("drive")]
+SpanOption = Annotated[
+    float | None, valued("--span", "S", "So much time about --at; all if absent.", min=1e-6)
+]
 ControllerOutOption = Annotated[Path | None, controller_out_option("FILE")]
 MotorArgument = Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The motor file.")]
 DriveMotorOption = Annotated[

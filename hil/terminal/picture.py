@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from servobench.drivers.errors import BadInput
-from servobench.hil.terminal.options import RunArgument, UnsealedOption, flag, valued
+from servobench.hil.terminal.options import RunArgument, SpanOption, UnsealedOption, flag, valued
 from servobench.hil.terminal.output import note_seal, say_written
 
 
@@ -20,9 +20,7 @@ def picture(
     at: Annotated[
         float | None, valued("--at", "S", "The cursor, s since the first cycle; the end if absent.")
     ] = None,
-    span: Annotated[
-        float | None, valued("--span", "S", "So much time about --at; all if absent.", min=1e-6)
-    ] = None,
+    span: SpanOption = None,
     paper: Annotated[
         bool, flag("--paper", "Speed, error, torque and delay by matplotlib, light; no viewer.")
     ] = False,

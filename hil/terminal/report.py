@@ -15,6 +15,7 @@ from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.machine.extras import is_installed
 from servobench.hil.machine.parent_process import results
 from servobench.hil.terminal.output import columns, titled
+from servobench.hil.terminal.why import brief_lines
 from servobench.hil.verdict.summary import Percentiles, Summary, metric_title
 from servobench.hil.verdict.summary_text import certificate_lines, computing_note, loss_text, timing_lines
 from servobench.hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
@@ -49,6 +50,8 @@ def print_run(
     )
     console.print(panel)
     for line in recording_lines(summary.recording):
+        console.print(Text(line), soft_wrap=True)
+    for line in brief_lines(summary):
         console.print(Text(line), soft_wrap=True)
 
 

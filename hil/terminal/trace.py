@@ -142,13 +142,14 @@ def _follow(
 def _print(selection: "TraceSelection", entries: "Iterable[TraceEntry]", zero_ns: int, as_json: bool) -> None:
     """Line by line; whoever reads them may have enough (``| head``)."""
     for entry in selection.of(entries, zero_ns):
-        write_line(json.dumps(entry.as_json(zero_ns)) if as_json else _line(entry, zero_ns))
+        write_line(json.dumps(entry.as_json(zero_ns)) if as_json else line_of(entry, zero_ns))
         if not is_read():
             return
     sys.stdout.flush()
 
 
-def _line(entry: "TraceEntry", zero_ns: int) -> str:
+def line_of(entry: "TraceEntry", zero_ns: int) -> str:
+    """An entry as ``hil trace`` prints it; ``zero_ns``: what the times count from."""
     at = f"#{entry.last}" if entry.at_ns is None else f"{(entry.at_ns - zero_ns) / 1e9:.6f}"
     node = f"node {entry.node}" if entry.node is not None else ""
     channel = f"{entry.channel:<8} " if entry.channel else ""

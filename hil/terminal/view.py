@@ -1,19 +1,28 @@
 """``hil view``: the viewer on a recorded run or commissioning."""
 
 from functools import partial
+from typing import Annotated
 
 import typer
 
-from servobench.hil.terminal.options import RunArgument, UnsealedOption
+from servobench.drivers.errors import BadInput
+from servobench.hil.terminal.options import RunArgument, SpanOption, UnsealedOption, valued
 from servobench.hil.terminal.output import note_seal, say
 
 
-def view(run: RunArgument, unsealed: UnsealedOption = False) -> None:
+def view(
+    run: RunArgument,
+    at: Annotated[float | None, valued("--at", "S", "Where the cursor is, s since the first cycle.")] = None,
+    span: SpanOption = None,
+    unsealed: UnsealedOption = False,
+) -> None:
     """Open a recorded run or commissioning in the Rerun viewer; without a display, say where the file is and
     how to see it.
 
-    Exit status: 0 opened, or told; 2 bad input.
+    Exit status: 0 opened, or told; 2 bad input; 3 the viewer does not open at --at.
     """
+    if span is not None and at is None:
+        raise BadInput("--span", "", f"{span:g}", "--at beside it: about which instant")
     from servobench.hil.recorded.viewer import page_file
     from servobench.hil.recording.page_keepers import start_viewer
 
@@ -22,10 +31,16 @@ def view(run: RunArgument, unsealed: UnsealedOption = False) -> None:
         from servobench.hil.terminal.report import viewer_command
 
         say(f"hil: no display here; on a machine with one: {viewer_command()} {recording}")
-        say(f"hil: as a picture: hil picture {run} page.png")
+        there = "" if at is None else f" --at {at:g}" + ("" if span is None else f" --span {span:g}")
+        say(f"hil: as a picture: hil picture {run} page.png{there}")
         typer.echo(str(recording.resolve()))
         return
-    start_viewer(str(recording.resolve()))
+    if at is None:
+        start_viewer(str(recording.resolve()))
+    else:
+        from servobench.hil.recorded.viewer import open_at
+
+        open_at(recording, at, span)
 
 
 def missing_display() -> bool:
