@@ -86,6 +86,18 @@ def test_the_workflow_is_yaml_and_names_files_that_are_there() -> None:
     assert all("--servo-record recordings" in line for line in commands if line.startswith("pytest"))
 
 
+def test_the_pipeline_of_gitlab_runs_what_the_workflow_does() -> None:
+    pipeline = yaml.safe_load((PROJECT / "gitlab-ci.yml").read_text())
+    jobs = {name: job for name, job in pipeline.items() if name != "default"}
+    steps = yaml.safe_load((PROJECT / "workflow.yml").read_text())["jobs"]
+    for name, job in jobs.items():
+        [command] = job["script"]
+        assert command in [step.get("run") for step in steps[name]["steps"]]
+        assert {"report.xml", "recordings"} <= set(job["artifacts"]["paths"])
+    assert set(jobs) == set(steps)
+    assert pipeline["default"]["before_script"] == ["pip install -e ."]
+
+
 def test_only_failed_runs_are_drawn(tmp_path: Path) -> None:
     report = tmp_path / "report.xml"
     report.write_text(
