@@ -5,23 +5,20 @@
 
 #include "motor.h"
 
-/* A, and V that turn in the rotor's frame; or their slopes. */
-typedef struct Electric {
-    double i_d, i_q, v_d, v_q;
-} Electric;
-
-static inline Electric electric_slopes(const MotorParameters *p, Electric x, double speed, double live, double turning)
+/* A/s at a voltage in the rotor's frame and an electrical speed, rad/s; `live`: 0 freezes it. As scalars: a structure that is handed
+   about costs the step 2 of its 90 ns. */
+static inline double slope_d(const MotorParameters *p, double v_d, double i_d, double i_q, double electrical,
+                             double live)
 {
-    double electrical = p->pole_pairs * speed;
-    double flux_d = p->inductance_d_h * x.i_d + p->flux_linkage_wb;
-    double flux_q = p->inductance_q_h * x.i_q;
-    double backwards = turning * electrical;
-    return (Electric){
-        .i_d = live * (x.v_d - p->resistance_ohm * x.i_d + electrical * flux_q) * p->per_inductance_d,
-        .i_q = live * (x.v_q - p->resistance_ohm * x.i_q - electrical * flux_d) * p->per_inductance_q,
-        .v_d = backwards * x.v_q,
-        .v_q = -backwards * x.v_d,
-    };
+    double flux_q = p->inductance_q_h * i_q;
+    return live * (v_d - p->resistance_ohm * i_d + electrical * flux_q) * p->per_inductance_d;
+}
+
+static inline double slope_q(const MotorParameters *p, double v_q, double i_d, double i_q, double electrical,
+                             double live)
+{
+    double flux_d = p->inductance_d_h * i_d + p->flux_linkage_wb;
+    return live * (v_q - p->resistance_ohm * i_q - electrical * flux_d) * p->per_inductance_q;
 }
 
 #endif

@@ -33,7 +33,7 @@ enum { ROTOR, LOAD, MASSES };
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
 
 typedef struct Motion {
-    Electric electric;
+    double i_d, i_q, v_d, v_q; /* A, and V that turn in the rotor's frame */
     double speed[MASSES];
     double angle; /* of the rotor, from the start of the period */
     double twist;
@@ -90,7 +90,7 @@ static double flank_torque(const Mechanism *m, double flank, double twist, doubl
 /* Torques on each mass but friction, N m. */
 ALWAYS_INLINE void pull(const Machine *s, const Motion *x, double flank, double *net)
 {
-    double made = motor_torque(s->p, x->electric.i_d, x->electric.i_q);
+    double made = motor_torque(s->p, x->i_d, x->i_q);
     if (s->m->cogging_points > 0)
         made += cogging_nm(s, x->angle);
     if (!s->m->coupled) {
@@ -105,22 +105,31 @@ ALWAYS_INLINE void pull(const Machine *s, const Motion *x, double flank, double 
     net[LOAD] = passed - s->load_nm - s->viscous[LOAD] * x->speed[LOAD];
 }
 
+ALWAYS_INLINE double acceleration(const Machine *s, const Phase *phase, int mass, double speed, double net_nm,
+                                  double per_inertia)
+{
+    if (!s->rubs[mass])
+        return net_nm * per_inertia;
+    double way = phase->way[mass];
+    return way == 0.0 ? 0.0 : (net_nm - way * friction_nm(s, mass, way, speed)) * per_inertia;
+}
+
 ALWAYS_INLINE Motion slopes(const Machine *s, const Phase *phase, const Motion *x)
 {
     double net[MASSES];
     pull(s, x, phase->flank, net);
+    double electrical = s->p->pole_pairs * x->speed[ROTOR], backwards = s->turning * electrical;
     Motion k = {
-        .electric = electric_slopes(s->p, x->electric, x->speed[ROTOR], s->live, s->turning),
+        .i_d = slope_d(s->p, x->v_d, x->i_d, x->i_q, electrical, s->live),
+        .i_q = slope_q(s->p, x->v_q, x->i_d, x->i_q, electrical, s->live),
+        .v_d = backwards * x->v_q,
+        .v_q = -backwards * x->v_d,
         .angle = x->speed[ROTOR],
         .twist = x->speed[ROTOR] - x->speed[LOAD],
     };
-    const double per_inertia[MASSES] = {s->m->per_inertia_rotor, s->m->per_inertia_load};
-    for (int mass = ROTOR; mass <= s->m->coupled; mass++) {
-        if (s->rubs[mass])
-            net[mass] -= phase->way[mass] * friction_nm(s, mass, phase->way[mass], x->speed[mass]);
-        bool held = s->rubs[mass] && phase->way[mass] == 0.0;
-        k.speed[mass] = held ? 0.0 : net[mass] * per_inertia[mass];
-    }
+    k.speed[ROTOR] = acceleration(s, phase, ROTOR, x->speed[ROTOR], net[ROTOR], s->m->per_inertia_rotor);
+    if (s->m->coupled)
+        k.speed[LOAD] = acceleration(s, phase, LOAD, x->speed[LOAD], net[LOAD], s->m->per_inertia_load);
     return k;
 }
 
@@ -128,8 +137,10 @@ ALWAYS_INLINE Motion slopes(const Machine *s, const Phase *phase, const Motion *
 ALWAYS_INLINE Motion ahead(const Motion *x, const Motion *k, double h)
 {
     return (Motion){
-        .electric = {x->electric.i_d + h * k->electric.i_d, x->electric.i_q + h * k->electric.i_q,
-                     x->electric.v_d + h * k->electric.v_d, x->electric.v_q + h * k->electric.v_q},
+        .i_d = x->i_d + h * k->i_d,
+        .i_q = x->i_q + h * k->i_q,
+        .v_d = x->v_d + h * k->v_d,
+        .v_q = x->v_q + h * k->v_q,
         .speed = {x->speed[ROTOR] + h * k->speed[ROTOR], x->speed[LOAD] + h * k->speed[LOAD]},
         .angle = x->angle + h * k->angle,
         .twist = x->twist + h * k->twist,
@@ -297,7 +308,10 @@ void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p
     s.load_nm = load_nm;
     s.angle_rad = state->angle_rad;
     Motion x = {
-        .electric = {state->current_d_a, state->current_q_a, voltage.d, voltage.q},
+        .i_d = state->current_d_a,
+        .i_q = state->current_q_a,
+        .v_d = voltage.d,
+        .v_q = voltage.q,
         .speed = {state->speed_rad_s, load->speed_rad_s},
         .twist = load->twist_rad,
     };
@@ -305,8 +319,8 @@ void advance_machine(MotorState *state, LoadSide *load, const MotorParameters *p
         substep(&s, &x, p->step_s);
     double angle = state->angle_rad + x.angle;
     double turns = floor(angle * PER_TURN);
-    state->current_d_a = x.electric.i_d;
-    state->current_q_a = x.electric.i_q;
+    state->current_d_a = x.i_d;
+    state->current_q_a = x.i_q;
     state->speed_rad_s = x.speed[ROTOR];
     load->speed_rad_s = mechanism->coupled ? x.speed[LOAD] : x.speed[ROTOR];
     load->twist_rad = mechanism->coupled ? x.twist : 0.0;

@@ -34,10 +34,16 @@ double motor_torque(const MotorParameters *p, double i_d, double i_q)
 
 static Motion slopes(const MotorParameters *p, const Motion *x, const Forcing *f)
 {
-    Electric now = {x->i_d, x->i_q, x->v_d, x->v_q};
-    Electric k = electric_slopes(p, now, x->speed, f->live, f->turning);
+    double electrical = p->pole_pairs * x->speed;
     double net = motor_torque(p, x->i_d, x->i_q) - p->viscous_friction_nm_s * x->speed - f->resisting;
-    return (Motion){k.i_d, k.i_q, f->moving * net * p->per_inertia, k.v_d, k.v_q};
+    double backwards = f->turning * electrical;
+    return (Motion){
+        .i_d = slope_d(p, x->v_d, x->i_d, x->i_q, electrical, f->live),
+        .i_q = slope_q(p, x->v_q, x->i_d, x->i_q, electrical, f->live),
+        .speed = f->moving * net * p->per_inertia,
+        .v_d = backwards * x->v_q,
+        .v_q = -backwards * x->v_d,
+    };
 }
 
 static Motion ahead(const Motion *x, const Motion *k, double h)
