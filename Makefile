@@ -6,6 +6,8 @@
 #   make test        the tests that need no SocketCAN
 #   make unit        the unit tests of one room, ROOM=drivers, virtual_bus, design or hil
 #   make edits       edit the files of a campaign EDITS times between its runs: no row may rest on another content
+#   make stranger    what README, tutorials and hil init tell to type, from a wheel installed in an environment of its
+#                    own for PYTHON, in a bare folder, for at most SECONDS of tests
 #   make test-dask   campaigns on a Dask cluster of this machine
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make test-can    the tests on two CAN controllers of one bus: CAN0=can0 CAN1=can1, or emulated by QEMU
@@ -59,7 +61,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup core core-debug core-fuzz compile pure wheel demo check format test unit edits test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench instructions docs lock clean
+.PHONY: help setup core core-debug core-fuzz compile pure wheel demo check format test unit edits stranger test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench instructions docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -150,6 +152,15 @@ EDITS ?= 1000
 
 edits: $(TOOLS) compile
 	@EDITS=$(EDITS) $(BIN)/pytest tests/scenario/test_campaign_identity.py -k no_edit
+
+# The wheel's core has a stable ABI, so one interpreted wheel serves every Python.
+stranger: $(TOOLS) $(CORE)
+	@rm -rf build/stranger && mkdir -p build/stranger
+	@SERVOBENCH_PURE=1 $(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir build/stranger .
+	@$(PYTHON) -m venv build/stranger/venv
+	@build/stranger/venv/bin/pip install --quiet "$$(echo build/stranger/*.whl)[all]" pytest
+	@STRANGER=$(abspath build/stranger/venv/bin) timeout $(SECONDS) $(BIN)/pytest tests/scenario/test_readme.py \
+	  -k "word_by_word or hil_init or stranger"
 
 test-dask: $(TOOLS) compile
 	@$(BIN)/pytest tests/dask

@@ -26,6 +26,8 @@ TUTORIALS = {"tutorial-pytest.md", "tutorial-commissioning.md", "tutorial-review
 REAL_TIME = {"tutorial-commissioning.md", "tutorial-pytest.md"}
 """They use a hub: not beside what else is measured in real time."""
 TIMEOUT_S = 110
+STRANGER = os.environ.get("STRANGER")
+"""Scripts of an environment with an installed wheel, from which hil is taken (``make stranger``)."""
 MISUSE: type[Exception] = typer.BadParameter.__bases__[0]
 
 SAMPLE = """
@@ -53,6 +55,11 @@ hil review "a b"   # not passed, status 1
 
 def environment() -> dict[str, str]:
     """The user's environment with the tools of this venv first, but for ``hil``, which is forked."""
+    if STRANGER:
+        kept = {
+            name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL"))
+        }
+        return {**kept, "PATH": os.pathsep.join([STRANGER, os.environ["PATH"]]), "CI": "true"}
     places = [str(folder()), str(SCRIPTS), os.environ["PATH"]]
     return {**os.environ, "PATH": os.pathsep.join(places), "CI": "true"}
 
@@ -162,6 +169,11 @@ def parse(words: list[str]) -> None:
 @pytest.fixture
 def examples(tmp_path: Path) -> Path:
     """A folder with a copy of the examples, to work in."""
+    if STRANGER:
+        subprocess.run(
+            [f"{STRANGER}/hil", "init", "--examples"], cwd=tmp_path, env=environment(), check=True, timeout=60
+        )
+        return tmp_path
     ignored = shutil.ignore_patterns("__pycache__", ".pytest_cache", "runs")
     shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=ignored)
     return tmp_path
@@ -194,3 +206,31 @@ def test_a_document_is_followed_word_by_word(path: Path, examples: Path) -> None
         line for block in parts if block.mark == "printed" for line in block.printed() if line not in said
     ]
     assert missing == [], f"{done.stdout}\nnot said: {missing}"
+
+
+def test_what_hil_init_tells_to_type_works(tmp_path: Path) -> None:
+    def typed(command: str, folder: Path) -> str:
+        done = subprocess.run(
+            ["bash", "-c", command], cwd=folder, env=environment(), capture_output=True, text=True,
+            timeout=TIMEOUT_S, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+        return done.stdout + done.stderr
+
+    told = typed("hil init mybench", tmp_path)
+    commands = re.findall(r"^  (\S.*?)   ", told, re.MULTILINE)
+    assert [command.split()[0] for command in commands] == ["hil", "pytest"]
+    for command in commands:
+        typed(command, tmp_path / "mybench")
+
+
+@pytest.mark.skipif(STRANGER is None, reason="an installed wheel is what make stranger makes")
+def test_the_stranger_has_nothing_of_the_checkout(tmp_path: Path) -> None:
+    where = "import servobench.hil.cli as cli, sys; print(cli.__file__, *sys.path)"
+    done = subprocess.run(
+        [f"{STRANGER}/python", "-c", where],
+        cwd=tmp_path, env=environment(), capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert str(STRANGER).removesuffix("/bin") in done.stdout.split()[0]
+    assert str(ROOT / "hil") not in done.stdout.split()[0]
+    assert str(ROOT) not in done.stdout.split()[1:]
