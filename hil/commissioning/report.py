@@ -13,6 +13,7 @@ from typing import Any, Final
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.errors import BenchError
 from servobench.drivers.vendors.motor_objects import QUANTITIES
+from servobench.hil.commissioning.changed_objects import changed_objects
 from servobench.hil.commissioning.drive_left import DriveLeft
 from servobench.hil.commissioning.findings import BY_NAMEPLATE, Findings
 from servobench.hil.commissioning.outcome import StatedFigure, StepRecord, StepVerdict
@@ -61,6 +62,18 @@ class Commissioned:
         if not self.passed:
             return ExitStatus.FAILED
         return ExitStatus.NOT_TRUSTWORTHY if self.disturbances else ExitStatus.PASSED
+
+    @property
+    def verdict(self) -> str:
+        """In capitals, and what keeps it from being passed: what a reader sees first."""
+        failed = [each.title for each in self.records if each.verdict is StepVerdict.FAILED]
+        reasons = ["it ended early"] if self.ended_by else []
+        reasons += [f"failed: {', '.join(failed)}"] if failed else []
+        if not self.passed and not reasons:
+            reasons.append("the drive is not left as it was found, nor stored")
+        if self.disturbances and not reasons:
+            return "PASSED, DISTURBED"
+        return f"NOT PASSED: {'; '.join(reasons)}" if reasons else "PASSED"
 
     @property
     def ended_by(self) -> str:
@@ -183,16 +196,15 @@ def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
         "bus": request.bus,
         "node": request.node,
         "error": result.ended_by or None,
+        "verdict": result.verdict,
+        "exit_status": int(result.exit_status),
         "disturbed": list(result.disturbances),
         "left": left.as_json(request),
         "stored": left.stored,
         "not_stored": left.not_stored,
         "restored": None if restoration is None else restoration.complete,
         "not_restored": [] if restoration is None else restoration.failures,
-        "written": [
-            {"object": str(key), "before": findings.originals.get(key, b"").hex(), "set": value.hex()}
-            for key, value in sorted(findings.settings.items(), key=lambda item: str(item[0]))
-        ],
+        "written": changed_objects(findings),
         "undo": request.restore_command,
         "torque_scale": None if scale is None else scale.as_json(),
         "steps": [
@@ -243,7 +255,7 @@ def _faults(figures: Mapping[str, Any]) -> list[str]:
 
 def _markdown(request: CommissionRequest, result: Commissioned, figures: Mapping[str, Any]) -> str:
     identity = result.findings.identity
-    lines = [f"# {_title(figures)}", ""]
+    lines = [f"# {_title(figures)}", "", f"**{figures['verdict']}**", ""]
     if identity is not None:
         lines += [f"{identity}, revision {identity.revision:08X}h.", ""]
     if request.dry_run:
@@ -289,7 +301,9 @@ def _markdown_step(number: int, step: Mapping[str, Any]) -> list[str]:
 
 def _html(figures: Mapping[str, Any], folder: Path) -> str:
     """As a lab files it: one file, with the pictures, read from ``folder``, inside."""
-    body = [f"<h1>{_text(_title(figures))}</h1>", _pairs(figures["header"])]
+    fair = "" if figures["exit_status"] == ExitStatus.PASSED else " class='failed'"
+    verdict = f"<p{fair}><strong>{_text(figures['verdict'])}</strong></p>"
+    body = [f"<h1>{_text(_title(figures))}</h1>", verdict, _pairs(figures["header"])]
     if figures["error"]:
         body.append(f"<p class='failed'>Ended early: {_text(figures['error'])}</p>")
     body += ["<h2>Result</h2>", _table(["step", "result", ""], _results(figures))]
@@ -306,11 +320,13 @@ def _html(figures: Mapping[str, Any], folder: Path) -> str:
 
 
 def _written(figures: Mapping[str, Any]) -> list[str]:
-    rows = [[each["object"], each["before"], each["set"]] for each in figures["written"]]
+    rows = [
+        [each["object"], each["name"], each["before_told"], each["set_told"]] for each in figures["written"]
+    ]
     if not rows:
         return ["<h2>Written to the drive</h2>", "<p>Nothing.</p>"]
     undo = f"<p>To undo: <code>{_text(figures['undo'])}</code></p>"
-    return ["<h2>Written to the drive</h2>", _table(["object", "before, hex", "set, hex"], rows), undo]
+    return ["<h2>Written to the drive</h2>", _table(["object", "name", "before", "set"], rows), undo]
 
 
 def _html_step(number: int, step: Mapping[str, Any], folder: Path) -> list[str]:
@@ -363,7 +379,10 @@ def _list(lines: Sequence[str]) -> str:
 
 
 def _figure(value: float | None) -> str:
-    return "" if value is None else f"{value:.4g}"
+    """Whole numbers in full: counts and rates."""
+    if value is None:
+        return ""
+    return f"{value:.0f}" if abs(value) >= 1e4 and value.is_integer() else f"{value:.4g}"
 
 
 def _of_scale(quantity: Mapping[str, Any]) -> str:

@@ -318,7 +318,9 @@ class Turn(Step):
             units, how = _unmeasured(session, counts, believed, outcome)
         ratio = units / believed
         outcome.figures = {"units_per_turn": units, "told_units_per_turn": believed}
-        outcome.say(f"one turn is {units:.6g} position units ({how}); the drive's objects say {believed:.6g}")
+        outcome.say(
+            f"one turn is {_count(units)} position units ({how}); the drive's objects say {_count(believed)}"
+        )
         self._judge(session, ratio, outcome)
         session.configure()
 
@@ -362,7 +364,7 @@ def _tolerance(ratio: SpeedRatio) -> float:
 
 def _unmeasured(session: Session, counts: int, believed: float, outcome: StepOutcome) -> tuple[float, str]:
     """Position units of a turn where none could be turned, and by what."""
-    plate, drive = f"{counts} counts per turn", f"{believed:.6g} position units"
+    plate, drive = f"{counts} counts per turn", f"{_count(believed)} position units"
     if abs(counts / believed - 1.0) > _RATIO_TOLERANCE and not nameplate_wins(
         session, "encoder", plate, drive
     ):
@@ -374,3 +376,8 @@ def _unmeasured(session: Session, counts: int, believed: float, outcome: StepOut
 def _because(factor: float, told: Scaling) -> str:
     slip = likely_slip(factor, gear_ratio=told.gear_ratio)
     return f" (a factor of {factor:.6g}: {slip or 'no usual one'})"
+
+
+def _count(units: float) -> str:
+    """Position units of a turn, which are whole where they are many."""
+    return f"{units:.0f}" if units >= 1000 else f"{units:.6g}"

@@ -47,7 +47,9 @@ def written(folder: Path, **result: Any) -> tuple[str, str]:
 def test_each_step_has_its_part_in_markdown(tmp_path: Path) -> None:
     text, _ = written(tmp_path, records=[DONE, FAILED, LEFT], error=NoAnswer("it is gone"))
     head, _, rest = text.partition("| step | result | |\n")
-    assert head.startswith("# Commissioning of node 5 on hub:x\n\n**Ended early:** it is gone\n\n| | |\n")
+    verdict = "**NOT PASSED: it ended early; failed: Two**"
+    begin = f"# Commissioning of node 5 on hub:x\n\n{verdict}\n\n**Ended early:** it is gone\n\n| | |\n"
+    assert head.startswith(begin)
     assert rest == "\n".join(
         [
             "|---|---|---|",
@@ -214,10 +216,50 @@ def test_what_was_written_is_told_in_the_order_of_the_objects(tmp_path: Path) ->
     _, page = written(tmp_path, findings=findings)
     undo = f"hil restore {tmp_path / 'journal.jsonl'}"
     assert page[page.index("<h2>Written") :] == (
-        "<h2>Written to the drive</h2><table><tr><th>object</th><th>before, hex</th><th>set, hex</th></tr>"
-        f"<tr><td>{heartbeat}</td><td></td><td>6400</td></tr>"
-        f"<tr><td>{limit}</td><td>e803</td><td>0102</td></tr></table>"
+        "<h2>Written to the drive</h2><table>"
+        "<tr><th>object</th><th>name</th><th>before</th><th>set</th></tr>"
+        f"<tr><td>{heartbeat}</td><td>Producer heartbeat time</td><td></td><td>100</td></tr>"
+        f"<tr><td>{limit}</td><td>Max torque</td><td>1000</td><td>513</td></tr></table>"
         f"<p>To undo: <code>{undo}</code></p></body></html>\n"
     )
     _, nothing = written(tmp_path)
     assert nothing.endswith("<h2>Written to the drive</h2><p>Nothing.</p></body></html>\n")
+
+
+def test_what_was_written_is_told_in_the_units_of_the_drive(tmp_path: Path) -> None:
+    """By its 6076h of 2 N m a torque limit is one in N m; programs have the bytes, too."""
+    findings = Findings(
+        settings={ObjectKey(0x6072, 0): b"\xf4\1"},
+        originals={ObjectKey(0x6072, 0): b"\xe8\3"},
+        dump={(0x6076, 0): (2000).to_bytes(4, "little")},
+    )
+    _, page = written(tmp_path, findings=findings)
+    assert "<td>Max torque</td><td>2 N m (1000)</td><td>1 N m (500)</td>" in page
+    (change,) = json.loads((tmp_path / "figures.json").read_text())["written"]
+    assert (change["before"], change["set"], change["set_told"]) == ("e803", "f401", "1 N m (500)")
+
+
+@pytest.mark.parametrize(
+    ("result", "verdict"),
+    [
+        ({"left": DriveLeft(stored=True)}, "PASSED"),
+        ({"left": DriveLeft(stored=True), "disturbances": ("a heartbeat",)}, "PASSED, DISTURBED"),
+        ({"left": DriveLeft(stored=True), "records": [FAILED]}, "NOT PASSED: failed: Two"),
+        ({"error": NoAnswer("it is gone")}, "NOT PASSED: it ended early"),
+        (
+            {"left": DriveLeft(not_stored="no 1010h")},
+            "NOT PASSED: the drive is not left as it was found, nor stored",
+        ),
+    ],
+)
+def test_the_verdict_stands_first(tmp_path: Path, result: dict[str, Any], verdict: str) -> None:
+    text, page = written(tmp_path, **result)
+    assert text.splitlines()[2] == f"**{verdict}**"
+    assert page.index(f"<strong>{verdict}</strong>") < page.index("<table>")
+    assert json.loads((tmp_path / "figures.json").read_text())["verdict"] == verdict
+
+
+def test_counts_are_whole_numbers(tmp_path: Path) -> None:
+    step = StepRecord("a", "A", "", StepVerdict.DONE, outcome=StepOutcome())
+    step.outcome.measured("counts by a turn", 1048576.0, "")
+    assert "<td>1048576</td>" in written(tmp_path, records=[step])[1]
