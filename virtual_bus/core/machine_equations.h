@@ -5,8 +5,8 @@
 
 #include "motor.h"
 
-/* A/s at a voltage in the rotor's frame and an electrical speed, rad/s; `live`: 0 freezes it. As scalars: a structure that is handed
-   about costs the step 2 of its 90 ns. */
+/* A/s at a voltage in the rotor's frame and an electrical speed, rad/s; `live`: 0 freezes it. As scalars: a
+   structure that is handed about costs the step 2 of its 90 ns. */
 static inline double slope_d(const MotorParameters *p, double v_d, double i_d, double i_q, double electrical,
                              double live)
 {
