@@ -1,6 +1,6 @@
 """The command line: ``hil run``, ``hil simulate``, ``hil doctor``.
 
-What a command needs is imported inside it, so that ``hil --help`` answers at once.
+Commands import what they need when called, so that ``hil --help`` answers at once.
 """
 
 from servobench.hil.terminal.options import JsonOption, SeedOption, bus_option, flag, valued
@@ -28,7 +28,7 @@ from servobench.hil.machine.parent_process import messages, tell_parent
 from servobench.hil.terminal import analyse_speed, design_speed
 from servobench.hil.terminal.adapter import adapter
 from servobench.hil.terminal.campaign import campaign
-from servobench.hil.terminal.commands import add_commands, as_command
+from servobench.hil.terminal.commands import PanelGroup, add_commands, as_command
 from servobench.hil.terminal.commission import commission, rehearse, restore
 from servobench.hil.terminal.compare import compare
 from servobench.hil.terminal.design_current import current
@@ -63,24 +63,21 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="hil",
+    cls=PanelGroup,
     help="Hardware-in-the-loop bench for networked PMSM servo drives over CANopen.",
     pretty_exceptions_enable=False,
     no_args_is_help=True,
 )
-add_commands(app, init, adapter, scan, simulate, measure, eds, fault, stop, commission, restore, rehearse)
-add_commands(app, recover, why, trace, export, runs, picture, review, compare, view)
-
-reproduce = typer.Typer(name="reproduce", help="The papers' own results beside ours.", no_args_is_help=True)
+reproduce = typer.Typer(name="reproduce", help="Reproduce the results of the papers.", no_args_is_help=True)
 add_commands(reproduce, azaiz2007, ling2012)
 
 design = typer.Typer(name="design", help="Design a controller.", no_args_is_help=True)
 add_commands(design, current, hinf, pid, design_speed.speed)
 
-analyse = typer.Typer(name="analyse", help="Exact and certified figures of a loop.", no_args_is_help=True)
+analyse = typer.Typer(
+    name="analyse", help="Analyse a loop: exact and certified figures.", no_args_is_help=True
+)
 add_commands(analyse, analyse_speed.speed)
-
-for group in (reproduce, analyse, design, motor, campaign):
-    app.add_typer(group)
 
 
 def _show_version(asked: bool) -> None:
@@ -105,63 +102,63 @@ def _hil(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunOptions:
-    """Of ``hil run``."""
+    """Options of ``hil run``."""
 
     bench: Annotated[Path, typer.Argument(metavar="BENCH.toml", help="The bench file.")]
     bus: Annotated[
         str | None, bus_option("simulated, hub:NAME, socketcan:vcan0, or INTERFACE:CHANNEL of python-can.")
     ] = None
     time: Annotated[
-        Literal["simulated", "real"] | None, valued("--time", None, "Time base; the bus decides if absent.")
+        Literal["simulated", "real"] | None, valued("--time", None, "Time base; default: by the bus.")
     ] = None
     seed: SeedOption = None
     record: Annotated[Path | None, valued("--record", "DIR", "Folder of the recording, new or empty.")] = None
-    no_record: Annotated[bool, flag("--no-record", "Keep no files: figures and verdict alone.")] = False
+    no_record: Annotated[bool, flag("--no-record", "Write no files; print figures and verdict only.")] = False
     controller: Annotated[
         list[str] | None,
         valued(
             "--controller",
             "AXIS=FILE.py:NAME",
-            "A controller of one's own, or a controller file (AXIS=FILE.toml), in place of the bench's; "
-            "may be repeated.",
+            "Your own controller, or a controller file (AXIS=FILE.toml), in place of the bench's; "
+            "repeatable.",
         ),
     ] = None
     replay_faults: Annotated[
         Path | None,
-        valued("--replay-faults", "FILE", "faults.jsonl of a run; instead of the bench's own faults."),
+        valued("--replay-faults", "FILE", "Replay faults.jsonl of a run instead of the bench's own faults."),
     ] = None
-    live: Annotated[bool, flag("--view", "Show the run in the Rerun viewer while it goes on.")] = False
+    live: Annotated[bool, flag("--view", "Show the run live in the Rerun viewer.")] = False
     network: Annotated[
         Path | None,
         valued(
             "--network",
             "NETWORK.toml",
-            "A network measured before; refused if a controller was made for a better one.",
+            "A network measured earlier; refused if a controller was designed for a better one.",
         ),
     ] = None
     allow_uncertified: Annotated[
         bool,
         flag(
             "--allow-uncertified",
-            "Warn, instead of stopping, where a controller's certificate does not hold: network or drive.",
+            "Warn instead of refusing if network or drive are outside a controller's certificate.",
         ),
     ] = False
     as_json: JsonOption = False
 
 
-@app.command(cls=RunCommand)
+@app.command(cls=RunCommand, rich_help_panel="Run")
 @as_command
 def run(asked: RunOptions) -> None:
-    """Run a bench: close the loop, record it, and hold the result against the bench file's limits.
+    """Run a bench: close the loop, record it, and judge it by the bench file's limits.
 
-    Exit status: 0 passed, or nothing was asked; 1 not passed; 2 bad input; 3 bus, drive or safety; 4 not
+    Exit status: 0 passed, or no limits set; 1 not passed; 2 bad input; 3 bus, drive or safety; 4 not
     trustworthy, or disturbed by others; 5 not recorded; 6 cut short or not measured; 130 ended by a signal.
     docs/verdict.md
     """
     run_object = RunObject(asked.as_json)
     with reported_errors(run_object.failed, "hil run"):
         if asked.no_record and (asked.record is not None or asked.live):
-            raise BadInput("--no-record", "", True, "neither --record nor --view beside it")
+            raise BadInput("--no-record", "", True, "no --record or --view with it")
         if not asked.no_record and not is_installed("rerun"):
             lack = MissingExtra("rerun", "--view" if asked.live else "run.rrd")
             if asked.live:
@@ -222,7 +219,7 @@ def _recorder(plan: "RecordingPlan") -> "RunRecorder":
 
 
 def _bench_to_run(asked: RunOptions) -> "BenchConfig":
-    """The bench file with what the command line puts in place of its parts."""
+    """Load the bench file, with its parts replaced by the command line."""
     from servobench.drivers.bounded_file import NamedBy
     from servobench.hil.configuration.bench_file import load_bench, load_faults, with_controllers
 
@@ -234,7 +231,7 @@ def _bench_to_run(asked: RunOptions) -> "BenchConfig":
 
 
 def doctor(as_json: JsonOption = False) -> None:
-    """Say what this machine can do, and the exact command that mends each lack."""
+    """Check what this machine can do, and print the command that cures each lack."""
     from servobench.hil.machine.doctor import print_checks, run_checks
 
     checks = run_checks()
@@ -244,7 +241,13 @@ def doctor(as_json: JsonOption = False) -> None:
         print_checks(checks)
 
 
-add_commands(app, doctor)
+add_commands(app, init, simulate, doctor, panel="Run")
+add_commands(app, scan, trace, fault, stop, eds, adapter, panel="Inspect")
+add_commands(app, commission, measure, restore, rehearse, panel="Commission")
+add_commands(app, view, why, review, runs, compare, picture, export, recover, panel="Review")
+app.add_typer(campaign, rich_help_panel="Run")
+for group in (design, analyse, motor, reproduce):
+    app.add_typer(group, rich_help_panel="Design")
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""pytest plugin of servobench: drives and benches as fixtures. docs/tutorial-pytest.md leads through it.
+"""pytest plugin of servobench: drives and benches as fixtures. See docs/tutorial-pytest.md.
 
 pytest loads this in every run on a machine with servobench, so nothing else is imported before a test asks
 for one of the fixtures.
@@ -27,14 +27,14 @@ DEFAULT_BUS = "simulated"
 SIMULATED, PRESENT = "simulated", "present"
 _hub_numbers = itertools.count(1)
 ONLY_SIMULATED = ("faults", "eds", "store")
-"""Wishes that only a drive of the plugin's own making can meet."""
+"""Options that only a drive made by the plugin can fulfil."""
 
 
 class MakeDrive(Protocol):
     """The fixture ``servo_drive``."""
 
     def __call__(self, **wish: Any) -> "DriveRig":
-        """A drive; ``wish``: fields of :class:`servobench.hil.testing.hosted.DriveWish`."""
+        """Return a drive; ``wish``: fields of :class:`servobench.hil.testing.hosted.DriveWish`."""
         ...
 
 
@@ -42,42 +42,43 @@ class StartDrive(Protocol):
     """The fixture ``servo_process``."""
 
     def __call__(self, *nodes: int, **wish: Any) -> "DriveProcess":
-        """Drives in one process; ``wish``: fields of :class:`servobench.hil.testing.hosted.DriveWish`."""
+        """Return drives in one process; ``wish``: fields of
+        :class:`servobench.hil.testing.hosted.DriveWish`."""
         ...
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """``--servo-bus SPEC``, ``--servo-drives``, ``--servo-record DIR``."""
+    """Add ``--servo-bus SPEC``, ``--servo-drives``, ``--servo-record DIR``."""
     group = parser.getgroup("servobench", "simulated servo drives")
     group.addoption(
         BUS_OPTION,
         metavar="SPEC",
         default=None,
-        help="bus of the tests that choose none: simulated (default), hub, vcan, socketcan:NAME",
+        help="bus of tests that do not choose one: simulated (default), hub, vcan, socketcan:NAME",
     )
     group.addoption(
         DRIVES_OPTION,
         choices=(SIMULATED, PRESENT),
         default=SIMULATED,
-        help="simulated: put drives on the bus (default); present: use those that are there",
+        help="simulated: start drives on the bus (default); present: use those already on it",
     )
     group.addoption(
         RECORD_OPTION,
         metavar="DIR",
         default=None,
-        help="keep the recording of each run of servo_bench, in a folder of DIR named for the test",
+        help="record each run of servo_bench in a folder of DIR named after the test",
     )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Make the marker known."""
+    """Register the marker."""
     config.addinivalue_line(
         "markers", "servo_bus(*specs): run the test on each of these buses, e.g. 'simulated', 'hub', 'vcan'"
     )
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """One test for each bus of the marker ``servo_bus``."""
+    """Generate one test for each bus of the marker ``servo_bus``."""
     if "servo_bus" not in metafunc.fixturenames:
         return
     marker = metafunc.definition.get_closest_marker("servo_bus")
@@ -86,14 +87,14 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def _bus_spec(name: str) -> str:
-    """A bus SPEC; ``hub`` alone stands for a hub that no other test has, ``vcan`` for socketcan:vcan0."""
+    """Return a bus SPEC; ``hub`` alone means a private hub, ``vcan`` means socketcan:vcan0."""
     if name == "hub":
         return f"hub:test-{os.getpid()}-{next(_hub_numbers)}"
     return "socketcan:vcan0" if name == "vcan" else name
 
 
 def _down(spec: str) -> str | None:
-    """Of a SocketCAN interface that is not up, that it is not, and the command that mends it."""
+    """Say that a SocketCAN interface is not up, with the command that cures it; None if it is up."""
     from servobench.drivers.errors import BusDown
     from servobench.drivers.wire.adapters import SOCKETCAN, link_up_command, socketcan_links
 
@@ -109,9 +110,9 @@ def _uses_present(config: pytest.Config) -> bool:
 
 @pytest.fixture
 def servo_bus(request: pytest.FixtureRequest) -> str:
-    """SPEC of the bus that the test is on; a SocketCAN interface that is not up skips the test.
+    """Return the SPEC of the test's bus; a SocketCAN interface that is not up skips the test.
 
-    It fails the test if the bus was asked for on the command line.
+    It fails the test if the bus was requested on the command line.
     """
     named = request.config.getoption(BUS_OPTION)
     if _uses_present(request.config):
@@ -131,7 +132,7 @@ def servo_bus(request: pytest.FixtureRequest) -> str:
 def servo_host(
     servo_bus: str, tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
 ) -> Iterator["DriveHost"]:
-    """The drive processes of the test; they end with it."""
+    """Manage the drive processes of the test; they end with it."""
     from servobench.hil.testing.hosted import DriveHost
 
     host = DriveHost(servo_bus, tmp_path_factory.mktemp("servo"), _uses_present(request.config))
@@ -187,7 +188,7 @@ def servo_drive(servo_bus: str, servo_host: "DriveHost") -> Iterator[MakeDrive]:
 
 
 def _recordings(request: pytest.FixtureRequest, temporary: pytest.TempPathFactory) -> Path:
-    """Where the runs of a test are recorded: a folder that no other test has."""
+    """Return the folder for the runs of a test: one that no other test uses."""
     record = request.config.getoption(RECORD_OPTION)
     if record is None:
         return temporary.mktemp("bench")

@@ -1,4 +1,4 @@
-"""The objects that each command may write to a drive by SDO: what is not on its list is refused unsent.
+"""The objects that each command may write to a drive by SDO: any other write is refused unsent.
 
 ``docs/writes.md`` shows them; ``python docs/make_writes.py`` renews it. The reason for each object stands
 beside it, here and in :mod:`servobench.drivers.cia402.written_objects`.
@@ -29,7 +29,7 @@ _HISTORY: Final = listed(
 
 
 PUTTING_BACK: Final = CONTROL | WriteList("putting back", (_HISTORY,))
-"""What is written beside the objects that a journal names."""
+"""Writes beyond the objects that a journal names."""
 
 
 def _load(sub: int, why: str, when: str) -> ListedWrite:
@@ -75,7 +75,7 @@ RESTORE: Final = (
         ),
     )
 ).named("hil restore")
-"""A journal may name these; what it does not name is not written, :data:`PUTTING_BACK` apart."""
+"""Objects that a journal may name; nothing else is written, except :data:`PUTTING_BACK`."""
 COMMISSION: Final = (
     RESTORE
     | WriteList(
@@ -85,7 +85,7 @@ COMMISSION: Final = (
 STOP: Final = CONTROL.named("hil stop")
 FAULT: Final = CONTROL.named("hil fault")
 RIG: Final = (SET_UP | MOTION).named("a fixture of pytest")
-"""The drive of a test; what else its author has written is allowed by ``DriveRig.allow_write``."""
+"""The drive of a test; its author allows further writes by ``DriveRig.allow_write``."""
 
 COMMANDS: Final[Mapping[str, WriteList]] = MappingProxyType(
     {
@@ -98,11 +98,11 @@ COMMANDS: Final[Mapping[str, WriteList]] = MappingProxyType(
         "scan": NOTHING.named("hil scan"),
     }
 )
-"""By the name of the command; one that is missing asks no drive anything."""
+"""Write lists by command; a command that is missing sends nothing to a drive."""
 
 
 def writes_of(command: str) -> WriteList:
-    """The list of ``hil COMMAND``; ``(index, sub) in writes_of("run")`` for a drive of any make.
+    """Return the list of ``hil COMMAND``; ``(index, sub) in writes_of("run")`` for a drive of any make.
 
     A command that writes to no drive has an empty one.
     """

@@ -1,1 +1,1 @@
-"""The commands of ``hil``: options, and what is printed."""
+"""The commands of ``hil``: their options and their output."""

@@ -8,12 +8,12 @@ from servobench.hil.terminal.output import say
 
 
 def adapter(
-    bus: Annotated[str, bus_option("Where its CAN side hangs: hub:NAME, socketcan:vcan0, ...")],
+    bus: Annotated[str, bus_option("Bus of its CAN side: hub:NAME, socketcan:vcan0, ...")],
     link: Annotated[
-        Path | None, valued("--link", "PATH", "Symbolic link to make to its serial port.")
+        Path | None, valued("--link", "PATH", "Create a symbolic link to its serial port.")
     ] = None,
     bitrate: Annotated[
-        int | None, bitrate_option("Bit rate of the bus, bit/s; a hub that runs keeps its own.")
+        int | None, bitrate_option("Bit rate of the bus, bit/s; a running hub keeps its own.")
     ] = None,
     fault: Annotated[
         list[str] | None,
@@ -21,12 +21,12 @@ def adapter(
             "--fault",
             "NAME=VALUE",
             "A fault of the serial line, e.g. garble=0.01, truncate=0.01, baud=115200, refuse=0.1,"
-            " unplug_after_s=3; may be repeated.",
+            " unplug_after_s=3; repeatable.",
         ),
     ] = None,
-    seed: Annotated[int, seed_option("Of the faults.", most=None)] = 0,
+    seed: Annotated[int, seed_option("Seed of the faults.", most=None)] = 0,
 ) -> None:
-    """An emulated SLCAN adapter: a serial port here, a CAN bus there, until Ctrl-C unplugs it.
+    """Emulate an SLCAN adapter: a serial port here, a CAN bus there, until Ctrl-C unplugs it.
 
     Prints the name of its serial port on stdout; use it with --bus slcan:PORT.
     """

@@ -1,4 +1,4 @@
-"""``hil analyse speed``: what delay, sampling and loss do to a speed loop."""
+"""``hil analyse speed``: the effect of delay, sampling and loss on a speed loop."""
 
 import math
 from dataclasses import dataclass
@@ -26,20 +26,20 @@ if TYPE_CHECKING:
 
 
 LOSSES_MAX = 50
-"""In a row: more is an outage, and no pattern to design for."""
+"""Losses in a row: more is an outage, not a pattern to design for."""
 StrategyName = Literal["arrival", "stamp", "history"]
 """When a sample is applied."""
 SpeedOption = Annotated[
-    float | None, valued("--speed-rpm", "S", "Speed that percents are of; the rated if absent.", min=1e-6)
+    float | None, valued("--speed-rpm", "S", "Speed that 100 % refers to; default: rated.", min=1e-6)
 ]
 LoadOption = Annotated[
-    float | None, valued("--load-nm", "T", "Load step for percents; the rated torque if absent.", min=1e-9)
+    float | None, valued("--load-nm", "T", "Load step for the percentages; default: rated torque.", min=1e-9)
 ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnalysisOptions:
-    """Of ``hil analyse speed``."""
+    """Options of ``hil analyse speed``."""
 
     motor: MotorArgument
     gain: Annotated[str, valued("--gain", "K1,K2", r"Gain on \[i_q error, speed error]; K3: its integral.")]
@@ -48,42 +48,57 @@ class AnalysisOptions:
         valued("--delay-ms", "D", "Constant delay; with stamp and history the agreed one.", min=0.0),
     ] = None
     order: Annotated[
-        int | None, valued("--order", "N", "Of the certificate; 0 is Theorem 3.3.", min=0, max=12)
+        int | None, valued("--order", "N", "Order of the certificate; 0 is Theorem 3.3.", min=0, max=12)
     ] = None
     as_printed: Annotated[
-        bool, flag("--as-printed", "Theorems 3.1 and 3.3 in cvxpy, too, matrix by matrix as printed.")
+        bool, flag("--as-printed", "Also solve Theorems 3.1 and 3.3 in cvxpy, as printed.")
     ] = False
     current_loop: CurrentLoopOptions
     speed_rpm: SpeedOption = None
     load_nm: LoadOption = None
     period_ms: Annotated[
-        float | None, valued("--period-ms", "H", "Sampling period: the sampled loop.", min=1e-6)
+        float | None, valued("--period-ms", "H", "Sampling period; analyses the sampled loop.", min=1e-6)
     ] = None
     strategy: Annotated[StrategyName | None, valued("--strategy", None, "When a sample is applied.")] = None
     loss_max: Annotated[
-        int | None, valued("--loss-max", "D", "Most samples lost in a row.", min=0, max=LOSSES_MAX)
+        int | None,
+        valued("--loss-max", "D", "Largest number of consecutive lost samples.", min=0, max=LOSSES_MAX),
     ] = None
     tau_max_ms: Annotated[
         float | None, valued("--tau-max-ms", "T", "Largest delay from sample to actuator.", min=0.0)
     ] = None
     monte_carlo: Annotated[
-        int | None, valued("--monte-carlo", "N", "Random runs of the sampled loop.", min=1)
+        int | None, valued("--monte-carlo", "N", "Number of random runs of the sampled loop.", min=1)
     ] = None
-    seed: Annotated[int, seed_option("Of the random runs.")] = 0
+    seed: Annotated[int, seed_option("Seed of the random runs.")] = 0
     loss_probability: Annotated[
-        float, valued("--loss-probability", None, "Of each sample in the random runs.", min=0.0, max=1.0)
+        float,
+        valued(
+            "--loss-probability",
+            None,
+            "Loss probability of each sample in the random runs.",
+            min=0.0,
+            max=1.0,
+        ),
     ] = 0.1
     uncertainty_percent: Annotated[
-        float, valued("--uncertainty-percent", None, "Of R, L, J, B and K_t in the runs.", min=0.0, max=99.0)
+        float,
+        valued(
+            "--uncertainty-percent",
+            None,
+            "Uncertainty of R, L, J, B and K_t in the random runs.",
+            min=0.0,
+            max=99.0,
+        ),
     ] = 0.0
     duration_s: Annotated[
-        float, valued("--duration-s", None, "Length of a random run.", min=1e-3, max=3600.0)
+        float, valued("--duration-s", None, "Duration of a random run.", min=1e-3, max=3600.0)
     ] = 1.0
     as_json: JsonOption = False
 
 
 def speed(asked: AnalysisOptions) -> None:
-    """Stability, gain and largest delay of a speed loop: exact, certified, sampled, and by chance.
+    """Compute stability, gain and largest delay of a speed loop: exact, certified, sampled, and by chance.
 
     Gains are from load torque to speed error, rad/s per N m; the load step is one of 1 N m.
     """
@@ -128,7 +143,7 @@ def speed(asked: AnalysisOptions) -> None:
 
 
 def _network(asked: AnalysisOptions) -> "SampledNetwork | None":
-    """The network that the options describe; None if they describe none. Raises BadInput."""
+    """Return the network that the options describe; None if they describe none. Raises BadInput."""
     if asked.period_ms is None:
         for option, value in given(asked, "strategy", "loss_max", "tau_max_ms").items():
             raise BadInput(option, "", str(value), "--period-ms with it, the sampling period")
@@ -149,9 +164,9 @@ def _network(asked: AnalysisOptions) -> "SampledNetwork | None":
 
 
 def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float:
-    """The constant delay of the continuous figures: as given, else the longest of [Ling2012] (2.13).
+    """Return the constant delay of the continuous figures: as given, else the longest of [Ling2012] (2.13).
 
-    Raises BadInput where nothing tells it.
+    Raises BadInput if neither is known.
     """
     if delay_ms is not None:
         return 1e-3 * delay_ms
@@ -178,7 +193,7 @@ def _chance(asked: AnalysisOptions, load_nm: float) -> "Chance | None":
 
 
 def _gain_of(text: str) -> "NDArray[np.float64]":
-    """``K1,K2`` or ``K1,K2,K3``. Raises BadInput."""
+    """Parse ``K1,K2`` or ``K1,K2,K3``. Raises BadInput."""
     import numpy as np
 
     expected = "K1,K2 in A/A and A s/rad, or K1,K2,K3 with the integral gain in A/rad, all finite"

@@ -1,4 +1,4 @@
-"""``hil campaign``: thousands of runs, what they tell, and one of them again."""
+"""``hil campaign``: thousands of runs, their statistics, and the replay of one."""
 
 import json
 from pathlib import Path
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 
 class SweepGroup(TyperGroup):
-    """A sweep file may stand where its commands do: ``hil campaign SWEEP.toml``."""
+    """Lets a sweep file take the place of a command: ``hil campaign SWEEP.toml``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """As click does."""
+        """Insert the command ``run`` before a sweep file."""
         if args and args[0] not in (*self.commands, *ctx.help_option_names):
             args = ["run", *args]
         return super().parse_args(ctx, args)
 
 
-campaign = typer.Typer(name="campaign", cls=SweepGroup, help="Many runs of a bench.", no_args_is_help=True)
+campaign = typer.Typer(name="campaign", cls=SweepGroup, help="Run a bench many times.", no_args_is_help=True)
 
 
 FOUND_SHOWN = 40
-"""Lines; the column ``findings`` has all."""
+"""Lines shown; the column ``findings`` has all."""
 
 
 DirArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the campaign.")]
@@ -42,31 +42,29 @@ DirArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of 
 def run(
     sweep: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="The sweep file.")],
     workers: Annotated[
-        int | None, valued("--workers", "N", "Processes; else one a core.", min=1, max=1024)
+        int | None, valued("--workers", "N", "Number of processes; default: one per core.", min=1, max=1024)
     ] = None,
     dask: Annotated[
-        str | None, valued("--dask", "ADDRESS", "Scheduler of a Dask cluster, whose workers run it instead.")
+        str | None, valued("--dask", "ADDRESS", "Run on the workers of this Dask scheduler.")
     ] = None,
-    resume: Annotated[bool, flag("--resume", "Go on where the campaign in the folder was ended.")] = False,
+    resume: Annotated[bool, flag("--resume", "Resume the campaign in the folder.")] = False,
     out: Annotated[
-        Path | None, valued("--out", "DIR", "Folder of the campaign; campaigns/NAME if absent.")
+        Path | None, valued("--out", "DIR", "Folder of the campaign; default: campaigns/NAME.")
     ] = None,
     against: Annotated[
         Literal["certificate"] | None,
-        valued(
-            "--against", None, "Every run within the premises of its certificate must keep what is certified."
-        ),
+        valued("--against", None, "Check every run that meets the premises of its certificate against it."),
     ] = None,
     seconds: Annotated[
-        float | None, valued("--seconds", "S", "End after so long; --resume goes on.", min=0.0)
+        float | None, valued("--seconds", "S", "Stop after this time; --resume continues.", min=0.0)
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a sweep file to its end. Results do not depend on how many workers there are, nor on their fate.
+    """Run a sweep file to its end. Results do not depend on the number of workers, nor on their fate.
 
-    Exit status: 0 it was run to its end, whatever became of its runs; 2 bad input; 130 ended by a signal,
-    --resume goes on. With --against certificate: 7 a counter-example ended it; 6 no run was within the
-    premises. 1: a check of one's own (the table own of the sweep) says something of a run. docs/campaigns.md
+    Exit status: 0 run to its end, whatever the runs' outcomes; 2 bad input; 130 ended by a signal, --resume
+    goes on. With --against certificate: 7 a counter-example ended it; 6 no run was within the premises. 1:
+    your own check (the table own of the sweep) reports a run. docs/campaigns.md
     """
     from servobench.hil.campaign.campaign import run_campaign
     from servobench.hil.campaign.plan import CampaignPlan
@@ -95,9 +93,8 @@ def run(
 
 
 def report(folder: DirArgument, as_json: JsonOption = False) -> None:
-    """Write DIR/report.html: rates with their intervals, heat maps, worst cases, what matters; and
-    DIR/campaign.rrd, which hil view opens.
-    """
+    """Write DIR/report.html: rates with their intervals, heat maps, worst cases, influences; and
+    DIR/campaign.rrd, which hil view opens."""
     from servobench.drivers.written_file import written
     from servobench.hil.campaign.campaign import Campaign
     from servobench.hil.campaign.report import write_report
@@ -126,11 +123,11 @@ def replay(
     folder: DirArgument,
     number: Annotated[int, valued("--run", "K", "Number of the run.", min=0)],
     record: Annotated[
-        Path | None, valued("--into", "DIR", "Folder of the recording; DIR/replays/run-K if absent.")
+        Path | None, valued("--into", "DIR", "Folder of the recording; default: DIR/replays/run-K.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run one of them again with everything recorded; its digest must be that of the campaign.
+    """Repeat one run of a campaign with everything recorded; its digest must be that of the campaign.
 
     Exit status: that of the run's verdict; 70 if the digest is another.
     """
@@ -152,7 +149,7 @@ add_commands(campaign, run, report, replay)
 
 
 class _ProgressLine:
-    """On stderr: one line on a terminal, else one in so many runs."""
+    """Shows progress on stderr: one line on a terminal, else a line every so many runs."""
 
     def __init__(self) -> None:
         self._percent = -1

@@ -1,30 +1,46 @@
-"""How a function becomes a command of ``hil``.
+"""Turns functions into commands of ``hil``.
 
-What goes wrong in it is told on stderr and by the exit status. Its options are its parameters, and the fields
-of a dataclass that one of these is of: a command with many options hands them on as one.
+Errors go to stderr and into the exit status. A function's parameters are its options, as are the fields of a
+parameter that is a dataclass: a command with many options passes them on as one.
 """
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import is_dataclass
 from functools import wraps
-from typing import Any
+from typing import Any, Final
 
 import typer
+from typer.core import TyperGroup
 
 from servobench.hil.terminal.exit_status import reported_errors
 
+PANELS: Final = ("Run", "Inspect", "Commission", "Design", "Review")
+"""Panels of ``hil --help``, the most used first."""
 
-def add_commands(group: typer.Typer, *functions: Callable[..., None]) -> None:
-    """Each under its own name."""
+
+class PanelGroup(TyperGroup):
+    """Lists commands by panel, in the order of :data:`PANELS`."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the commands, as its help shows them."""
+        return sorted(super().list_commands(ctx), key=lambda name: PANELS.index(self.panel_of(name)))
+
+    def panel_of(self, name: str) -> str:
+        """Return the panel of a command."""
+        return str(getattr(self.commands[name], "rich_help_panel", None))
+
+
+def add_commands(group: typer.Typer, *functions: Callable[..., None], panel: str | None = None) -> None:
+    """Add each function under its own name; ``panel``: one of :data:`PANELS`."""
     place = group.info.name
     for function in functions:
         words = function.__name__ if place in (None, "hil") else f"{place} {function.__name__}"
-        group.command()(as_command(function, f"hil {words}"))
+        group.command(rich_help_panel=panel)(as_command(function, f"hil {words}"))
 
 
 def as_command(function: Callable[..., None], words: str = "this") -> Callable[..., None]:
-    """``function`` as typer takes it: a dataclass among its parameters gives way to its fields.
+    """Return ``function`` as typer takes it: a dataclass among its parameters is replaced by its fields.
 
     ``words``: the command, as it is typed.
     """
@@ -41,7 +57,7 @@ def as_command(function: Callable[..., None], words: str = "this") -> Callable[.
 
 
 def _options(taker: Callable[..., Any]) -> Iterator[inspect.Parameter]:
-    """Of a function, or of a class of options."""
+    """Yield the options of a function, or of a class of options."""
     for parameter in inspect.signature(taker).parameters.values():
         if _is_options(parameter.annotation):
             yield from _options(parameter.annotation)

@@ -28,7 +28,7 @@ from servobench.hil.verdict.verdict import ExitStatus
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommissionOptions:
-    """Of ``hil commission``."""
+    """Options of ``hil commission``."""
 
     bus: Annotated[
         str,
@@ -40,41 +40,44 @@ class CommissionOptions:
     out: Annotated[Path, valued("--out", "DIR", "Folder for report, files and journal.")]
     eds: Annotated[Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the drive.")] = None
     motor: Annotated[
-        Path | None, valued("--motor", "NAMEPLATE.toml", "What is printed on the motor, and limits.")
+        Path | None, valued("--motor", "NAMEPLATE.toml", "Nameplate of the motor, and limits.")
     ] = None
-    yes: Annotated[bool, flag("--yes", "Ask nothing; every step is done.")] = False
-    dry_run: Annotated[bool, flag("--dry-run", "Only read; say what the other steps would do.")] = False
+    yes: Annotated[bool, flag("--yes", "Do every step without asking.")] = False
+    dry_run: Annotated[bool, flag("--dry-run", "Only read; describe the other steps.")] = False
     store: Annotated[
-        bool, flag("--store", "Keep the settings in the drive (1010h) instead of putting them back.")
+        bool, flag("--store", "Store the settings in the drive (1010h) instead of undoing them.")
     ] = False
     period_us: Annotated[
-        int | None, valued("--period-us", None, "Cycle; chosen if absent.", min=250, max=100_000)
+        int | None, valued("--period-us", None, "Period of the cycle; default: chosen.", min=250, max=100_000)
     ] = None
     heartbeat_timeout_ms: Annotated[
         int,
-        valued("--heartbeat-timeout-ms", None, "Silence that host and drive bear.", min=20, max=60_000),
+        valued("--heartbeat-timeout-ms", None, "Heartbeat time-out of host and drive.", min=20, max=60_000),
     ] = 150
     unwatched: Annotated[
         bool,
         flag(
             "--unwatched",
-            "Bear a drive that cannot watch its host: slow, weak and short motions; somebody stands by.",
+            "Accept a drive that cannot watch its host: motions are slow, weak and short; stand by.",
         ),
     ] = False
     bitrate: BitrateOption = 1_000_000
     rehearse: Annotated[
-        int | None, valued("--rehearse", "SEED", "On --bus simulated: the drive of that seed.", min=0)
+        int | None, valued("--rehearse", "SEED", "With --bus simulated: the drive of this seed.", min=0)
     ] = None
     rehearse_eds: Annotated[
         Path | None,
         valued(
             "--rehearse-eds",
             "FILE",
-            "On --bus simulated: a drive made from that data sheet; --eds is the same one if absent.",
+            "With --bus simulated: a drive made from this data sheet, the default of --eds.",
         ),
     ] = None
     trust_nameplate: Annotated[
-        bool, flag("--trust-nameplate", "Take the nameplate, unasked, where the drive contradicts it by far.")
+        bool,
+        flag(
+            "--trust-nameplate", "Trust the nameplate, without asking, where the drive contradicts it by far."
+        ),
     ] = False
     allow: AllowOption = None
     as_json: JsonOption = False
@@ -83,8 +86,8 @@ class CommissionOptions:
 def commission(asked: CommissionOptions) -> None:
     """Commission a drive: identity, units, polarity, limits, friction, inertia, delays, controller, report.
 
-    Each step says what it will do, asks, does it and checks it. All changes are put back at the end, unless
-    --store; DIR/journal.jsonl is what hil restore needs after a crash. Any key stops a moving shaft.
+    Each step announces itself, asks, acts and checks. All changes are undone at the end, unless --store; hil
+    restore needs DIR/journal.jsonl after a crash. Any key stops a moving shaft.
 
     Exit status: 0 done, 1 a step failed or the end came early, 2 bad input, 3 bus or drive fault, 4 done, and
     disturbed by others.
@@ -125,12 +128,12 @@ def commission(asked: CommissionOptions) -> None:
 
 def restore(
     journal: Annotated[
-        Path, typer.Argument(metavar="JOURNAL", help="journal.jsonl of a commissioning, or a measurement's.")
+        Path, typer.Argument(metavar="JOURNAL", help="journal.jsonl of a commissioning or a measurement.")
     ],
-    bus: Annotated[str | None, bus_option("The bus, if it has another name than in the journal.")] = None,
+    bus: Annotated[str | None, bus_option("The bus, if its name has changed since.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Put back every object that a commissioning or a measurement changed, after a crash or a lost bus."""
+    """Undo every change of a commissioning or a measurement, after a crash or a lost bus."""
     from servobench.hil.commissioning.commission import run_restore
 
     outcome: dict[str, Any] = run_restore(journal, bus)
@@ -141,18 +144,18 @@ def restore(
 def rehearse(
     bus: DriveBusOption,
     node: DriveNodeOption,
-    seed: Annotated[int, seed_option("Which drive: all that is hidden is drawn from it.", most=None)],
+    seed: Annotated[int, seed_option("Seed of the drive: determines everything hidden.", most=None)],
     nameplate: Annotated[
-        Path | None, valued("--nameplate", "FILE", "Write what is printed on the motor, for hil commission.")
+        Path | None, valued("--nameplate", "FILE", "Write the motor's nameplate, for hil commission.")
     ] = None,
-    truth: Annotated[Path | None, valued("--truth", "FILE", "Write what was drawn, to compare with.")] = None,
+    truth: Annotated[Path | None, valued("--truth", "FILE", "Write the true values, for comparison.")] = None,
     faults: DriveFaultsOption = None,
     drift_ppm: Annotated[
-        float, valued("--drift-ppm", None, "How much too fast the drive's clock runs.", min=-1000, max=1000)
+        float, valued("--drift-ppm", None, "Drift of the drive's clock.", min=-1000, max=1000)
     ] = 0.0,
     bitrate: BitrateOption = 1_000_000,
 ) -> None:
-    """A simulated drive that nobody has described, with faults in what it tells, until Ctrl-C."""
+    """Simulate an unknown drive, with faults in its settings, until Ctrl-C."""
     from servobench.hil.commissioning.rehearsal import rehearse as serve_unknown
 
     serve_unknown(

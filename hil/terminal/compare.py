@@ -1,4 +1,4 @@
-"""``hil compare``: recorded runs beside each other, and a run against a baseline."""
+"""``hil compare``: recorded runs side by side, and a run against a baseline."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,27 +17,25 @@ if TYPE_CHECKING:
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
     baseline: Annotated[
-        Path | None, valued("--baseline", "RUN", "What the others are held against; the first if absent.")
+        Path | None, valued("--baseline", "RUN", "Run to compare the others with; default: the first.")
     ] = None,
-    tolerances: Annotated[
-        Path | None, valued("--tolerances", "FILE.toml", "How much worse a run may be, by figure.")
-    ] = None,
+    tolerances: Annotated[Path | None, valued("--tolerances", "FILE.toml", "Tolerances, by figure.")] = None,
     rrd: Annotated[
-        Path | None, valued("--rrd", "FILE.rrd", "Write the runs beside and over each other, for Rerun.")
+        Path | None, valued("--rrd", "FILE.rrd", "Write the runs side by side and superimposed, for Rerun.")
     ] = None,
     unsealed: UnsealedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Compare recorded runs, cycle by cycle: figures, differences of the signals, first divergence.
 
-    Exit status: 0 compared, or within the tolerances; 1 a tolerance is exceeded; 2 bad input; 6 what a
-    tolerance is about is not measured in both runs.
+    Exit status: 0 compared, or within the tolerances; 1 a tolerance is exceeded; 2 bad input; 6 a figure with
+    a tolerance is not measured in both runs.
     """
     folders = ([baseline] if baseline is not None else []) + runs
     if len(folders) < 2:
         raise BadInput("RUN", "", str(runs[0]), "a second run, or --baseline, to compare it with")
     if rrd is not None and (rrd.suffix != ".rrd" or not rrd.parent.is_dir()):
-        raise BadInput("--rrd", "", str(rrd), "a file that ends in .rrd in a folder that is there")
+        raise BadInput("--rrd", "", str(rrd), "a .rrd file in an existing folder")
     from servobench.hil.recorded.comparison import (
         compare_runs,
         comparison_json,

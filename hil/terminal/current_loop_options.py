@@ -1,4 +1,4 @@
-"""The drive's current loop on the command line: measured, of a bench, stated, or the simulated drive's."""
+"""The drive's current loop on the command line: measured, from a bench, stated, or the simulated drive's."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,34 +14,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurrentLoopOptions:
-    """Who says what the current loop is: at most one of bench, commissioned drive and bandwidth."""
+    """Source of the current loop: at most one of bench, commissioned drive and bandwidth."""
 
     bench: Annotated[
-        Path | None, valued("--bench", "BENCH.toml", "The bench whose drive's current loop it is.")
+        Path | None, valued("--bench", "BENCH.toml", "Bench file with the drive's current loop.")
     ] = None
-    axis: Annotated[str | None, valued("--axis", "NAME", "Of --bench; needed if it has several.")] = None
+    axis: Annotated[str | None, valued("--axis", "NAME", "Axis of --bench; needed if it has several.")] = None
     commissioned: Annotated[
-        Path | None, valued("--commissioned", "DRIVE.toml", "The drive as hil commission measured it.")
+        Path | None, valued("--commissioned", "DRIVE.toml", "Drive file written by hil commission.")
     ] = None
     current_bandwidth_hz: Annotated[
         float | None,
         valued(
             "--current-bandwidth-hz",
             "F",
-            "Of the drive's current loop, in place of --bench; the simulated drive's 800 if absent.",
+            "Bandwidth of the drive's current loop, instead of --bench; default: the simulated drive's 800.",
             min=1e-3,
         ),
     ] = None
 
     @property
     def sources(self) -> dict[str, Path | float]:
-        """Those that are given, by option."""
+        """The sources given, by option."""
         return given(self, "bench", "commissioned", "current_bandwidth_hz")
 
     def known_loop(self) -> "KnownLoop":
-        """The loop of first order to design for, and who says so. Raises BadInput or BadInputs.
+        """Return the first-order loop to design for, and its source. Raises BadInput or BadInputs.
 
-        Without any source it is that of the simulated drive as it is built.
+        Without any source it is the simulated drive's default.
         """
         from servobench.hil.configuration.drive_current_loop import KnownLoop
 
@@ -72,7 +72,7 @@ def _of_bench(bench: Path, axis: str | None) -> "KnownLoop":
 
 
 def bench_axis(bench: Path, axis: str | None) -> "tuple[BenchConfig, str]":
-    """The bench, and which of its axes is meant. Raises BadInput or BadInputs."""
+    """Return the bench, and the axis meant. Raises BadInput or BadInputs."""
     from servobench.hil.configuration.bench_file import load_bench
 
     config = load_bench(bench)
@@ -85,7 +85,7 @@ def bench_axis(bench: Path, axis: str | None) -> "tuple[BenchConfig, str]":
 
 
 def loop_of_bench(config: "BenchConfig", axis: str) -> "KnownLoop":
-    """Of the drive that the bench runs on. Raises BadInput where it would have to be measured first."""
+    """Return the loop of the bench's drive. Raises BadInput if it has to be measured first."""
     from servobench.hil.configuration.drive_current_loop import current_loop_of
 
     loop = current_loop_of(config, axis)

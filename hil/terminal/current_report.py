@@ -1,4 +1,4 @@
-"""What ``hil design current`` prints: the controller, its margins, and advice."""
+"""Output of ``hil design current``: the controller, its margins, and advice."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def print_result(result: "CurrentResult") -> None:
-    """Everything, the figures in the order of ``--json``."""
+    """Print everything, the figures in the order of ``--json``."""
     print_current(result.figures)
     typer.echo("")
     for line in advice(result.figures):
@@ -19,12 +19,12 @@ def print_result(result: "CurrentResult") -> None:
 
 
 def print_current(figures: dict[str, Any]) -> None:
-    """A figure a line, tables indented."""
+    """Print one figure per line, tables indented."""
     print_figures(figures, text=_text, width=28, gap="  ")
 
 
 def root_text(value: list[float]) -> str:
-    """[real, imaginary] of a zero or pole."""
+    """Format [real, imaginary] of a zero or pole."""
     return f"{value[0]:.6g}" if value[1] == 0.0 else f"{value[0]:.6g}{value[1]:+.6g}j"
 
 
@@ -35,7 +35,7 @@ def _text(value: Any) -> str:
 
 
 def advice(figures: dict[str, Any]) -> list[str]:
-    """Plain sentences about what the figures mean for a drive."""
+    """Say in plain sentences what the figures mean for a drive."""
     lines = []
     norm, gamma = figures["closed_loop_norm"], figures["gamma"]
     if figures["structure"] != "full":

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurrentDesignOptions:
-    """Of ``hil design current``."""
+    """Options of ``hil design current``."""
 
     motor: MotorArgument
     axis: Annotated[Literal["q", "d"], valued("--axis", None, "The current to control.")]
-    weights: Annotated[Path | None, valued("--weights", "FILE", "Weights; the paper's rules if absent.")] = (
+    weights: Annotated[Path | None, valued("--weights", "FILE", "Weights; default: the paper's rules.")] = (
         None
     )
     gamma: Annotated[float | None, gamma_option(1e-9)] = None
@@ -37,12 +37,12 @@ class CurrentDesignOptions:
     structure: Annotated[Literal["full", "pi", "pi+pole", "third-order"], typer.Option("--structure")] = (
         "full"
     )
-    reduce: Annotated[int | None, valued("--reduce", "N", "States to keep.", min=1)] = None
+    reduce: Annotated[int | None, valued("--reduce", "N", "Number of states to keep.", min=1)] = None
     reduce_by: Annotated[Literal["truncate", "residualise", "paper"], typer.Option("--reduce-by")] = (
         "truncate"
     )
     sample_rate_hz: Annotated[
-        float | None, valued("--sample-rate-hz", "FS", "Sample the controller.", min=1.0)
+        float | None, valued("--sample-rate-hz", "FS", "Rate of the sampled controller.", min=1.0)
     ] = None
     delay_samples: Annotated[
         int, valued("--delay-samples", "N", "Computation delay, periods.", min=0, max=10)
@@ -52,23 +52,28 @@ class CurrentDesignOptions:
     ] = False
     modulus_margin: Annotated[
         float | None,
-        valued("--modulus-margin", None, "Margin for the lowest rate recommended.", min=0.01, max=1.0),
+        valued(
+            "--modulus-margin", None, "Modulus margin for the lowest recommended rate.", min=0.01, max=1.0
+        ),
     ] = None
     other: Annotated[
-        Path | None, valued("--other", "FILE", "The other axis' controller; by the rules if absent.")
+        Path | None, valued("--other", "FILE", "The other axis' controller; default: by the rules.")
     ] = None
     speed_rpm: Annotated[
         float | None,
-        valued("--speed-rpm", None, "Both axes are looked at up to here; rated if absent.", min=0.0),
+        valued("--speed-rpm", None, "Speed up to which both axes are analysed; default: rated.", min=0.0),
     ] = None
     decoupling_factor: Annotated[
-        float, valued("--decoupling-factor", None, "The drive's inductances beside the motor's.", min=0.0)
+        float,
+        valued("--decoupling-factor", None, "Ratio of the drive's inductances to the motor's.", min=0.0),
     ] = 1.0
     advance_periods: Annotated[
-        float | None, valued("--advance-periods", None, "Angle advance; delay + 0.5 periods is right.")
+        float | None, valued("--advance-periods", None, "Angle advance, periods; delay + 0.5 is correct.")
     ] = None
     out: ControllerOutOption = None
-    picture: Annotated[Path | None, valued("--picture", "FILE.png", "Weights against |S|, |KS|, |T|.")] = None
+    picture: Annotated[
+        Path | None, valued("--picture", "FILE.png", "Plot of the weights and |S|, |KS|, |T|.")
+    ] = None
     as_json: JsonOption = False
 
 
@@ -120,7 +125,7 @@ def current(asked: CurrentDesignOptions) -> None:
 
 
 def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
-    """The continuous controller in ``path``, made for the axis that is not designed."""
+    """Load the continuous controller in ``path``, made for the other axis."""
     from servobench.drivers.bounded_file import NamedBy
     from servobench.hil.configuration.current_controller_file import load_current_controller
     from servobench.hil.studies.current.figures import OtherAxis

@@ -1,4 +1,4 @@
-"""A design that cannot be had, as the bad input that it is for somebody who typed a command."""
+"""An impossible design reported as bad input to the user who typed the command."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,14 +8,14 @@ from servobench.drivers.errors import BenchError
 
 
 class DesignRefused(BenchError):
-    """The assumption or demand that failed, its figures, and what to do: in the design's own words."""
+    """The failed assumption or demand, its figures, and the remedy: in the design's own words."""
 
     exit_status = 2
 
 
 @contextmanager
 def refused(about: str) -> Iterator[None]:
-    """Raises DesignRefused, which begins with ``about``, for a DesignError inside."""
+    """Raise DesignRefused, which begins with ``about``, for a DesignError inside."""
     try:
         yield
     except DesignError as error:

@@ -1,4 +1,4 @@
-"""``hil design hinf``: H-infinity synthesis for a plant of one's own."""
+"""``hil design hinf``: H-infinity synthesis for your own plant."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,11 +15,12 @@ def hinf(
     ],
     gamma: Annotated[float | None, gamma_option(1e-12)] = None,
     gamma_factor: Annotated[
-        float, valued("--gamma-factor", None, "Without --gamma: times gamma_min.", min=1.0)
+        float, valued("--gamma-factor", None, "Without --gamma: multiple of gamma_min.", min=1.0)
     ] = 1.1,
     as_json: JsonOption = False,
 ) -> None:
-    r"""The central controller of x' = A x + B \[w; u], \[z; y] = C x + D \[w; u] for ||z/w|| < gamma."""
+    r"""Compute the central controller of x' = A x + B \[w; u], \[z; y] = C x + D \[w; u] for ||z/w|| <
+    gamma."""
     from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
     from servobench.hil.configuration.plant_file import load_plant
     from servobench.hil.terminal.current_report import print_current

@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PidOptions:
-    """Of ``hil design pid``."""
+    """Options of ``hil design pid``."""
 
     motor: MotorArgument
     current_control: Annotated[
         Path | None,
-        valued("--current-control", "FILE", "The q axis' controller, in place of --bench; PI if absent."),
+        valued("--current-control", "FILE", "Controller of the q axis, instead of --bench; default: PI."),
     ] = None
     current_loop: CurrentLoopOptions
     period_ms: Annotated[float, valued("--period-ms", None, "The host's period.", min=0.01)] = 1.0
     latency_ms: Annotated[
-        float, valued("--latency-ms", None, "From a reading to its torque, without the hold.", min=0.0)
+        float, valued("--latency-ms", None, "Delay from a reading to its torque, without the hold.", min=0.0)
     ] = 1.0
     phase_margin_deg: Annotated[
         float, valued("--phase-margin-deg", None, "To be kept.", min=10.0, max=85.0)
@@ -74,7 +74,8 @@ def pid(asked: PidOptions) -> None:
 def _current_loop(
     current_control: Path | None, others: CurrentLoopOptions
 ) -> "tuple[CurrentController | None, float]":
-    """The drive's own controller, or None and the bandwidth of its PI. Raises BadInput or BadInputs."""
+    """Return the drive's own controller, or None and the bandwidth of its PI. Raises BadInput or
+    BadInputs."""
     from servobench.drivers.bounded_file import NamedBy
     from servobench.hil.configuration.current_controller_file import load_current_controller
 

@@ -1,4 +1,4 @@
-"""``hil design speed --structure predictor`` and ``hinf``: their options, and what is designed by them."""
+"""``hil design speed --structure predictor`` and ``hinf``: their options, and their design."""
 
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated
@@ -13,32 +13,36 @@ if TYPE_CHECKING:
     from servobench.hil.studies.speed.dynamic import DynamicResult
 
 _PERIOD_MS = 1.0
-"""That of a bench which says nothing of it."""
+"""The default period of a bench."""
 _NOISE_SHARE = 0.05
-"""Of the rated torque."""
+"""Share of the rated torque."""
 _LOSSES, _LOSSES_MAX = 1, 5
-"""In a row. The certificate goes over every sequence of them: of 20, as an outage leaves them in a network
-file, it had not ended after 15 minutes, at 10 GB."""
+"""Losses in a row. The certificate covers every sequence of them: for 20, as an outage leaves them in a
+network file, it had not ended after 15 minutes, at 10 GB."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictorOptions:
-    """What these structures alone are designed by."""
+    """Options of these structures alone."""
 
     period_ms: Annotated[
         float | None,
-        valued("--period-ms", "H", "Predictor, hinf: of the loop, with --delay-ms; 1 if absent.", min=0.05),
+        valued(
+            "--period-ms", "H", "Predictor, hinf: period of the loop, with --delay-ms; default: 1.", min=0.05
+        ),
     ] = None
     encoder_counts: Annotated[
         int | None,
-        valued("--encoder-counts", "N", "Predictor, hinf: a revolution of the encoder; else 65536.", min=16),
+        valued(
+            "--encoder-counts", "N", "Predictor, hinf: encoder counts per revolution; default: 65536.", min=16
+        ),
     ] = None
     speed_filter_hz: Annotated[
         float | None,
         valued(
             "--speed-filter-hz",
             "F",
-            "Predictor, hinf: of the filter behind 606Ch; 500, as the simulated drive has it, if absent.",
+            "Predictor, hinf: bandwidth of the filter behind 606Ch; default: the simulated drive's 500.",
             min=1.0,
         ),
     ] = None
@@ -47,7 +51,7 @@ class PredictorOptions:
         valued(
             "--drive-dead-time-us",
             "D",
-            "Predictor, hinf: of the drive, beside its current loop; 100, the simulated drive's, if absent.",
+            "Predictor, hinf: dead time of the drive, without its current loop; default: 100.",
             min=0.0,
         ),
     ] = None
@@ -56,7 +60,7 @@ class PredictorOptions:
         valued(
             "--torque-noise-nm",
             "T",
-            "Predictor, hinf: what the encoder may make of the torque, rms; 5 % of the rated if absent.",
+            "Predictor, hinf: torque noise from the encoder, rms; default: 5 % of rated.",
             min=1e-9,
         ),
     ] = None
@@ -65,7 +69,7 @@ class PredictorOptions:
         valued(
             "--losses-max",
             "N",
-            "Predictor, hinf: samples lost in a row that are certified, with --delay-ms; 1 if absent.",
+            "Predictor, hinf: consecutive lost samples to certify, with --delay-ms; default: 1.",
             min=0,
             max=_LOSSES_MAX,
         ),
@@ -73,7 +77,7 @@ class PredictorOptions:
 
     @property
     def given(self) -> dict[str, object]:
-        """By option."""
+        """The options given, by name."""
         return given(self, *(each.name for each in fields(self)))
 
 
@@ -86,7 +90,7 @@ def design_dynamic(
     network: "SampledNetwork | None",
     load_nm: float | None,
 ) -> "DynamicResult":
-    """A ``predictor`` or ``hinf``, and what is certified of it. Raises BadInput."""
+    """Design a ``predictor`` or ``hinf``, with its certificate. Raises BadInput."""
     from servobench.design.errors import DesignError
     from servobench.hil.studies.speed.dynamic import (
         DEAD_TIME_US,
@@ -121,7 +125,7 @@ def design_dynamic(
 def _network(
     options: PredictorOptions, delay_ms: float | None, network: "SampledNetwork | None"
 ) -> tuple[float, float, int]:
-    """The period, s, the delay from a sample to its command's instant, s, and the losses in a row.
+    """Return the period, s, the delay from a sample to its command's instant, s, and the losses in a row.
 
     ``delay_ms``: the age that a sample reaches, period included, as elsewhere in this command.
     """

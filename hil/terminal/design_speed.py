@@ -1,4 +1,4 @@
-"""``hil design speed``: the best speed feedback for a delay, a measured network, or a wanted gain."""
+"""``hil design speed``: the best speed feedback for a delay, a measured network, or a required gain."""
 
 import json
 import math
@@ -33,61 +33,60 @@ if TYPE_CHECKING:
 
 
 _WHOLE = 0.05
-"""Part of a period by which an age may exceed a whole number of them and still count as one. Where commands
-act at SYNCs it is one, but for the lateness of SYNCs and the error of the clock that measured it."""
+"""Part of a period by which an age may exceed a whole number and still count as one. Where commands act at
+SYNCs it is whole, but for the lateness of SYNCs and the clock's measurement error."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedDesignOptions:
-    """Of ``hil design speed``."""
+    """Options of ``hil design speed``."""
 
     motor: MotorArgument
     gamma: Annotated[float | None, valued("--gamma", "G", "Gain to keep, rad/s per N m.", min=1e-9)] = None
     error_percent: Annotated[
         float | None,
-        valued("--error-percent", "P", "The same: error in % of the speed under the load.", min=1e-9),
+        valued("--error-percent", "P", "The same, as error in % of the speed under the load.", min=1e-9),
     ] = None
     load_nm: LoadOption = None
     speed_rpm: SpeedOption = None
     current_loop: CurrentLoopOptions
     delay_ms: Annotated[float | None, valued("--delay-ms", "D", "The constant delay.", min=0.0)] = None
     network: Annotated[
-        Path | None, valued("--network", "NETWORK.toml", "A network, e.g. as hil run has measured it.")
+        Path | None, valued("--network", "NETWORK.toml", "Network file, e.g. one measured by hil run.")
     ] = None
     strategy: Annotated[
-        StrategyName, valued("--strategy", None, "When a sample is applied on that network.")
+        StrategyName, valued("--strategy", None, "When a sample is applied on this network.")
     ] = "arrival"
     delay_margin_percent: Annotated[
         float,
-        valued("--delay-margin-percent", None, "On the network's largest delay.", min=0.0, max=1000.0),
+        valued("--delay-margin-percent", None, "Margin on the network's largest delay.", min=0.0, max=1000.0),
     ] = 0.0
     extra_losses: Annotated[
-        int, valued("--extra-losses", None, "In a row, beyond those that were measured.", min=0, max=1000)
+        int, valued("--extra-losses", None, "Consecutive losses beyond the measured ones.", min=0, max=1000)
     ] = 0
     method: Annotated[
         Literal["exact", "lmi", "ccl"],
-        valued("--method", None, "exact optimum, best LMI certificate, or the paper's Algorithm 4.2 (ccl)."),
+        valued("--method", None, "Exact optimum, best LMI certificate, or the paper's Algorithm 4.2 (ccl)."),
     ] = "exact"
     feedback: Annotated[
-        Literal["full", "speed"], valued("--feedback", None, "Current and speed, or speed only.")
+        Literal["full", "speed"],
+        valued("--feedback", None, "Feedback of current and speed, or of speed only."),
     ] = "full"
     integral: Annotated[bool, flag("--integral", "With integral action on the speed error.")] = False
     integral_time_ms: Annotated[
         float | None,
-        valued("--integral-time-ms", "TI", "K2/K3; in proportion to the delay if absent.", min=1e-3),
+        valued("--integral-time-ms", "TI", "K2/K3; default: proportional to the delay.", min=1e-3),
     ] = None
     target: Annotated[
         Literal["constant", "sampled"],
-        valued(
-            "--target", None, "Make best the loop with constant delay, or the sampled one on the network."
-        ),
+        valued("--target", None, "Optimise the loop with constant delay, or the sampled one on the network."),
     ] = "constant"
     structure: Annotated[
         Literal["static", "predictor", "hinf"],
         valued(
             "--structure",
             None,
-            "A static gain, a predictor (Kalman filter, load cancelled), or H-infinity output feedback.",
+            "Static gain, predictor (Kalman filter, load cancelled), or H-infinity output feedback.",
         ),
     ] = "static"
     predictor: PredictorOptions
@@ -96,12 +95,12 @@ class SpeedDesignOptions:
 
 
 def speed(asked: SpeedDesignOptions) -> None:
-    """Design a speed feedback: what is known is given, what is open is optimised.
+    """Design a speed feedback: give the known values, the open ones are optimised.
 
-    With a gain or an error: the largest delay. With a delay or a network: the least gain. With
-    both: the least gain, and whether it is enough. A network's delay is that of [Ling2012] (2.13),
-    and the loop that really runs over it is certified as well. A predictor and an H-infinity
-    controller are designed for a delay or a network: for the least peak after the load step.
+    With a gain or an error: the largest delay. With a delay or a network: the least gain. With both: the
+    least gain, and whether it suffices. A network's delay is that of [Ling2012] (2.13), and the loop as it
+    runs is certified as well. A predictor and an H-infinity controller are designed for a delay or a network:
+    for the least peak after the load step.
     """
     static = asked.structure == "static"
     if static:
@@ -123,7 +122,7 @@ def speed(asked: SpeedDesignOptions) -> None:
 
 
 def _check_static(asked: SpeedDesignOptions) -> None:
-    """At most one of each pair, and at least one in all; what each method knows. Raises BadInput."""
+    """Refuse both options of a pair, none at all, and options unknown to the method. Raises BadInput."""
     for option, value in asked.predictor.given.items():
         raise BadInput(option, "", value, "--structure predictor or hinf with it")
     if asked.gamma is not None and asked.error_percent is not None:
@@ -145,7 +144,7 @@ def _check_static(asked: SpeedDesignOptions) -> None:
 
 
 def _refuse_static(asked: SpeedDesignOptions) -> None:
-    """What predictor and hinf are not designed by. Raises BadInput."""
+    """Refuse options without a use for predictor and hinf. Raises BadInput."""
     static = given(asked, "gamma", "error_percent", "integral_time_ms")
     for option, value in (static | ({"--integral": True} if asked.integral else {})).items():
         raise BadInput(option, "", value, "nothing of it with --structure predictor or hinf")
@@ -226,7 +225,7 @@ def _design_static(
 
 
 def _controller(result: "DesignResult | DynamicResult") -> "Section":
-    """Its table. Raises BadInput for a loop over a network that is not certified."""
+    """Return the controller's table. Raises BadInput for a loop over a network that is not certified."""
     from servobench.hil.studies.speed.controller_text import controller_of
     from servobench.hil.studies.speed.synthesis import DesignResult
 

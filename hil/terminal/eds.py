@@ -1,4 +1,4 @@
-"""``hil eds``: a data sheet read, mended, and held against what a bench needs."""
+"""``hil eds``: a data sheet read, repaired, and compared with the needs of a bench."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,25 +10,25 @@ from servobench.hil.terminal.output import put
 from servobench.hil.verdict.verdict import ExitStatus
 
 ANY_NODE = 1
-"""What $NODEID stands for where neither the user nor the file says it."""
+"""Node-ID for $NODEID if neither the user nor the file gives one."""
 
 
 def eds(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="EDS, DCF, XDD or XDC of a device.")],
     node: Annotated[
         int | None,
-        valued("--node", None, "Node id for $NODEID; a DCF's own, or 1, if absent.", min=1, max=127),
+        valued("--node", None, "Node id for $NODEID; default: a DCF's own, or 1.", min=1, max=127),
     ] = None,
-    plan: Annotated[bool, flag("--plan", "Show the PDO plan and what it costs on the bus.")] = False,
+    plan: Annotated[bool, flag("--plan", "Show the PDO plan and its bus load.")] = False,
     mode: Annotated[
         Literal["cst", "csv", "csp", "ip", "vl", "pt", "pv", "pp"] | None,
-        valued("--mode", None, "Mode to plan for; the best that it has if absent."),
+        valued("--mode", None, "Mode to plan for; default: the best available."),
     ] = None,
     period_us: Annotated[int, valued("--period-us", None, "Period of the loop, us.", min=100)] = 1000,
     bitrate: Annotated[int, bitrate_option("Bit rate, bit/s.")] = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:
-    """Read an EDS, DCF, XDD or XDC: what the device offers a bench, and what was mended to read the file.
+    """Read an EDS, DCF, XDD or XDC: the device's use for a bench, and the repairs needed to read the file.
 
     Exit status: 0 it can serve a bench, 1 it cannot (the output says why), 2 the file cannot be read.
     """

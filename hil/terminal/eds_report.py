@@ -1,4 +1,4 @@
-"""A data sheet on the terminal."""
+"""Terminal output of a data sheet."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,7 +24,7 @@ def print_sheet(
     fitness: Fitness,
     planned: Planned | None,
 ) -> None:
-    """Identity, profile, modes, PDOs, lacks, repairs, and at last the verdict."""
+    """Print identity, profile, modes, PDOs, missing objects, repairs, and finally the verdict."""
     console = Console(highlight=False)
     _say(console, _facts(file, loaded, fitness))
     if fitness.modes:
@@ -106,7 +106,7 @@ def _commissioning(loaded: LoadedDictionary) -> str:
 
 
 def _mode_table(fitness: Fitness) -> Table:
-    """Each mode that it has: whether hil commission and hil run can command it, and why not."""
+    """Tabulate the modes: whether hil commission and hil run can command each, and why not."""
     table = columns("mode", "hil commission", "hil run", "")
     for each in fitness.usable:
         key = run_key(each) if fitness.serves else None

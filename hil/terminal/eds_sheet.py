@@ -1,4 +1,4 @@
-"""What ``hil eds`` makes of a data sheet: the units of the drive, the PDO plan of a mode, and all as JSON."""
+"""The data sheet for ``hil eds``: the drive's units, the PDO plan of a mode, and all as JSON."""
 
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -29,13 +29,13 @@ MODES = BENCH_MODES | {
 
 
 def run_key(fitness: ModeFitness) -> str | None:
-    """By which ``mode`` of a bench file `hil run` commands the drive in it; None if it cannot."""
+    """Return the ``mode`` of a bench file by which `hil run` commands it; None if it cannot."""
     keys = (key for key, mode in BENCH_MODES.items() if mode is fitness.mode)
     return next(keys, None) if fitness.plan is not None else None
 
 
 class Planned(NamedTuple):
-    """A mode's plan, or why there is none."""
+    """A mode's plan, or the reason why there is none."""
 
     mode: str
     result: PlanResult | None
@@ -46,7 +46,7 @@ class Planned(NamedTuple):
 def plan_for(
     loaded: LoadedDictionary, fitness: Fitness, node_id: int, mode: str | None, period_us: int, bitrate: int
 ) -> Planned | None:
-    """The plan for a mode, or for the best that the drive has; None if it has none at all."""
+    """Plan a mode, or the best one that the drive has; None if it has none at all."""
     chosen = MODES[mode] if mode is not None else fitness.best.mode if fitness.best is not None else None
     if chosen is None:
         return None
@@ -70,7 +70,7 @@ _MOTION = frozenset({"position", "velocity", "acceleration"})
 
 
 class UnitLine(NamedTuple):
-    """One factor; ``value`` None if the file does not tell it."""
+    """One factor; ``value`` None if the file does not define it."""
 
     name: str
     value: float | None
@@ -79,7 +79,8 @@ class UnitLine(NamedTuple):
 
 
 def unit_lines(loaded: LoadedDictionary, fitness: Fitness) -> tuple[tuple[UnitLine, ...], tuple[str, ...]]:
-    """Each raw unit in SI, by the defaults or parameter values of the file; and what is known of the make."""
+    """Return each raw unit in SI, by the defaults or parameter values of the file; and known facts about the
+    make."""
     dictionary, identity = loaded.dictionary, fitness.identity
 
     def read(index: int, sub: int) -> int | None:
@@ -103,7 +104,7 @@ def unit_lines(loaded: LoadedDictionary, fitness: Fitness) -> tuple[tuple[UnitLi
 def _as_far_as_told(
     values: dict[tuple[int, int], int | None], override: ScaleOverride
 ) -> tuple[Scaling | None, frozenset[str]]:
-    """The scaling, and which factors of it are stand-ins for what is not told."""
+    """Return the scaling, and the factors replaced by stand-ins because the file does not define them."""
     rated_nm, position_rad = override.rated_torque_nm or 1.0, override.position_rad or 1.0
     for filled, lacks in (
         (override, frozenset[str]()),
@@ -121,7 +122,7 @@ def _as_far_as_told(
 
 
 def sheet(file: Path, loaded: LoadedDictionary, fitness: Fitness, planned: Planned | None) -> dict[str, Any]:
-    """What ``hil eds --json`` prints."""
+    """Return the data for ``hil eds --json``."""
     figures: dict[str, Any] = {
         "file": str(file),
         "serves": fitness.serves,

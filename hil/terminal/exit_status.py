@@ -1,4 +1,4 @@
-"""What the process tells its caller, and how an error becomes that."""
+"""Exit statuses of the process, and how errors map to them."""
 
 import traceback
 from collections.abc import Callable, Iterator
@@ -20,10 +20,11 @@ from servobench.hil.verdict.verdict import ExitStatus
 def reported_errors(
     conclude: Callable[[int, str], int] = lambda status, _text: status, command: str = "this"
 ) -> Iterator[None]:
-    """Print what goes wrong inside on stderr and leave with its exit status.
+    """Print an error from inside on stderr and leave with its exit status.
 
-    ``conclude``: told that status and the error in words, right before; the status to leave with.
-    ``command``: its words, for what it lacks.
+    ``conclude``: called with that status and the error in words, right before; returns the status to leave
+    with.
+    ``command``: the words of the command, for an error that it lacks a package.
     """
     try:
         yield
@@ -53,14 +54,14 @@ def _told(error: BenchError, conclude: Callable[[int, str], int]) -> int:
 
 
 def end_with(status: int) -> NoReturn:
-    """Leave with ``status``: the command has come to its end. Its parent is told, and believes no 0 without:
-    code of the user's may have put something in the place of ``sys.exit``, or raised what ends a command."""
+    """Leave with ``status``: the command has come to its end. The parent is notified, and believes no 0
+    otherwise: user code may have replaced ``sys.exit``, or raised the exception that ends a command."""
     tell_parent(concluded={"status": status})
     raise Exit(status)
 
 
 def error_text(error: BenchError) -> str:
-    """The error as a user reads it: one line, or one line for each of several."""
+    """Format an error for the user: one line, or one line for each of several."""
     lines = [printable(line) for line in str(error).split("\n")]
     if len(lines) == 1:
         return f"hil: error: {lines[0]}"

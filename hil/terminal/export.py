@@ -1,4 +1,4 @@
-"""``hil export``: the cycles of a recording for other programs."""
+"""``hil export``: a recording's cycles for other programs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,14 +13,14 @@ from servobench.hil.terminal.output import put
 def export(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of the run.")],
     to: Annotated[ExportFormat, typer.Option("--to", help="Format.")],
-    out: Annotated[Path | None, valued("--out", "FILE", "RUN/records.FORMAT if absent.")] = None,
+    out: Annotated[Path | None, valued("--out", "FILE", "Output file; default: RUN/records.FORMAT.")] = None,
     unsealed: UnsealedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write every cycle of a recording as CSV, Parquet, MDF 4 or MAT, with units and codes.
 
-    Exit status: 0 written; 2 no recording, one that has no end yet, or a file that cannot be written; 5 the
-    disk is full.
+    Exit status: 0 written; 2 no recording, an unfinished one, or a file that cannot be written; 5 the disk is
+    full.
     """
     from servobench.hil.reviewing.export import export_run
     from servobench.hil.rows.seal import doubt

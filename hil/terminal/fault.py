@@ -1,4 +1,4 @@
-"""``hil fault``: what a drive says of its faults, and their reset on the user's word."""
+"""``hil fault``: a drive's faults, and their reset on demand."""
 
 from typing import Annotated
 
@@ -12,7 +12,7 @@ from servobench.hil.verdict.verdict import ExitStatus
 def fault(
     bus: DriveBusOption,
     node: DriveNodeOption,
-    reset: Annotated[bool, flag("--reset", "Reset the fault. Nothing else ever does.")] = False,
+    reset: Annotated[bool, flag("--reset", "Reset the fault; no other command does.")] = False,
     bitrate: BitrateOption = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:

@@ -1,4 +1,4 @@
-"""``hil init``: a first bench with motor, controller and test, in a folder of one's own."""
+"""``hil init``: a first bench with motor, controller and test, in your own folder."""
 
 import shutil
 from pathlib import Path
@@ -13,18 +13,18 @@ from servobench.hil.terminal.options import flag
 from servobench.hil.terminal.output import say_written
 
 FIRST = "first"
-"""The example that is written."""
+"""The example to write."""
 
 
 def init(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Where to; made if it is not there.")
+        Path, typer.Argument(metavar="DIR", help="Folder to write to; created if missing.")
     ] = Path(),
-    examples: Annotated[bool, flag("--examples", "Every example instead, in DIR/examples.")] = False,
+    examples: Annotated[bool, flag("--examples", "Write every example instead, in DIR/examples.")] = False,
 ) -> None:
     """Write a first bench: bench.toml, motor.toml, controller.py and test_controller.py.
 
-    A file that is there already is never written over.
+    An existing file is never overwritten.
     """
     source = examples_folder() if examples else examples_folder() / FIRST
     target = folder / "examples" if examples else folder
@@ -43,4 +43,4 @@ def init(
     if not examples:
         typer.echo(f"Next, in {target.resolve()}:" if folder != Path() else "Next:")
         typer.echo("  hil run bench.toml    the closed loop in simulated time, recorded, with its verdict")
-        typer.echo("  pytest                the controller under lost readings and a silent drive")
+        typer.echo("  pytest                test the controller with lost readings and a silent drive")

@@ -1,4 +1,4 @@
-"""``hil measure``: what a network does to a cycle, stage by stage."""
+"""``hil measure``: the effect of a network on a cycle, stage by stage."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,30 +33,30 @@ if TYPE_CHECKING:
 
 PICTURES = (".png", ".svg", ".pdf")
 CYCLES_MAX = 1_000_000
-"""Each takes half a kilobyte of memory a drive, which is taken before the first."""
+"""Each takes half a kilobyte of memory per drive, allocated before the first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasureOptions:
-    """Of ``hil measure``."""
+    """Options of ``hil measure``."""
 
     bus: Annotated[str, bus_option("simulated, hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")]
-    node: Annotated[list[str], valued("--node", "N...", "Node ids: 1, or 1,2, or 1-3; may be repeated.")]
+    node: Annotated[list[str], valued("--node", "N...", "Node ids: 1, or 1,2, or 1-3; repeatable.")]
     more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None
-    cycles: Annotated[int, valued("--cycles", None, "How many SYNCs.", min=100, max=CYCLES_MAX)] = 10_000
-    period_us: Annotated[int, valued("--period-us", None, "Between two SYNCs.", min=250, max=100_000)] = 1000
+    cycles: Annotated[int, valued("--cycles", None, "Number of SYNCs.", min=100, max=CYCLES_MAX)] = 10_000
+    period_us: Annotated[int, valued("--period-us", None, "Period of the SYNC.", min=250, max=100_000)] = 1000
     enable: Annotated[
-        bool, flag("--enable", "Enable the drives and have them follow small torques: the shafts move.")
+        bool, flag("--enable", "Enable the drives and command small torques: the shafts move.")
     ] = False
     torque_max_nm: Annotated[
-        float | None, valued("--torque-max-nm", "X", "Largest torque; 3 % of the rated one if absent.")
+        float | None, valued("--torque-max-nm", "X", "Largest torque; default: 3 % of rated.")
     ] = None
     speed_max_rpm: Annotated[
-        float, valued("--speed-max-rpm", None, "An enabled drive that turns faster is stopped.", min=1.0)
+        float, valued("--speed-max-rpm", None, "Speed at which an enabled drive is stopped.", min=1.0)
     ] = 100.0
     out: Annotated[Path | None, valued("--out", "NETWORK.toml", "Write the network, for hil design.")] = None
     faults_out: Annotated[
-        Path | None, valued("--faults-out", "FAULTS.toml", "Write it as a fault plan, to replay it.")
+        Path | None, valued("--faults-out", "FAULTS.toml", "Write the network as a fault plan, to replay it.")
     ] = None
     picture: Annotated[Path | None, valued("--picture", "FILE", "Draw the histograms: .png, .svg, .pdf.")] = (
         None
@@ -72,11 +72,11 @@ class MeasureOptions:
 def measure(asked: MeasureOptions) -> None:
     """Measure a network: delay of each stage of a cycle, losses both ways, the drives' clocks.
 
-    The drives stay disabled unless --enable. What is changed in them is put back; after a crash
-    runs/measure-TIME has what hil restore needs.
+    The drives stay disabled unless --enable. Changes in them are undone; after a crash runs/measure-TIME
+    holds the journal for hil restore.
 
-    Exit status: 0 measured, 1 not to be trusted, 2 bad input, 3 bus or drive fault, 4 disturbed by others,
-    130 ended by a signal.
+    Exit status: 0 measured, 1 not trustworthy, 2 bad input, 3 bus or drive fault, 4 disturbed by others, 130
+    ended by a signal.
     """
     from servobench.drivers.rotation import RAD_S_PER_RPM
     from servobench.hil.execution.bench import RUNS_FOLDER
@@ -129,16 +129,16 @@ def _measured(request: "MeasureRequest") -> "Measured":
 
 
 def _require_places(asked: MeasureOptions) -> None:
-    """Raises BadInput for an option whose file could not be written, before anything is measured."""
+    """Raise BadInput for an option whose file could not be written, before anything is measured."""
     for option, path in given(asked, "out", "faults_out", "picture").items():
         if path.is_dir() or not path.parent.is_dir():
-            raise BadInput(option, "", str(path), "a file in a folder that is there")
+            raise BadInput(option, "", str(path), "a file in an existing folder")
         if option == "--picture" and path.suffix not in PICTURES:
             raise BadInput(option, "", str(path), f"a file that ends in {', '.join(PICTURES)}")
 
 
 def _write_files(measured: "Measured", asked: MeasureOptions) -> None:
-    """Write what is asked for. Raises BadInput for a file that cannot be written."""
+    """Write the requested files. Raises BadInput for a file that cannot be written."""
     from servobench.drivers.written_file import write_file, written
     from servobench.hil.configuration.network_file import network_text
     from servobench.hil.measuring.figures import fault_plan_text

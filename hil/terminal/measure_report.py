@@ -1,4 +1,4 @@
-"""What ``hil measure`` found, for the terminal."""
+"""Terminal output of ``hil measure``."""
 
 from rich.console import Console
 from rich.table import Table
@@ -17,7 +17,7 @@ RUNS_SHOWN = 8
 
 
 def print_measured(measured: Measured) -> None:
-    """Stages, losses and clocks of every drive, and how sure they are."""
+    """Print stages, losses and clocks of every drive, with their confidence."""
     console = Console(highlight=False, file=results())
     request = measured.request
     state = "enabled" if request.enable else "disabled"
@@ -102,7 +102,7 @@ def _model(model: LossModel) -> str:
 
 
 def stamp_text(stamp: StampFigures) -> str:
-    """What was found of a drive's stamp, and what a bench is to be told of it."""
+    """Describe the findings about a drive's stamp, and the bench key to set."""
     name = f"stamp {stamp.object}"
     if not stamp.runs:
         return f"{name}: stands still in {stamp.reads} reads, a master sets it or nothing does; not used"

@@ -1,4 +1,4 @@
-"""``hil motor new`` and ``hil motor show``: a motor file out of a data sheet, and what follows from one."""
+"""``hil motor new`` and ``hil motor show``: a motor file from a data sheet, and figures derived from it."""
 
 import inspect
 import sys
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from servobench.design.motor import PmsmParameters
 
 motor = typer.Typer(
-    name="motor", help="Motor files: made from a data sheet, and what follows from one.", no_args_is_help=True
+    name="motor", help="Make a motor file from a data sheet, or show its figures.", no_args_is_help=True
 )
 
 
 def new(
-    out: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The file to be written.")],
-    name: Annotated[str, valued("--name", None, "The motor's name; the file's if absent.")] = "",
+    out: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The file to write.")],
+    name: Annotated[str, valued("--name", None, "Name of the motor; default: the file's.")] = "",
     delta: Annotated[
-        bool, flag("--delta/--star", "How the phases are connected, if figures are of a phase.")
+        bool, flag("--delta/--star", "Connection of the phases, if figures are per phase.")
     ] = False,
     resistance_at_c: Annotated[
         float,
@@ -34,15 +34,21 @@ def new(
     ] = 20.0,
     winding_c: Annotated[
         float | None,
-        valued("--winding-c", None, "To simulate at; the sheet's if absent.", min=-50.0, max=250.0),
+        valued(
+            "--winding-c",
+            None,
+            "Winding temperature to simulate; default: the sheet's.",
+            min=-50.0,
+            max=250.0,
+        ),
     ] = None,
-    force: Annotated[bool, flag("--force", "Write over a file that is there.")] = False,
+    force: Annotated[bool, flag("--force", "Overwrite an existing file.")] = False,
     **figures: float | None,
 ) -> None:
-    """Write a motor file from what a data sheet says, each figure in the sheet's own convention.
+    """Write a motor file from a data sheet, each figure in the sheet's own convention.
 
-    Figures that cannot be true at once are refused, and the convention is named in which they agree. On a
-    terminal what is missing is asked for.
+    Contradictory figures are refused, with the convention in which they would agree. On a terminal, missing
+    ones are asked for.
     """
     from servobench.drivers.written_file import write_file
     from servobench.hil.studies.motor.sheet import SOURCE, Sheet, motor_text
@@ -60,12 +66,12 @@ def new(
 
 
 def at_terminal() -> bool:
-    """Somebody can be asked."""
+    """Return True if a user can be asked."""
     return sys.stdin.isatty()
 
 
 def _ask(values: dict[str, float]) -> None:
-    """Complete ``values`` with what somebody at the terminal reads from the sheet."""
+    """Complete ``values`` with answers of the user at the terminal."""
     for group in missing(values):
         choices = ways(group)
         typer.echo(GROUPS[group].question)
@@ -106,11 +112,11 @@ def _with_figures() -> None:
 def show(
     path: MotorArgument,
     picture: Annotated[
-        Path | None, valued("--picture", "FILE", "Torque over speed; .png, .svg or .pdf.")
+        Path | None, valued("--picture", "FILE", "Plot torque over speed: .png, .svg or .pdf.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Figures that follow from a motor file, in a data sheet's terms; torque over speed as a picture."""
+    """Show figures derived from a motor file, in a data sheet's terms; torque over speed as a picture."""
     from servobench.design.motor_figures import motor_figures
 
     parameters = motor_file(path).parameters

@@ -1,4 +1,4 @@
-"""Node ids as they are typed: ``1``, ``1,2,5``, ``1-3``, ``unconfigured:3``; and serial numbers."""
+"""Node ids as typed: ``1``, ``1,2,5``, ``1-3``, ``unconfigured:3``; and serial numbers."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ SERIAL_DIGITS_MAX = 12
 
 
 def node_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
-    """The node ids of all ``texts``, in order. Raises BadInput for one that is no id, or that comes twice."""
+    """Parse the node ids of all ``texts``, in order. Raises BadInput for an invalid or repeated one."""
     nodes: list[int] = []
     for text in texts:
         for part in text.split(","):
@@ -25,7 +25,7 @@ def node_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
 
 
 def drive_ids(texts: Sequence[str]) -> list[int]:
-    """As :func:`node_ids`, of devices that have one."""
+    """Parse node ids of devices that have one; see :func:`node_ids`."""
     nodes = node_ids(texts)
     if UNCONFIGURED in nodes:
         expected = f"a node id 1..{NODE_ID_MAX}"
@@ -34,14 +34,15 @@ def drive_ids(texts: Sequence[str]) -> list[int]:
 
 
 def _number(digits: str) -> int:
-    """One of many digits is too large, whatever it is."""
+    """Parse a number; one with too many digits becomes too large."""
     return int(digits) if len(digits) < 10 else NODE_ID_MAX + 1
 
 
 def serial_numbers(texts: Sequence[str], count: int) -> list[int]:
-    """A serial number for each of ``count`` devices; from a single one the others count up. Empty: none.
+    """Return a serial number for each of ``count`` devices; from a single one the others count up. Empty:
+    none.
 
-    Raises BadInput for what is none, or comes twice, and for too few or too many.
+    Raises BadInput for an invalid or repeated one, and for too few or too many.
     """
     typed = [_serial(part.strip()) for text in texts for part in text.split(",")]
     if len(typed) == 1:

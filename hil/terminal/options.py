@@ -1,4 +1,4 @@
-"""Options that several commands have, each declared once; what a function takes differs by command."""
+"""Options shared by several commands, each declared once."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
@@ -16,64 +16,67 @@ if TYPE_CHECKING:
 
 
 def flag(name: str, text: str) -> Any:
-    """A wish that takes no value; its help shows none."""
+    """Declare a flag; its help shows no value."""
     return typer.Option(name, metavar="", help=text)
 
 
 def _note_unsealed(asked: bool) -> bool:
     if asked:
-        say("hil: note: unsealed: no file of it was held against its seal")
+        say("hil: note: unsealed: no file was checked against its seal")
     return asked
 
 
 def valued(
     name: str, metavar: str | None, text: str, *, min: float | None = None, max: float | None = None
 ) -> Any:
-    """A value under ``name``, from ``min`` to ``max``; its help shows it as ``metavar`` and says ``text``."""
+    """Declare an option ``name`` with a value from ``min`` to ``max``; its help shows ``metavar`` and
+    ``text``."""
     return typer.Option(name, metavar=metavar, help=text, min=min, max=max)
 
 
 def given(options: object, *names: str) -> dict[str, Any]:
-    """By option the values of these fields of a class of options, without those that are None."""
+    """Return the values of these fields of a class of options, by option, without those that are None."""
     values = {f"--{name.replace('_', '-')}": getattr(options, name) for name in names}
     return {option: value for option, value in values.items() if value is not None}
 
 
 def bus_option(text: str) -> Any:
-    """``--bus``; ``text``: which buses."""
+    """Declare ``--bus``; ``text``: the possible buses."""
     return typer.Option("--bus", metavar="SPEC", help=text)
 
 
 def bitrate_option(text: str) -> Any:
-    """``--bitrate``, bit/s."""
+    """Declare ``--bitrate``, bit/s."""
     return typer.Option("--bitrate", min=10_000, help=text)
 
 
 def seed_option(text: str, most: int | None = 2**63 - 1) -> Any:
-    """``--seed``; ``text``: of what."""
+    """Declare ``--seed``; ``text``: its use."""
     return typer.Option("--seed", min=0, max=most, help=text)
 
 
 def faults_option(side: str) -> Any:
-    """``--faults``; ``side``: whose side of the bus they strike at."""
-    return typer.Option("--faults", metavar="FAULTS.toml", help=f"Fault plan, at the {side}'s side.")
+    """Declare ``--faults``; ``side``: the side of the bus on which they act."""
+    return typer.Option(
+        "--faults", metavar="FAULTS.toml", help=f"Fault plan, on the {side}'s side of the bus."
+    )
 
 
 def gamma_option(least: float) -> Any:
-    """``--gamma`` of an H-infinity design."""
-    return typer.Option("--gamma", min=least, help="The norm to stay below.")
+    """Declare ``--gamma`` of an H-infinity design."""
+    return typer.Option("--gamma", min=least, help="Upper bound of the norm.")
 
 
 def controller_out_option(metavar: str) -> Any:
-    """``--out`` of a design."""
-    return typer.Option("--out", metavar=metavar, help="The controller, for a bench file.")
+    """Declare ``--out`` of a design."""
+    return typer.Option("--out", metavar=metavar, help="Write the controller, for a bench file.")
 
 
 EVERY_STREAM = seed_option("Seed of every random stream.")
 
 
 def json_option(text: str) -> Any:
-    """``--json``; ``text``: what is printed."""
+    """Declare ``--json``; ``text``: the output."""
     return flag("--json", text)
 
 
@@ -85,7 +88,7 @@ UnsealedOption = Annotated[
         "--unsealed",
         metavar="",
         callback=_note_unsealed,
-        help="Show what can be read of files that are not as their seal has them.",
+        help="Read files even if they do not match their seal.",
     ),
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")]
@@ -98,23 +101,21 @@ AllowOption = Annotated[
     valued(
         "--allow",
         "KIND",
-        "What others may send, as allow of a bench's table guard: nmt, sync, heartbeat, sdo_read, sdo_write, "
-        "sdo_answer, rpdo, tpdo; may be repeated. sdo_read if absent.",
+        "Frames that other nodes may send (guard.allow of a bench): nmt, sync, heartbeat, sdo_read, "
+        "sdo_write, sdo_answer, rpdo, tpdo; repeatable. Default: sdo_read.",
     ),
 ]
 DriveFaultsOption = Annotated[Path | None, faults_option("drive")]
-SpanOption = Annotated[
-    float | None, valued("--span", "S", "So much time about --at; all if absent.", min=1e-6)
-]
+SpanOption = Annotated[float | None, valued("--span", "S", "Time shown around --at; default: all.", min=1e-6)]
 ControllerOutOption = Annotated[Path | None, controller_out_option("FILE")]
 MotorArgument = Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The motor file.")]
 DriveMotorOption = Annotated[
-    Path | None, valued("--motor", "MOTOR.toml", "Motor file; [Ling2012]'s if absent.")
+    Path | None, valued("--motor", "MOTOR.toml", "Motor file; default: that of [Ling2012].")
 ]
 
 
 def motor_file(path: Path, option: str = "MOTOR.toml") -> "MotorFile":
-    """The motor file of an argument or option. Raises BadInput or BadInputs."""
+    """Load the motor file of an argument or option. Raises BadInput or BadInputs."""
     from servobench.drivers.bounded_file import NamedBy
     from servobench.hil.configuration.motor_file import load_motor
 
@@ -132,7 +133,7 @@ def rigid_motor(path: Path) -> "PmsmParameters":
 
 
 def fault_plan(path: Path | None) -> "Faults | None":
-    """The plan of ``--faults``, if it is given. Raises BadInput or BadInputs."""
+    """Load the plan of ``--faults``, if given. Raises BadInput or BadInputs."""
     from servobench.drivers.bounded_file import NamedBy
     from servobench.hil.configuration.bench_file import load_faults
 
@@ -140,7 +141,7 @@ def fault_plan(path: Path | None) -> "Faults | None":
 
 
 def allowed(kinds: list[str] | None) -> "tuple[Foreign, ...]":
-    """``--allow``, checked. Raises BadInput."""
+    """Check ``--allow``. Raises BadInput."""
     from servobench.hil.configuration.config import Foreign, Guard
 
     known: dict[str, Foreign] = {kind: kind for kind in get_args(Foreign)}

@@ -1,4 +1,4 @@
-"""What commands print: one JSON object or text on stdout, tables of it, and what is said beside on stderr."""
+"""Output of the commands: one JSON object or text on stdout, tables, and notes on stderr."""
 
 import json
 import sys
@@ -17,7 +17,7 @@ T = TypeVar("T", bound="dict[str, Any]")
 
 
 def put(figures: T, as_json: bool, show: Callable[[T], None]) -> None:
-    """``figures`` as one JSON object, or as ``show`` prints them."""
+    """Print ``figures`` as one JSON object, or by ``show``."""
     if as_json:
         echo(json.dumps(figures, allow_nan=False))
     else:
@@ -25,19 +25,19 @@ def put(figures: T, as_json: bool, show: Callable[[T], None]) -> None:
 
 
 def write_line(text: str) -> None:
-    """On stdout, of a command that has very many; at once if somebody looks on."""
+    """Print one of very many lines on stdout; at once if it is a terminal."""
     sys.stdout.write(f"{text}\n")
     if sys.stdout.isatty():
         sys.stdout.flush()
 
 
 def echo(text: str) -> None:
-    """A line of a command's results, on stdout."""
+    """Print a line of a command's results, on stdout."""
     typer.echo(text, file=results())
 
 
 def note_seal(run: Path, seal: str) -> None:
-    """Say of a recording that it is not sealed, or not up to its end; --unsealed has said so itself."""
+    """Note that a recording is not sealed, or not up to its end; --unsealed has already said so."""
     from servobench.hil.rows.seal import NOT_CHECKED, SEALED
 
     if seal not in ("", SEALED, NOT_CHECKED):
@@ -45,23 +45,24 @@ def note_seal(run: Path, seal: str) -> None:
 
 
 def say(text: str) -> None:
-    """On stderr, at once."""
+    """Print on stderr, at once."""
     print(text, file=messages(), flush=True)
 
 
 def on_terminal(text: str) -> None:
-    """On stderr, if somebody looks on: what is being done."""
+    """Print the present activity on stderr, if it is a terminal."""
     if messages().isatty():
         say(text)
 
 
 def say_written(path: Path) -> None:
-    """Which file there is now, on stderr."""
+    """Name a written file, on stderr."""
     say(f"written {path}")
 
 
 def columns(*titles: str, right: tuple[str, ...] = (), **options: Any) -> "Table":
-    """A table without lines; ``right``: titles of figures, whose columns end alike. ``options``: of rich."""
+    """Make a table without lines; ``right``: titles of figures, whose columns are right-aligned. ``options``:
+    of rich."""
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold", show_header=bool(titles))
@@ -71,7 +72,7 @@ def columns(*titles: str, right: tuple[str, ...] = (), **options: Any) -> "Table
 
 
 def titled(lines: Mapping[str, str], **options: Any) -> "Table":
-    """A line each behind its title; ``options``: of rich, for the lines."""
+    """Make a line for each title; ``options``: of rich, for the lines."""
     from rich.table import Table
     from rich.text import Text
 
@@ -88,7 +89,7 @@ def print_figures(
     figures: dict[str, Any], indent: str = "", *, text: Callable[[Any], str] | None = None,
     width: int = 26, gap: str = "   ",
 ) -> None:  # fmt: skip
-    """Figures by name, tables inside one another; ``text``: how one is written."""
+    """Print figures by name, tables nested; ``text``: formats one."""
     text = text or figure_text
     for key, value in figures.items():
         if isinstance(value, dict):
@@ -104,7 +105,7 @@ def print_figures(
 
 
 def figure_text(value: Any) -> str:
-    """A figure of a speed loop; a dash for one that is not there."""
+    """Format a figure of a speed loop; a dash for a missing one."""
     if value is None:
         return "-"
     if isinstance(value, bool):

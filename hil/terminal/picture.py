@@ -13,27 +13,29 @@ from servobench.hil.terminal.output import note_seal, say_written
 
 def picture(
     run: RunArgument,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="The picture: .png; --paper: .svg, .pdf too.")],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="The picture: .png; with --paper also .svg or .pdf.")
+    ],
     page: Annotated[
-        str | None, valued("--page", "PAGE", "overview, AXIS, timing, controller, zoom, zoom/AXIS.")
+        str | None, valued("--page", "PAGE", "Page: overview, AXIS, timing, controller, zoom, zoom/AXIS.")
     ] = None,
     at: Annotated[
-        float | None, valued("--at", "S", "The cursor, s since the first cycle; the end if absent.")
+        float | None, valued("--at", "S", "Cursor, s since the first cycle; default: the end.")
     ] = None,
     span: SpanOption = None,
     paper: Annotated[
-        bool, flag("--paper", "Speed, error, torque and delay by matplotlib, light; no viewer.")
+        bool, flag("--paper", "Draw speed, error, torque and delay by matplotlib, without a viewer.")
     ] = False,
     unsealed: UnsealedOption = False,
 ) -> None:
-    """Draw a recorded run: what a user sees on opening it, without a window; or a figure for a paper.
+    """Draw a recorded run: the page that a user sees first, without a window; or a figure for a paper.
 
     Exit status: 0 drawn, 2 bad input, 3 the viewer cannot run here.
     """
     if span is not None and at is None:
         raise BadInput("--span", "", f"{span:g}", "--at beside it: about which instant")
     if out.is_dir() or not out.parent.is_dir():
-        raise BadInput("OUT", "", str(out), "a file in a folder that is there")
+        raise BadInput("OUT", "", str(out), "a file in an existing folder")
     window = (None, None) if at is None or span is None else (at - span / 2, at + span / 2)
     if paper:
         if page is not None:

@@ -1,4 +1,4 @@
-"""``hil recover``: ends the recording of a run whose recorder did not live to the end of it."""
+"""``hil recover``: completes the recording of a run whose recorder died."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,8 +13,9 @@ def recover(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of the run.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Write the missing summary of a run from its rows, and end its files behind their last whole entries.
+    """Complete the recording of a run whose recorder died.
 
+    Its missing summary is written from its rows, and its files are cut after their last whole entries.
     A whole recording is never touched. Exit status: 0 recovered, 2 nothing to recover, 5 the disk is full.
     """
     from servobench.hil.configuration.bench_file import load_bench

@@ -1,4 +1,4 @@
-"""What a command writes, on its way through the parent: a terminal that does not take it holds nobody up.
+"""The path of a command's output through the parent: a terminal that does not accept it blocks nobody.
 
 One thread reads all three pipes at once; another one writes to stderr, which may block for ever.
 """
@@ -18,29 +18,29 @@ from servobench.hil.rows.run_files import PRINTED_FILE
 from servobench.hil.verdict.verdict import ExitStatus
 
 PRINTED_MARK: Final = b"printed: "
-"""In front of each line on stderr that the user's code has printed."""
+"""Prefix of each line on stderr that the user's code has printed."""
 WAITING_MAX: Final = 1 << 20
-"""Bytes that wait for a stderr that does not take them; what comes on top is counted and lost."""
+"""Bytes waiting for a stderr that does not accept them; any excess is counted and lost."""
 LINE_MAX: Final = 1 << 16
-"""A printed line that is longer is cut into several."""
+"""A longer printed line is cut into several."""
 _SETTLE_S: Final = 0.2
-"""Until what was said is on the terminal, before results follow; a stderr that is stuck is not waited for."""
+"""Wait for earlier messages to reach the terminal before results follow; a stuck stderr is not waited for."""
 _DRAIN_S: Final = 5.0
-"""For a stderr that is no terminal; at a terminal somebody may go on with Ctrl-Q, whenever that is."""
+"""Limit for a stderr that is no terminal; at a terminal the user may continue with Ctrl-Q, any time later."""
 
 
 class Relay:
-    """Of one command."""
+    """The relay of one command."""
 
     def __init__(self, pipes: Pipes, reader: int) -> None:
         """``pipes``: the reading ends. ``reader``: the thread that is woken by SIGCHLD when :attr:`result` or
         :attr:`told_ended` changes."""
         self.known: dict[str, Any] = {}
-        """All that the command told of itself."""
+        """Everything that the command has reported about itself."""
         self.result: dict[str, Any] | None = None
-        """``status`` and ``results``; None: it has told none."""
+        """``status`` and ``results``; None: not reported."""
         self.told_ended = False
-        """It cannot tell anything any more."""
+        """True once the command can no longer report anything."""
         self._pipes, self._reader = pipes, reader
         self._partial = {descriptor: b"" for descriptor in pipes}
         self._printed = _PrintedFile()
@@ -51,11 +51,11 @@ class Relay:
         self._thread.start()
 
     def say(self, text: str) -> None:
-        """A line on stderr."""
+        """Print a line on stderr."""
         self._stderr.put(f"{text}\n".encode("utf-8", "backslashreplace"))
 
     def finish(self) -> None:
-        """The command has ended: take what it left in the pipes, which the user's processes may hold open."""
+        """Take the rest of the pipes after the command's end; the user's processes may hold them open."""
         os.close(self._end)
         self._thread.join()
         if rest := self._partial[self._pipes.printed]:
@@ -65,11 +65,11 @@ class Relay:
             self.say(f"hil: note: {PRINTED_FILE}: {self._printed.trouble}")
 
     def settle(self) -> None:
-        """Let stderr have what was said before."""
+        """Wait until stderr has taken the earlier messages."""
         self._stderr.wait(_SETTLE_S)
 
     def drain(self) -> None:
-        """Let stderr have all of it before this process ends."""
+        """Wait until stderr has taken everything, before this process ends."""
         self._stderr.wait(None if os.isatty(2) else _DRAIN_S)
 
     def _read_all(self) -> None:
@@ -126,8 +126,8 @@ class Relay:
 
 
 def _as_told(line: bytes) -> dict[str, Any]:
-    """What a line says; without what a command does not tell in that way, as one whose ``json.dumps`` is
-    another function than it was."""
+    """Parse a report of the command; empty for a line in any other form, as from a command whose
+    ``json.dumps`` was replaced."""
     try:
         what = json.loads(line)
     except (ValueError, RecursionError):
@@ -177,21 +177,21 @@ _TOLD: Final[Mapping[str, Callable[[Any], bool]]] = {
     "own_code": _is_truth,
     "intact": _is_truth,
 }
-"""What :func:`servobench.hil.machine.parent_process.tell_parent` takes."""
+"""Checks of the values for :func:`servobench.hil.machine.parent_process.tell_parent`."""
 
 
 class _PrintedFile:
-    """What the user's code prints, in the folder of the recording: from its first line on."""
+    """Output of the user's code, in the recording's folder: from its first line on."""
 
     def __init__(self) -> None:
         self.trouble = ""
-        """Why it is not whole."""
+        """Why it is not complete."""
         self._folder: Path | None = None
         self._descriptor = -1
         self._early = b""
 
     def begin(self, folder: Path) -> None:
-        """There is a recording; what was printed before goes into it too."""
+        """Begin the file; earlier output goes into it too."""
         self._folder = folder
         early, self._early = self._early, b""
         self.write(early)
@@ -237,7 +237,7 @@ class _Stderr:
             self._changed.notify_all()
 
     def wait(self, timeout_s: float | None) -> None:
-        """Until nothing waits."""
+        """Wait until nothing is left to write."""
         with self._changed:
             self._changed.wait_for(lambda: not self._bytes, timeout_s)
 
@@ -256,7 +256,7 @@ class _Stderr:
 
 
 def write_all(descriptor: int, data: bytes) -> None:
-    """All of it; may block. Error: OSError."""
+    """Write all of it; may block. Error: OSError."""
     left = memoryview(data)
     while left:
         left = left[os.write(descriptor, left) :]

@@ -23,7 +23,7 @@ from servobench.hil.verdict.verdict import LimitResult, VerdictKind, verdict_tit
 WIDTH_MAX = 100
 _STYLE = {VerdictKind.PASSED: "green", VerdictKind.NOTHING_ASKED: "yellow"}
 _TOLD_ELSEWHERE = (VerdictKind.NOT_PASSED, VerdictKind.NOT_RECORDED)
-"""In the table of limits, and in what the recording lacks."""
+"""Verdicts explained elsewhere: in the table of limits, and in the recording's faults."""
 _MARKS = {
     LimitResult.KEPT: ("ok", "green"),
     LimitResult.BROKEN: ("too high", "bold red"),
@@ -38,7 +38,7 @@ def print_run(
     bus_spec: str | None = None,
     console: Console | None = None,
 ) -> None:
-    """One screen: what was run, how well it went, the verdict, and where the recording is."""
+    """Print one screen: the run, its figures, the verdict, and the recording's place."""
     console = console or Console(highlight=False, file=results())
     panel = Panel(
         Group(_figures(config, summary, bus_spec), Text(), _verdict_table(summary), *_notes(config, summary)),
@@ -123,16 +123,16 @@ def _percentiles(of: Percentiles) -> str:
 
 
 def _number(value: float | None) -> str:
-    """Three significant digits, whole numbers in full; a dash for what was not measured."""
+    """Format three significant digits, whole numbers in full; a dash for an unmeasured value."""
     if value is None:
         return "-"
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def recording_lines(folder: str) -> list[str]:
-    """Where the recording is and the command that opens it; ``folder``: its own, empty if there is none."""
+    """Return the recording's place and the command that opens it; ``folder``: empty if there is none."""
     if not folder:
-        return ["Recording  none was asked for"]
+        return ["Recording  none requested"]
     if not is_installed("rerun"):
         return [f"Recording  {_shortest(Path(folder))}"]
     place = _shortest(Path(folder) / "run.rrd")
@@ -140,7 +140,7 @@ def recording_lines(folder: str) -> list[str]:
 
 
 def viewer_command() -> str:
-    """The Rerun viewer: by name if it is on the PATH, else the one beside this interpreter."""
+    """Return the Rerun viewer: by name if it is on the PATH, else the one beside this interpreter."""
     beside = Path(sys.executable).parent / "rerun"
     if shutil.which("rerun") or not beside.exists():
         return "rerun"
@@ -148,7 +148,7 @@ def viewer_command() -> str:
 
 
 def _shortest(path: Path) -> str:
-    """Relative to the working directory if it lies below."""
+    """Return the path relative to the working directory if it lies below."""
     absolute = path.absolute()
     working = Path.cwd()
     return str(absolute.relative_to(working)) if absolute.is_relative_to(working) else str(path)

@@ -1,4 +1,4 @@
-"""``hil reproduce``: the figures of both papers beside ours."""
+"""``hil reproduce``: the figures of both papers, published and reproduced."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,7 +19,7 @@ def azaiz2007(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """[Azaiz2007] in full: both current controllers, their margins, and the drive of Fig. 4."""
+    """Reproduce [Azaiz2007]: both current controllers, their margins, and the drive of Fig. 4."""
     from servobench.design.papers.azaiz2007 import reproduce
 
     results, designs, runs = reproduce()
@@ -53,7 +53,7 @@ def _print_azaiz2007(figures: dict[str, Any]) -> None:
 
 
 def _controller_table(axis: str, figures: dict[str, Any]) -> "Table":
-    """Published, what the printed controller itself gives on the printed plant, and ours."""
+    """Tabulate published values, those of the printed controller on the printed plant, and ours."""
     from rich.table import Table
 
     from servobench.design.papers.azaiz2007 import PUBLISHED, printed_figures
@@ -84,14 +84,15 @@ def _listed(values: list[Any]) -> str:
 
 def ling2012(
     motor: Annotated[
-        Path | None, valued("--motor", "MOTOR.toml", "Table 2 for a motor of one's own, and no more.")
+        Path | None, valued("--motor", "MOTOR.toml", "Only Table 2, for your own motor.")
     ] = None,
     figures: Annotated[
         Path | None, valued("--figures", "DIR", "Folder for the pictures, and for the recorded runs.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """[Ling2012] in full: Table 2 by every method, the printed controller, and Cases 1 to 3 on the bench."""
+    """Reproduce [Ling2012]: Table 2 by every method, the printed controller, and Cases 1 to 3 on the
+    bench."""
     if motor is not None:
         _for_motor(motor, figures, as_json)
         return

@@ -1,4 +1,4 @@
-"""``hil review``: a recorded run judged anew from its files."""
+"""``hil review``: a recorded run judged again from its files."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -21,22 +21,23 @@ def review(
         valued(
             "--against",
             "REQUIREMENTS.toml",
-            "A table \\[verdict] as in a bench file; the run's own limits if absent.",
+            "File with a table \\[verdict]; default: the run's own limits.",
         ),
     ] = None,
     report: Annotated[
         Path | None, valued("--report", "FILE", "Write a report with pictures: one .html or .md file.")
     ] = None,
     signers: Annotated[
-        Path | None, valued("--signers", "FILE", "Who may have signed it: allowed signers of ssh-keygen.")
+        Path | None,
+        valued("--signers", "FILE", "Check the signature by these allowed signers of ssh-keygen."),
     ] = None,
     unsealed: UnsealedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Judge a recorded run by its own limits or by others, from the recording alone.
 
-    What a controller is certified for counts too: a run with --allow-uncertified that left it has not passed
-    here. Exit status: as docs/verdict.md has it; 2 for what is no whole recording.
+    A controller's certificate counts too: a run with --allow-uncertified outside its certificate does not
+    pass here. Exit status: see docs/verdict.md; 2 for an incomplete recording.
     """
     from servobench.hil.recorded.judgement import judge_run
     from servobench.hil.recorded.recorded_run import open_run

@@ -1,4 +1,4 @@
-"""The one object that ``hil run --json`` prints, whichever way it ends."""
+"""The one object that ``hil run --json`` prints, however it ends."""
 
 import json
 import sys
@@ -17,22 +17,22 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
 
 class RunObject:
-    """Of one call of the command."""
+    """The object of one call of the command."""
 
     def __init__(self, as_json: bool) -> None:
         self._as_json = as_json
         self._summary: Summary | None = None
         self._printed: int | None = None
-        """The status that it said."""
+        """The exit status in the printed object."""
 
     def concluded(self, summary: Summary) -> None:
-        """The run has ended, and this came of it."""
+        """Take in the summary: the run has ended."""
         self._summary = summary
 
     def failed(self, status: int, text: str) -> int:
-        """The command leaves with an error: print what came of the run, if there was one.
+        """Print the result of the run, if there was one, after an error of the command.
 
-        The status to leave with: that of the gravest that was found; an object that is printed stands.
+        Returns the status to leave with: that of the gravest fault; an object already printed stands.
         """
         if self._as_json and self._printed is not None:
             return self._printed
@@ -46,7 +46,7 @@ class RunObject:
         return summary.verdict.exit_status
 
     def print(self, summary: Summary) -> None:
-        """Print it, if it was asked for: this is what came of the command."""
+        """Print the summary as JSON, if requested."""
         if self._as_json:
             typer.echo(json.dumps(summary.as_json(), allow_nan=False), file=results())
         self._printed = status = summary.verdict.exit_status
@@ -55,7 +55,8 @@ class RunObject:
 
 
 def read_back(summary: Summary) -> Summary:
-    """As it is; but a run that would leave with 0 is not recorded if its recording does not hold its seal.
+    """Return the summary; a run that would leave with 0 becomes not recorded if its recording does not match
+    its seal.
 
     The one place where the seal stands between a run and its exit status.
     """
@@ -72,15 +73,15 @@ def read_back(summary: Summary) -> Summary:
 
 
 def not_begun(status: int, text: str) -> None:
-    """The program cannot even look at its command line: print the object, if it asks for one."""
+    """Print the object, if requested, for a program that cannot even read its command line."""
     RunObject(sys.argv[1:2] == ["run"] and "--json" in sys.argv).failed(status, text)
 
 
 class RunCommand(TyperCommand):
-    """A command line that cannot be understood has its object too."""
+    """Prints the object for an invalid command line too."""
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
-        """As click does."""
+        """Parse the command line, as click does."""
         as_json = "--json" in args
         try:
             return super().make_context(info_name, args, parent, **extra)

@@ -1,4 +1,4 @@
-"""``hil runs``: which recordings there are, and how they ended."""
+"""``hil runs``: the recordings, and how they ended."""
 
 from datetime import datetime
 from pathlib import Path
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 
 def runs(
-    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Where to look, folders in it too.")] = Path(
-        "runs"
-    ),
-    bench: Annotated[str, valued("--bench", "NAME", "A part of the bench's name.")] = "",
-    drive: Annotated[str, valued("--drive", "TEXT", "A part of a drive's name.")] = "",
-    controller: Annotated[str, valued("--controller", "KIND", "A part of a kind.")] = "",
+    folder: Annotated[
+        Path, typer.Argument(metavar="[DIR]", help="Folder to search, with its subfolders.")
+    ] = Path("runs"),
+    bench: Annotated[str, valued("--bench", "NAME", "Part of the bench's name.")] = "",
+    drive: Annotated[str, valued("--drive", "TEXT", "Part of a drive's name.")] = "",
+    controller: Annotated[str, valued("--controller", "KIND", "Part of a controller's kind.")] = "",
     verdict: Annotated[
-        str, valued("--verdict", "TEXT", "How the verdict begins, or the state without one.")
+        str, valued("--verdict", "TEXT", "Beginning of the verdict, or of the state without one.")
     ] = "",
-    commit: Annotated[str, valued("--commit", "HASH", "How the commit begins.")] = "",
+    commit: Annotated[str, valued("--commit", "HASH", "Beginning of the commit.")] = "",
     since: Annotated[
         datetime | None,
         typer.Option(
@@ -34,11 +34,11 @@ def runs(
     unsealed: UnsealedOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """List recordings by time: bench, drives, controllers, verdict, commit, and which are not whole.
+    """List recordings by time: bench, drives, controllers, verdict, commit, and the incomplete ones.
 
-    Each is held against its seal, for which all of its files are read; --unsealed is quicker.
+    Each is checked against its seal, which reads all of its files; --unsealed is quicker.
 
-    Exit status: 0, also if there is none; 2 for a DIR that is no folder.
+    Exit status: 0, even if there is none; 2 for a DIR that is no folder.
     """
     from servobench.hil.reviewing.run_index import RunFilter, list_runs
 
@@ -49,7 +49,7 @@ def runs(
 
 
 def _print(listed: "list[ListedRun]", folder: Path) -> None:
-    """A line each, as long as it is: the path stands last, to be copied whole."""
+    """Print one line each, of any length: the path comes last, to be copied whole."""
     if not listed:
         say(f"no recording in {folder} that is asked for")
         return

@@ -14,25 +14,21 @@ if TYPE_CHECKING:
 
 def scan(
     bus: Annotated[
-        str | None, bus_option("Look for nodes on this bus: socketcan:can0, slcan:PORT, ...")
+        str | None, bus_option("Search this bus for nodes: socketcan:can0, slcan:PORT, ...")
     ] = None,
-    bitrate: Annotated[
-        int | None, bitrate_option("Bit rate, bit/s; found out by listening if absent.")
-    ] = None,
+    bitrate: Annotated[int | None, bitrate_option("Bit rate, bit/s; default: found by listening.")] = None,
     assign: Annotated[
         list[str] | None,
-        valued("--assign", "NODE", "Give a device without node-ID this one (LSS); may be repeated."),
+        valued("--assign", "NODE", "Assign this node-ID to a device without one (LSS); repeatable."),
     ] = None,
-    store: Annotated[
-        bool, flag("--store", "With --assign: the device keeps its node-ID without power.")
-    ] = False,
-    passive: Annotated[bool, flag("--passive", "Only listen; send nothing at all.")] = False,
+    store: Annotated[bool, flag("--store", "With --assign: store the node-ID in the device.")] = False,
+    passive: Annotated[bool, flag("--passive", "Only listen; send nothing.")] = False,
     listen: Annotated[
-        float, valued("--listen", None, "How long to listen before asking, s.", min=0.0, max=600.0)
+        float, valued("--listen", None, "Time to listen before sending, s.", min=0.0, max=600.0)
     ] = 1.5,
     as_json: JsonOption = False,
 ) -> None:
-    """The adapters of this machine; with --bus also who is on it. A running network is not disturbed."""
+    """List the adapters of this machine; with --bus, the nodes on a bus, without disturbing it."""
     from servobench.drivers.canopen.nmt_states import UNCONFIGURED
     from servobench.drivers.errors import BadInput
     from servobench.drivers.timebase import duration_s

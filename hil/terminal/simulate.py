@@ -1,4 +1,4 @@
-"""``hil simulate``: simulated drives as a process of their own."""
+"""``hil simulate``: simulated drives in a separate process."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ from servobench.hil.terminal.output import say
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulateOptions:
-    """Of ``hil simulate``."""
+    """Options of ``hil simulate``."""
 
     bus: Annotated[str, bus_option("A real-time bus: hub:NAME, socketcan:vcan0, ...")]
     node: Annotated[
@@ -31,8 +31,8 @@ class SimulateOptions:
             "--node",
             "N...",
             "Node ids: 1, or 1,2, or 1-3, or unconfigured, "
-            "or unconfigured:3 (LSS gives them one); may be repeated. "
-            "If absent: the one of the DCF.",
+            "or unconfigured:3 (LSS assigns one); repeatable. "
+            "Default: that of the DCF.",
         ),
     ] = None
     more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None
@@ -41,20 +41,20 @@ class SimulateOptions:
         valued(
             "--serial",
             "N...",
-            "Serial numbers (1018h:04), one for each node, or that of the first, from which the others "
-            "count up. If absent: the node id, and 255, 256 ... of those without.",
+            "Serial numbers (1018h:04), one per node, or the first to count up from. "
+            "Default: the node id, and 255, 256 ... for nodes without.",
         ),
     ] = None
     motor: DriveMotorOption = None
     faults: DriveFaultsOption = None
     eds: Annotated[
-        Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the device to rehearse.")
+        Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the device to simulate.")
     ] = None
     store: Annotated[
-        Path | None, valued("--store", "FILE", "Where 1010h and LSS store; made when first stored to.")
+        Path | None, valued("--store", "FILE", "File for 1010h and LSS to store to; created on first use.")
     ] = None
     export_eds: Annotated[
-        Path | None, valued("--export-eds", "FILE", "Write the EDS of the simulated drive there.")
+        Path | None, valued("--export-eds", "FILE", "Write the EDS of the simulated drive to this file.")
     ] = None
     background: Annotated[
         Path | None, valued("--background", "FILE", "Other nodes' traffic: a file of tables 'background'.")
@@ -64,7 +64,7 @@ class SimulateOptions:
         valued(
             "--load",
             "NODE=FILE",
-            "CSV or Parquet with time_s and torque_nm that a bench can have its shaft bear; repeatable.",
+            "CSV or Parquet with time_s and torque_nm, a load that a bench can apply; repeatable.",
         ),
     ] = None
     load_machine: Annotated[
@@ -72,7 +72,7 @@ class SimulateOptions:
         valued(
             "--load-machine",
             "PATH",
-            "A Magtrol dynamometer on the first drive's shaft; PATH: link to make to its serial port.",
+            "Magtrol dynamometer on the first drive's shaft; PATH: link to create to its serial port.",
         ),
     ] = None
     load_machine_fault: Annotated[
@@ -88,12 +88,12 @@ class SimulateOptions:
         valued("--current-control", "FILE", "Current controller of the q or d axis, repeatable."),
     ] = None
     bitrate: BitrateOption = 1_000_000
-    force: Annotated[bool, flag("--force", "Join although a node with such an id is on the bus.")] = False
+    force: Annotated[bool, flag("--force", "Join even if a node with the same id is on the bus.")] = False
     seed: SeedOption = None
 
 
 def simulate(asked: SimulateOptions) -> None:
-    """Simulated drives as a process of their own on a real-time bus, until Ctrl-C."""
+    """Simulate drives in a separate process on a real-time bus, until Ctrl-C."""
     from servobench.drivers.bounded_file import NamedBy
     from servobench.hil.configuration.background import load_background
     from servobench.hil.configuration.motor_file import LING2012

@@ -1,4 +1,4 @@
-"""What has to hold before a command can begin; where it does not, the command says so and changes nothing."""
+"""Preconditions of every command; if one fails, the command says so and changes nothing."""
 
 import os
 import resource
@@ -9,12 +9,12 @@ from servobench.hil.terminal.run_object import not_begun
 from servobench.hil.verdict.verdict import ExitStatus
 
 ADDRESS_SPACE_KB_MIN: Final = 450_000
-"""A run with simulated drives and without a recording maps 430 MB (x86-64, Python 3.11). At some limits
-below that OpenBLAS neither loads nor fails: it asks for memory for ever."""
+"""A run with simulated drives and without a recording maps 430 MB (x86-64, Python 3.11). At some limits below
+that OpenBLAS neither loads nor fails: it requests memory for ever."""
 
 
 def refuse_to_begin() -> None:
-    """Leave with one line on stderr, and the object of ``hil run --json``, where one does not hold."""
+    """Leave with one line on stderr, and the object of ``hil run --json``, if a precondition fails."""
     trouble = _gone_folder() or _little_memory()
     if trouble is not None:
         print(f"hil: error: {trouble}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""``hil stop``: the drives of a bus to rest, from any shell."""
+"""``hil stop``: brings the drives of a bus to rest, from any shell."""
 
 from typing import Annotated
 
@@ -12,12 +12,13 @@ from servobench.hil.verdict.verdict import ExitStatus
 def stop(
     bus: DriveBusOption,
     node: Annotated[
-        list[str] | None, valued("--node", "N", "1, 1,2 or 1-3; may be repeated; absent: all drives found.")
+        list[str] | None,
+        valued("--node", "N", "Node ids: 1, 1,2 or 1-3; repeatable. Default: all drives found."),
     ] = None,
     bitrate: BitrateOption = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:
-    """Bring drives to rest by quick stop and disable them, whoever else is master on the bus.
+    """Bring drives to rest by quick stop and disable them, even if another master is on the bus.
 
     Exit status: 0 all at rest and disabled, 2 bad input, 3 a drive is not, or does not answer.
     """

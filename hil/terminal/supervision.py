@@ -1,4 +1,4 @@
-"""The thin parent of a command: whatever becomes of the command's process, this one ends as documented.
+"""The thin parent of a command: it ends as documented, whatever happens to the command's process.
 
 hil            forks before anything heavy is imported, hands signals on, passes text to the terminal, and
                leaves with the status that the command told it. A status of 0 needs a proof
@@ -33,24 +33,25 @@ SUPERVISED: Final = ("run", "campaign", "measure", "commission")
 _FROM_KERNEL: Final = 0x80
 """SI_KERNEL of <asm-generic/siginfo.h>: a key of the terminal, which its whole foreground group has heard."""
 _GRACE: Final = Duration(2 * NS_PER_S)
-"""From its result until the command has ended: threads that the user's code left would keep it for ever."""
+"""Time from a command's result to its end: threads left by user code would keep it for ever."""
 _DYING: Final = Duration(NS_PER_S // 2)
-"""From the end of what it tells until its own: a core that is written, memory that is given back."""
+"""Time from the end of its reports to its own end: writing a core, returning memory."""
 
 
 _WITH_RESULTS: Final = (ExitStatus.PASSED, ExitStatus.FAILED, ExitStatus.INCOMPLETE)
-"""Statuses that say what is in the results."""
+"""Statuses that describe the results."""
 
 
 def is_supervised(arguments: Sequence[str]) -> bool:
-    """Whether a command line is one of :data:`SUPERVISED`, and no question for its help."""
+    """Return True for a command line of :data:`SUPERVISED` that does not ask for help."""
     return len(arguments) > 1 and arguments[0] in SUPERVISED and "--help" not in arguments
 
 
 def supervised(work: Callable[[], None], arguments: Sequence[str]) -> NoReturn:
-    """Run ``work``, which leaves by SystemExit, in a child process, and leave as is told of it.
+    """Run ``work``, which leaves by SystemExit, in a child process, and leave with the status that it
+    reports.
 
-    Where the machine gives no such process, the command ends as one that a refusal has ended later.
+    If the machine refuses such a process, the command ends as after a later refusal.
     """
     try:
         child, relay, watched = _begin(work)
@@ -67,7 +68,8 @@ def supervised(work: Callable[[], None], arguments: Sequence[str]) -> NoReturn:
 
 
 def _begin(work: Callable[[], None]) -> tuple[int, Relay, set[int]]:
-    """The child, who reads what it writes, and the signals to watch for. Returns in the parent alone."""
+    """Fork; return the child, the relay of its output, and the signals to watch for. Returns only in the
+    parent."""
     _open_standard_descriptors()
     pipes = [os.pipe() for _ in Pipes._fields]
     terminals = Terminals(os.isatty(1), os.isatty(2))
@@ -85,9 +87,9 @@ def _begin(work: Callable[[], None]) -> tuple[int, Relay, set[int]]:
 
 
 def unsupervised(work: Callable[[], None]) -> NoReturn:
-    """Run ``work``, which leaves by SystemExit, in this process, to its end also where nobody reads it.
+    """Run ``work``, which leaves by SystemExit, in this process, to its end even if nobody reads its output.
 
-    A stdout that does not take its results makes of a status of 0, 1 and 6 a 5.
+    A stdout that does not accept its results turns a status of 0, 1 or 6 into 5.
     """
     _open_standard_descriptors()
     out, messages = StreamEnd(1, os.isatty(1)), StreamEnd(2, os.isatty(2))
@@ -110,13 +112,15 @@ def unsupervised(work: Callable[[], None]) -> NoReturn:
 
 
 def is_read() -> bool:
-    """Whether stdout has taken all that was written to it so far: who has very much may stop."""
+    """Return True while stdout has accepted everything written: a command with very much output may stop
+    otherwise."""
     end = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
     return not (isinstance(end, StreamEnd) and end.trouble)
 
 
 def _open_standard_descriptors() -> None:
-    """Those that the caller has closed lead nowhere: else a pipe of ours would get their numbers."""
+    """Open standard descriptors closed by the caller on nothing: else a pipe of ours would get their
+    numbers."""
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(descriptor, True)
     os.close(descriptor)
@@ -125,7 +129,7 @@ def _open_standard_descriptors() -> None:
 def _work(
     work: Callable[[], None], pipes: Pipes, terminals: Terminals, parent: int, before: set[int]
 ) -> NoReturn:
-    """In the child. It ends as a program does: code of the user's may have asked to be called then."""
+    """Run in the child. It ends as a program does, since user code may have registered exit handlers."""
     if terminals.stdout and "COLUMNS" not in os.environ:
         os.environ["COLUMNS"] = str(os.get_terminal_size(1).columns)
     living = live_under(pipes, terminals, parent)
@@ -146,7 +150,7 @@ def _work(
 
 
 def _watch(child: int, relay: Relay, watched: set[int]) -> Ended:
-    """Until the child is gone, or is no program of ours any more."""
+    """Watch until the child is gone, or is no longer a program of ours."""
     clock = MonotonicClock()
     limit: Instant | None = None
     killed = False
@@ -171,7 +175,7 @@ def _watch(child: int, relay: Relay, watched: set[int]) -> Ended:
 
 
 def _leave(relay: Relay, ended: Ended, arguments: Sequence[str]) -> int:
-    """Print what there is to print; the status to leave with."""
+    """Print the results; return the status to leave with."""
     relay.finish()
     if relay.result is None:
         status, text = lost(relay.known, ended, arguments, relay.say)

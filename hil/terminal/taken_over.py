@@ -1,5 +1,5 @@
-"""What a parent (:mod:`servobench.hil.terminal.supervision`) does in a command's stead, and before it
-believes one."""
+"""The work of a parent (:mod:`servobench.hil.terminal.supervision`) in place of a failed command, and its
+checks before it believes one."""
 
 import json
 import os
@@ -18,22 +18,22 @@ from servobench.hil.verdict.verdict import ExitStatus, Finding, VerdictKind, out
 Say = Callable[[str], None]
 """Takes a line for stderr."""
 Known = Mapping[str, Any]
-"""What the command told: :func:`servobench.hil.machine.parent_process.tell_parent`."""
+"""The command's reports: :func:`servobench.hil.machine.parent_process.tell_parent`."""
 _LOGGER_S: Final = 120.0
-"""As long as a run waits for its logger."""
+"""The time for which a run waits for its logger."""
 
 
 class Ended(NamedTuple):
     """How the process of a command ended."""
 
     returncode: int
-    """-N by signal N."""
+    """Return code; -N for signal N."""
     by_parent: bool
-    """It had closed what it tells its parent by, and was killed."""
+    """True if it had closed its reporting pipe, and was killed."""
 
     @property
     def interrupted(self) -> bool:
-        """Somebody asked for its end."""
+        """True if its end was requested."""
         return -self.returncode in STOP_SIGNALS
 
     def __str__(self) -> str:
@@ -45,8 +45,8 @@ class Ended(NamedTuple):
 
 
 def concluded(known: Known, result: Mapping[str, Any], arguments: Sequence[str], say: Say) -> tuple[int, str]:
-    """Exit status and text for stdout of a command that told its ``result``; where its drives may not be at
-    rest, they are stopped."""
+    """Return exit status and stdout text of a command that reported its ``result``; stop drives that may not
+    be at rest."""
     status, text = _believed(known, result, arguments, say)
     doubt = _damage(known, status, text, arguments)
     if doubt:
@@ -63,8 +63,8 @@ def concluded(known: Known, result: Mapping[str, Any], arguments: Sequence[str],
 
 
 def _believed(known: Known, result: Mapping[str, Any], arguments: Sequence[str], say: Say) -> tuple[int, str]:
-    """A run has passed if its summary, read back, says so; others end with 0 if they said so themselves, at
-    their end."""
+    """Return status and text that can be believed: a run has passed if its summary, read back, says so; other
+    commands end with 0 if they reported so at their end."""
     told, text = known.get("concluded"), result["results"]
     # code of the user's may have put something in the place of sys.exit
     status = result["status"] if told is None else told["status"]
@@ -84,16 +84,16 @@ def _believed(known: Known, result: Mapping[str, Any], arguments: Sequence[str],
 
 
 def _damage(known: Known, status: int, text: str, arguments: Sequence[str]) -> str:
-    """Why what the process of a command told is not its own, but comes of what the user's code has put in the
-    place of its functions; empty: nothing says so. A defect is one of the program only if that process has
-    looked at what it is made of, and found it as it was."""
+    """Explain why a command's result may come from user code that replaced its functions; empty: no sign of
+    that. A defect counts as one of the program only if its process has checked its own functions and found
+    them unchanged."""
     if not known.get("own_code"):
         return ""
     ended = arguments[0] != "run" and "concluded" in known
     if status == ExitStatus.DEFECT and not known.get("intact") and not ended:
-        return "code of your own has run, and then the process could not tell any more what failed"
+        return "your own code has run, and afterwards the process could not report what failed"
     if arguments[0] == "run" and "--json" in arguments and _status_in(text) != status:
-        return "code of your own has run, and then the process told a result that is none"
+        return "your own code has run, and afterwards the process reported an invalid result"
     return ""
 
 
@@ -106,7 +106,7 @@ def _status_in(text: str) -> int | None:
 
 
 def _also(text: str, finding: Finding, arguments: Sequence[str]) -> str:
-    """``text`` for stdout with something that was found after it was told."""
+    """Add a later finding to ``text`` for stdout."""
     if "--json" not in arguments:
         return text
     if arguments[0] != "run":
@@ -117,8 +117,8 @@ def _also(text: str, finding: Finding, arguments: Sequence[str]) -> str:
 
 
 def _doubt(told: Mapping[str, Any]) -> str:
-    """Why a run that says it has passed has not; empty: it has. Its process has looked at the seal
-    (:func:`servobench.hil.terminal.run_object.read_back`), here it is the summary alone: nothing heavy is
+    """Explain why a run that reports success has not passed; empty: it has. Its process has checked the seal
+    (:func:`servobench.hil.terminal.run_object.read_back`), here only the summary is checked: nothing heavy is
     imported."""
     if not told["recording"]:
         return ""  # its figures and their digest never left its process
@@ -132,8 +132,8 @@ def _doubt(told: Mapping[str, Any]) -> str:
 
 
 def lost(known: Known, ended: Ended, arguments: Sequence[str], say: Say) -> tuple[int, str]:
-    """Exit status and text for stdout of a command that ended without a result: its drives are stopped, and
-    what its logger makes of the recording is waited for."""
+    """Return exit status and stdout text of a command that ended without a result: stop its drives, and wait
+    for its logger's recording."""
     text = f"the process of hil {arguments[0]} {ended}"
     say(f"hil: error: {text}")
     first = Finding(VerdictKind.INTERRUPTED if ended.interrupted else VerdictKind.CUT_SHORT, text)
@@ -155,14 +155,14 @@ def lost(known: Known, ended: Ended, arguments: Sequence[str], say: Say) -> tupl
 
 
 def not_begun(refusal: MachineRefused, arguments: Sequence[str]) -> tuple[int, str]:
-    """Exit status and text for stdout of a command for which the machine gives no process."""
+    """Return exit status and stdout text of a command for which the machine refuses a process."""
     if "--json" not in arguments:
         return refusal.exit_status, ""
     return refusal.exit_status, _failed_object(str(refusal), refusal.exit_status, arguments)
 
 
 def _stop_drives(known: Known, say: Say) -> Iterator[Finding]:
-    """As ``hil stop`` does; what is not at rest afterwards."""
+    """Stop the drives as ``hil stop`` does; yield those not at rest afterwards."""
     if not known.get("nodes"):
         return
     from servobench.drivers.errors import BenchError
@@ -187,7 +187,7 @@ def _stop_drives(known: Known, say: Say) -> Iterator[Finding]:
 
 
 def _recorded(known: Known) -> Summary | None:
-    """By the logger, which outlives the loop."""
+    """Return the summary written by the logger, which outlives the loop."""
     if not known.get("recording"):
         return None
     from servobench.drivers.errors import BadInput
@@ -201,7 +201,7 @@ def _recorded(known: Known) -> Summary | None:
 
 
 def _await_end(process: int) -> None:
-    """Of a process that is no child of this one."""
+    """Wait for the end of a process that is not a child of this one."""
     try:
         descriptor = os.pidfd_open(process)
     except ProcessLookupError:
@@ -217,7 +217,7 @@ def _object(summary: Summary) -> str:
 
 
 def _failed_object(text: str, status: int, arguments: Sequence[str]) -> str:
-    """Of a command that has no results: a run has its verdict, others say what it was."""
+    """Return the object of a command without results: a run has its verdict, others their error."""
     if arguments[0] == "run":
         return _object(summary_without_run(outcome_of_status(status), text))
     return json.dumps({"error": text, "exit_status": status}) + "\n"

@@ -1,4 +1,4 @@
-"""``hil trace``: what was said on a bus, decoded: a recording, a log of another program, or live."""
+"""``hil trace``: decoded bus traffic from a recording, from another program's log, or live."""
 
 import json
 import sys
@@ -40,26 +40,28 @@ def trace(
     ] = None,
     eds: Annotated[
         list[str] | None,
-        valued("--eds", "[N=]FILE", "EDS, DCF, XDD or XDC of node N, or of every node; may be repeated."),
+        valued("--eds", "[N=]FILE", "EDS, DCF, XDD or XDC of node N, or of every node; repeatable."),
     ] = None,
     node: Annotated[int | None, valued("--node", None, "Only this node.", min=1, max=127)] = None,
-    kind: Annotated[str | None, valued("--kind", "KIND,...", "Only these: pdo, sdo, emcy, nmt, ...")] = None,
-    from_s: Annotated[float | None, valued("--from", "T", "From here on, s.")] = None,
-    to_s: Annotated[float | None, valued("--to", "T", "Up to here, s.")] = None,
+    kind: Annotated[
+        str | None, valued("--kind", "KIND,...", "Only these kinds: pdo, sdo, emcy, nmt, ...")
+    ] = None,
+    from_s: Annotated[float | None, valued("--from", "T", "Start time, s.")] = None,
+    to_s: Annotated[float | None, valued("--to", "T", "End time, s.")] = None,
     differences: Annotated[
-        bool, flag("--differences", "The log's times count from frame to frame (candump -t d).")
+        bool, flag("--differences", "The log has time differences (candump -t d).")
     ] = False,
     live: Annotated[bool, flag("--live", "Follow --bus until Ctrl-C; nothing is sent.")] = False,
     bus: Annotated[str | None, bus_option("With --live: hub:NAME, socketcan:can0, slcan:PORT, ...")] = None,
     bitrate: Annotated[
-        int | None, bitrate_option("With --live: bit rate, bit/s; found by listening if absent.")
+        int | None, bitrate_option("With --live: bit rate, bit/s; default: found by listening.")
     ] = None,
     unsealed: UnsealedOption = False,
     as_json: JsonLinesOption = False,
 ) -> None:
     """Decode a CANopen bus: NMT, SYNC, EMCY, heartbeats, SDO transfers, PDOs in SI units, LSS, error frames.
 
-    Times are s since the first cycle of a recording, or since the first frame of a log.
+    Times are in s since the first cycle of a recording, or since the first frame of a log.
     """
     from servobench.hil.reviewing.trace.trace_entry import TraceSelection
 
@@ -106,7 +108,7 @@ def _read(
 def _recorded(
     folder: Path, selection: "TraceSelection", unsealed: bool
 ) -> "tuple[RecordedBus, Iterator[LogFrame], int]":
-    """The bus of a recording, the frames that are asked for, and when the last of them comes."""
+    """Return the bus of a recording, the selected frames, and the instant of the last one."""
     from servobench.hil.reviewing.trace.log_window import EVER_NS
     from servobench.hil.reviewing.trace.run_trace import RecordedBus
     from servobench.hil.rows.run_files import RECORDS_FILE
@@ -140,7 +142,7 @@ def _follow(
 
 
 def _print(selection: "TraceSelection", entries: "Iterable[TraceEntry]", zero_ns: int, as_json: bool) -> None:
-    """Line by line; whoever reads them may have enough (``| head``)."""
+    """Print line by line; the reader may stop early (``| head``)."""
     for entry in selection.of(entries, zero_ns):
         write_line(json.dumps(entry.as_json(zero_ns)) if as_json else line_of(entry, zero_ns))
         if not is_read():
@@ -168,7 +170,7 @@ def _kinds(text: str | None) -> frozenset[str]:
 
 
 def _sheet(text: str) -> "SheetFile":
-    """``FILE``, or ``5=FILE`` for node 5."""
+    """Parse ``FILE``, or ``5=FILE`` for node 5."""
     from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
     from servobench.hil.reviewing.trace.known_nodes import SheetFile
 

@@ -1,4 +1,4 @@
-"""``hil view``: the viewer on a recorded run or commissioning."""
+"""``hil view``: opens the viewer on a recorded run or commissioning."""
 
 from functools import partial
 from typing import Annotated
@@ -16,10 +16,9 @@ def view(
     span: SpanOption = None,
     unsealed: UnsealedOption = False,
 ) -> None:
-    """Open a recorded run or commissioning in the Rerun viewer; without a display, say where the file is and
-    how to see it.
+    """Open a recorded run or commissioning in the Rerun viewer; without a display, say how to see it.
 
-    Exit status: 0 opened, or told; 2 bad input; 3 the viewer does not open at --at.
+    Exit status: 0 opened, or explained; 2 bad input; 3 the viewer does not open at --at.
     """
     if span is not None and at is None:
         raise BadInput("--span", "", f"{span:g}", "--at beside it: about which instant")
@@ -44,7 +43,7 @@ def view(
 
 
 def missing_display() -> bool:
-    """No window can be opened here."""
+    """Return True if no window can be opened here."""
     from servobench.hil.machine.doctor import Machine, display
 
     return bool(display(Machine()).remedy)

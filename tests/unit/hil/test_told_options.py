@@ -1,13 +1,16 @@
 """Every option of every command, told whole: its type, its range, and what holds if it is absent."""
 
+import re
 from collections.abc import Iterator
 from enum import EnumType
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 import typer
+from typer.testing import CliRunner
 
 from servobench.hil.cli import app
+from servobench.hil.terminal.commands import PANELS
 from tests.told import hold
 
 TOLD = Path(__file__).with_name("told") / "options.txt"
@@ -43,6 +46,19 @@ def parameter(item: Any) -> str:
     if item.default not in (None, "") and not item.required:
         how.append(f"else {getattr(item.default, 'value', item.default)!s}")
     return " ".join(how)
+
+
+def test_the_help_page_groups_every_command_the_most_used_first() -> None:
+    page = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "100"}).output
+    places = [page.index(f" {panel} ─") for panel in PANELS]
+    assert places == sorted(places)
+    names = [
+        line.split()[1]
+        for line in commands(typer.main.get_command(app))
+        if re.fullmatch(r"hil \S+( \(.*)?", line)
+    ]
+    assert [name for name in names if f"│ {name} " not in page] == []
+    assert page.index("│ run ") < min(page.index(f"│ {name} ") for name in names if name != "run")
 
 
 def test_every_option_is_what_it_was() -> None:
