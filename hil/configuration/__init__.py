@@ -1,1 +1,1 @@
-"""Bench files and all others that a user writes: their models, and their errors in words."""
+"""Bench files and all other files that a user writes: their models, and their errors in words."""

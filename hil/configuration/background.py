@@ -1,4 +1,4 @@
-"""``[[bus.background]]``: other nodes' frames on the bus, in a bench file or in a file of their own."""
+"""``[[bus.background]]``: other nodes' frames on the bus, in a bench file or in a separate file."""
 
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -16,16 +16,16 @@ class Background(Section):
 
     can_id: int = Field(ge=0, lt=1 << 29, description="an identifier, e.g. 0x3A0")
     extended: bool = False
-    """Whether the identifier has 29 bits."""
+    """True: the identifier has 29 bits."""
     remote: bool = False
     bytes_max: int = Field(default=8, ge=0, le=8)
     bytes_min: int = Field(default_factory=lambda data: data.get("bytes_max", 8), ge=0, le=8)
-    """As bytes_max, if absent."""
+    """Default: bytes_max."""
     period_us: int = Field(ge=1, le=3_600_000_000, description="from frame to frame, us")
     jitter_us: int = Field(default=0, ge=0)
-    """Each frame comes up to so much later."""
+    """Each frame comes up to this much later."""
     arrivals: Literal["periodic", "random"] = "periodic"
-    """At random: with the period as mean distance."""
+    """``random``: with the period as mean distance."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -41,7 +41,7 @@ class Background(Section):
 
     @property
     def stream(self) -> Stream:
-        """What the simulated world makes of it."""
+        """The stream for the simulated world."""
         return Stream(
             self.can_id,
             Duration(self.period_us * NS_PER_US),
@@ -66,6 +66,6 @@ class BackgroundFile(Section):
 
 
 def load_background(path: Path, named_by: NamedBy | None = None) -> tuple[Stream, ...]:
-    """The streams of the file at ``path``. Raises BadInput or BadInputs."""
+    """Load the streams of the file at ``path``. Raises BadInput or BadInputs."""
     file = load_file(BackgroundFile, path, "file of background traffic", named_by)
     return tuple(entry.stream for entry in file.background)

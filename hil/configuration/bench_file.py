@@ -28,16 +28,17 @@ from servobench.virtual_bus.faults.replay import read_recorded
 from servobench.virtual_bus.hosting.injection import Faults
 
 ENTRY_POINTS = "servobench.controllers"
-"""Group of the entry points by which installed packages bring kinds of controllers and compensators."""
+"""Group of the entry points by which installed packages provide kinds of controllers and compensators."""
 
 
 def load_bench(path: Path) -> BenchConfig:
-    """The bench file at ``path``, with the files that it names. Raises BadInput or BadInputs."""
+    """Load the bench file at ``path``, with the files that it names. Raises BadInput or BadInputs."""
     return bench_from(read_toml(path, "bench file"), str(path), path.parent)
 
 
 def load_faults(path: Path, named_by: NamedBy | None = None) -> Faults:
-    """The fault plan at ``path``, or what a run has recorded there (``.jsonl``); ``named_by``: who names it.
+    """Load the fault plan at ``path``, or the faults recorded there by a run (``.jsonl``); ``named_by``: its
+    source.
 
     Raises BadInput or BadInputs.
     """
@@ -47,7 +48,7 @@ def load_faults(path: Path, named_by: NamedBy | None = None) -> Faults:
 
 
 def faults_from(tables: Mapping[str, Any], source: str, prefix: str = "") -> FaultPlan:
-    """A fault plan from the tables of a file, there under ``prefix``. Raises BadInput or BadInputs."""
+    """Make a fault plan from the tables of a file, there under ``prefix``. Raises BadInput or BadInputs."""
     plan, errors = read_fault_plan(tables, source, prefix)
     if errors:
         raise_all(errors)
@@ -55,7 +56,8 @@ def faults_from(tables: Mapping[str, Any], source: str, prefix: str = "") -> Fau
 
 
 def bench_from(raw: Mapping[str, Any], source: str, folder: Path) -> BenchConfig:
-    """A bench from the tables of a file; paths in it start at ``folder``. Raises BadInput or BadInputs."""
+    """Make a bench from the tables of a file; paths in it start at ``folder``. Raises BadInput or
+    BadInputs."""
     expansion = _Expansion(source, folder)
     tables = expansion.bench(raw)
     errors = expansion.errors
@@ -72,7 +74,7 @@ def bench_from(raw: Mapping[str, Any], source: str, folder: Path) -> BenchConfig
 
 
 def load_controller(path: Path, named_by: NamedBy | None = None) -> ControllerSection:
-    """The controller file at ``path``. Raises BadInput or BadInputs."""
+    """Load the controller file at ``path``. Raises BadInput or BadInputs."""
     tables = dict(read_toml(path, "controller file", named_by))
     if isinstance(tables.get("controller"), Mapping):
         tables["controller"] = own_code_at(tables["controller"], path.parent)
@@ -80,10 +82,10 @@ def load_controller(path: Path, named_by: NamedBy | None = None) -> ControllerSe
 
 
 def own_code_at(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """A table of a controller or compensator in which a class of one's own is named from here.
+    """Return a controller's or compensator's table with its user class named from here.
 
-    Kinds that an installed package has under the entry point group :data:`ENTRY_POINTS` are classes, too;
-    none is imported for that.
+    Kinds that an installed package provides under the entry point group :data:`ENTRY_POINTS` are classes too;
+    none is imported for this.
     """
     own = dict(tables)
     if "object" not in own and (shipped := shipped_kinds().get(str(own.get("kind")))) is not None:
@@ -96,12 +98,13 @@ def own_code_at(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 @cache
 def shipped_kinds() -> dict[str, str]:
-    """Kinds of installed packages, and where their classes are. To look through all packages takes 4 ms."""
+    """Return kinds of installed packages, and the places of their classes. Searching all packages takes 4
+    ms."""
     return {each.name: each.value for each in entry_points(group=ENTRY_POINTS)}
 
 
 def with_controllers(config: BenchConfig, asked: Sequence[str]) -> BenchConfig:
-    """The bench with other controllers, each AXIS=FILE.py:NAME, AXIS=MODULE:NAME or AXIS=FILE.toml.
+    """Return the bench with other controllers, each AXIS=FILE.py:NAME, AXIS=MODULE:NAME or AXIS=FILE.toml.
 
     Raises BadInput or BadInputs.
     """
@@ -124,9 +127,9 @@ def with_controllers(config: BenchConfig, asked: Sequence[str]) -> BenchConfig:
 def strategy_of(
     controller: Mapping[str, Any] | StateFeedbackController, source: str
 ) -> dict[str, Any] | None:
-    """The compensator that a controller was made for; None if it does not say. Raises BadInput.
+    """Return the compensator that a controller was made for; None if its file does not say. Raises BadInput.
 
-    A table that is at fault elsewhere says nothing either: its own errors are found later.
+    A table with other faults gives None too: its own errors are found later.
     """
     if isinstance(controller, Mapping):
         try:
@@ -158,7 +161,7 @@ _FILES_OF_CURRENT_CONTROL: Final[Mapping[str, _Reader]] = {
 
 
 class _Expansion:
-    """Puts what the paths of a bench file name into its tables, and collects what fails."""
+    """Replaces the paths in a bench file by the files' tables, and collects errors."""
 
     def __init__(self, source: str, folder: Path) -> None:
         self.errors: list[BadInput] = []
@@ -167,7 +170,7 @@ class _Expansion:
         self._folder = folder
 
     def failed_at(self, key: str) -> bool:
-        """Whether ``key`` lies in a file that could not be loaded, whose own errors are known already."""
+        """Return True if ``key`` lies in a file that could not be loaded, whose errors are already known."""
         return any(key == failed or key.startswith(f"{failed}.") for failed in self._failed_keys)
 
     def bench(self, raw: Mapping[str, Any]) -> dict[str, Any]:
@@ -187,8 +190,8 @@ class _Expansion:
         return tables
 
     def _entries(self, key: str, entries: Any) -> Any:
-        """Of a reference or a load; files are named from here, and read. A load is a step unless it says
-        something else."""
+        """Expand the entries of a reference or a load: find and read their files. A load is a step by
+        default."""
         if not isinstance(entries, list | tuple):
             return entries
         expanded = []
@@ -231,7 +234,7 @@ class _Expansion:
         return tables
 
     def _files_in(self, key: str, table: Mapping[str, Any], readers: Mapping[str, _Reader]) -> dict[str, Any]:
-        """``table`` with what its keys name by a path in place of it."""
+        """Return ``table`` with the files that its keys name in place of their paths."""
         tables = dict(table)
         for part, read in readers.items():
             value = tables.get(part)

@@ -1,4 +1,4 @@
-"""A bench as the tables of its file: what may be changed in it before it is checked."""
+"""A bench as the tables of its file, changeable before it is checked."""
 
 import os
 from collections.abc import Mapping
@@ -17,39 +17,40 @@ PathLike = str | os.PathLike[str]
 
 
 class Bench:
-    """The tables of a bench file, and where paths in them start; changes give another one.
+    """The tables of a bench file, and the folder of its paths; changes give a new one.
 
-    Nothing is checked before :attr:`config` is asked for.
+    Nothing is checked before :attr:`config` is read.
     """
 
     def __init__(
         self, tables: Mapping[str, Any], *, source: str = "bench", folder: Path | None = None
     ) -> None:
-        """``tables``: as of a bench file. ``source``: its name in errors. ``folder``: where paths in it
-        start, else the working directory."""
+        """``tables``: those of a bench file. ``source``: its name in errors. ``folder``: start of its paths,
+        default the working directory."""
         self.tables = tables
         self.source = source
         self.folder = folder or Path()
 
     @classmethod
     def load(cls, path: PathLike) -> "Bench":
-        """The bench file at ``path``. Raises BadInput."""
+        """Load the bench file at ``path``. Raises BadInput."""
         file = Path(path)
         return cls(read_toml(file, "bench file"), source=str(file), folder=file.parent)
 
     @classmethod
     def of(cls, bench: "Bench | PathLike | Mapping[str, Any]") -> "Bench":
-        """A bench as a caller has it: the path of a bench file, its tables, or the bench itself."""
+        """Make a bench from a caller's value: the path of a bench file, its tables, or a bench."""
         if isinstance(bench, Bench):
             return bench
         return cls(bench) if isinstance(bench, Mapping) else cls.load(bench)
 
     def changed(self, changes: Mapping[str, Any]) -> "Bench":
-        """With values at dotted keys, e.g. ``{"loop.deadline_us": 1500, "faults.loss.0.probability": 0.1}``.
+        """Return a bench with values at dotted keys, e.g. ``{"loop.deadline_us": 1500,
+        "faults.loss.0.probability": 0.1}``.
 
-        What is not there yet is added; a number counts the entries of an array of tables, None takes a key
-        away. A key may lead into a file that the bench names: motor, controller, commissioned drive, fault
-        plan. Raises BadInput for one that leads nowhere; what the value is worth :attr:`config` says.
+        A missing key is added; a number counts the entries of an array of tables, None removes a key. A key
+        may lead into a file that the bench names: motor, controller, commissioned drive, fault plan. Raises
+        BadInput for one that leads nowhere; :attr:`config` checks the value.
         """
         tables = deepcopy(dict(self.tables))
         for key, value in changes.items():
@@ -58,7 +59,7 @@ class Bench:
 
     @cached_property
     def config(self) -> BenchConfig:
-        """It, checked, with what its paths name. Raises BadInput or BadInputs."""
+        """The checked bench, with the files that it names. Raises BadInput or BadInputs."""
         return bench_from(self.tables, self.source, self.folder)
 
     def _change(self, tables: dict[str, Any], key: str, value: Any) -> None:
@@ -88,7 +89,7 @@ class Bench:
             place = place[entry]
 
     def _opened(self, path: list[str], name: str) -> Any:
-        """The tables of the file that a drive names, in its place."""
+        """Replace a drive's file by its tables and return them."""
         if len(path) != 3 or path[0] != "drive" or path[2] not in _DRIVE_FILES:
             return name
         key = ".".join(path)
@@ -99,7 +100,7 @@ class Bench:
         return deepcopy(dict(tables))
 
     def _open_plan(self, faults: dict[str, Any]) -> None:
-        """The tables of a fault plan in place of its path."""
+        """Replace the path of a fault plan by its tables."""
         name = faults.get("plan")
         if not isinstance(name, str):
             return
@@ -112,7 +113,7 @@ class Bench:
 
 
 _DRIVE_FILES = {"motor": "motor file", "controller": "controller file", "commissioned": "commissioned drive"}
-"""What a drive may name instead of having it."""
+"""Parts of a drive that may be named by a path instead."""
 
 
 def _put(place: Any, entry: int | str, value: Any) -> None:

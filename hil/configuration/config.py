@@ -1,4 +1,4 @@
-"""Bench files: what is on the bus, who commands it, what is asked of it, and when it has passed.
+"""Bench files: the bus, its drives and their controllers, the references, and the limits for a pass.
 
 A bench file is TOML; every key is checked, an unknown one is fatal, and all faults
 of a file are reported together. Times are seconds or whole microseconds, the unit
@@ -30,11 +30,11 @@ from servobench.virtual_bus.hosting.injection import Faults
 BitRate = Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000]
 """The bit rates of CiA 301 5.1, and 100 kbit/s, which is common."""
 Rule = Literal["tell", "stop"]
-"""What the bus guard does on what it sees."""
+"""Reaction of the bus guard."""
 Foreign = Literal[
     "nmt", "sync", "heartbeat", "sdo_read", "sdo_write", "sdo_answer", "rpdo", "tpdo"
 ]  # fmt: skip
-"""What another sends as the bench or as one of its drives, or to them."""
+"""Kinds of frames that another node may send as the bench or one of its drives, or to them."""
 AxisName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
@@ -49,26 +49,26 @@ class LoadMachineConfig(Section):
     )
     torque_max_nm: Torque = Field(description="the largest torque that its brake may be asked for, N m")
     axis: str | None = None
-    """On whose shaft it is; the only axis if absent."""
+    """The axis with the machine on its shaft; default: the only axis."""
     baud: int = Field(default=BAUD, ge=300, le=921_600)
     channel: Literal[1, 2] = 1
-    """Of a DSP7000 with two."""
+    """Channel of a DSP7000 with two."""
     torque_unit: Literal["N.m", "N.cm", "N.mm", "kg.cm", "g.cm", "oz.in", "oz.ft", "lb.in", "lb.ft"] = "N.m"
-    """What its display is set to."""
+    """Unit of its display."""
     clockwise_is_positive: bool = True
-    """Whether positive speed of the drive is R on its display."""
+    """True: positive speed of the drive is R on its display."""
     answer_timeout_ms: int = Field(default=1000, ge=10, le=10_000)
-    """The manuals ask for at least a second; three in a row end the run."""
+    """The manuals require at least a second; three in a row end the run."""
     reading_every_ms: int = Field(default=20, ge=1, le=10_000)
 
     @property
     def dialect(self) -> Dialect:
-        """How to speak to it."""
+        """The commands of the instrument."""
         return dialect(self.kind, self.channel, self.torque_unit, self.clockwise_is_positive)
 
     @property
     def settings(self) -> DynamometerSettings:
-        """How its driver is to deal with it."""
+        """Timing of its driver."""
         return DynamometerSettings(
             self.baud,
             Duration(self.answer_timeout_ms * NS_PER_MS),
@@ -82,7 +82,7 @@ class BenchSection(Section):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="a name of letters, digits, . _ -")
     duration_s: float = Field(gt=0, le=86_400, description="how long the loop runs, s")
     seed: int = Field(default=0, ge=0, lt=2**63)
-    """Seeds every random stream of the run."""
+    """Seed of every random stream of the run."""
 
 
 class BusSegment(Section):
@@ -101,25 +101,25 @@ class Bus(Section):
     """``simulated``, ``hub:NAME``, ``socketcan:can0``, or INTERFACE:CHANNEL of python-can."""
     bitrate_bit_s: BitRate = 1_000_000
     background: BackgroundTables = ()
-    """Other nodes' traffic, on the bus ``simulated`` that the bench makes itself."""
+    """Other nodes' traffic, on the bus ``simulated``, which the bench makes itself."""
     segment: Annotated[tuple[BusSegment, ...], Field(strict=False)] = ()
-    """Further segments beside the one that these keys describe."""
+    """Further segments in addition to the one described by these keys."""
 
 
 class Host(Section):
-    """``[host]``: the CANopen master that the bench is."""
+    """``[host]``: the bench's CANopen master."""
 
     node: int = Field(default=127, ge=1, le=127)
     heartbeat_ms: int = Field(default=50, ge=1, le=65_535)
     heartbeat_timeout_ms: HeartbeatTimeout = 150
-    """A drive that does not hear the host for so long stops by itself (CiA 301, 0x1016)."""
+    """A drive that does not hear the host for this long stops by itself (CiA 301, 0x1016)."""
 
     connect_timeout_s: float = Field(default=3.0, gt=0, le=600)
-    """How long a drive may take to answer for the first time."""
+    """Time for a drive's first answer."""
 
 
 class LoopConfig(Section):
-    """``[loop]``: the cycle, and what still counts as a reading."""
+    """``[loop]``: the cycle, and the conditions for a valid reading."""
 
     period_us: int = Field(default=1000, ge=100, le=1_000_000)
     decide_after_us: int = Field(default_factory=lambda data: 7 * data["period_us"] // 10, ge=0)
@@ -127,25 +127,25 @@ class LoopConfig(Section):
     deadline_us: int = Field(default=2000, gt=0)
     """A reading older than this when it arrives is LATE."""
     horizon_periods: int = Field(default=20, ge=1, le=HORIZON_MAX)
-    """A reading not there after so many periods is LOST."""
+    """A reading missing after this many periods is LOST."""
     actuation: Literal["on_arrival", "on_sync"] = "on_arrival"
-    """When the drive applies a set-point: as soon as it has it, or at the next SYNC."""
+    """The drive applies a set-point on arrival, or at the next SYNC."""
     position_every_cycles: int = Field(default=1, ge=1, le=240)
-    """How often torque, position and torque demand come: with every reading, or once in so many cycles, so
-    that three drives fit a bus. The position is carried along by the speed in between."""
+    """Torque, position and torque demand come with every reading, or once in this many cycles, so that three
+    drives fit a bus. In between the position is extrapolated by the speed."""
     command_readback: Literal["sync", "event"] = "sync"
-    """How the drive tells which command it follows, 6074h: with the SYNCs, so that a command is known to act
+    """How the drive reports the command it follows, 6074h: with the SYNCs, so that a command is known to act
     between two of them; or at every change, stamped, at the cost of one frame a cycle."""
     sync: Literal["own", "kernel", "foreign"] = "own"
-    """Who makes the SYNC: this process at each tick, the bus's own cyclic sender on its behalf (SocketCAN's
+    """Producer of the SYNC: this process at each tick, the bus's own cyclic sender on its behalf (SocketCAN's
     broadcast manager), or a drive or another master, whose SYNC the loop then follows."""
     sync_watermark_us: float = Field(default=0.0, ge=0, le=1000)
-    """Each of this process's SYNCs is up to so much late of its tick, by a seed of its own, so that a shift
-    by whole periods shows; at most a tenth of a period is used."""
+    """Each of this process's SYNCs is up to this much late of its tick, by its own seed, so that a shift by
+    whole periods shows; at most a tenth of a period is used."""
 
     @property
     def sync_watermark(self) -> Duration:
-        """By how much a SYNC may be late of its tick, ns."""
+        """Greatest lateness of a SYNC from its tick, ns."""
         return Duration(min(round(self.sync_watermark_us * NS_PER_US), self.period // 10))
 
     @property
@@ -170,7 +170,7 @@ class LoopConfig(Section):
 
 
 class VerdictConfig(Section):
-    """``[verdict]``: limits for a run that passes; a limit that is absent is not judged."""
+    """``[verdict]``: limits for a pass; an absent limit is not judged."""
 
     speed_error_peak_percent_max: float | None = Field(default=None, ge=0)
     after_load_percent_max: float | None = Field(default=None, ge=0)
@@ -179,30 +179,30 @@ class VerdictConfig(Section):
     delay_p99_us_max: float | None = Field(default=None, gt=0)
     bus_load_percent_max: float | None = Field(default=None, gt=0, le=100)
     missed_percent_max: float | None = Field(default=None, ge=0, le=100)
-    """Cycles without SYNC, as the host came too late for them."""
+    """Cycles without SYNC because the host came too late."""
     lateness_us_max: float | None = Field(default=None, ge=0)
-    """How late the host may wake for a cycle."""
+    """Greatest lateness of the host's wake-up for a cycle."""
     compute_us_max: float | None = Field(default=None, gt=0)
-    """How long compensator and controller may take in a cycle; judged on a bus in real time alone."""
+    """Greatest computing time of compensator and controller in a cycle; judged only on a bus in real time."""
     torque_rms_nm_max: float | None = Field(default=None, gt=0)
-    """Of the commanded torque about its mean while reference and load stay: a limit cycle breaks it."""
+    """Rms of the commanded torque about its mean while reference and load stay: a limit cycle exceeds it."""
     settling_time_ms_max: float | None = Field(default=None, ge=0)
-    """After a reference step until the speed stays within the band."""
+    """Time after a reference step until the speed stays within the band."""
     overshoot_percent_max: float | None = Field(default=None, ge=0)
-    """Of a reference step."""
+    """Overshoot of a reference step."""
     recovery_time_ms_max: float | None = Field(default=None, ge=0)
-    """After a load step until the speed stays within the band of the reference."""
+    """Time after a load step until the speed stays within the band of the reference."""
     losses_in_a_row_max: float | None = Field(default=None, ge=0)
-    """Cycles in a row of an axis without a usable reading."""
+    """Consecutive cycles of an axis without a usable reading."""
     position_error_peak_rad_max: float | None = Field(default=None, ge=0)
-    """Of a position reference, at the instant of each reading."""
+    """Peak error of a position reference, at the instant of each reading."""
     position_error_rms_rad_max: float | None = Field(default=None, ge=0)
     following_error_peak_rad_max: float | None = Field(default=None, ge=0)
-    """Of a drive in csp: how far it is from the way between its position set-points."""
+    """Peak following error of a drive in csp: its distance from the path between its position set-points."""
     settling_ms: int = Field(default=250, ge=0, le=3_600_000)
-    """After a reference step speed and position errors are not counted for so long."""
+    """Time after a reference step in which speed and position errors are not counted."""
     settling_band_percent: float = Field(default=2.0, gt=0, le=100)
-    """Of a step, and after a load step of the reference: within it the speed has settled."""
+    """Band in which the speed has settled: share of a step, and after a load step of the reference."""
 
     @property
     def settling(self) -> Duration:
@@ -219,25 +219,26 @@ class RecordingConfig(Section):
     """``[recording]``"""
 
     frames: bool = True
-    """Whether every frame goes to frames.log as well."""
+    """True: frames.log holds every frame."""
     on_failure: Literal["stop", "continue"] = "stop"
-    """What a run does that is not recorded any more: end in order, or go on; it has not passed either way."""
+    """Reaction to a failed recording: end the run in order, or continue; it has not passed either way."""
 
 
 class Guard(Section):
-    """``[guard]``: what a drive and others on the bus do unasked is told; ``stop`` ends the run as well.
+    """``[guard]``: unsolicited actions of a drive or another node are reported; ``stop`` ends the run as
+    well.
 
-    A run that others disturbed is not passed, unless ``allow`` names all that they did.
+    A run disturbed by others has not passed, unless ``allow`` names everything they did.
     """
 
     on_mode: Rule = "stop"
-    """A drive does not follow its commands: it leaves the mode that it was given (6061h), or says that it
-    ignores its target (bit 12 of 6041h)."""
+    """A drive does not follow its commands: it leaves its mode (6061h), or reports that it ignores its target
+    (bit 12 of 6041h)."""
     on_foreign: Rule = "tell"
-    """Another sends as the bench or as one of its drives, or to them, what ``allow`` does not name."""
+    """Another node sends, as the bench or one of its drives or to them, frames not named by ``allow``."""
     allow: Annotated[tuple[Foreign, ...], Field(strict=False)] = ("sdo_read",)
-    """What another may send: it is told and counted, and neither disturbs a run nor ends it. A read changes
-    nothing in a drive."""
+    """Frames that another node may send: they are reported and counted, but neither disturb a run nor end it.
+    A read changes nothing in a drive."""
     on_boot: Rule = "tell"
     """A node starts in mid-run: a boot-up message."""
     on_bus_errors: Rule = "tell"
@@ -245,7 +246,7 @@ class Guard(Section):
 
 
 class BenchConfig(Section):
-    """A whole bench file, checked; paths are resolved and what they name is loaded."""
+    """A complete bench file, checked; paths are resolved and their files loaded."""
 
     bench: BenchSection = Field(description="the table [bench] with name and duration_s")
     bus: Bus = Bus()
@@ -255,28 +256,28 @@ class BenchConfig(Section):
     reference: dict[str, Annotated[tuple[Reference, ...], Field(strict=False)]] = Field(default_factory=dict)
     load: dict[str, Annotated[tuple[Load, ...], Field(strict=False)]] = Field(default_factory=dict)
     load_machine: LoadMachineConfig | None = None
-    """The instrument that makes the load of its axis; without it a simulated drive's own load object does."""
+    """The instrument that loads its axis; without it a simulated drive uses its own load object."""
     faults: Faults | None = None
-    """What befalls frames at the bench's own bus connection, the drives that it simulates, and the host."""
+    """Faults of the frames at the bench's own bus connection, of the simulated drives, and of the host."""
     verdict: VerdictConfig = VerdictConfig()
     recording: RecordingConfig = RecordingConfig()
     guard: Guard = Guard()
     _source: str = PrivateAttr(default="")
 
     def named(self, source: str) -> "BenchConfig":
-        """This bench, knowing the file that it was read from."""
+        """Return this bench with the file that it was read from."""
         copy = self.model_copy()
         copy._source = source
         return copy
 
     @property
     def source(self) -> str:
-        """Path of the file it was read from: the ``source`` of later errors."""
+        """Path of its file: the ``source`` of later errors."""
         return self._source
 
     @property
     def simulated(self) -> bool:
-        """Whether the bench makes its bus and its drives itself."""
+        """True if the bench makes its bus and its drives itself."""
         return self.bus.spec == SIMULATED
 
     @property
@@ -286,29 +287,29 @@ class BenchConfig(Section):
 
     @property
     def load_machine_axis(self) -> str | None:
-        """On whose shaft the load machine is; None: there is none."""
+        """The axis with the load machine on its shaft; None: there is none."""
         return None if self.load_machine is None else self.load_machine.axis or self.axes[0]
 
     def coherent(self, axis: str) -> bool:
-        """Whether the position travels with the speed of its own SYNC, before it: where positions are
-        commanded or closed over, if it comes with every SYNC."""
+        """Return True if the position travels before the speed of the same SYNC: where positions are
+        commanded or controlled, if it comes with every SYNC."""
         return self.drive[axis].mode != "cst" and self.loop.position_every_cycles == 1
 
     def bitrate_of(self, axis: str) -> int:
-        """Bit rate of the segment that the drive of ``axis`` is on, bit/s."""
+        """Return the bit rate of the segment of the drive of ``axis``, bit/s."""
         return self.bitrate_on(self.drive[axis].segment)
 
     def bitrate_on(self, segment: str | None) -> int:
-        """Bit rate of a segment, bit/s; None: the first one."""
+        """Return the bit rate of a segment, bit/s; None: the first one."""
         return next(
             (each.bitrate_bit_s for each in self.bus.segment if each.name == segment), self.bus.bitrate_bit_s
         )
 
     def as_run(self, bus_spec: str, seed: int | None, network: Path | None = None) -> "BenchConfig":
-        """This bench as it is run: on that bus, and with that seed if there is one.
+        """Return this bench as it is run: on that bus, and with that seed if given.
 
-        ``network``: file of one measured before; a drive whose stamp's resolution the bench does not say has
-        the one that was measured. Raises BadInput or BadInputs for the file.
+        ``network``: file of an earlier measurement; a drive without a stamp resolution in the bench gets the
+        measured one. Raises BadInput or BadInputs for the file.
         """
         bench = self.bench if seed is None else self.bench.model_copy(update={"seed": seed})
         resolutions_us = {} if network is None else stamp_resolutions_us(network)
@@ -321,7 +322,7 @@ class BenchConfig(Section):
         return self.model_copy(update={"bus": bus, "bench": bench, "drive": drives})
 
     def resolved_text(self) -> str:
-        """This bench as one TOML file: every default written out, motor and fault plan inline."""
+        """Return this bench as one TOML file: every default written out, motor and fault plan inline."""
         tables = self.model_dump(mode="json", exclude_none=True, exclude={"faults"})
         if isinstance(self.faults, FaultPlan):
             tables["faults"] = self.faults.as_tables()

@@ -1,4 +1,4 @@
-"""``[drive.NAME]`` of a bench file: a drive, its mode, its limits, and the controller that commands it."""
+"""``[drive.NAME]`` of a bench file: a drive, its mode, its limits, and its controller."""
 
 import re
 from typing import Annotated, Literal
@@ -47,36 +47,37 @@ class Simulation(Section):
     inner_rate_hz: int = Field(default=16000, ge=4000, le=64000)
     """Rate of the current loops."""
     clock_drift_ppm: float = Field(default=0.0, ge=-1000, le=1000)
-    """How much faster than the host's the drive's clock runs."""
+    """Drift of the drive's clock: how much faster than the host's it runs."""
     stamp_unit_us: float = Field(default=1.0, ge=0.01, le=1000)
     """One count of the drive's stamp 1013h."""
     stamp_resolution_us: float = Field(default=1.0, ge=0.01, le=1000)
-    """By how much the stamp advances at a time."""
+    """Step of the stamp."""
     stamp_bits: int = Field(default=32, ge=STAMP_BITS[0], le=STAMP_BITS[-1])
     """The stamp counts modulo 2^stamp_bits."""
     stamp_latched: StampLatch = "sampling"
     """At the instant of sampling, at the arrival of the SYNC, or at the next tick of the current loops."""
     stamp_late_us: float = Field(default=0.0, ge=0, le=STAMP_LATE_MAX_NS / NS_PER_US)
-    """The stamp is latched so much later than that."""
+    """Delay of the latch after that instant."""
     stamp_runs: bool = True
-    """False: 1013h holds what a master wrote into it."""
+    """False: 1013h holds a value written by a master."""
     sync_jitter_us: float = Field(default=0.0, ge=0, le=1000)
-    """The drive acts on a SYNC, and samples, up to so much after its end; drawn evenly for each."""
+    """The drive acts on a SYNC, and samples, up to this much after its end; drawn evenly for each."""
     sync_phase_us: float | None = Field(default=None, ge=0, le=20_000)
-    """It acts so long behind the SYNC as a phase-locked loop filters it; absent: it has no such loop."""
+    """Delay of its actions behind the SYNC as filtered by its phase-locked loop; absent: it has no such
+    loop."""
     resistance_factor: float = Field(default=1.0, gt=0, le=10)
-    """The simulated motor's resistance beside the motor file's, by which its drive was set."""
+    """The simulated motor's resistance relative to the motor file's, for which its drive was set."""
     inductance_factor: float = Field(default=1.0, gt=0, le=10)
     """The same for both inductances."""
     current_bandwidth_hz: float | None = Field(default=None, gt=0)
-    """Of the PI current loops; a twentieth of the inner rate if absent."""
+    """Bandwidth of the PI current loops; default: a twentieth of the inner rate."""
     lacks: Annotated[tuple[Lack, ...], Field(strict=False)] = ()
-    """What the drive does without: objects ("6074"), sub-indices ("1400:5"), "tpdo events"."""
+    """Parts that the drive lacks: objects ("6074"), sub-indices ("1400:5"), "tpdo events"."""
     eds: str | None = None
-    """Data sheet (EDS, DCF, XDD, XDC) of the drive that is simulated, relative to the bench file; absent: it
-    is servobench's own drive."""
+    """Data sheet (EDS, DCF, XDD, XDC) of the simulated drive, relative to the bench file; absent:
+    servobench's own drive."""
     motor: MotorFile | None = None
-    """The motor on its shaft, as a motor file or its tables; ``drive.NAME.motor`` if absent."""
+    """The motor on its shaft, as a motor file or its tables; default: ``drive.NAME.motor``."""
     rehearse: int | None = Field(default=None, ge=0)
     """Seed of `hil rehearse`, whose drive with its motor and encoder is simulated instead."""
 
@@ -87,27 +88,27 @@ class Simulation(Section):
 
 
 SET_SPEED_SHARE = 0.8
-"""Of the speed at which the bench stops a drive, for set-points: a speed loop of phase margin 60 degrees
-overshoots a step by a tenth, and a load step comes on top."""
+"""Share, for set-points, of the speed at which the bench stops a drive: a speed loop of phase margin 60
+degrees overshoots a step by a tenth, and a load step adds to that."""
 
 
 class Limits(Section):
-    """``limits``: what the host lets through to the drive, whatever the controller asks."""
+    """``limits``: the host's limits for the drive, whatever the controller commands."""
 
     speed_max_rpm: Speed = Field(description="the speed at which the bench stops the drive, r/min")
     torque_max_nm: Torque = Field(description="the largest torque set-point, N m")
     torque_slew_max_nm_s: SlewRate | None = None
-    """Of the set-points in ``mode = "cst"``."""
+    """Slew rate of the set-points in ``mode = "cst"``."""
     set_speed_max_rpm: Speed | None = None
     """The largest speed set-point in csv and vl, and the largest rate of position set-points in csp and ip;
-    80 % of ``speed_max_rpm`` if absent, as the drive's own loop overshoots."""
+    default: 80 % of ``speed_max_rpm``, as the drive's own loop overshoots."""
     set_acceleration_max_rpm_s: SlewRate | None = None
-    """Of the speed set-points in csv and vl, where the drive's own ramps (6048h, 6049h) are set to it, and
-    along the position set-points in csp and ip."""
+    """Acceleration of the speed set-points in csv and vl, where the drive's own ramps (6048h, 6049h) are set
+    to it, and along the position set-points in csp and ip."""
     dropouts_consecutive_max: DropoutsInARow = 100
-    """With more cycles in a row without a reading the bench stops the drive."""
+    """With more consecutive cycles without a reading the bench stops the drive."""
     quick_stop_deceleration_rpm_s: SlewRate | None = None
-    """What the drive stops with when it is told to, or misses the host (0x6085); its own if absent."""
+    """Deceleration of the drive on a quick stop, or when it loses the host (0x6085); default: its own."""
 
     @property
     def speed_max_rad_s(self) -> float:
@@ -116,7 +117,7 @@ class Limits(Section):
 
     @property
     def set_speed_rpm(self) -> float:
-        """``set_speed_max_rpm``, or what stands for it."""
+        """``set_speed_max_rpm``, or its default."""
         limit = self.set_speed_max_rpm
         return SET_SPEED_SHARE * self.speed_max_rpm if limit is None else limit
 
@@ -137,32 +138,31 @@ DriveMode = Literal["cst", "csv", "csp", "ip", "vl"]
 
 
 class DriveConfig(Section):
-    """One axis: where its drive is, what turns on it, and who commands it."""
+    """One axis: its drive, motor and controller."""
 
     node: int = Field(ge=1, le=127, description="the drive's CANopen node id, 1..127")
     segment: str | None = None
-    """Name of the ``[[bus.segment]]`` that the drive is on; None: the first one."""
+    """Name of the ``[[bus.segment]]`` of the drive; None: the first one."""
     mode: DriveMode = "cst"
-    """In which mode the drive is run: cyclic synchronous torque, velocity or position, interpolated position,
-    or velocity mode. What it is given is torques, speeds or positions."""
+    """Mode in which the drive is run: cyclic synchronous torque, velocity or position, interpolated position,
+    or velocity mode. Its commands are torques, speeds or positions accordingly."""
     motor: MotorFile = Field(description="the path of a motor file, or its tables inline")
     eds: str | None = None
-    """Data sheet (EDS, DCF, XDD, XDC) of the drive, relative to the bench file: it plans its PDOs."""
+    """Data sheet (EDS, DCF, XDD, XDC) of the drive, relative to the bench file, used to plan its PDOs."""
     commissioned: DriveFile | None = None
-    """What ``hil commission`` found of the drive: the path of its drive.toml, or the tables inline."""
+    """Result of ``hil commission`` for the drive: the path of its drive.toml, or the tables inline."""
     unwatched: bool = False
-    """Bear a drive without 1016h or 1017h: then one side does not notice that the other is gone."""
+    """Accept a drive without 1016h or 1017h: one side then does not notice that the other is gone."""
     heartbeat_ms: int = Field(default=50, ge=1, le=65_535)
     """Period of the drive's own heartbeat (0x1017)."""
     heartbeat_timeout_ms: HeartbeatTimeout = 150
-    """A drive that is silent for so long counts as lost."""
+    """A drive that is silent for this long counts as lost."""
     observe: Observe = ()
-    """Objects that the drive tells by PDO for the recording alone; see docs/recording.md."""
+    """Objects that the drive sends by PDO for the recording alone; see docs/recording.md."""
     observe_every_cycles: int = Field(default=1, ge=1, le=SYNCHRONOUS_MAX)
-    """They come with every so many SYNCs."""
+    """They come with every n-th SYNC."""
     stamp_resolution_us: float | None = Field(default=None, ge=0.01, le=1000)
-    """By how much the drive's stamp (1013h) advances at a time, as ``hil measure`` finds it; by its make if
-    absent, 1 us where that tells nothing."""
+    """Step of the drive's stamp (1013h), as found by ``hil measure``; default: by its make, else 1 us."""
     simulation: Simulation = Simulation()
     current_control: CurrentControl = CurrentControl()
     limits: Limits = Field(description="a table with speed_max_rpm and torque_max_nm")
@@ -177,5 +177,5 @@ class DriveConfig(Section):
 
     @property
     def observed(self) -> Observed:
-        """``observe``, as the drive is asked for it."""
+        """``observe`` in the form for the drive."""
         return Observed(tuple(each.entry for each in self.observe if each.code), self.observe_every_cycles)

@@ -1,4 +1,4 @@
-"""What no single key of a bench file can tell: values that do not go together."""
+"""Checks of a bench file that no single key can make: values that do not go together."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -24,13 +24,13 @@ from servobench.hil.configuration.references import Load, LoadStep, SignalFile, 
 from servobench.hil.loop.scenario import Quantity
 
 LOAD_DELAY_MAX_S = (1 << 32) * NS_PER_US // NS_PER_S
-"""Of 2100h:5, 32 bits of microseconds."""
+"""Range of 2100h:5, 32 bits of microseconds."""
 TOLERANCE = 1.0 + 1e-9
 """So that a limit written as the rounded decimal of the motor's own is accepted."""
 
 
 def cross_faults(config: BenchConfig, source: str) -> list[BadInput]:
-    """Every value that does not agree with another one; empty for a bench that can be run."""
+    """Return every value that does not agree with another one; empty for a bench that can be run."""
     errors = [
         BadInput(source, key, value, expected, remedy)
         for check in _CHECKS
@@ -95,7 +95,8 @@ def _times(config: BenchConfig) -> Iterator[Fault]:
 
 
 def _postponed(config: BenchConfig) -> Iterator[Fault]:
-    """A command that acts whenever it arrives acts on a sample of any age: stamp needs fixed instants."""
+    """Check the compensator: a command that acts on arrival acts on a sample of any age, and stamp needs
+    fixed instants."""
     period_us = config.loop.period_us
     horizon_us = config.loop.horizon_periods * period_us
     for axis in config.axes:
@@ -117,14 +118,14 @@ def _postponed(config: BenchConfig) -> Iterator[Fault]:
 
 
 def _bus(config: BenchConfig) -> Iterator[Fault]:
-    """The frames of a cycle must fit into it whatever their data are; other traffic comes on top."""
+    """Check that the frames of a cycle fit into it whatever their data are; other traffic is extra."""
     for key, name, segment in _every_segment(config):
         axes = [axis for axis in config.axes if config.drive[axis].segment == name]
         yield from _cycle_fits(config, axes, f"{key}.bitrate_bit_s", segment.bitrate_bit_s)
 
 
 def _every_segment(config: BenchConfig) -> Iterator[tuple[str, str | None, Bus | BusSegment]]:
-    """Key, name and tables of each; the first one is the bus itself, and has no name."""
+    """Yield key, name and tables of each segment; the first one is the bus itself, without a name."""
     yield "bus", None, config.bus
     for index, segment in enumerate(config.bus.segment):
         yield f"bus.segment[{index}]", segment.name, segment
@@ -144,7 +145,7 @@ def _cycle_fits(config: BenchConfig, axes: Sequence[str], key: str, bitrate_bit_
 
 
 def standard_plan(config: BenchConfig, axis: str) -> PdoPlan:
-    """The PDOs of a drive without a data sheet, with what is observed if that fits."""
+    """Return the PDOs of a drive without a data sheet, with the observed objects if they fit."""
     drive = config.drive[axis]
     wish = PlanWish(
         BENCH_MODES[drive.mode],
@@ -178,12 +179,12 @@ def _observed(config: BenchConfig) -> Iterator[Fault]:
 
 
 def _time_of_frames_us(plans: Sequence[PdoPlan], period_us: int, bitrate_bit_s: int) -> int:
-    """Of a cycle of so long, with the most stuff bits."""
+    """Return the time of a cycle's frames, with the most stuff bits."""
     return math.ceil(budget_of(plans, Duration(period_us * NS_PER_US), bitrate_bit_s).busy_ns / NS_PER_US)
 
 
 def _background(config: BenchConfig) -> Iterator[Fault]:
-    """Other nodes' frames must not be taken for those of the bench and its drives."""
+    """Check that other nodes' frames cannot be taken for those of the bench and its drives."""
     nodes = {config.host.node, *(drive.node for drive in config.drive.values())}
     for key, _, segment in _every_segment(config):
         for index, entry in enumerate(segment.background):
@@ -224,7 +225,8 @@ def _limits(config: BenchConfig) -> Iterator[Fault]:
 
 
 def _simulations(config: BenchConfig) -> Iterator[Fault]:
-    """A seed draws all that a data sheet and a motor file would say; a stamp advances by a count at least."""
+    """Check simulations: a seed draws everything in a data sheet and a motor file; a stamp advances by a
+    count at least."""
     for axis in config.axes:
         simulation, key = config.drive[axis].simulation, f"drive.{axis}.simulation"
         beside = [name for name in ("eds", "motor") if getattr(simulation, name) is not None]
@@ -268,14 +270,14 @@ def _load_machine(config: BenchConfig) -> Iterator[Fault]:
 
 
 def _torque_of(key: str, entry: Load) -> tuple[str, float]:
-    """The key that its torque comes from, and the least that it is, N m."""
+    """Return the key of its torque, and the torque's least value, N m."""
     if isinstance(entry, LoadStep):
         return f"{key}.torque_nm", entry.torque_nm
     return f"{key}.path", entry.signal.least
 
 
 def _load_files(axis: str, entries: Sequence[Load], config: BenchConfig) -> Iterator[Fault]:
-    """A load over time is of torques and alone; a simulated drive begins it with the run's first SYNC."""
+    """Check loads over time: torques only, and alone; a simulated drive begins with the run's first SYNC."""
     for index, entry in enumerate(entries):
         if not isinstance(entry, SignalFile):
             continue

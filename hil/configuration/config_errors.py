@@ -1,4 +1,4 @@
-"""From what a validator says about a TOML file to errors that a user can act on.
+"""Translates a validator's messages about a TOML file into errors that a user can act on.
 
 Every fault of a file is reported at once: one :class:`servobench.drivers.errors.BadInput` each,
 with the file, the dotted key, the value found and what was expected.
@@ -19,14 +19,14 @@ Location = tuple[int | str, ...]
 VALUE_SHOWN_MAX = 60
 """Characters: a message names file and key before the value, in one line."""
 KEY_ITSELF = "[key]"
-"""The validator's last step where the name of a table is at fault, not its value."""
+"""The validator's last step where the name of a table is wrong, not its value."""
 NAME_EXPECTED = "a name of letters, digits and _, a letter first"
 DEFAULT_NOT_MADE = "default_factory_not_called"
-"""A default that rests on another key, which has its own error."""
+"""A default that depends on another key, which has its own error."""
 
 
 class BadInputs(BenchError):
-    """Several bad values, all of those that were found."""
+    """Several bad values: all that were found."""
 
     exit_status = 2
 
@@ -39,7 +39,7 @@ class BadInputs(BenchError):
 
 
 def bad_inputs_of(error: BenchError) -> list[BadInput]:
-    """The single errors inside ``error``; empty if it is of another branch."""
+    """Return the single errors inside ``error``; empty if it is of another branch."""
     if isinstance(error, BadInputs):
         return list(error.errors)
     return [error] if isinstance(error, BadInput) else []
@@ -57,13 +57,13 @@ _DESCRIBED: Final = {
     "too_short",
     "too_long",
 }
-"""Where the field's own words say more than the validator's."""
+"""Errors for which the field's own description says more than the validator's."""
 
 
 def translate(
     error: ValidationError, source: str, raw: Mapping[str, Any], model: type[BaseModel]
 ) -> list[BadInput]:
-    """The faults of ``raw``, read from ``source``, as found by ``model``."""
+    """Return the faults of ``raw``, read from ``source``, as found by ``model``."""
     details = [
         item
         for item in error.errors(include_url=False)
@@ -75,12 +75,12 @@ def translate(
 
 
 def _lacks_valid_items(detail: ErrorDetails) -> bool:
-    """Whether a list is called too short that is long enough: those of its items that are wrong are told."""
+    """Return True if a list is called too short only because of invalid items, which are reported."""
     return detail["type"] == "too_short" and len(detail["input"]) >= detail["ctx"]["min_length"]
 
 
 def _meant_key(item: BadInput) -> str | None:
-    """The key that a misspelt one stands for: it is not reported as missing a second time."""
+    """Return the key that a misspelt one means: it is not reported as missing a second time."""
     if not isinstance(item, UnknownKey) or item.meant is None:
         return None
     parent, _, _ = item.key.rpartition(".")
@@ -88,7 +88,7 @@ def _meant_key(item: BadInput) -> str | None:
 
 
 def shown(value: Any) -> Any:
-    """``value`` itself, or a short word for a table or list that is too long for a line."""
+    """Return ``value`` itself, or a short word for a table or list that is too long for a line."""
     if isinstance(value, Mapping):
         return f"a table of {len(value)} keys" if len(repr(value)) > VALUE_SHOWN_MAX else dict(value)
     if isinstance(value, list) and len(repr(value)) > VALUE_SHOWN_MAX:
@@ -118,7 +118,7 @@ def _translate_one(
 
 
 def _expected(detail: ErrorDetails) -> str:
-    """What the validator would have taken, in the words of this project."""
+    """Return the accepted values in the words of this project."""
     plain = {
         "int_type": "a whole number",
         "int_from_float": "a whole number",
@@ -149,7 +149,8 @@ def _expected(detail: ErrorDetails) -> str:
 
 
 def path_in_file(location: Location, raw: Mapping[str, Any]) -> Location:
-    """``location`` without the validator's own steps (tags of unions), as a path of keys of the file."""
+    """Return ``location`` without the validator's own steps (tags of unions), as a path of keys of the
+    file."""
     path: list[int | str] = []
     node: Any = raw
     for index, step in enumerate(location):
@@ -168,7 +169,7 @@ def _child(node: Any, step: int | str) -> Any:
 
 
 def dotted(path: Location) -> str:
-    """``("load", "axis1", 0, "at_s")`` -> ``load.axis1[0].at_s``."""
+    """Convert ``("load", "axis1", 0, "at_s")`` to ``load.axis1[0].at_s``."""
     text = ""
     for step in path:
         if isinstance(step, int):
@@ -179,7 +180,7 @@ def dotted(path: Location) -> str:
 
 
 def _described(path: Location, raw: Mapping[str, Any], model: type[BaseModel]) -> str | None:
-    """The description of the field at ``path``: what a reader of the file needs to fill it in."""
+    """Return the description of the field at ``path``, for the user who fills it in."""
     name = path[-1]
     if not isinstance(name, str):
         return None
@@ -188,12 +189,12 @@ def _described(path: Location, raw: Mapping[str, Any], model: type[BaseModel]) -
 
 
 def fields_at(path: Location, raw: Mapping[str, Any], model: type[BaseModel]) -> set[str]:
-    """Names of the keys that the table at ``path`` may hold."""
+    """Return the keys that the table at ``path`` may hold."""
     return {name for item in models_at(path, raw, model) for name in item.model_fields}
 
 
 def models_at(path: Location, raw: Mapping[str, Any], model: type[BaseModel]) -> Sequence[type[BaseModel]]:
-    """The models that may describe the table at ``path``: several where the file leaves a union open."""
+    """Return the models that may describe the table at ``path``: several if the file leaves a union open."""
     candidates: Sequence[type[BaseModel]] = [model]
     node: Any = raw
     for step in path:
@@ -209,7 +210,7 @@ def models_at(path: Location, raw: Mapping[str, Any], model: type[BaseModel]) ->
 
 
 def _of_kind(candidates: Sequence[type[BaseModel]], node: Any) -> Sequence[type[BaseModel]]:
-    """Of several models of one union, those whose ``kind`` is the one that the file gives."""
+    """Return the models of a union whose ``kind`` is the one in the file."""
     if len(candidates) < 2 or not isinstance(node, Mapping):
         return candidates
     kind = node.get("kind")
@@ -222,7 +223,7 @@ def _kinds(model: type[BaseModel]) -> tuple[Any, ...]:
 
 
 def models_in(annotation: Any) -> list[type[BaseModel]]:
-    """Every model inside an annotation such as ``dict[str, tuple[A | B, ...]]``."""
+    """Return every model inside an annotation such as ``dict[str, tuple[A | B, ...]]``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in getattr(annotation, "__args__", ()) for model in models_in(part)]

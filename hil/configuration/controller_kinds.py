@@ -1,4 +1,4 @@
-"""The kinds of controllers and compensators: what a bench file says of each, and what is made of it.
+"""Kinds of controllers and compensators: their tables in a bench file, and their construction.
 
 A new kind is its class in ``hil/control``, its section here, and its place in the union at the end.
 """
@@ -27,17 +27,17 @@ from servobench.hil.loop.scenario import Quantity
 
 
 class ArrivalCompensator(Section):
-    """The newest reading is used as soon as it is there."""
+    """Uses the newest reading as soon as it arrives."""
 
     kind: Literal["arrival"]
 
     def build(self, setup: Setup) -> Compensator:  # noqa: ARG002
-        """The compensator of an axis."""
+        """Build the compensator of an axis."""
         return Arrival()
 
 
 class StampCompensator(Section):
-    """A reading acts when it is exactly ``delay_us`` old, [Ling2012] 2.3.
+    """Uses a reading when it is exactly ``delay_us`` old, [Ling2012] 2.3.
 
     Drives sample at SYNCs; with ``loop.actuation = "on_sync"``, without which this is refused, they act at
     SYNCs too. So ``delay_us`` is a whole number of periods.
@@ -47,12 +47,12 @@ class StampCompensator(Section):
     delay_us: int = Field(gt=0, description="the age at which a reading acts, us")
 
     def build(self, setup: Setup) -> Compensator:
-        """The compensator of an axis."""
+        """Build the compensator of an axis."""
         return Stamp(Duration(self.delay_us * NS_PER_US), setup.period)
 
 
 class TunedFor(Section):
-    """``made_for`` of a PID: what its rule went by."""
+    """``made_for`` of a PID: the data of its tuning rule."""
 
     crossover_rad_s: float = Field(gt=0, description="where the speed loop crosses over, rad/s")
     current_loop: LoopOfDrive = Field(description="the table [controller.made_for.current_loop]")
@@ -71,10 +71,10 @@ class PidController(AxisController):
     feedforward_nm_s_rad: Gain = 0.0
     """Torque per reference speed, usually the viscous friction."""
     made_for: TunedFor | None = None
-    """Absent: nobody says; ``hil run`` then goes by the gains alone."""
+    """Absent: unknown; ``hil run`` then judges by the gains alone."""
 
     def build(self, setup: Setup) -> Controller:
-        """The controller of an axis."""
+        """Build the controller of an axis."""
         gains = PidGains(**self.model_dump(exclude={"kind", "made_for"}))
         return Pid(gains, setup.period_s)
 
@@ -91,13 +91,13 @@ class StateFeedbackController(AxisController):
     kind: Literal["state_feedback"]
     gain: Gains = Field(description="K: [K1 in A/A, K2 in A s/rad], and K3 in A/rad if it is to integrate")
     feedforward_load_nm: SignedTorque = 0.0
-    """Load torque that the nominal current carries beside the friction."""
+    """Load torque carried by the nominal current in addition to the friction."""
     made_for: MadeFor | None = None
     """The network and the drive that it was designed for; ``hil run`` refuses others."""
     certificate: Certificate | None = None
 
     def build(self, setup: Setup) -> Controller:
-        """The controller of an axis."""
+        """Build the controller of an axis."""
         motor = setup.motor
         return StateFeedback(
             self.gain,
@@ -109,13 +109,13 @@ class StateFeedbackController(AxisController):
 
 
 class SpeedLoopOfDrive(Section):
-    """``made_for`` of a position loop: over what it is closed."""
+    """``made_for`` of a position loop: the speed loop inside it."""
 
     delay_us: int = Field(ge=0, description="from sample to actuator, us; hil measure tells it")
     speed_bandwidth_hz: float = Field(gt=0, le=5e3, description="of the drive's closed speed loop, Hz")
 
     def gain_per_s(self, period: Duration) -> float:
-        """K of the position loop, 1/s."""
+        """Return K of the position loop, 1/s."""
         bandwidth_rad_s = math.tau * self.speed_bandwidth_hz
         return design_position(period / NS_PER_S, self.delay_us / 1e6, bandwidth_rad_s)
 
@@ -125,9 +125,9 @@ class PositionController(AxisController):
 
     kind: Literal["position"]
     gain_per_s: float | None = Field(default=None, gt=0, le=1e5, description="K, 1/s")
-    """If absent: designed for ``made_for`` (:mod:`servobench.design.speed.position_loop`)."""
+    """Default: designed for ``made_for`` (:mod:`servobench.design.speed.position_loop`)."""
     feedforward: float = Field(default=1.0, ge=0, le=2)
-    """F: of the reference's own speed."""
+    """F: share of the reference's own speed."""
     made_for: SpeedLoopOfDrive = Field(description="a table with delay_us and speed_bandwidth_hz")
     gives: ClassVar = (Quantity.SPEED,)
 
@@ -135,7 +135,7 @@ class PositionController(AxisController):
         return Quantity.POSITION
 
     def build(self, setup: Setup) -> Controller:
-        """The controller of an axis."""
+        """Build the controller of an axis."""
         gain_per_s = self.gain_per_s
         if gain_per_s is None:
             gain_per_s = self.made_for.gain_per_s(setup.period)
@@ -146,7 +146,7 @@ class PositionController(AxisController):
 
 
 class StreamController(AxisController):
-    """The reference itself as set-points: positions in csp, speeds in csv, torques in cst."""
+    """Passes the reference on as set-points: positions in csp, speeds in csv, torques in cst."""
 
     kind: Literal["stream"]
     gives: ClassVar = tuple(Quantity)
@@ -155,12 +155,12 @@ class StreamController(AxisController):
         return given
 
     def build(self, setup: Setup) -> Controller:
-        """The controller of an axis."""
+        """Build the controller of an axis."""
         return SetPointStream(setup.given, setup.period)
 
 
 class OwnCode(Section):
-    """A class of one's own: ``object`` names it, ``parameters`` are its constructor's."""
+    """A user class: ``object`` names it, ``parameters`` go to its constructor."""
 
     kind: Literal["python"]
     object: str = Field(
@@ -171,23 +171,23 @@ class OwnCode(Section):
 
 
 class OwnCompensator(OwnCode):
-    """A compensator of one's own."""
+    """A user's compensator."""
 
     def build(self, setup: Setup) -> Compensator:
-        """The compensator of an axis; runs the code. Raises BadInput if it is none."""
+        """Build the compensator of an axis; runs the code. Raises BadInput if it is none."""
         return guarded_compensator(self.object, self.parameters, setup)
 
 
 class OwnController(OwnCode, AxisController):
-    """A controller of one's own."""
+    """A user's controller."""
 
     gives: ClassVar = tuple(Quantity)
 
     def follows(self, given: Quantity) -> None:
-        """Any."""
+        """Return None: any reference."""
 
     def build(self, setup: Setup) -> Controller:
-        """The controller of an axis; runs the code. Raises BadInput if it is none."""
+        """Build the controller of an axis; runs the code. Raises BadInput if it is none."""
         return guarded_controller(self.object, self.parameters, setup)
 
 
@@ -207,7 +207,7 @@ ControllerSection = Annotated[AnyController, Field(discriminator="kind")]
 
 
 def controllers_giving(given: Quantity) -> list[str]:
-    """The kinds of controllers whose set-points are ``given``."""
+    """Return the kinds of controllers whose set-points are ``given``."""
     sections: tuple[type[AxisController], ...] = get_args(AnyController)
     return [
         get_args(section.model_fields["kind"].annotation)[0] for section in sections if given in section.gives
@@ -215,6 +215,6 @@ def controllers_giving(given: Quantity) -> list[str]:
 
 
 class ControllerFile(Section):
-    """A controller in a file of its own."""
+    """A controller in a separate file."""
 
     controller: ControllerSection = Field(description="the table [controller] with its kind")

@@ -1,4 +1,4 @@
-"""Files of a current controller: what ``hil design current --out`` writes and a simulated drive runs."""
+"""Files of a current controller: written by ``hil design current --out``, run by a simulated drive."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -26,16 +26,17 @@ class ContinuousController(Section):
     zeros_rad_s: Roots = Field(description="[real, imaginary] of each zero, rad/s")
     poles_rad_s: Roots = Field(description="[real, imaginary] of each pole, rad/s")
     prewarp_rad_s: Coefficient = Field(default=0.0, ge=0)
-    """Where Tustin's rule is exact: the loop's crossover."""
+    """Frequency at which Tustin's rule is exact: the loop's crossover."""
 
     def at_rate(self, rate_hz: int) -> StateSpace:
-        """The sampled controller. Error: ValueError for roots without their conjugate or too low a rate."""
+        """Return the sampled controller. Error: ValueError for roots without their conjugate or too low a
+        rate."""
         from servobench.design.hinf.bilinear import tustin  # with scipy: a third of a second, for who has one
 
         return tustin(self.continuous(), rate_hz, self.prewarp_rad_s)
 
     def continuous(self) -> StateSpace:
-        """The controller itself. Error: ValueError for roots without their conjugate."""
+        """Return the controller itself. Error: ValueError for roots without their conjugate."""
         return from_zpk(_numbers(self.zeros_rad_s), _numbers(self.poles_rad_s), self.gain)
 
 
@@ -50,13 +51,13 @@ class SampledController(Section):
     sample_rate_hz: int = Field(gt=0, description="the inner rate that it was made for, Hz")
 
     def at_rate(self, rate_hz: int) -> StateSpace:
-        """The controller. Error: ValueError for another rate than its own."""
+        """Return the controller. Error: ValueError for another rate than its own."""
         if rate_hz != self.sample_rate_hz:
             raise ValueError(f"made for {self.sample_rate_hz} Hz, the drive's inner rate is {rate_hz} Hz")
         return from_zpk(_numbers(self.zeros_z), _numbers(self.poles_z), self.gain, 1.0 / rate_hz)
 
     def continuous(self) -> StateSpace:
-        """What Tustin's rule takes to this controller."""
+        """Return the continuous system that Tustin's rule maps to this controller."""
         from servobench.design.hinf.bilinear import to_bilinear
 
         return to_bilinear(self.at_rate(self.sample_rate_hz))
@@ -78,16 +79,16 @@ class CurrentControllerFile(Section):
 
 
 class CurrentControl(Section):
-    """``current_control``: what the simulated drive runs instead of its PI current loops."""
+    """``current_control``: controllers that the simulated drive runs instead of its PI current loops."""
 
     controller: CurrentController | None = None
-    """Path of the controller on the q axis, which makes the torque; PI if absent."""
+    """Path of the controller on the q axis, which makes the torque; default: PI."""
     controller_d: CurrentController | None = None
-    """Path of the controller on the d axis; PI if absent."""
+    """Path of the controller on the d axis; default: PI."""
 
 
 def load_current_controller(path: Path, named_by: NamedBy, axis: str) -> CurrentController:
-    """The controller file at ``path``, made for ``axis``. Raises BadInput or BadInputs."""
+    """Load the controller file at ``path``, made for ``axis``. Raises BadInput or BadInputs."""
     controller = read_current_controller(path, named_by)
     if controller.axis != axis:
         raise BadInput(
@@ -100,7 +101,7 @@ def load_current_controller(path: Path, named_by: NamedBy, axis: str) -> Current
 
 
 def read_current_controller(path: Path, named_by: NamedBy) -> CurrentController:
-    """The controller file at ``path``, whichever axis it is for. Raises BadInput or BadInputs."""
+    """Load the controller file at ``path``, for either axis. Raises BadInput or BadInputs."""
     file = load_file(CurrentControllerFile, path, "current controller file", named_by)
     controller = file.current_controller
     try:

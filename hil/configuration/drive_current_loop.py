@@ -1,5 +1,5 @@
-"""The current loop of a bench's drive: its order, how fast it is, which key of the bench says so, and whether
-it is what the controller around it was made for.
+"""The current loop of a bench's drive: its order, its bandwidth, the key that states it, and whether it
+matches the one that the controller was made for.
 
 The bandwidth is where the open loop has gain 1, over 2 pi: of a loop of first order that is its pole.
 """
@@ -17,29 +17,29 @@ from servobench.hil.configuration.current_controller_file import CurrentControll
 from servobench.hil.configuration.speed_controller_file import CurrentLoop, MadeFor
 
 _PHASE_LOST_DEG: Final = 5.0
-"""Of a margin of 50 degrees, the rule's: from here on the answer to a load step is visibly another."""
+"""Phase loss, against the rule's margin of 50 degrees, from which the response to a load step changes
+visibly."""
 _CASCADE: Final = 5.0
-"""Inner bandwidth over outer crossover, at least: the inner loop then costs 11 degrees there."""
+"""Least ratio of inner bandwidth to outer crossover: the inner loop then costs 11 degrees there."""
 _LOWEST_RAD_S, _HIGHEST_RAD_S, _BISECTIONS = 1e-3, 1e6, 60
 """Nine decades halved so often are narrower than the last bit of a double."""
 
 
 @dataclass(frozen=True, slots=True)
 class KnownLoop:
-    """What is known of a drive's current loop."""
+    """Known data of a drive's current loop."""
 
     order: int
     bandwidth_hz: float
     key: str
-    """Of the bench file, that says so."""
+    """The key of the bench file that states it."""
 
 
 def current_loop_of(config: BenchConfig, axis: str) -> KnownLoop | None:
-    """The loop of an axis' drive; None: nobody has measured it.
+    """Return the loop of an axis' drive; None: not measured.
 
-    A simulated drive is as the bench file says, any other one is known by what commissioning measured. The
-    factors that set the simulated motor off from its file are left out: they are there to show what a design
-    makes of a motor that it does not know.
+    A simulated drive follows the bench file, any other one the measurements of commissioning. The factors
+    between the simulated motor and its file are ignored: they show how a design copes with an unknown motor.
     """
     drive, key = config.drive[axis], f"drive.{axis}"
     if config.simulated:
@@ -62,7 +62,7 @@ def _simulated(drive: DriveConfig, key: str) -> KnownLoop:
 
 
 def closed_loop(motor: PmsmParameters, controller: CurrentController) -> tuple[StateSpace, float]:
-    """The closed loop of i_q with ``controller``, demand to current, and where it crosses over, rad/s."""
+    """Return the closed loop of i_q with ``controller``, demand to current, and its crossover, rad/s."""
     from servobench.design.current.current_design import (
         complementary,  # with scipy: for the bench that has such a controller
     )
@@ -75,7 +75,7 @@ def closed_loop(motor: PmsmParameters, controller: CurrentController) -> tuple[S
 
 
 def certified_loop(made_for: MadeFor) -> CurrentLoop | None:
-    """For which loops the certificates hold; None: the file does not name its plant."""
+    """Return the loops for which the certificates hold; None: the file does not name its plant."""
     if made_for.current_loop is not None or made_for.plant is None:
         return made_for.current_loop
     winding_hz = made_for.plant.resistance_ohm / made_for.plant.inductance_q_h / math.tau
@@ -83,7 +83,7 @@ def certified_loop(made_for: MadeFor) -> CurrentLoop | None:
 
 
 def loop_fault(made_for: MadeFor, loop: KnownLoop, made_for_key: str) -> tuple[str, object, str] | None:
-    """Key, value and what was expected, where the certificates do not hold for the drive's ``loop``."""
+    """Return key, value and expectation if the certificates do not hold for the drive's ``loop``."""
     certified = certified_loop(made_for)
     if certified is None or (loop.order == certified.order and certified.covers(loop.bandwidth_hz)):
         return None
@@ -95,17 +95,16 @@ def loop_fault(made_for: MadeFor, loop: KnownLoop, made_for_key: str) -> tuple[s
 
 
 def range_text(certified: CurrentLoop) -> str:
-    """The bandwidths in words."""
+    """Give the bandwidths in words."""
     least_hz, most_hz = certified.bandwidth_min_hz, certified.bandwidth_max_hz
     return f"{least_hz:.5g} Hz and no other" if least_hz == most_hz else f"{least_hz:.5g} to {most_hz:.5g} Hz"
 
 
 def slow_for_pid(own: KnownLoop, pid: PidController, motor: PmsmParameters) -> str:
-    """In what a drive's current loop is too slow for the PID around it; empty if it is not.
+    """Explain why a drive's current loop is too slow for the PID around it; empty if it is not.
 
-    A PID has no certificate. What can be told before the run is the phase that a slower current loop takes
-    from it at its crossover; where its file does not say what it was tuned for, the rule of cascaded loops is
-    left.
+    A PID has no certificate. Before the run only the phase lost at its crossover to a slower current loop is
+    known; if its file does not say what it was tuned for, the rule of cascaded loops applies.
     """
     that = f"that of this drive has {own.bandwidth_hz:.4g} Hz ({own.key})"
     own_rad_s = math.tau * own.bandwidth_hz
@@ -129,7 +128,7 @@ def slow_for_pid(own: KnownLoop, pid: PidController, motor: PmsmParameters) -> s
 
 
 def crossover_rad_s(pid: PidController, motor: PmsmParameters) -> float:
-    """The highest frequency at which PID and shaft have gain 1, the current loop and delays left out."""
+    """Return the highest frequency at which PID and shaft have gain 1, without current loop and delays."""
 
     def gain(omega: float) -> float:
         s = 1j * omega

@@ -1,4 +1,4 @@
-"""Drive files: what commissioning found of one drive, for a bench to run it with.
+"""Drive files: the results of commissioning one drive, for a bench to run it with.
 
 ``hil commission`` leaves one, ``drive.toml``; a bench file names it as ``drive.NAME.commissioned``.
 """
@@ -18,7 +18,7 @@ Sign = Literal[-1, 1]
 
 
 class DriveMarks(Section):
-    """``[drive]``: by what the drive is known again."""
+    """``[drive]``: the identity of the drive."""
 
     node: int = Field(ge=1, le=127)
     name: str = ""
@@ -29,7 +29,7 @@ class DriveMarks(Section):
 
 
 class Scale(Section):
-    """``[scale]``: factors that the drive's own objects tell wrong; absent: believe the drive."""
+    """``[scale]``: corrections of factors in the drive's objects; absent: believe the drive."""
 
     position_rad: float | None = Field(default=None, gt=0, le=1e6)
     """rad of the motor shaft per position unit."""
@@ -39,7 +39,7 @@ class Scale(Section):
 
 
 class Signs(Section):
-    """``[signs]``: what no object of the drive turns round."""
+    """``[signs]``: reversals that no object of the drive can make."""
 
     torque: Sign = 1
     """-1: positive torque turns the position down."""
@@ -48,7 +48,7 @@ class Signs(Section):
 
 
 class SetObject(Section):
-    """``[[object]]``: a setting that the run rests on, written before the drive is set up."""
+    """``[[object]]``: a setting that the run depends on, written before the drive is set up."""
 
     index: int = Field(ge=FIRST_OBJECT, le=0xFFFF)
     sub: int = Field(default=0, ge=0, le=255)
@@ -62,23 +62,23 @@ class SetObject(Section):
 
 
 class StopOfDrive(Section):
-    """``[stop]``: how the drive stops, where its quick stop ramp cannot be had."""
+    """``[stop]``: how the drive stops if its quick stop ramp cannot be used."""
 
     option: Literal[1, 2, 3] = 2
-    """605Ah and 605Eh: the slow down ramp, the quick stop ramp, or the limit of current."""
+    """605Ah and 605Eh: the slow down ramp, the quick stop ramp, or the current limit."""
 
 
 class LoopOfDrive(Section):
     """``current_loop``: torque demand to torque, measured by commissioning or assumed by a PID's rule."""
 
     order: int = Field(default=1, ge=1)
-    """What is measured is the lag of first order that is as far behind a step in the end."""
+    """The measured loop is the first-order lag that finally is as far behind a step."""
     bandwidth_hz: float = Field(gt=0, description="where its open loop has gain 1, Hz")
-    """All that the drive takes is in a measured one: waiting for its next sample, computing, the loop."""
+    """A measured one includes every delay of the drive: waiting for its next sample, computing, the loop."""
 
 
 class DriveFile(Section):
-    """A whole drive file. Limits and controller are suggestions, for a bench file to copy."""
+    """A complete drive file. Limits and controller are suggestions, for a bench file to copy."""
 
     drive: DriveMarks = Field(description="the table [drive]")
     scale: Scale = Scale()
@@ -86,13 +86,13 @@ class DriveFile(Section):
     object: Annotated[tuple[SetObject, ...], Field(strict=False)] = ()
     stop: StopOfDrive = StopOfDrive()
     current_loop: LoopOfDrive | None = None
-    """Absent: the drive has no torque mode, in which it could be measured."""
+    """Absent: the drive has no torque mode in which to measure it."""
     limits: dict[str, Any] = Field(default_factory=dict)
     controller: dict[str, Any] = Field(default_factory=dict)
 
     @property
     def override(self) -> ScaleOverride:
-        """``scale`` and ``signs`` as the drive client takes them."""
+        """``scale`` and ``signs`` in the form for the drive client."""
         return ScaleOverride(
             **self.scale.model_dump(),
             velocity_sign=float(self.signs.velocity),
@@ -101,5 +101,5 @@ class DriveFile(Section):
 
 
 def load_drive_file(path: Path, named_by: NamedBy | None = None) -> DriveFile:
-    """The drive file at ``path``. Raises BadInput or BadInputs."""
+    """Load the drive file at ``path``. Raises BadInput or BadInputs."""
     return load_file(DriveFile, path, "drive file", named_by)

@@ -1,4 +1,4 @@
-"""``kind = "hinf"``: an H-infinity controller on the speed error, its matrices stated in a file."""
+"""``kind = "hinf"``: an H-infinity controller on the speed error, with its matrices in a file."""
 
 from typing import Annotated, Literal
 
@@ -44,7 +44,7 @@ class HinfSection(AxisController):
         return self
 
     def build(self, setup: Setup) -> Controller:
-        """The controller of an axis. Raises BadInput for another period than its own."""
+        """Build the controller of an axis. Raises BadInput for another period than its own."""
         if self.period_us * NS_PER_US != setup.period:
             key = f"drive.{setup.axis}.controller.period_us"
             expected = f"loop.period_us = {setup.period / NS_PER_US:g}"

@@ -1,4 +1,4 @@
-"""Which controllers, references and limits go with the mode that a drive is run in."""
+"""Checks which controllers, references and limits go with a drive's mode."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -13,14 +13,15 @@ from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
 from servobench.hil.loop.scenario import Quantity
 
 Fault = tuple[str, object, str, str]
-"""key, value found, what was expected, remedy."""
+"""Key, value found, expected value, remedy."""
 
 _OF_SPEEDS: Final = ("speed_error_peak_percent_max", "after_load_percent_max", "speed_error_rms_rad_s_max")
 _OF_POSITIONS: Final = ("position_error_peak_rad_max", "position_error_rms_rad_max")
 
 
 def quantity_of(config: BenchConfig, axis: str) -> Quantity:
-    """What the reference of an axis is; without one what its controller takes, of one's own a speed."""
+    """Return the quantity of an axis' reference; without a reference its controller's, for a user's
+    controller speed."""
     entries = config.reference.get(axis, ())
     if entries and entries[0].told:
         return entries[0].quantity
@@ -28,12 +29,12 @@ def quantity_of(config: BenchConfig, axis: str) -> Quantity:
 
 
 def _taken(drive: DriveConfig) -> Quantity | None:
-    """The reference that a drive's controller takes; None: any."""
+    """Return the reference that a drive's controller takes; None: any."""
     return drive.controller.follows(QUANTITY_BY_MODE[drive.mode])
 
 
 def mode_faults(config: BenchConfig) -> Iterator[Fault]:
-    """What does not go with a drive's mode."""
+    """Yield the values that do not go with a drive's mode."""
     for axis in config.axes:
         drive = config.drive[axis]
         given = QUANTITY_BY_MODE[drive.mode]
@@ -79,7 +80,7 @@ def _verdict_of_modes(config: BenchConfig) -> Iterator[Fault]:
 
 
 def reference_faults(axis: str, drive: DriveConfig, config: BenchConfig) -> Iterator[Fault]:
-    """Entries that are of no quantity, or of one that the axis cannot take, or beyond its limits."""
+    """Yield entries of no quantity, of one that the axis cannot take, or beyond its limits."""
     entries, table = config.reference.get(axis, ()), f"reference.{axis}"
     for index, entry in enumerate(entries):
         if not entry.told:

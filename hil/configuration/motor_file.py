@@ -47,7 +47,7 @@ class Windings(Section):
 
 
 class MotorMechanics(Section):
-    """``[mechanics]``: rotor and what turns with it."""
+    """``[mechanics]``: the rotor and everything that turns with it."""
 
     inertia_kg_m2: Inertia = Field(description="moment of inertia, kg m^2")
     viscous_friction_nm_s: ViscousFriction = 0.0
@@ -56,7 +56,7 @@ class MotorMechanics(Section):
 
 
 class Rating(Section):
-    """``[rating]``: what the motor and its inverter are made for."""
+    """``[rating]``: the ratings of the motor and its inverter."""
 
     torque_nm: Torque = Field(description="continuous torque, N m")
     speed_rpm: Speed = Field(description="rated speed, r/min")
@@ -105,7 +105,7 @@ class MotorFile(Section):
 
     @property
     def parameters(self) -> PmsmParameters:
-        """The same in the form that plant and firmware take."""
+        """The same in the form for plant and firmware."""
         return PmsmParameters(
             **self.motor.model_dump(exclude={"transform"}),
             **self.mechanics.model_dump(),
@@ -131,14 +131,14 @@ LING2012 = MotorFile(
     mechanics=MotorMechanics(inertia_kg_m2=0.0008, viscous_friction_nm_s=0.00185),
     rating=Rating(torque_nm=2.0, speed_rpm=1500.0, current_max_a=15.0, dc_bus_voltage_v=300.0),
 )
-"""[Ling2012] Table 1: the motor of ``hil simulate`` if none is named. Current and DC bus were chosen here."""
+"""[Ling2012] Table 1: the default motor of ``hil simulate``. Current and DC bus were chosen here."""
 
 
 def load_motor(path: Path, named_by: NamedBy | None = None) -> MotorFile:
-    """The motor file at ``path``; ``named_by``: who names it. Raises BadInput or BadInputs."""
+    """Load the motor file at ``path``; ``named_by``: its source. Raises BadInput or BadInputs."""
     return load_file(MotorFile, path, "motor file", named_by)
 
 
 def speed_max_rpm(motor: PmsmParameters) -> float:
-    """Speed at which the back-EMF alone takes the whole voltage of the inverter, r/min."""
+    """Return the speed at which the back-EMF alone takes the whole voltage of the inverter, r/min."""
     return motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb) / RAD_S_PER_RPM

@@ -1,7 +1,7 @@
-"""Network files: what a network does to readings and commands, measured by a command or written by hand.
+"""Network files: delays and losses of readings and commands, measured by a command or written by hand.
 
-``hil run`` leaves one, ``network.toml``, in its folder, ``hil measure`` writes one that says how sure it is;
-``hil design speed --network`` designs for it, and ``hil run --network`` holds a controller's own against it
+``hil run`` leaves one, ``network.toml``, in its folder, ``hil measure`` writes one with confidence limits;
+``hil design speed --network`` designs for it, and ``hil run --network`` compares a controller's own with it
 before anything moves.
 """
 
@@ -28,14 +28,15 @@ class DelayFigures(Section):
 
 
 class DelayHistogram(Section):
-    """``histogram``: as a fault plan's [[measured_delay]] takes it, so that the network can be replayed."""
+    """``histogram``: in the form of a fault plan's [[measured_delay]], so that the network can be
+    replayed."""
 
     edges_us: Annotated[tuple[float, ...], Field(strict=False, min_length=2)]
     counts: Annotated[tuple[int, ...], Field(strict=False, min_length=1)]
 
 
 class LossChain(Section):
-    """Losses as a fault plan's [[burst]] takes them; independent ones are those of ``loss_good`` alone."""
+    """Losses in the form of a fault plan's [[burst]]; independent ones have ``loss_good`` alone."""
 
     p_good_to_bad: float = Field(ge=0, le=1)
     p_bad_to_good: float = Field(ge=0, le=1)
@@ -47,92 +48,93 @@ Percent = Annotated[float, Field(ge=0, le=100)]
 
 
 class Certainty(Section):
-    """``[network.certainty]``: what the figures are worth that rest on a sample, at ``confidence``."""
+    """``[network.certainty]``: confidence of the figures from a sample, at ``confidence``."""
 
     confidence: float = Field(gt=0, lt=1)
     loss_percent: Annotated[tuple[Percent, Percent], Field(strict=False)]
-    """Where the true share of lost readings is."""
+    """Interval of the true share of lost readings."""
     command_loss_percent: Annotated[tuple[Percent, Percent], Field(strict=False)] | None = None
     reading_delay_share: float = Field(ge=0, le=1)
-    """Of all readings, those to come included: as many are delayed by no more than the largest delay seen."""
+    """Share of all readings, future ones included, that are delayed by no more than the largest delay
+    seen."""
     action_delay_share: float | None = Field(default=None, ge=0, le=1)
     """The same from sample to actuation."""
 
 
 class ClockHealth(Section):
-    """``clocks.AXIS``: a drive's clock, and what the placing of its readings rests on."""
+    """``clocks.AXIS``: a drive's clock, and the basis of its readings' placement."""
 
     drift_ppm: float | None = None
     """How much faster it runs than the host's; None for a drive without stamps."""
     drift_error_ppm: float | None = Field(default=None, ge=0)
     """Two standard deviations of it."""
     error_us: float = Field(default=0.0, ge=0)
-    """The largest error bound of an instant of sampling that is certain."""
+    """The largest error bound of a certain sampling instant."""
     steps: int = Field(default=0, ge=0)
-    """Times that it was set."""
+    """Number of times it was set."""
     stamp_resolution_us: float | None = Field(default=None, ge=0.01, le=1000)
-    """By how much its stamp advances at a time, where that was measured."""
+    """Step of its stamp, if measured."""
     readbacks_unordered: int = Field(default=0, ge=0)
-    """Demands that came while the order of frames told nothing: losses of commands behind their echo were not
-    counted by them."""
+    """Demands that came while the order of frames was unreliable: they did not count commands lost behind
+    their echo."""
 
 
 class Network(Section):
-    """``[network]``: the first three keys are what a design needs, the others are evidence."""
+    """``[network]``: a design needs the first three keys, the others are evidence."""
 
     period_us: int = Field(gt=0, le=1_000_000, description="the sampling period, us")
     losses_in_a_row_max: int = Field(ge=0, le=1000, description="most readings missing in a row")
     delay_max_us: int = Field(ge=0, description="largest delay from sample to actuator, us")
     command_losses_in_a_row_max: int = Field(default=0, ge=0, le=1000)
-    """Most commands lost in a row, or passed over: the most that were lost."""
+    """Most commands lost or passed over in a row: upper limit of the losses."""
     commands: Literal["stated", "measured", "not measured"] = "stated"
-    """How the way of the commands is known: stated by whoever wrote the file, told by the drive (6074h), or
-    not at all; then nothing can be certified on it."""
+    """Source of the commands' figures: stated by the file's author, reported by the drive (6074h), or none;
+    without one nothing can be certified on it."""
     cycles: int = Field(default=0, ge=0)
-    """Readings asked for; all axes together."""
+    """Readings requested; all axes together."""
     lost: int = Field(default=0, ge=0)
     late: int = Field(default=0, ge=0)
     stale: int = Field(default=0, ge=0)
     missed: int = Field(default=0, ge=0)
-    """Cycles without SYNC: losses that the host made."""
+    """Cycles without SYNC: losses caused by the host."""
     uncertain_percent: float = Field(default=0.0, ge=0, le=100)
-    """Cycles of which the data do not decide whose reading it was, or that it was lost."""
+    """Cycles for which the data do not decide whose reading it was, or that it was lost."""
     loss_percent: float = Field(default=0.0, ge=0, le=100)
     losses_in_a_row: Annotated[tuple[int, ...], Field(strict=False)] = ()
     """How often exactly 1, 2, ... readings were missing in a row."""
     reading_delay_us: DelayFigures | None = None
-    """From sample to host, of every reading that came."""
+    """From sample to host, of every reading received."""
     action_delay_us: DelayFigures | None = None
-    """From sample to the actuation that can first rest on it: the most that it may be."""
+    """From sample to the first actuation that can depend on it: upper limit."""
     action_delay_least_us: DelayFigures | None = None
-    """The least that it may be."""
+    """Lower limit of the same."""
     command_delay_us: DelayFigures | None = None
-    """From handing a command over until its end on the bus, by its echo."""
+    """From handing a command over to its end on the bus, by its echo."""
     commands_acting: int = Field(default=0, ge=0)
     """Commands that the drive was seen to follow."""
     commands_lost: int = Field(default=0, ge=0)
     """Commands that it cannot have followed at any instant."""
     commands_not_sent: int = Field(default=0, ge=0)
-    """Those among them that the adapter had no room for until the next one was to be sent."""
+    """Those among them for which the adapter had no room before the next one."""
     commands_not_identifiable: int = Field(default=0, ge=0)
-    """Commands of which neither can be said: they equal a neighbour, or were not asked for in time."""
+    """Commands for which neither is known: they equal a neighbour, or were not checked in time."""
     commands_passed_over: int = Field(default=0, ge=0)
-    """Those among them that were there at a SYNC, not followed then, and replaced: lost, or followed between
-    two SYNCs only."""
+    """Those among them that had arrived before a SYNC, were not followed then, and were replaced: lost, or
+    followed between two SYNCs only."""
     command_loss_percent: float | None = Field(default=None, ge=0, le=100)
-    """Lost or passed over, of those and the ones acting: the most that were lost."""
+    """Lost or passed over, of those and the ones acting: upper limit of the losses."""
     command_loss_least_percent: float | None = Field(default=None, ge=0, le=100)
     """Lost, of the same."""
     histogram: DelayHistogram | None = None
-    """Of the readings' delay."""
+    """Histogram of the readings' delay."""
     command_histogram: DelayHistogram | None = None
-    """Of the commands' delay, from handing over until its effect on the drive."""
+    """Histogram of the commands' delay, from handing over to the effect on the drive."""
     reading_losses: LossChain | None = None
     """None: not identifiable."""
     command_losses: LossChain | None = None
     certainty: Certainty | None = None
     clocks: dict[str, ClockHealth] = Field(default_factory=dict)
-    """By axis, of a measurement by node."""
+    """By axis; in a measurement by node."""
 
     @property
     def losses_max(self) -> int:
@@ -162,14 +164,14 @@ class NetworkFile(Section):
 
 
 def load_network(path: Path) -> Network:
-    """The network in the file at ``path``. Raises BadInput or BadInputs."""
+    """Load the network in the file at ``path``. Raises BadInput or BadInputs."""
     tables = read_toml(path, "network file", NamedBy("--network", "", str(path)))
     if "network" not in tables and "bench" in tables:
         raise BadInput(
             "--network",
             "",
             f"{path}, a bench file",
-            "a network file, as a run leaves it in its recording: network.toml",
+            "a network file, such as network.toml in a run's recording",
             f"hil run {path} --record DIR makes one",
         )
     network = validated(NetworkFile, tables, str(path)).network
@@ -182,7 +184,7 @@ def load_network(path: Path) -> Network:
 
 
 def stamp_resolutions_us(path: Path) -> dict[str, float]:
-    """By how much stamps advance at a time, of the clocks in the network file at ``path`` that have it.
+    """Return the stamps' steps, for the clocks in the network file at ``path`` that have one.
 
     Raises BadInput or BadInputs.
     """
@@ -195,7 +197,7 @@ def stamp_resolutions_us(path: Path) -> dict[str, float]:
 
 
 def commands_unknown(network: Network, source: str) -> BadInput | None:
-    """Why nothing can be certified on ``network``, the one of ``source``; None if something can."""
+    """Explain why nothing can be certified on ``network``, the one of ``source``; None if something can."""
     if network.commands != "not measured":
         return None
     return BadInput(
@@ -209,7 +211,8 @@ def commands_unknown(network: Network, source: str) -> BadInput | None:
 
 
 def losses_unseen(network: Network, source: str) -> str:
-    """Why more commands may have been lost on ``network`` than its file counts; empty if nothing says so."""
+    """Explain why more commands may have been lost on ``network`` than its file counts; empty if there is no
+    sign."""
     axes = [name for name, clock in network.clocks.items() if clock.readbacks_unordered]
     if not axes:
         return ""
@@ -222,5 +225,5 @@ def losses_unseen(network: Network, source: str) -> str:
 
 
 def network_text(network: Network) -> str:
-    """The file of ``network``."""
+    """Return the file text of ``network``."""
     return toml_text({"network": network.model_dump(mode="json", exclude_none=True)})

@@ -1,4 +1,4 @@
-"""``observe``: objects that a drive tells with the SYNCs, for the recording alone."""
+"""``observe``: objects that a drive sends with the SYNCs, for the recording alone."""
 
 import re
 from collections import Counter
@@ -31,7 +31,7 @@ TypeName = Literal[
 
 
 class _Standard(NamedTuple):
-    """What CiA 402-2 says of an object."""
+    """The CiA 402-2 definition of an object."""
 
     name: str = ""
     factor: float = 1.0
@@ -47,17 +47,17 @@ ENTRIES_MAX: Final = 8 * len(NUMBERS)
 
 
 class ObservedObject(Section):
-    """One of them; ``"6078"`` stands for ``{ object = "6078" }``."""
+    """One observed object; ``"6078"`` is short for ``{ object = "6078" }``."""
 
     object: str = Field(description='its index in hexadecimal, and a sub-index: "6078", "2101:1"')
     type: TypeName | None = None
-    """Of the data type; that of the standard if absent, which has none for makers' objects."""
+    """Data type; default: that of the standard, which has none for makers' objects."""
     name: str | None = Field(default=None, min_length=1, max_length=40)
-    """In tables and pictures; the standard's, or the object itself, if absent."""
+    """Name in tables and pictures; default: the standard's, or the object itself."""
     scale: float | None = None
-    """By which its number is multiplied; 1 if absent, for 6078h and 6079h what gives per cent and volts."""
+    """Factor of its number; default 1, for 6078h and 6079h the one that gives per cent and volts."""
     unit: str | None = Field(default=None, max_length=20)
-    """Of the product."""
+    """Unit of the product."""
 
     @field_validator("object")
     @classmethod
@@ -75,31 +75,31 @@ class ObservedObject(Section):
 
     @property
     def code(self) -> str | None:
-        """``struct`` character; None: nobody says it."""
+        """``struct`` character; None: unknown."""
         index, sub = self.key
         kind = type_by_name(self.type) if self.type else standard_type(index, sub or None)
         return None if kind is None else STRUCT_CODES.get(DataType(kind))
 
     @property
     def entry(self) -> PdoEntry:
-        """In a PDO."""
+        """The PDO entry."""
         assert self.code is not None
         return PdoEntry(*self.key, self.code)
 
     @property
     def title(self) -> str:
-        """Its name."""
+        """The name shown."""
         index, sub = self.key
         return self.name or self._standard.name or object_name(index, sub)
 
     @property
     def factor(self) -> float:
-        """By which its number is multiplied."""
+        """Factor of its number."""
         return self.scale if self.scale is not None else self._standard.factor
 
     @property
     def told_unit(self) -> str:
-        """Of the product; empty: none is known."""
+        """Unit of the product; empty: unknown."""
         if self.unit is not None:
             return self.unit
         return self._standard.unit if self.scale is None else ""
@@ -119,7 +119,7 @@ Observe = Annotated[
 
 
 def observed_faults(key: str, observed: tuple[ObservedObject, ...]) -> Iterator[tuple[str, object, str, str]]:
-    """What cannot be told by PDO, or is told anyway; ``key``: of the list."""
+    """Yield objects that cannot be sent by PDO, or are sent anyway; ``key``: that of the list."""
     objects, titles = Counter(each.key for each in observed), Counter(each.title for each in observed)
     for place, each in enumerate(observed):
         here = f"{key}[{place}]"

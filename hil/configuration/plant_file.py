@@ -31,7 +31,7 @@ class PlantFile(Section):
 
 
 def load_plant(path: Path) -> GeneralisedPlant:
-    """The plant in the file at ``path``. Raises BadInput or BadInputs."""
+    """Load the plant in the file at ``path``. Raises BadInput or BadInputs."""
     tables = _tables(path, NamedBy("PLANT.toml", "", str(path)))
     file = validated(PlantFile, tables, str(path))
     for name in "ABCD":

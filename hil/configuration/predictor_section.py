@@ -17,7 +17,7 @@ from servobench.hil.loop.axis_roles import Controller
 
 
 class PredictorController(AxisController):
-    """The state is predicted to the instant at which a command acts, and the load is cancelled."""
+    """Predicts the state to the instant at which a command acts, and cancels the load."""
 
     kind: Literal["predictor"]
     inertia_kg_m2: Inertia = Field(description="of all that turns, kg m^2")
@@ -27,10 +27,10 @@ class PredictorController(AxisController):
         gt=0, description="corner of the filter behind the drive's speed 606Ch, Hz"
     )
     dead_time_us: float = Field(default=0.0, ge=0)
-    """Of the drive, beside these two."""
+    """Dead time of the drive, in addition to these two."""
     speed_noise_rad_s: float = Field(gt=0, description="rms of the noise on each reading of the speed, rad/s")
     torque_noise_nm: float = Field(default=0.0, ge=0)
-    """Rms of what a period's torque differs from its command."""
+    """Rms difference between a period's torque and its command."""
     load_noise_nm_sqrt_s: float = Field(gt=0, description="of the load's random walk, N m per root of s")
     load_noise_max_nm_sqrt_s: float = Field(gt=0, description="the same where a reading tells of a step")
     speed_gain_nm_s_rad: Gain = Field(description="torque per speed error, N m per rad/s")
@@ -41,7 +41,7 @@ class PredictorController(AxisController):
     figures: LoopFigures | None = None
 
     def build(self, setup: Setup) -> Controller:
-        """The controller of an axis, which brings its predictor."""
+        """Build the controller of an axis, with its predictor."""
         plant = PredictorPlant(
             self.inertia_kg_m2,
             self.viscous_friction_nm_s,

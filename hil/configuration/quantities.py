@@ -1,7 +1,7 @@
-"""Physical quantities of the files: what is absurd is refused, what is odd is told.
+"""Physical quantities in files: absurd values are refused, unusual ones reported.
 
-The outer bounds are beyond any machine, from a watch's stepper to a ship's propulsion: what is beyond them is
-a slip, and would let the arithmetic of a simulation or a design overflow. The usual ones are those of servo
+The outer bounds are beyond any machine, from a watch's stepper to a ship's propulsion: a value beyond them is
+a slip, and would overflow the arithmetic of a simulation or a design. The usual ones are those of servo
 drives, from a hundredth of a watt to a megawatt: a value outside is most often in another unit.
 """
 
@@ -15,7 +15,7 @@ from servobench.hil.configuration.toml_text import key_text
 
 
 class Usual(NamedTuple):
-    """Mark of a type: from and to which value nobody wonders."""
+    """Mark of a type: the range of usual values."""
 
     least: float
     most: float
@@ -50,22 +50,22 @@ Voltage = Annotated[float, Field(ge=0.1, le=1e5), Usual(5.0, 1500.0)]
 SlewRate = Annotated[float, Field(ge=1e-6, le=1e9)]
 """N m/s, or r/min per s"""
 Gain = Annotated[float, Field(ge=-1e9, le=1e9)]
-"""Of a controller; in its own unit"""
+"""Gain of a controller; in its own unit"""
 PositiveGain = Annotated[float, Field(ge=0.0, le=1e9)]
 TimeConstant = Annotated[float, Field(ge=1e-6, le=1e5)]
 """s"""
 Coefficient = Annotated[float, Field(ge=-1e15, le=1e15)]
-"""Of a matrix, a weight or a transfer function: its square is far from the end of the floats."""
+"""Coefficient of a matrix, a weight or a transfer function: its square is far from the end of the floats."""
 Frequency = Annotated[float, Field(ge=1e-6, le=5e3), Usual(1e-3, 200.0)]
 """Hz, of a reference: half the rate of the shortest period"""
 DropoutsInARow = Annotated[int, Field(ge=1, le=1_000_000), Usual(1, 1000)]
-"""A safety limit: beyond a second at 1 kHz the drive turns for long with nobody looking."""
+"""A safety limit: beyond a second at 1 kHz the drive turns unobserved for long."""
 HeartbeatTimeout = Annotated[int, Field(ge=2, le=65_535), Usual(2, 2000)]
-"""ms: how long one side goes on without the other."""
+"""ms: how long one side continues without the other."""
 
 
 def odd_values(section: BaseModel, place: str = "") -> Iterator[str]:
-    """What to tell of each value of ``section`` that is outside of the usual, by its key in the file."""
+    """Yield a note on each value of ``section`` outside the usual range, by its key in the file."""
     for name, field in type(section).model_fields.items():
         yield from _odd(getattr(section, name), _usual(field), f"{place}.{name}" if place else name)
 
@@ -84,6 +84,6 @@ def _odd(value: Any, usual: Usual | None, place: str) -> Iterator[str]:
 
 
 def _usual(field: FieldInfo) -> Usual | None:
-    """The mark of a field's type, or of a part of it, as in ``Torque | None``."""
+    """Return the mark of a field's type, or of a part of it, as in ``Torque | None``."""
     marks = [*field.metadata, *(mark for part in get_args(field.annotation) for mark in get_args(part))]
     return next((mark for mark in marks if isinstance(mark, Usual)), None)

@@ -1,9 +1,9 @@
-"""``[[reference.NAME]]`` and ``[[load.NAME]]`` of a bench file: what an axis is to do, what its shaft bears.
+"""``[[reference.NAME]]`` and ``[[load.NAME]]`` of a bench file: an axis' motion, and the load on its shaft.
 
 A reference is a speed, a position or a torque.
 
 Every entry has one of the keys ``speed_rpm``, ``position_rad`` and ``torque_nm``, or of a sine's amplitudes,
-and all entries of an axis have the same. A position counts from where the shaft is when the run begins.
+and all entries of an axis have the same. A position counts from that of the shaft when the run begins.
 """
 
 import math
@@ -32,7 +32,7 @@ _KEYS = {
     Quantity.TORQUE: ("torque_nm", "amplitude_nm"),
 }
 UNITS = {Quantity.SPEED: "r/min", Quantity.POSITION: "rad", Quantity.TORQUE: "N m"}
-"""As they are told to a reader."""
+"""Units shown to the user."""
 
 
 class _Entry(Section):
@@ -42,7 +42,7 @@ class _Entry(Section):
 
     @property
     def told(self) -> list[tuple[Quantity, str]]:
-        """The quantities that it is given in, with their keys; a usable one has one."""
+        """The quantities given, with their keys; a valid entry has one."""
         return [
             (quantity, key)
             for quantity, keys in _KEYS.items()
@@ -52,28 +52,28 @@ class _Entry(Section):
 
     @property
     def keys(self) -> list[str]:
-        """Those of which it must have one."""
+        """Keys of which it must have exactly one."""
         return [key for keys in _KEYS.values() for key in keys if key in type(self).model_fields]
 
     @property
     def quantity(self) -> Quantity:
-        """Of the key that it has."""
+        """Quantity of its key."""
         return self.told[0][0]
 
     @property
     def level(self) -> float:
-        """What the file says, in the unit of its key."""
+        """Level as in the file, in the unit of its key."""
         value: float = getattr(self, self.told[0][1])
         return value
 
     @property
     def level_si(self) -> float:
-        """In rad/s, rad or N m."""
+        """Level in rad/s, rad or N m."""
         return self.level * RAD_S_PER_RPM if self.quantity is Quantity.SPEED else self.level
 
     @property
     def level_text(self) -> str:
-        """With its unit, for the events of a run."""
+        """Level with its unit, for the events of a run."""
         return f"{self.level:g} {UNITS[self.quantity]}"
 
 
@@ -86,11 +86,11 @@ class StepReference(_Entry):
     torque_nm: SignedTorque | None = Field(default=None, description="the torque to go to, N m")
 
     def describe(self) -> str:
-        """In words, for the events of a run."""
+        """Describe it, for the events of a run."""
         return f"step to {self.level_text}"
 
     def segment(self) -> Segment:
-        """As the loop has it."""
+        """Return the segment for the loop."""
         return LevelStep(self.at_s, self.level_si)
 
 
@@ -104,11 +104,11 @@ class RampReference(_Entry):
     over_s: TimeConstant = Field(description="how long the ramp takes, s")
 
     def describe(self) -> str:
-        """In words, for the events of a run."""
+        """Describe it, for the events of a run."""
         return f"ramp to {self.level_text} over {self.over_s:g} s"
 
     def segment(self) -> Segment:
-        """As the loop has it."""
+        """Return the segment for the loop."""
         return Ramp(self.at_s, self.level_si, self.over_s)
 
 
@@ -122,35 +122,35 @@ class SineReference(_Entry):
     frequency_hz: Frequency = Field(description="the frequency of the swing, Hz")
 
     def describe(self) -> str:
-        """In words, for the events of a run."""
+        """Describe it, for the events of a run."""
         return f"sine of {self.level_text} at {self.frequency_hz:g} Hz"
 
     def segment(self) -> Segment:
-        """As the loop has it."""
+        """Return the segment for the loop."""
         return Sine(self.at_s, self.level_si, self.frequency_hz)
 
 
 class SignalFile(_Entry):
-    """From ``at_s`` on: what a file says, whose time 0 lies there
+    """From ``at_s`` on: the signal in a file, whose time 0 lies there
     (:mod:`servobench.hil.configuration.signal_file`).
 
-    As a load it is of torques, positive against positive speed, and alone.
+    As a load it holds torques, positive against positive speed, and is the only entry.
     """
 
     kind: Literal["file"]
     at_s: float = Field(default=0.0, ge=0, description="the time since the run began, s")
     path: str = Field(description="a CSV or Parquet file with time_s and, say, speed_rpm")
     between: Literal["interpolated", "held"] = "interpolated"
-    """What is meant between two rows."""
+    """The signal between two rows."""
 
     @property
     def signal(self) -> Signal:
-        """What the file holds. Raises BadInput."""
+        """The signal in the file. Raises BadInput."""
         return load_signal(Path(self.path))
 
     @property
     def told(self) -> list[tuple[Quantity, str]]:
-        """That of its column."""
+        """Quantity and key of its column."""
         return [(self.signal.quantity, "path")]
 
     @property
@@ -160,7 +160,7 @@ class SignalFile(_Entry):
 
     @property
     def rate(self) -> float:
-        """The largest change per second, likewise; what is held jumps, which is none."""
+        """The largest change per second, likewise; a held signal jumps, which does not count."""
         return 0.0 if self.between == "held" else self.signal.rate * self._per_unit
 
     @property
@@ -173,11 +173,11 @@ class SignalFile(_Entry):
         return 1.0 / RAD_S_PER_RPM if self.quantity is Quantity.SPEED else 1.0
 
     def describe(self) -> str:
-        """In words, for the events of a run."""
+        """Describe it, for the events of a run."""
         return f"{self.quantity.value} of {Path(self.path).name}, {self.signal.points} points"
 
     def segment(self) -> Segment:
-        """As the loop has it."""
+        """Return the segment for the loop."""
         signal = self.signal
         return Table(self.at_s, signal.times_s, signal.levels, self.between == "held")
 
@@ -198,11 +198,11 @@ class LoadStep(Section):
         return self.torque_nm
 
     def describe(self) -> str:
-        """In words, for the events of a run."""
+        """Describe it, for the events of a run."""
         return f"torque {self.torque_nm:g} N m"
 
     def segment(self) -> Segment:
-        """As the loop has it."""
+        """Return the segment for the loop."""
         return LevelStep(self.at_s, self.torque_nm)
 
 
@@ -210,7 +210,7 @@ Load = Annotated[LoadStep | SignalFile, Field(discriminator="kind")]
 
 
 def peak_level(profile: tuple[Reference, ...]) -> float:
-    """The largest magnitude that ``profile`` can ask for, in the unit of the file."""
+    """Return the largest magnitude in ``profile``, in the unit of the file."""
     peak = level = 0.0
     for entry in profile:
         level = level + entry.level if isinstance(entry, SineReference) else abs(entry.level)
@@ -219,7 +219,7 @@ def peak_level(profile: tuple[Reference, ...]) -> float:
 
 
 def peak_rate(profile: tuple[Reference, ...]) -> float:
-    """The largest magnitude of its change per second, in the unit of the file; a step has none."""
+    """Return the largest magnitude of its change per second, in the unit of the file; a step has none."""
     peak = before = swing = 0.0
     for entry in profile:
         if isinstance(entry, SineReference):

@@ -30,7 +30,7 @@ ROWS_MAX: Final = 20_000_000
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """What a file holds, in SI units."""
+    """The contents of a file, in SI units."""
 
     quantity: Quantity
     times_s: bytes
@@ -48,7 +48,7 @@ class Signal:
 
 
 def load_signal(path: Path) -> Signal:
-    """The signal in a file. Raises BadInput, naming file, column and value."""
+    """Load the signal in a file. Raises BadInput, naming file, column and value."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -62,9 +62,9 @@ def load_signal(path: Path) -> Signal:
 
 
 _PARSED_MAX: Final = 8
-"""A bench names one or two; sixteen bytes a row stay in memory."""
+"""A bench names one or two; sixteen bytes per row stay in memory."""
 _parsed: dict[tuple[Path, bytes], Signal] = {}
-"""By content: two edits within a tick of the file system's clock leave the same time."""
+"""Signals by content: two edits within a tick of the file system's clock leave the same time."""
 
 
 def _load(path: Path, content: bytes) -> Signal:

@@ -1,6 +1,6 @@
-"""Plain tables to TOML text, which the standard library reads but does not write.
+"""Writes plain tables as TOML text, which the standard library reads but does not write.
 
-tomlkit takes 40 ms to load: only who writes, or tells of a bad key, waits for it.
+tomlkit takes 40 ms to load: only a writer, or an error about a bad key, waits for it.
 """
 
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def toml_text(tables: Mapping[str, Any]) -> str:
-    """``tables`` as TOML v1.0: reading it back gives an equal mapping.
+    """Return ``tables`` as TOML v1.0: reading it back gives an equal mapping.
 
     Values: bool, int, float, str, and lists and tables of them. Raises TypeError for another type.
     """
@@ -18,7 +18,7 @@ def toml_text(tables: Mapping[str, Any]) -> str:
 
 
 def key_text(key: str) -> str:
-    """One key, in quotes if it needs them."""
+    """Return one key, in quotes if it needs them."""
     import tomlkit
 
     return tomlkit.key(key).as_string()

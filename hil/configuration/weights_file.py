@@ -1,4 +1,4 @@
-"""Weight files: the bounds on |S|, |KS| and |T| that a current controller is designed for."""
+"""Weight files: the bounds on |S|, |KS| and |T| for the design of a current controller."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,7 +13,7 @@ from servobench.hil.configuration.quantities import Coefficient
 
 
 class WeightRefused(BadInput):
-    """A weight that breaks an assumption of the synthesis: its own words say which, and what to do."""
+    """A weight that breaks an assumption of the synthesis: its own words name it, and the cure."""
 
     def __init__(self, source: str, key: str, reason: str) -> None:
         super().__init__(source, key, reason, "a weight that keeps A1 to A4")
@@ -31,7 +31,7 @@ class ZeroPole(Section):
     pole_rad_s: Coefficient = Field(description="the pole's rate, rad/s")
 
     def weight(self) -> Weight:
-        """The weight."""
+        """Return the weight."""
         return Weight(self.high, self.zero_rad_s, self.pole_rad_s)
 
 
@@ -44,7 +44,7 @@ class ByCrossing(Section):
     crossing_rad_s: Coefficient = Field(gt=0, description="where the weight is 1, rad/s")
 
     def weight(self) -> Weight:
-        """The weight. Error: ValueError unless 1 lies between the gains."""
+        """Return the weight. Error: ValueError unless 1 lies between the gains."""
         return crossing_weight(self.low, self.high, self.crossing_rad_s)
 
 
@@ -57,7 +57,7 @@ class BySlope(Section):
     slope_end_rad_s: Coefficient = Field(gt=0, description="the zero's rate, rad/s")
 
     def weight(self) -> Weight:
-        """The weight."""
+        """Return the weight."""
         return slope_weight(self.low, self.high, self.slope_end_rad_s)
 
 
@@ -70,7 +70,7 @@ class ByError(Section):
     static_error: Coefficient = Field(lt=1, description="1/|w1| at rest, below 1")
 
     def weight(self) -> Weight:
-        """The weight."""
+        """Return the weight."""
         return error_weight(self.crossing_rad_s, self.peak, self.static_error)
 
 
@@ -81,7 +81,7 @@ class Constant(Section):
     gain: Coefficient = Field(description="the gain")
 
     def weight(self) -> Weight:
-        """The weight; its pole and zero, at 1 rad/s, cancel."""
+        """Return the weight; its pole and zero, at 1 rad/s, cancel."""
         return Weight(self.gain, 1.0, 1.0)
 
 
@@ -97,7 +97,7 @@ class WeightsFile(Section):
 
 
 def load_weights(path: Path) -> Weights:
-    """The weights in the file at ``path``. Raises BadInput or BadInputs."""
+    """Load the weights in the file at ``path``. Raises BadInput or BadInputs."""
     file = load_file(WeightsFile, path, "weights file", NamedBy("--weights", "", str(path)))
     weights = []
     for name in ("error", "control", "output"):
