@@ -1,4 +1,4 @@
-"""When a command acts: torque switched to and fro at an instant of the cycle that shifts."""
+"""Finds when a command acts: torque switched to and fro at a shifting instant of the cycle."""
 
 from typing import Final, NamedTuple
 
@@ -22,37 +22,37 @@ _GOLDEN: Final = 0.6180339887498949
 _CLEAR: Final = 1.25
 """Command frames between a switch and its SYNC, at least: the SYNC must not wait for the command to leave."""
 _LONGEST_PART: Final = 0.7
-"""Of a period, from a switch to its SYNC, at most."""
+"""Longest time from a switch to its SYNC, in periods."""
 _LONGEST_NS: Final = 700_000.0
 """Longest time from a switch to the SYNC that shows it; later SYNCs show the rest of the answer."""
 _SETTLED_LAGS: Final = 2.0
-"""Behind half of the answer: there 93 % of a first-order answer have come."""
+"""After half of the response: there 93 % of a first-order response have come."""
 _LOST_PART: Final = 0.3
-"""Less of the step than this, so late, is none of it: noise of the torque feedback is well below."""
+"""Less of the step than this, so late, is none of it: noise of the torque feedback is far below."""
 _HEARD_PART: Final = 0.8
 """More of the step from the end of a hold to that of the next: the switch was heard."""
 _IGNORED_PART: Final = 0.3
-"""Less: it was not."""
+"""Less: it was not heard."""
 _IN_A_ROW: Final = 3
 """Switches, of which each is sent four times: lost frames make no such three, and noise does not reach from
 one of these parts to the other so often."""
 
 
 def switches(session: Session) -> int:
-    """How often the torque is switched: fewer where a cycle takes long."""
+    """Return the number of torque switches: fewer if a cycle takes long."""
     hold_s = _HOLD_CYCLES * session.found.period / NS_PER_S
     return max(_SWITCHES_MIN, min(_SWITCHES, round(_SWITCHING_S / hold_s)))
 
 
 class TorqueSlope(NamedTuple):
-    """What 6087h makes of a switch in profile torque mode."""
+    """Effect of 6087h on a switch in profile torque mode."""
 
     told: str
     takes_us: float
 
 
 def torque_slope(session: Session, change_nm: float) -> TorqueSlope | None:
-    """None in a mode that knows none, or where the drive does not tell it."""
+    """Return the slope; None in a mode without one, or if the drive does not report it."""
     if session.torque_mode() is not Mode.PROFILE_TORQUE:
         return None
     raw = session.objects.read_if_there(Object.TORQUE_SLOPE)
@@ -65,7 +65,7 @@ def torque_slope(session: Session, change_nm: float) -> TorqueSlope | None:
 
 
 class CommandProbe:
-    """Torque switched to and fro at an instant of the cycle that shifts from switch to switch.
+    """Switches the torque to and fro at an instant of the cycle that shifts from switch to switch.
 
     The drive shows its torque only at SYNCs; as the commands come at ever other times before them, the
     samples show the answer to a switch at many ages (equivalent-time sampling).
@@ -85,16 +85,16 @@ class CommandProbe:
         self.answers: list[tuple[float, float]] = []
         self.cycles = 0
         self.missing: list[bool] = []
-        """Of each cycle: its reading did not come in time."""
+        """For each cycle: True if its reading did not come in time."""
         self.firsts: list[tuple[float, float]] = []
-        """Of the answers, those of the first SYNC after a switch: before it is repeated."""
+        """Responses at the first SYNC after a switch, before it is repeated."""
         self.commands = 0
         """Switches old enough at that SYNC to be judged."""
         self.commands_lost = 0
         self._held_nm: float | None = None
-        """Torque at the end of the last hold; None if it was not seen."""
+        """Torque at the end of the last hold; None if unknown."""
         self._heard = self._ignored = 0
-        """Switches in a row; at _IN_A_ROW it stays."""
+        """Consecutive switches; limited to _IN_A_ROW."""
 
     def run(self) -> None:
         due = Instant(self._session.clock_now + self._period)
@@ -113,7 +113,7 @@ class CommandProbe:
         self._send(0.0, Instant(self._session.clock_now + self._period))
 
     def _hold(self, due: Instant, torque: float, part: float, cycles: int, before: float | None) -> Instant:
-        """Switch to ``torque`` in the first cycle; it is repeated, so that a lost command is made up."""
+        """Switch to ``torque`` in the first cycle; it is repeated, to make up for a lost command."""
         sent_at: Instant | None = None
         held_nm: float | None = None
         late = False
@@ -137,7 +137,7 @@ class CommandProbe:
         return due
 
     def _judge_hold(self, held_nm: float | None, before: float | None, torque: float) -> None:
-        """Raises DriveInFault if the drive hears some switches and ignores others.
+        """Raise DriveInFault if the drive follows some switches and ignores others.
 
         ``held_nm``: torque at the end of a hold. A drive that is slow follows each switch by as little.
         """
@@ -153,7 +153,7 @@ class CommandProbe:
             raise self._drive.watch.deaf()
 
     def _shown(self, sync_at: Instant) -> float | None:
-        """The torque in answer to the SYNC; None if it was lost or is late. The readings are counted."""
+        """Return the torque in response to the SYNC; None if it was lost or is late. Counts the readings."""
         delays = [reading.received_at - sync_at - self._latency for reading in self._drive.take_readings()]
         answers = [delay for delay in delays if delay >= 0]
         self.delays_us += [delay / 1e3 for delay in answers]
@@ -171,12 +171,12 @@ class CommandProbe:
         self.answers.append((age_us, part))
 
     def _send(self, torque_nm: float, expires_at: Instant) -> Instant | None:
-        """When the bus was given it; None if it was too late to be sent."""
+        """Send a torque; return when the bus was given it; None if it was too late to be sent."""
         sent = self._port.write(Command(0, torque_nm, expires_at, expires_at))
         return None if sent is None else sent.handed_at
 
     def judge_commands(self, lag: StepLag) -> None:
-        """Those that should have shown their effect by the first SYNC, and did not, were lost."""
+        """Count as lost the commands that should have shown their effect by the first SYNC, and did not."""
         old_us = lag.half_us + _SETTLED_LAGS * lag.lag_us
         judged = [part for age_us, part in self.firsts if age_us > old_us]
         self.commands = len(judged)

@@ -1,4 +1,5 @@
-"""Commissioning from the command line to the files, and back to how the drive was found; ``hil restore``."""
+"""Runs a commissioning from the command line to the files, and back to the drive's former settings;
+``hil restore``."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -36,7 +37,7 @@ from servobench.hil.write_lists import COMMISSION, RESTORE
 from servobench.virtual_bus.device.canopen_device import CanopenDevice
 
 SAVE: bytes = b"save"
-"""Signature that 1010h wants (CiA 301 7.5.2.13)."""
+"""Signature required by 1010h (CiA 301 7.5.2.13)."""
 _STORE_LIMIT = Duration(2 * NS_PER_S)
 """A drive answers 1010h once its memory is written (CiA 301 7.5.2.13), long after any other download."""
 _ANSWER_LIMIT = Duration(5 * NS_PER_S)
@@ -51,7 +52,7 @@ def run_command(
     rehearse_eds: Path | None,
     plate_given: bool,
 ) -> tuple[int, dict[str, Any]]:
-    """``hil commission``: its exit status, and its figures."""
+    """Run ``hil commission``; return its exit status and its figures."""
     if rehearse is not None and rehearse_eds is not None:
         raise BadInput("--rehearse-eds", "", str(rehearse_eds), "either it or --rehearse SEED")
     rehearsed = rehearse is not None or rehearse_eds is not None
@@ -100,10 +101,10 @@ def commission(
     sheet: LoadedDictionary | None = None,
     steps: Callable[[], Sequence[Step]] | None = None,
 ) -> Commissioned:
-    """Run the sequence. Whatever happens, the drive is brought to rest and put back, as far as it can be
-    reached, and the report says in what state it was left.
+    """Run the sequence. In every case the drive is brought to rest and restored, as far as it can be reached,
+    and the report says how it was left.
 
-    Raises BadInput if there is no place for the recording; a fault of bus or drive is in what it returns.
+    Raises BadInput if the recording cannot be written; a fault of bus or drive is part of the result.
     """
     title = f"commissioning of node {request.node} on {request.bus}"
     with writing("--out", request.out):
@@ -129,7 +130,7 @@ def commission(
 
 
 def _finish(session: Session, result: Commissioned) -> None:
-    """Every way out leads through here; what bus or drive do wrong on it is noted, not raised."""
+    """Finish on every way out; faults of bus or drive are noted, not raised."""
     network, journal, left = session.network, session.network.journal, result.left
     if journal is None:
         return
@@ -170,7 +171,7 @@ def _end_log(session: Session, result: Commissioned) -> None:
 
 
 def _write(session: Session, result: Commissioned) -> None:
-    """Leave files and report, as far as there is room for them, and say how the drive was left."""
+    """Write files and report, as far as there is room, and say how the drive was left."""
     request = session.request
     try:
         with writing("--out", request.out):
@@ -212,7 +213,7 @@ def _put_back(session: Session, left: DriveLeft) -> None:
 
 
 def _store(session: Session, left: DriveLeft) -> None:
-    """Have the drive keep what was set, 1010h:1."""
+    """Make the drive store its settings, 1010h:1."""
     network, node = session.network, session.request.node
     before = network.sdo_timeout_s
     network.sdo_timeout_s = _STORE_LIMIT / NS_PER_S
@@ -231,7 +232,7 @@ def _store(session: Session, left: DriveLeft) -> None:
 
 
 def run_restore(journal: Path, bus: str | None) -> dict[str, Any]:
-    """``hil restore``: what came of it. ``bus``: None: that of the journal.
+    """Run ``hil restore``; return its result. ``bus``: None: that of the journal.
 
     Raises PeerFault if the node is another drive now, NoAnswer or BusDown if it cannot be reached.
     """
@@ -259,7 +260,7 @@ def run_restore(journal: Path, bus: str | None) -> dict[str, Any]:
 
 
 def check_mark(objects: RemoteObjects, mark: DriveMark) -> None:
-    """Raises PeerFault if the node is another drive than the one of the journal."""
+    """Raise PeerFault if the node is another drive than the journal's."""
     identity = read_identity(objects)
     here = DriveMark(identity.vendor, identity.product, identity.serial)
     if here != mark:

@@ -1,6 +1,6 @@
-"""Talking with whoever commissions: on a terminal, or with nobody (``--yes``).
+"""Dialogue with the user: on a terminal, or unattended (``--yes``).
 
-While an answer is awaited the bench goes on: heartbeats are sent and stop signals are heard.
+While waiting for an answer the bench keeps running: heartbeats are sent and stop signals are noticed.
 """
 
 import os
@@ -20,7 +20,7 @@ Idle = Callable[[], None]
 
 
 class Choice(Enum):
-    """What to do next."""
+    """The next action."""
 
     GO = "go"
     REPEAT = "repeat"
@@ -29,21 +29,21 @@ class Choice(Enum):
 
 
 class Dialog:
-    """With nobody (``--yes``): every step is done, and one that fails is not repeated."""
+    """Unattended (``--yes``): every step is done, and a failed one is not repeated."""
 
     attended = False
-    """Somebody is there."""
+    """True if a user can be asked."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
-        """``tell``: says something."""
+        """``tell`` prints a message."""
         self.tell = tell
 
     def choose(self, _question: str, choices: tuple[Choice, ...], _idle: Idle) -> Choice:
-        """Have one of ``choices`` taken: the first."""
+        """Return the first of ``choices``."""
         return choices[0]
 
     def line(self, _question: str, _idle: Idle) -> str:
-        """Have a line written: an empty one."""
+        """Return an empty line."""
         return ""
 
 
@@ -51,7 +51,7 @@ _KEYS = {Choice.GO: "Enter", Choice.REPEAT: "r", Choice.SKIP: "s", Choice.QUIT: 
 
 
 class Terminal(Dialog):
-    """With somebody: questions and answers by line."""
+    """Attended: questions and answers by line."""
 
     attended = True
 
@@ -60,7 +60,7 @@ class Terminal(Dialog):
         self._source = source
 
     def choose(self, question: str, choices: tuple[Choice, ...], idle: Idle) -> Choice:
-        """Ask until one of the keys comes; the end of the input means to quit."""
+        """Ask until one of the keys comes; the end of the input means quit."""
         offered = ", ".join(f"{_KEYS[choice]} = {choice.value}" for choice in choices)
         while True:
             self.tell(f"{question} [{offered}]")
@@ -72,7 +72,7 @@ class Terminal(Dialog):
                     return choice
 
     def line(self, question: str, idle: Idle) -> str:
-        """One line."""
+        """Ask for one line."""
         self.tell(question)
         return (self._read(idle) or "").strip()
 
@@ -92,10 +92,10 @@ class EmergencyStop:
         self._descriptor = _terminal(source)
         self._armed = False
         self.key = False
-        """A key was hit while it was armed."""
+        """True if a key was hit while it was armed."""
 
     def __call__(self) -> bool:
-        """Whether to stop now."""
+        """Return True to stop now."""
         if self._armed and not self.key and select.select([self._descriptor], [], [], 0.0)[0]:
             os.read(self._descriptor, 1024)
             self.key = True
@@ -103,12 +103,12 @@ class EmergencyStop:
 
     @property
     def asked_by(self) -> str:
-        """The signal that asked for the end; empty if none did."""
+        """The signal that requested the end; empty if none did."""
         return "" if self._signals is None else self._signals.asked_by
 
     @contextmanager
     def armed(self) -> Iterator[None]:
-        """Inside, single keys are heard at once; the terminal is as before afterwards."""
+        """Inside, single keys are noticed at once; the terminal is restored afterwards."""
         if self._descriptor < 0:
             yield
             return
@@ -123,7 +123,7 @@ class EmergencyStop:
 
 
 def _terminal(source: IO[Any] | None) -> int:
-    """The descriptor of a keyboard; -1 for anything else."""
+    """Return the descriptor of a keyboard; -1 for anything else."""
     try:
         return source.fileno() if source is not None and source.isatty() else -1
     except (OSError, ValueError):
@@ -131,6 +131,6 @@ def _terminal(source: IO[Any] | None) -> int:
 
 
 def say(text: str) -> None:
-    """On stderr; a reader that is gone is no reason to leave a drive as it is."""
+    """Print on stderr; a missing reader is no reason to abandon a drive."""
     with suppress(OSError):
         print(text, file=messages(), flush=True)

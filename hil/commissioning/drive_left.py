@@ -1,4 +1,4 @@
-"""How a commissioning leaves its drive: at rest, disabled and as it was found, or what is open."""
+"""The state in which a commissioning leaves its drive: at rest, disabled and as found, or the exceptions."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,34 +9,34 @@ from servobench.hil.restoring.restore import Restoration
 
 @dataclass(slots=True)
 class DriveLeft:
-    """What the host saw of the drive at the end."""
+    """The host's last view of the drive."""
 
     enabled: bool = False
-    """It was set up, and may have been enabled in some step."""
+    """True if it was set up, and may have been enabled in some step."""
     at_rest: bool | None = None
-    """None: not known."""
+    """None: unknown."""
     disabled: bool | None = None
-    """The power stage carries no torque; None: not known."""
+    """True if the power stage carries no torque; None: unknown."""
     evidence: str = ""
-    """Why it is not known, or not so."""
+    """Why it is unknown, or not so."""
     host_watched: bool = False
-    """It stops by itself when it misses the host."""
+    """True if it stops by itself when it loses the host."""
     changed: int = 0
-    """Objects that were written with another value than they held."""
+    """Objects written with another value than they held."""
     restoration: Restoration | None = None
-    """None: nothing was put back."""
+    """None: nothing was restored."""
     stored: bool = False
     not_stored: str = ""
-    """Why not, if it was asked for and the drive did not."""
+    """Why the drive did not store, if requested."""
 
     @property
     def as_found(self) -> bool:
-        """All settings hold what they held before."""
+        """True if all settings hold their former values."""
         return not self.changed if self.restoration is None else self.restoration.complete
 
     @property
     def settings(self) -> str:
-        """In a word for programs: unchanged, restored, stored or changed."""
+        """One word for programs: unchanged, restored, stored or changed."""
         if self.stored:
             return "stored"
         if not self.as_found or self.not_stored:
@@ -44,11 +44,11 @@ class DriveLeft:
         return "unchanged" if self.restoration is None else "restored"
 
     def sentences(self, request: CommissionRequest) -> list[str]:
-        """For terminal and report: the shaft, then the settings."""
+        """Return sentences for terminal and report: the shaft, then the settings."""
         return [*self._motion(request), self._settings(request)]
 
     def as_json(self, request: CommissionRequest) -> dict[str, Any]:
-        """The same for programs; ``mend`` is the command that puts back what is changed, or None."""
+        """Return the same for programs; ``mend`` is the command that undoes the changes, or None."""
         changed = self.settings == "changed"
         return {
             "at_rest": self.at_rest,

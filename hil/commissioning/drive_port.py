@@ -1,8 +1,8 @@
-"""A drive as the exercises of commissioning see it: one way to write a set-point, in whatever mode.
+"""A drive as commissioning exercises see it: one way to write a set-point, in any mode.
 
-A drive without a torque mode is given speeds, by a :class:`.SpeedCommand`; no other command is taken then.
-In a mode of positions they are summed up. In profile position, where the drive plans a move to each set-point
-and brakes for it, a set-point leads the sum by the way that braking takes, so that the drive goes on:
+A drive without a torque mode is given speeds, by a :class:`.SpeedCommand`; no other command is accepted then.
+In a position mode they are summed up. In profile position, where the drive plans a move to each set-point and
+brakes for it, a set-point leads the sum by the braking distance, so that the drive keeps moving:
 
     set-point = sum of speed times period + v |v| / (2 6084h)
 """
@@ -40,27 +40,27 @@ QUANTITY_OF_MODE: Final = {
     Mode.INTERPOLATED_POSITION: Quantity.POSITION,
     Mode.PROFILE_POSITION: Quantity.POSITION,
 }
-"""Modes in which an exercise can command a motion, the one to be preferred first. For one of positions the
-exercise asks for speeds, which are summed up."""
+"""Modes in which an exercise can command a motion, in order of preference. In a position mode the exercise
+commands speeds, which are summed up."""
 
 
 class DrivePort(Drive):
-    """What an axis of the loop needs of a drive."""
+    """A drive's interface to an axis of the loop."""
 
     def __init__(
         self, drive: ServoDrive, mode: Mode, period_s: float, braking_rad_s2: float = math.inf
     ) -> None:
-        """``braking_rad_s2``: with which the drive brakes for a set-point, 6084h in profile position."""
+        """``braking_rad_s2``: deceleration of the drive for a set-point, 6084h in profile position."""
         self.drive = drive
         self.mode = mode
         self.quantity = QUANTITY_OF_MODE[mode]
         self.listener: Callable[[list[Reading]], None] | None = None
-        """Sees the readings as they are taken."""
+        """Called with the readings as they are taken."""
         self.whole_only = _tells_each_position(drive)
-        """A reading whose position was lost is none: it holds the last one, carried on by a velocity whose
-        unit may be wrong by a hundred."""
+        """True if a reading without its own position is dropped: it holds the last one, extrapolated by a
+        velocity whose unit may be wrong by a hundred."""
         self.watched_by = ""
-        """By what, in words, in the last exercise."""
+        """Supervision in the last exercise, in words."""
         self._command_watch = ""
         self._told_at = NEVER_TOLD
         self._period_s = period_s
@@ -69,7 +69,7 @@ class DrivePort(Drive):
         self._last: Instant | None = None
 
     def take_readings(self) -> list[Reading]:
-        """The readings of the drive."""
+        """Return the readings of the drive."""
         readings = self._whole(self.drive.take_readings())
         if self.listener is not None:
             self.listener(readings)
@@ -78,7 +78,7 @@ class DrivePort(Drive):
         return readings
 
     def _whole(self, readings: list[Reading]) -> list[Reading]:
-        """Those with a position of their own: it was told since the one before."""
+        """Return the readings with their own position, received since the previous one."""
         kept = []
         for reading in readings:
             if reading.position_told_at != self._told_at or not self.whole_only:
@@ -87,11 +87,11 @@ class DrivePort(Drive):
         return kept
 
     def take_readbacks(self) -> list[Readback]:
-        """As the drive's own."""
+        """Return the drive's read-backs."""
         return self.drive.take_readbacks()
 
     def take_demand_changes(self) -> list[DemandChange]:
-        """As the drive's own."""
+        """Return the drive's demand changes."""
         return self.drive.take_demand_changes()
 
     def write(self, command: Command) -> SentCommand | None:
@@ -108,16 +108,16 @@ class DrivePort(Drive):
 
     @property
     def commanded_rad(self) -> float | None:
-        """The position that was commanded last; None in a mode without one."""
+        """The position commanded last; None in a mode without one."""
         return self._position_rad if self.quantity is Quantity.POSITION else None
 
     def check(self) -> None:
-        """As the drive's own."""
+        """Check the drive."""
         self.drive.check()
 
     def begin(self) -> None:
-        """An exercise begins: the host looks whether the drive follows its commands, until :meth:`end`. In a
-        position mode, positions are counted on from where the shaft stands now.
+        """Begin an exercise: supervise the commands until :meth:`end`. In a position mode, positions count
+        from that of the shaft.
 
         The drive's own timer (1400h:05) would stop it between two exercises.
         """
@@ -125,7 +125,7 @@ class DrivePort(Drive):
         self._command_watch = self.drive.supervise_commands(own_timer=False)
 
     def end(self) -> None:
-        """The commands of an exercise cease."""
+        """End an exercise: its commands cease."""
         mode_watch = self.drive.watch.mode_watch
         self.watched_by = f"its commands are watched by {self._command_watch}; its mode by {mode_watch}"
         self.drive.supervision.end()
@@ -144,6 +144,6 @@ class DrivePort(Drive):
 
 
 def _tells_each_position(drive: ServoDrive) -> bool:
-    """The position is told with every SYNC."""
+    """Return True if the position comes with every SYNC."""
     pdo = None if drive.plan is None else drive.plan.tpdo_with(Object.POSITION_ACTUAL_VALUE)
     return pdo is not None and pdo.transmission_type == EVERY_SYNC

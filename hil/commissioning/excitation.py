@@ -1,4 +1,4 @@
-"""Set-points that make a shaft show what it is: pulses, speed ramps, coasting, multisines."""
+"""Set-points that excite a shaft: pulses, speed ramps, coasting, multisines."""
 
 import math
 from collections.abc import Callable
@@ -12,13 +12,14 @@ from servobench.hil.loop.axis_roles import Controller
 from servobench.hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
 
 GUIDE_RAD_S: Final = 40.0
-"""Of the speed loop that only guides an exercise: slow enough for any delay that a bench has."""
+"""Bandwidth of the speed loop that only guides an exercise: slow enough for any delay of a bench."""
 _INTEGRAL_PART: Final = 0.2
-"""Of the bandwidth, where the integral takes over: it costs 11 degrees of phase at the crossing."""
+"""Share of the bandwidth at which the integral takes over: it costs 11 degrees of phase at the crossing."""
 _SMOOTHING: Final = 4.0
-"""Bandwidth of the guide's velocity filter, of the loop's: at its crossing it takes 14 degrees of phase, and
-of the velocity's noise at 1 kHz it leaves a tenth of the change of torque from cycle to cycle. Such changes
-act at instants that the payload's stuff bits move by some microseconds, so they blur the mean torque."""
+"""Bandwidth of the guide's velocity filter over that of the loop: at its crossing it costs 14 degrees of
+phase, and leaves a tenth of the velocity noise at 1 kHz in the change of torque from cycle to cycle. Such
+changes act at instants that the payload's stuff bits move by some microseconds, so they blur the mean
+torque."""
 
 
 class TimedTorque(Controller):
@@ -30,16 +31,17 @@ class TimedTorque(Controller):
         self._cycle = 0
 
     def output(self, _context: Context) -> SetPoint:
-        """The torque of this cycle."""
+        """Return the torque of this cycle."""
         return TorqueSetPoint(self._value(self._cycle * self._period_s))
 
     def update(self, _context: Context, _command: Command) -> None:
-        """One period on."""
+        """Advance by one period."""
         self._cycle += 1
 
 
 class Pulse(Controller):
-    """Torque that rises until the shaft has moved, holds until it has moved far enough, and falls again.
+    """Raises the torque until the shaft has moved, holds it until it has moved far enough, and lowers it
+    again.
 
         torque        /-----\\
                      /       \\
@@ -50,7 +52,7 @@ class Pulse(Controller):
     def __init__(
         self, peak_nm: float, rise_nm_s: float, near_rad: float, far_rad: float, period_s: float
     ) -> None:
-        """``peak_nm``: the largest torque that is tried, with its sign."""
+        """``peak_nm``: the largest torque tried, with its sign."""
         self._peak = peak_nm
         self._step = math.copysign(rise_nm_s * period_s, peak_nm)
         self._near = near_rad
@@ -62,10 +64,10 @@ class Pulse(Controller):
         self._stage = 0
         self._still_cycles = max(10, round(0.03 / period_s))
         self.moved = False
-        """The shaft broke away."""
+        """True once the shaft broke away."""
 
     def output(self, context: Context) -> SetPoint:
-        """The torque of this cycle."""
+        """Return the torque of this cycle."""
         estimate = context.estimate
         if not estimate.sequence:
             return TorqueSetPoint(0.0)
@@ -90,14 +92,14 @@ class Pulse(Controller):
         return TorqueSetPoint(self._torque)
 
     def done(self) -> bool:
-        """The torque is off and the shaft at rest."""
+        """Return True once the torque is off and the shaft at rest."""
         return self._stage == 3 and self._still >= self._still_cycles
 
 
 class SpeedGuide(Controller):
-    """Follows a speed reference by torque: feed-forward of what is known, and a slow PI for the rest.
+    """Follows a speed reference by torque: feed-forward of the known shaft, and a slow PI for the rest.
 
-    ``free``: while it says so, no torque at all, and the shaft coasts. ``added``: torque on top.
+    ``free``: while true, no torque is given, and the shaft coasts. ``added``: additional torque.
     """
 
     def __init__(
@@ -123,7 +125,7 @@ class SpeedGuide(Controller):
         self._demand = 0.0
 
     def output(self, context: Context) -> SetPoint:
-        """The torque of this cycle."""
+        """Return the torque of this cycle."""
         reference = context.reference_rad_s
         time = self._cycle * self._period_s
         self._velocity += self._smoothing * (context.estimate.velocity_rad_s - self._velocity)
@@ -142,22 +144,22 @@ class SpeedGuide(Controller):
         return TorqueSetPoint(self._demand)
 
     def update(self, _context: Context, command: Command) -> None:
-        """The integral advances unless a limit cut the torque."""
+        """Advance the integral unless a limit clips the torque."""
         self._cycle += 1
         if command.torque_nm == self._demand:
             self._integral += self._integral_gain * self._error * self._period_s
 
 
 class SpeedReference(Controller):
-    """Passes the reference on, for a drive that takes speeds."""
+    """Passes the reference on to a drive that takes speeds."""
 
     def output(self, context: Context) -> SetPoint:
-        """The speed of this cycle."""
+        """Return the speed of this cycle."""
         return SpeedSetPoint(context.reference_rad_s)
 
 
 def multisine(frequencies_hz: Array, amplitude: float, seed: int) -> Callable[[float], float]:
-    """Sines of equal size with random phases; their sum has its crest near ``amplitude``."""
+    """Return a sum of equal sines with random phases, with its crest near ``amplitude``."""
     random = np.random.Generator(np.random.PCG64(seed))
     omega = 2.0 * math.pi * frequencies_hz
     time = np.arange(0.0, 1.0 / float(np.min(frequencies_hz)), 1.0 / (8.0 * float(np.max(frequencies_hz))))

@@ -30,23 +30,23 @@ from servobench.hil.loop.syncs import SyncLog
 from servobench.hil.reviewing.network_meter import runs_of
 
 BLIND_MAX_S: Final = 0.1
-"""Without a reading for longer the exercise ends."""
+"""The exercise ends after this time without a reading."""
 _HORIZON: Final = 20
-"""Cycles after which a reading or a command is lost, as of a bench."""
+"""Cycles after which a reading or a command is lost, as in a bench."""
 _OVERSPEED: Final = 1.3
-"""The shaft may overshoot the speed that it is given before the host stops it."""
+"""Overshoot of the commanded speed at which the host stops the shaft."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What was sampled; SI units, times in s from the first SYNC."""
+    """The samples; SI units, times in s from the first SYNC."""
 
     time: Array
-    """Sampling instants, by the drive's stamp where it has one."""
+    """Sampling instants, by the drive's stamp if it has one."""
     position: Array
     velocity: Array
     torque: Array
-    """By the drive's 6077h; of a drive that tells none, the command that acted."""
+    """The drive's 6077h; without it, the command in effect."""
     sync_to_reading_us: Array
     """End of the SYNC on an idle bus to the arrival of its reading."""
     cycles: int
@@ -62,7 +62,7 @@ class Recording:
 
 
 def smooth_speed(time: Array, position: Array, half: int = 4) -> Array:
-    """Slope of a straight line through each sample and its ``half`` neighbours on either side."""
+    """Return the slope of a straight line through each sample and its ``half`` neighbours on either side."""
     if len(time) < 2 * half + 1:
         return np.gradient(position, time) if len(time) > 1 else np.zeros_like(time)
     windows_t = np.lib.stride_tricks.sliding_window_view(time, 2 * half + 1)
@@ -74,7 +74,7 @@ def smooth_speed(time: Array, position: Array, half: int = 4) -> Array:
 
 
 class EnergyMeter:
-    """Work at the shaft in the exercises of one step, J."""
+    """Meters the work at the shaft in the exercises of one step, J."""
 
     __slots__ = ("spent_j",)
 
@@ -98,13 +98,13 @@ class Watched(Controller):
         self._commanded_nm = 0.0
 
     def output(self, context: Context) -> SetPoint:
-        """The inner controller's set-point, after the limits were looked at."""
+        """Return the inner controller's set-point, after checking the limits."""
         if context.estimate.sequence:
             self._check(context.estimate)
         return self._inner.output(context)
 
     def update(self, context: Context, command: Command) -> None:
-        """As the inner one."""
+        """Update the inner controller."""
         self._commanded_nm = command.torque_nm
         self._inner.update(context, command)
 
@@ -142,7 +142,7 @@ class Watched(Controller):
 
 
 def _told_or(torque_nm: float, commanded_nm: float) -> float:
-    """The drive's torque, or what it was told to make if it tells none; NaN if it is given speeds."""
+    """Return the drive's torque, or the commanded one if it reports none; NaN if it is given speeds."""
     return commanded_nm if math.isnan(torque_nm) else torque_nm
 
 
@@ -151,7 +151,8 @@ def _exceeded(what: str, value: float, limit: float, unit: str) -> LimitExceeded
 
 
 def torque_limits(limits: MotionLimits, period_s: float, guard_speed: bool) -> TorqueLimits:
-    """Of an exercise of torques; ``guard_speed``: stop it by the velocity too, whose unit may be wrong."""
+    """Return the limits of a torque exercise; ``guard_speed``: check the velocity too, whose unit may be
+    wrong."""
     return TorqueLimits(
         torque_max_nm=limits.torque_nm,
         speed_max_rad_s=_shaft_speed_max(limits, guard_speed),
@@ -161,7 +162,7 @@ def torque_limits(limits: MotionLimits, period_s: float, guard_speed: bool) -> T
 
 
 def speed_limits(limits: MotionLimits, period_s: float, guard_speed: bool) -> SpeedLimits:
-    """As :func:`torque_limits`, of an exercise of speeds."""
+    """Return the limits of a speed exercise; see :func:`torque_limits`."""
     return SpeedLimits(
         set_point_max_rad_s=limits.speed_rad_s,
         speed_max_rad_s=_shaft_speed_max(limits, guard_speed),
@@ -187,15 +188,15 @@ class Exerciser:
     timing: LoopTiming
     limits: MotionLimits
     should_stop: Callable[[], bool]
-    """Asked each cycle."""
+    """Called each cycle."""
     check_stop: Callable[[], None]
-    """Raises then what tells the caller to stop the drive."""
+    """Called then; raises the error that makes the caller stop the drive."""
     energy: EnergyMeter
     guard: BusGuard
 
     @property
     def period_s(self) -> float:
-        """Of the loop, s."""
+        """Period of the loop, s."""
         return self.timing.period / NS_PER_S
 
     def run(
@@ -206,7 +207,7 @@ class Exerciser:
         done: Callable[[], bool] = lambda: False,
         guard_speed: bool = True,
     ) -> Recording:
-        """Run a controller of torque for ``duration`` s, or until it is ``done``.
+        """Run a torque controller for ``duration`` s, or until it is ``done``.
 
         Raises LimitExceeded or a fault of the drive, which then still turns: the caller stops it. TypeError
         for a drive that is given speeds.
@@ -217,14 +218,13 @@ class Exerciser:
     def run_speeds(
         self, duration: float, reference: list[Segment] | None = None, guard_speed: bool = True
     ) -> Recording:
-        """As :meth:`run`, of a drive that is given speeds: those of ``reference``. ValueError for a
-        drive that is given torques.
-        """
+        """Run the speeds of ``reference``, otherwise like :meth:`run`. ValueError for a drive that is given
+        torques."""
         limits = speed_limits(self.limits, self.period_s, guard_speed)
         return self._run(SpeedReference(), limits, duration, reference or [])
 
     def rest(self, duration: float) -> Recording:
-        """As :meth:`run`, with set-points of zero, torques or speeds."""
+        """Run with set-points of zero, torques or speeds; see :meth:`run`."""
         if self.port.quantity is Quantity.TORQUE:
             return self.run(TimedTorque(lambda _time: 0.0, self.period_s), duration)
         return self.run_speeds(duration)
@@ -291,11 +291,11 @@ class Exerciser:
 
 
 def _unsaid(_text: str) -> None:
-    """What was seen of the drive's clock in an exercise of seconds shows in its readings."""
+    """Ignore notes on the drive's clock: in an exercise of seconds its readings show them."""
 
 
 def recording_of(records: list[CycleRecord]) -> Recording:
-    """The records of one axis as arrays."""
+    """Convert the records of one axis to arrays."""
     rows = []
     delays_us = []
     missing: list[bool] = []

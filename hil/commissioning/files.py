@@ -1,4 +1,4 @@
-"""What commissioning leaves for ``hil run`` and ``hil design``: drive, motor, network, a bench, and a DCF."""
+"""Output of commissioning for ``hil run`` and ``hil design``: drive, motor, network, a bench, and a DCF."""
 
 import math
 from collections.abc import Iterable
@@ -34,26 +34,26 @@ MOTOR_FILE: Final = "motor.toml"
 DCF_FILE: Final = "drive.dcf"
 
 _EXERCISE: Final = frozenset({*SET_POINTS, Object.HOMING_METHOD, Object.HOMING_SPEEDS})
-"""What only served the steps."""
+"""Objects used by the steps only."""
 _ERROR_SHARE: Final = 0.25
-"""Of the reference, rms: what a sign or a unit that is wrong breaks, and a busy machine does not."""
+"""Rms error as a share of the reference: exceeded by a wrong sign or unit, not by a busy machine."""
 _REFERENCE_SHARE: Final = 0.4
-"""Of the limits of speed and travel: what overshoots stays within them."""
+"""Share of the limits of speed and travel: overshoots stay within them."""
 _UP_S: Final = 0.4
-"""From rest to the speed of the reference."""
+"""Time from rest to the speed of the reference."""
 _CORNER_S: Final = 0.2
-"""A path of positions has its speed at once; the drive may take a fifth of the path's second for it."""
+"""A path of positions starts at full speed; the drive may take a fifth of the path's second for it."""
 _SETTINGS: Final = (Object.POLARITY,)
-"""What a run needs of it beside what it writes itself."""
+"""Settings that a run needs beyond its own writes."""
 
 _UNSIGNED: Final = {
     1: DataType.UNSIGNED8, 2: DataType.UNSIGNED16, 4: DataType.UNSIGNED32, 8: DataType.UNSIGNED64
 }  # fmt: skip
-"""By their bytes: what an object is taken for of which no data sheet tells."""
+"""Data types by length, for objects without a data sheet."""
 
 
 def write_files(session: Session) -> None:
-    """Write what can be written."""
+    """Write the files that can be written."""
     out = session.request.out
     texts: dict[str, str] = {}
     findings = session.found
@@ -91,8 +91,8 @@ def write_files(session: Session) -> None:
 
 
 def _mode_to_run(session: Session, shaft_known: bool) -> str | None:
-    """The ``mode`` of a bench for this drive: that of the suggested controller, or where the drive has not
-    that, one of speeds or positions. None where there is no bench to make, and why is said."""
+    """Return the ``mode`` of a bench for this drive: that of the suggested controller, or if the drive lacks
+    it, one of speeds or positions. None, with a message, if no bench can be made."""
     modes = session.found.modes
     if Mode.CYCLIC_SYNCHRONOUS_TORQUE in modes:
         return "cst" if session.found.controller and shaft_known else None
@@ -106,7 +106,7 @@ def _mode_to_run(session: Session, shaft_known: bool) -> str | None:
 
 
 def set_objects(session: Session) -> dict[ObjectKey, bytes]:
-    """What the drive was set to, without what it held already and what only served the steps."""
+    """Return the settings written, except unchanged ones and those used by the steps only."""
     journal = session.network.journal
     if journal is None:
         return {}
@@ -123,7 +123,7 @@ def set_objects(session: Session) -> dict[ObjectKey, bytes]:
 
 
 def drive_tables(session: Session) -> dict[str, Any]:
-    """``drive.toml``."""
+    """Return the tables of ``drive.toml``."""
     findings = session.found
     identity, override = findings.identity, findings.override
     assert identity is not None
@@ -165,7 +165,8 @@ def drive_tables(session: Session) -> dict[str, Any]:
 
 
 def _motor_text(session: Session) -> str:
-    """``motor.toml``: measured where it can be, off the nameplate where not, else a stand-in that says so."""
+    """Return ``motor.toml``: measured where possible, else from the nameplate, else a stand-in marked as
+    such."""
     findings, plate = session.found, session.request.nameplate
     mechanics = session.mechanics
     rated_nm = session.drive.rated_torque_nm
@@ -223,13 +224,13 @@ def _motor_text(session: Session) -> str:
 
 
 def _rests(session: Session) -> str:
-    """What every figure in N m and kg m^2 rests on, as a sentence behind another."""
+    """Name the basis of every figure in N m and kg m^2, as a sentence to append."""
     scale = torque_scale(session.found, session.request.nameplate)
     return "" if scale is None else f" Each figure in N m or kg m^2 {scale.sentence}."
 
 
 def _by_word(findings: Findings) -> list[str]:
-    """What stands there by somebody's word alone."""
+    """Name the figures that rest on a statement alone."""
     words = {"resistance": "resistance_ohm", "inductance": "inductance_q_h", "pole pairs": "pole_pairs"}
     if findings.torque_constant_nm_a is None:
         words["torque constant"] = "torque_constant_nm_a"
@@ -273,13 +274,13 @@ def _bench_tables(session: Session, mode: str) -> dict[str, Any]:
 
 
 def _acceleration(session: Session) -> float:
-    """Of set-points, rad/s^2: what half of the torque that the steps allowed has for the inertia, at most."""
+    """Return the acceleration of set-points, rad/s^2: at most half of the allowed torque for the inertia."""
     limits = session.limits
     return min(limits.acceleration_rad_s2, 0.5 * limits.torque_nm / session.mechanics.inertia_kg_m2)
 
 
 def _reference(session: Session, mode: str) -> tuple[list[dict[str, Any]], dict[str, float]]:
-    """To and fro, within half of what the drive's own ramps let set-points do, and the limit of the error."""
+    """Return a reference to and fro, within half of the drive's own ramps, and the limit of the error."""
     speed = _REFERENCE_SHARE * session.limits.speed_rad_s
     rate = math.inf if mode == "cst" else 0.5 * _acceleration(session)
     if mode in ("csp", "ip"):
@@ -313,7 +314,7 @@ def dcf_text(
     bitrate_bit_s: int,
     identity: Identity,
 ) -> str:
-    """A device configuration file (CiA 306-1).
+    """Return a device configuration file (CiA 306-1).
 
     ``values`` as ParameterValue and what was there before as DefaultValue; ``defaults`` of mandatory objects
     are written even if they were not set.

@@ -1,4 +1,4 @@
-"""What the steps of a commissioning learn about a drive."""
+"""Findings of the steps about a drive."""
 
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
@@ -22,17 +22,17 @@ BY_NAMEPLATE: Final = "by the nameplate"
 
 
 class Stated(NamedTuple):
-    """A figure that somebody's word stands for."""
+    """A figure that rests on somebody's statement."""
 
     value: float
     by: str
-    """Whose: by the nameplate, as said at the motor, or which object told it."""
+    """Source: the nameplate, an answer at the motor, or the object that holds it."""
     told: bool = False
-    """By the drive."""
+    """True if the drive stated it."""
 
 
 class DriveRamp(NamedTuple):
-    """A ramp or a speed that a drive keeps to by itself."""
+    """A ramp or a speed that a drive applies by itself."""
 
     held: str
     """``6083h = 10``."""
@@ -42,69 +42,70 @@ class DriveRamp(NamedTuple):
 
 @dataclass(slots=True)
 class Findings:
-    """What the steps learnt; None: not yet, or not to be had."""
+    """Results of the steps; None: not yet, or not available."""
 
     identity: Identity | None = None
     dump: dict[tuple[int, int], bytes] = field(default_factory=dict)
     told: Scaling | None = None
-    """By the drive's own objects."""
+    """Units by the drive's own objects."""
     override: ScaleOverride = field(default_factory=ScaleOverride)
-    """Where they are wrong."""
+    """Corrections of them."""
     units: Scaling | None = None
-    """With the override; None: as told."""
+    """Units with the override; None: as stated by the drive."""
     modes: tuple[Mode, ...] = ()
-    """Those of the drive in which something can be commanded."""
+    """Modes of the drive in which something can be commanded."""
     plan: PdoPlan | None = None
     period: Duration = MILLISECOND
     limits: MotionLimits | None = None
     mechanics: Mechanics | None = None
     rough: Mechanics | None = None
-    """From the pulses: enough to guide an exercise."""
+    """From the pulses: sufficient to guide an exercise."""
     motor: ToldMotor = field(default_factory=ToldMotor)
-    """By objects of the drive's maker."""
+    """Data in the maker's objects of the drive."""
     stated: dict[str, Stated] = field(default_factory=dict)
-    """What is taken for pole pairs, winding and torque constant, by quantity: nothing here is measured."""
+    """Statements used for pole pairs, winding and torque constant, by quantity: nothing here is measured."""
     speed_noise_rad_s: float = 0.0
     """Rms of the velocity 606Ch about the derivative of the position."""
     rated_current_a: float | None = None
-    """A rms, as the drive tells it."""
+    """A rms, by the drive."""
     voltage_constant: tuple[float, float] | None = None
-    """V s/rad, a phase's peak, with its expanded uncertainty, k = 2; None unless the voltage gave out."""
+    """V s/rad, a phase's peak, with its expanded uncertainty, k = 2; None unless the voltage limit was
+    reached."""
     torque_constant_nm_a: float | None = None
-    """N m per A rms, as the drive's own figures have it."""
+    """N m per A rms, by the drive's own figures."""
     velocity_ratio: SpeedRatio | None = None
-    """Velocity over position derivative, both as told."""
+    """Velocity over position derivative, both in the drive's units."""
     ramps: dict[Object, DriveRamp] = field(default_factory=dict)
-    """Those that the drive obeys in the mode that is set: 6083h, 6087h and so on."""
+    """Ramps that the drive obeys in the present mode: 6083h, 6087h and so on."""
     ramp_factor: float = 1.0
-    """Above 1: so much more than the drive's own unit makes necessary is asked of its ramps."""
+    """Above 1: factor by which its ramps are raised beyond the drive's own unit."""
     quick_stop_rad_s2: float | None = None
-    """6085h as it was found to be needed; None: the drive's own."""
+    """The 6085h found necessary; None: the drive's own."""
     quick_stop_option: QuickStopOption = QuickStopOption.QUICK_STOP_RAMP
     network: Network | None = None
     reading_delay_us: float | None = None
     effect_delay_us: float | None = None
     command_to_torque_s: float | None = None
-    """From a SYNC until the torque of its cycle acts, by the motion: of a drive that tells no torque."""
+    """From a SYNC until the torque of its cycle acts, by the motion, for a drive that reports no torque."""
     torque_lag_us: float | None = None
     current_bandwidth_hz: float | None = None
-    """Of the lag of first order that is as far behind a command's arrival in the drive as its torque is."""
+    """Bandwidth of the first-order lag as far behind a command's arrival in the drive as its torque is."""
     controller: dict[str, Any] = field(default_factory=dict)
     settings: dict[ObjectKey, bytes] = field(default_factory=dict)
-    """What the drive was set to for good, not for a step only; known at the end."""
+    """Permanent settings of the drive, without those of a step; known at the end."""
     originals: dict[ObjectKey, bytes] = field(default_factory=dict)
-    """What every object held before it was changed; known at the end."""
+    """Former values of every changed object; known at the end."""
     versions: dict[str, str] = field(default_factory=dict)
-    """1009h and 100Ah, as far as the drive tells them."""
+    """1009h and 100Ah, if available."""
 
     @property
     def scaling(self) -> Scaling:
-        """The units as far as they are known by now: what was found against the drive's objects is
-        disbelieved in all that follows from it too."""
+        """The units known so far: a finding against the drive's objects also overrides everything derived
+        from them."""
         assert self.told is not None, "the step 'units' comes first"
         return self.units or self.told
 
     def value(self, quantity: str) -> float | None:
-        """Of what is stated; None if nobody did."""
+        """Return a stated value; None if there is none."""
         stated = self.stated.get(quantity)
         return None if stated is None else stated.value

@@ -1,4 +1,4 @@
-"""Frequency response by a multisine in whole periods: no leakage, and a coherence that means something."""
+"""Frequency response by a multisine in whole periods: no leakage, and a meaningful coherence."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,11 +18,11 @@ class FrequencyResponse:
     frequency_hz: Array
     response: ComplexArray
     coherence: Array
-    """0..1: the part of the output that the input explains."""
+    """0..1: the part of the output explained by the input."""
 
 
 def lines_hz(low_hz: float, high_hz: float, count: int, block_s: float) -> Array:
-    """Up to ``count`` different lines, whole multiples of 1/block, evenly spaced by ratio."""
+    """Return up to ``count`` different lines, whole multiples of 1/block, evenly spaced by ratio."""
     steps = np.geomspace(low_hz * block_s, high_hz * block_s, count)
     return np.asarray(np.unique(np.round(steps)) / block_s)
 
@@ -30,7 +30,7 @@ def lines_hz(low_hz: float, high_hz: float, count: int, block_s: float) -> Array
 def frequency_response(
     time: Array, source: Array, output: Array, lines: Array, block_s: float, period_s: float, skip_s: float
 ) -> FrequencyResponse:
-    """H1 = S_yu / S_uu over whole blocks, after ``skip_s``; lost samples are filled in on a straight line."""
+    """Return H1 = S_yu / S_uu over whole blocks, after ``skip_s``; lost samples are interpolated."""
     count = round(block_s / period_s)
     start = time[0] + skip_s
     blocks = int((time[-1] - start) / block_s)
@@ -52,25 +52,25 @@ def frequency_response(
 
 @dataclass(frozen=True, slots=True)
 class StepLag:
-    """How a first-order lag behind a dead time answers a step."""
+    """Response of a first-order lag behind a dead time to a step."""
 
     half_us: float
-    """Until half of the step is there."""
+    """Time to half of the step."""
     dead_us: float
     lag_us: float
     """Time constant."""
     mean_us: float
-    """Area above the answer: the time by which it is behind the step in the end, whatever its shape. Of a
-    loop with one integrator it is 1/bandwidth, however long the dead time in the loop is."""
+    """Area above the response: its final lag behind the step, whatever its shape. For a loop with one
+    integrator it is 1/bandwidth, however long the dead time in the loop is."""
 
 
 _SETTLED_LAGS = 6.0
-"""After half of the step: what is missing then, 0.1 % of a first-order lag, is less than what a drive's
-torque feedback is off, which would add to the area for as long as it is taken."""
+"""After half of the step: the remainder, 0.1 % of a first-order lag, is less than the error of a drive's
+torque feedback, which would add to the area for as long as it is taken."""
 
 
 def step_lag(age_us: Array, part: Array) -> StepLag:
-    """From samples of a step's answer at many ages: the part of the step that was there.
+    """Find the lag from samples of a step response at many ages: the part of the step reached.
 
     Equivalent-time sampling: each sample is of another repetition of the step. The answer at each age is the
     median of its neighbours. Raises ValueError if the samples do not show the rise.

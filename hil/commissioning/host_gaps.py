@@ -1,4 +1,4 @@
-"""Times in which the host gave no sign of life for longer than its drive bears."""
+"""Intervals in which the host gave no sign of life for longer than its drive tolerates."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,26 +9,26 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 
 
 class HostStoodStill(PeerFault):
-    """The drive took the host for lost, and stopped: what was measured meanwhile is worth nothing."""
+    """The drive considered the host lost, and stopped: measurements meanwhile are worthless."""
 
 
 class HostGaps:
-    """Of the attempts at a step, one after the other."""
+    """Gaps of the attempts at a step, one after the other."""
 
     def __init__(self, network: CanopenNetwork, borne_ms: int) -> None:
-        """``borne_ms``: silence of the host that the drive bears."""
+        """``borne_ms``: silence of the host that the drive tolerates."""
         self._signs = network.life_signs
         self._borne_ms = borne_ms
         self._longest_ns = 0
 
     def begin(self) -> None:
-        """An attempt."""
+        """Begin an attempt."""
         self._longest_ns = self._signs.longest_gap_ns = Duration(0)
 
     @contextmanager
     def while_enabled(self) -> Iterator[None]:
-        """Inside, a gap is none of those that a drive at rest does not mind; raises HostStoodStill at the end
-        if there was one."""
+        """Inside, gaps count that a drive at rest would not mind; raises HostStoodStill at the end if there
+        was one."""
         self._longest_ns = max(self._longest_ns, self._signs.longest_gap_ns)
         self._signs.longest_gap_ns = Duration(0)
         yield
@@ -36,7 +36,7 @@ class HostGaps:
             raise self._stood_still(self._signs.longest_gap_ns)
 
     def cause_of(self, failure: PeerFault | None) -> PeerFault | None:
-        """What made the attempt fail, if it did: the host's own silence before what came of it."""
+        """Return the cause of a failed attempt: the host's own silence takes precedence."""
         longest_ns = max(self._longest_ns, self._signs.longest_gap_ns)
         if failure is None or isinstance(failure, HostStoodStill) or not self._too_long(longest_ns):
             return failure

@@ -1,4 +1,4 @@
-"""Inertia and friction of a shaft out of sampled position and torque, by weighted integrals.
+"""Inertia and friction of a shaft from sampled position and torque, by weighted integrals.
 
     J domega/dt = T - B omega - T_c sign(omega) - T_0
 
@@ -11,15 +11,14 @@ So no sample is differentiated twice, and an encoder's steps average out. Each w
 of them are solved together by least squares. The samples need not be evenly spaced: lost ones are just
 missing. T_0 takes what a load or gravity adds in one direction.
 
-A torque that is taken for earlier or later than it acted by tau leaves tau dT/dt, which over ramps looks like
-viscous friction (tau J a' against B omega: with J/B of seconds, 50 us are percents of B). So tau is fitted as
-well, from - int(phi' T).
+A torque dated wrongly by tau leaves tau dT/dt, which over ramps looks like viscous friction (tau J a' against
+B omega: with J/B of seconds, 50 us are percents of B). So tau is fitted as well, from - int(phi' T).
 
 Uncertainty. Neighbouring windows overlap, and friction or ripple that the model lacks lasts longer than one:
-the residuals are correlated, and are not taken for white. The covariance is that of the jackknife over blocks
-of windows (Quenouille 1956, Kuensch 1989). What repeats in every window shows in no residual; it is added:
-``_UNSEEN``. Stated are expanded uncertainties, k = 2. The
-accuracy of 6076h is in none of them: every figure is in proportion to it.
+the residuals are correlated, not white. The covariance is that of the jackknife over blocks of windows
+(Quenouille 1956, Kuensch 1989). An error that repeats in every window shows in no residual; it is added:
+``_UNSEEN``. Stated are expanded uncertainties, k = 2. The accuracy of 6076h is in none of them: every figure
+is in proportion to it.
 """
 
 import itertools
@@ -38,9 +37,9 @@ _POWER: Final = 4
 _SAMPLES_MIN: Final = 12
 """Fewer in a window give no equation."""
 _GAP_MAX: Final = 4.5
-"""Periods without a sample that a window bears."""
+"""Periods without a sample that a window tolerates."""
 COVERAGE_FACTOR: Final = 2.0
-"""k: standard uncertainties that are stated as the expanded one."""
+"""k: factor from standard to expanded uncertainties."""
 _BLOCK: Final = 12
 """Equations, a quarter of a window apart, of a block: three windows, so that two have little in common."""
 _UNSEEN: Final = (0.02, 0.012)
@@ -54,24 +53,24 @@ over the seeds 60 to 159, so only seeds from 200 on are held out: docs/commissio
 
 @dataclass(frozen=True, slots=True)
 class Mechanics:
-    """What turns, with the expanded uncertainty (k = 2) of each figure."""
+    """Mechanical data, with the expanded uncertainty (k = 2) of each figure."""
 
     inertia_kg_m2: float
     viscous_friction_nm_s: float
     coulomb_friction_nm: float
     offset_nm: float
-    """Torque that pushes towards negative positions whichever way the shaft turns."""
+    """Torque towards negative positions in both directions of rotation."""
     inertia_error: float
     viscous_error: float
     coulomb_error: float
     equations: int
     residual_nm: float
-    """Root mean square of what the model leaves of a window's mean torque."""
+    """Root mean square of the residual of a window's mean torque."""
     torque_shift_s: float = 0.0
-    """By how much later than it was taken to the torque acted."""
+    """Delay of the torque relative to its assumed instant."""
 
     def friction_nm(self, speed_rad_s: float) -> float:
-        """Friction at a speed, both kinds."""
+        """Return the friction at a speed, both kinds."""
         if speed_rad_s == 0.0:
             return 0.0
         return self.viscous_friction_nm_s * speed_rad_s + math.copysign(self.coulomb_friction_nm, speed_rad_s)
@@ -97,11 +96,11 @@ def identify_mechanics(
 ) -> Mechanics:
     """Fit J, B, T_c and T_0 to ``records`` of (time s, position rad, torque N m).
 
-    Windows in which the speed comes below ``speed_min_rad_s`` or changes its sign say nothing of sliding
-    friction and are left out. ``held_s``: for torques that are held from command to command, how long after
-    a sample the next one acts, so that a sample's torque acted since the sample before; None for torques that
-    change by themselves, which are joined by straight lines. ``with_shift``: fit what is wrong with that
-    instant, too. ``torque_unit_nm``: what a raw unit of the torque is worth. Raises NotIdentifiable.
+    Windows in which the speed comes below ``speed_min_rad_s`` or changes its sign say nothing about sliding
+    friction and are left out. ``held_s``: for torques that are held from command to command, how long after a
+    sample the next one acts, so that a sample's torque acted since the sample before; None for torques that
+    change by themselves, which are joined by straight lines. ``with_shift``: fit the error of that instant,
+    too. ``torque_unit_nm``: one raw unit of the torque. Raises NotIdentifiable.
     """
     parts = [_equations(*record, window_s, speed_min_rad_s, held_s) for record in records]
     parts = [part for part in parts if len(part)]
@@ -141,7 +140,8 @@ def identify_mechanics(
 
 
 def _covariance(matrix: Array, residual: Array, lengths: list[int]) -> Array:
-    """Of the solution, by the jackknife: what it changes to leave out each block of equations."""
+    """Return the covariance of the solution, by the jackknife: its change when each block of equations is
+    left out."""
     normal = matrix.T @ matrix
     total = np.zeros_like(normal)
     blocks = begin = 0
@@ -157,9 +157,9 @@ def _covariance(matrix: Array, residual: Array, lengths: list[int]) -> Array:
 
 
 def _unseen(equations: Array, inertia: float, unit_nm: float, solving: Array) -> Array:
-    """Covariance of the solution by torques that are wrong in every window alike: one that grows with the
-    square of the speed, one in proportion to the torque of acceleration. ``solving``: (unknowns, equations).
-    """
+    """Return the covariance of the solution by torque errors common to all windows: one that grows with
+    the square of the speed, one in proportion to the torque of acceleration. ``solving``: (unknowns,
+    equations)."""
     speed = np.abs(equations[:, _VISCOUS])
     direction = equations[:, _COULOMB]
     ramp = inertia * equations[:, _INERTIA]
@@ -174,7 +174,7 @@ def _unseen(equations: Array, inertia: float, unit_nm: float, solving: Array) ->
 def _equations(
     time: Array, position: Array, torque: Array, window_s: float, speed_min: float, held_s: float | None
 ) -> Array:
-    """One equation for each window, a quarter of a window apart; each is divided by int(phi)."""
+    """Return one equation per window, a quarter of a window apart; each is divided by int(phi)."""
     half = window_s / 2.0
     rows: list[list[float]] = []
     if len(time) < _SAMPLES_MIN:
@@ -195,13 +195,13 @@ def _equations(
 
 
 def _has_gap(time: Array, usual: float) -> bool:
-    """So many samples in a row are missing that nobody knows what the torque was."""
+    """Return True if so many samples in a row are missing that the torque is unknown."""
     return bool(np.max(np.diff(time)) > _GAP_MAX * usual)
 
 
 def _filled(time: Array, torque: Array, usual: float) -> tuple[Array, Array]:
-    """Times and torques with those that are missing, on a straight line: a torque is held for one period, and
-    what acted while a reading was lost is nearer to the mean of its neighbours than to the next one."""
+    """Interpolate missing times and torques: a torque is held for one period, and the torque during a lost
+    reading is nearer to the mean of its neighbours than to the next one."""
     place = np.concatenate([[0.0], np.cumsum(np.maximum(1.0, np.round(np.diff(time) / usual)))])
     every = np.arange(place[-1] + 1.0)
     return np.interp(every, place, time), np.interp(every, place, torque)
@@ -211,7 +211,7 @@ def _equation(
     t: Array, position: Array, told_at: Array, torque: Array, half: float, speed_min: float,
     held_s: float | None,
 ) -> list[list[float]]:  # fmt: skip
-    """The equation of one window, or none."""
+    """Return the equation of one window, or none."""
     speed = _speed(t, position)
     slowest = float(np.min(np.abs(speed)))
     if slowest <= speed_min or np.min(speed) * np.max(speed) <= 0.0:
@@ -237,18 +237,18 @@ def _equation(
 
 
 def _antiderivative(x: Array) -> Array:
-    """Of phi."""
+    """Return the antiderivative of phi."""
     y = x * x
     return np.asarray(x * (1.0 + y * (-4.0 / 3.0 + y * (6.0 / 5.0 + y * (-4.0 / 7.0 + y / 9.0)))))
 
 
 def _speed(t: Array, position: Array) -> Array:
-    """Speed in the window by a cubic through the positions: enough to see its sign."""
+    """Return the speed in the window by a cubic through the positions: enough to see its sign."""
     return np.asarray(np.polyval(np.polyder(np.polyfit(t, position, 3)), t))
 
 
 def slope_error(across: Array, along: Array, blocks: int = 12) -> float:
-    """Standard uncertainty of the slope of ``along`` over ``across``, (n,) in the order of time.
+    """Return the standard uncertainty of the slope of ``along`` over ``across``, (n,) in the order of time.
 
     By the jackknife over blocks, as neighbouring residuals are correlated.
     """
@@ -271,9 +271,11 @@ class SpeedRatio(NamedTuple):
 
 
 def ratio_of(records: Sequence[tuple[Array, Array, Array]], blocks: int = 12) -> SpeedRatio:
-    """Of (time, velocity, position) from rest to rest: the integrals of the velocity over the paths.
+    """Return the ratio from (time, velocity, position) from rest to rest: the integrals of the velocity over
+    the paths.
 
-    The uncertainty is the jackknife's over blocks: what an encoder's steps and noise leave in the integral.
+    The uncertainty is the jackknife's over blocks: the error that an encoder's steps and noise leave in the
+    integral.
     """
     paths, integrals = [], []
     for time, velocity, position in records:
@@ -304,6 +306,6 @@ _PLAIN: Final = tuple(
 
 
 def plain_ratio(ratio: float, tolerance: float = 0.02) -> float:
-    """The power of ten, of two or the change of unit that ``ratio`` (> 0) stands for, if one is near."""
+    """Return the power of ten, of two or the change of unit near ``ratio`` (> 0), if there is one."""
     best = min(_PLAIN, key=lambda plain: abs(math.log(ratio / plain)))
     return best if abs(ratio / best - 1.0) <= tolerance else ratio

@@ -1,4 +1,4 @@
-"""Reading a drive's whole dictionary, with its data sheet or without one."""
+"""Reads a drive's whole dictionary, with its data sheet or without one."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -44,7 +44,7 @@ _WRITE_ONLY: Final = "wo"
 def dump(
     network: CanopenNetwork, node: int, dictionary: ObjectDictionary | None, idle: Callable[[], None]
 ) -> Dump:
-    """The bytes of every object that can be read; ``idle`` is called in between and may raise.
+    """Read the bytes of every readable object; ``idle`` is called in between and may raise.
 
     Without a data sheet: the objects of CiA 301 and CiA 402 that drives have.
     """
@@ -65,7 +65,7 @@ def _readable(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
 
 
 def variables(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
-    """Every variable of a data sheet, in order of index and sub-index."""
+    """Yield every variable of a data sheet, in order of index and sub-index."""
     for index, entry in sorted(dictionary.items()):
         if index >= FIRST_OBJECT:
             members: dict[int, Any] = {0: entry} if isinstance(entry, ODVariable) else entry.subindices
@@ -86,7 +86,7 @@ def _usual(network: CanopenNetwork, node: int) -> Iterator[tuple[int, int]]:
 
 
 def differing(held_objects: Dump, dictionary: ObjectDictionary) -> list[str]:
-    """Settings that differ from the data sheet's defaults, in words."""
+    """List settings that differ from the data sheet's defaults, in words."""
     lines = []
     for variable in variables(dictionary):
         held = held_objects.get((variable.index, variable.subindex))
@@ -105,7 +105,7 @@ def differing(held_objects: Dump, dictionary: ObjectDictionary) -> list[str]:
 
 
 def missing(held: Dump, dictionary: ObjectDictionary) -> list[str]:
-    """Objects of the data sheet that the drive did not let be read."""
+    """List objects of the data sheet that could not be read from the drive."""
     return [
         f"{variable.index:04X}h:{variable.subindex:02X} {variable.name}"
         for variable in _readable(dictionary)

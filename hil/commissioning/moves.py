@@ -1,4 +1,4 @@
-"""Moves of profile position that make a steady motion: speed and ramps of the drive (6081h, 6083h, 6084h)."""
+"""Profile position moves that make a steady motion: speed and ramps of the drive (6081h, 6083h, 6084h)."""
 
 from typing import Final
 
@@ -9,15 +9,15 @@ from servobench.drivers.cia402.scaling import Scaling
 from servobench.hil.commissioning.request import MotionLimits
 
 MOVE_RUN_UP_S: Final = 0.5
-"""From rest to the limit of speed. A drive that is given set-points one after the other speeds up and brakes
-from one to the next, so that its speed swings by this acceleration times the cycles of a hand-shake: at 4 ms
-by 0.4 % of the limit. No exercise asks for more than the limit in 2 s."""
+"""From rest to the speed limit. A drive with consecutive set-points accelerates and brakes from one to the
+next, so that its speed swings by this acceleration times the cycles of a hand-shake: at 4 ms by 0.4 % of the
+limit. No exercise needs more than the limit in 2 s."""
 CATCH_UP: Final = 1.3
-"""Of the limit of speed, as the host's own: a drive that has fallen behind its set-point makes it up."""
+"""Multiple of the speed limit, as the host's own: a drive that has fallen behind its set-point catches up."""
 
 
 def write_moves(objects: RemoteObjects, limits: MotionLimits, scaling: Scaling) -> tuple[float, list[str]]:
-    """Write them; with which deceleration the drive brakes, rad/s^2, and notes on what it does not take."""
+    """Write speed and ramps; return the drive's deceleration, rad/s^2, and notes on what it does not take."""
     rate = limits.speed_rad_s / MOVE_RUN_UP_S
     notes: list[str] = []
     for index, value, unit, text in (

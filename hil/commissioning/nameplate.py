@@ -1,8 +1,8 @@
-"""What the nameplate says against what the drive tells, and whose word is taken for what nothing measures.
+"""Compares the nameplate with the drive's statements, and decides which to use for unmeasurable quantities.
 
-CiA 402 has no object for pole pairs, resistance and inductance. A maker's objects (drivers/vendors) tell what
-somebody told the drive, the nameplate file what somebody read off the motor: neither is measured. Where both
-are there and contradict each other by far, it is asked which.
+CiA 402 has no object for pole pairs, resistance and inductance. A maker's objects (drivers/vendors) hold
+values entered into the drive, the nameplate file values read from the motor: neither is measured. If they
+contradict each other by far, the user is asked.
 """
 
 import math
@@ -29,16 +29,16 @@ from servobench.hil.commissioning.session import Session
 _RATING_TOLERANCE: Final = 0.03
 """Plates are printed with three digits, and 6075h and 6076h hold whole mA and mN m."""
 _RATING_SLIP: Final = 1.5
-"""Between two words for one rating, as stall and continuous torque: more is a slip of plate or drive."""
+"""Ratio of two statements of one rating, as stall and continuous torque: more is a slip of plate or drive."""
 _POINTS_MAX: Final = 3.0
 """Stall torque over that at the rated speed: two and a half at most of one motor, if wound for high speed."""
 _DC_RATIO: Final = 1.2
 """A mains voltage may be a tenth off, and so may the ripple's mean; AC volts for DC are 1.41 off."""
 _DC_LINK_MIN_V: Final = 5.0
-"""Less is a link that is not charged: no drive runs a motor from it."""
+"""Less is an uncharged link: no drive runs a motor from it."""
 CONSTANT_QUANTITY: Final = "torque_constant_nm_a"
 CONSTANT_TOLERANCE: Final = 0.1
-"""Between the torque constant that was told and the measured one: ratings are rounded, and magnets differ by
+"""Between the stated torque constant and the measured one: ratings are rounded, and magnets differ by
 percents."""
 _SLIP_TOLERANCE: Final = 0.05
 """Slips lie a fifth and more apart, and a plate is good to some percent."""
@@ -47,10 +47,10 @@ _ALIKE: Final = 0.02
 
 
 def nameplate_wins(session: Session, key: str, plate: str, drive: str) -> bool:
-    """Whether the nameplate is right where the drive says something else by far, and nothing measured tells.
+    """Return True if the nameplate is right where the drive differs by far, and no measurement decides.
 
-    A misread plate passes for a wrong drive as easily as the other way round: somebody has to look. Raises
-    StepFailed if nobody is there, unless the nameplate is to be trusted, or if the answer is neither.
+    A misread plate passes for a wrong drive as easily as the other way round: a person has to look. Raises
+    StepFailed if unattended, unless the nameplate is to be trusted, or if the answer is neither.
     """
     if session.request.trust_nameplate:
         return True
@@ -69,10 +69,10 @@ def nameplate_wins(session: Session, key: str, plate: str, drive: str) -> bool:
 
 
 def doubt_plate(session: Session, outcome: StepOutcome) -> None:
-    """Hold the nameplate against itself and against the DC link.
+    """Compare the nameplate with itself and with the DC link.
 
-    Raises StepFailed if its figures cannot be those of one motor, whoever is to be trusted; what is possible
-    and seldom meant is a finding.
+    Raises StepFailed if its figures cannot be those of one motor, whichever is trusted; an unusual value is a
+    finding.
     """
     plate = session.request.nameplate
     try:
@@ -91,17 +91,17 @@ def doubt_plate(session: Session, outcome: StepOutcome) -> None:
 
 
 def _dc_link_v(session: Session) -> float | None:
-    """6079h; None without it, or while the link is not charged."""
+    """Return 6079h; None without it, or while the link is not charged."""
     link_v = (session.objects.read_if_there(Object.DC_LINK_CIRCUIT_VOLTAGE) or 0) / 1000.0
     return link_v if link_v >= _DC_LINK_MIN_V else None
 
 
 def compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) -> None:
-    """6076h and 6075h against the nameplate.
+    """Compare 6076h and 6075h with the nameplate.
 
     Where they differ, the one is taken that volts, amperes and torque constant allow; if they allow both, the
-    drive's for another rated point of the same motor, else the nameplate's. Where one of the two must be a
-    slip it is asked which. Raises StepFailed for a torque of the nameplate that cannot be.
+    drive's for another rated point of the same motor, else the nameplate's. If one of the two must be a slip
+    the user is asked. Raises StepFailed for an impossible torque of the nameplate.
     """
     rating = session.request.nameplate.rating
     current_a, source = rated_current(session)
@@ -136,7 +136,7 @@ def compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) ->
 
 
 def _same_motor(torques: float, currents: float) -> bool:
-    """Ratings that differ in torque and current alike, as stall and rated ones do."""
+    """Return True for ratings that differ in torque and current alike, as stall and rated ones do."""
     return abs(torques / currents - 1.0) <= CONSTANT_TOLERANCE
 
 
@@ -166,7 +166,7 @@ def _settle_torque(session: Session, outcome: StepOutcome, told_nm: float, print
 
 
 def _impossible(session: Session, torque_nm: float) -> Contradiction | None:
-    """What a rated torque contradicts: the nameplate's other figures, or the drive's where it has none."""
+    """Return the contradiction of a rated torque with the nameplate's other figures, or the drive's."""
     figures = session.request.nameplate.figures
     current_a, _ = rated_current(session)
     constant = session.found.motor.figures.get(CONSTANT_QUANTITY)
@@ -181,14 +181,15 @@ def _impossible(session: Session, torque_nm: float) -> Contradiction | None:
 
 
 def _is_rated(session: Session, ratio: float) -> bool:
-    """Told over printed rms is one, or the peak's where nobody knows which ampere is the drive's."""
+    """Return True if the stated current over the printed rms is one, or the peak's if the drive's convention
+    is unknown."""
     figure = session.found.motor.figures.get("rated_current_a")
     alike = (1.0, math.sqrt(2.0)) if figure is not None and figure.convention == "own" else (1.0,)
     return any(abs(ratio / each - 1.0) <= _RATING_TOLERANCE for each in alike)
 
 
 def rated_current(session: Session) -> tuple[float | None, str]:
-    """A rms, and the object that tells it: the maker's own, whose convention is known, before 6075h."""
+    """Return A rms, and its object: the maker's own, whose convention is known, before 6075h."""
     figure = session.found.motor.figures.get("rated_current_a")
     if figure is not None:
         return figure.value, figure.object
@@ -197,14 +198,13 @@ def rated_current(session: Session) -> tuple[float | None, str]:
 
 
 def _is_slip(told: float, printed: float) -> bool:
-    """One of the two must be misread, or set wrongly."""
+    """Return True if one of the two must be misread, or set wrongly."""
     return abs(math.log(told / printed)) > math.log(_RATING_SLIP)
 
 
 def confirm_pole_pairs(session: Session, outcome: StepOutcome) -> None:
-    """Have the number of pole pairs said a second time: CiA 402 has no object for it, and none of torque,
-    current, speed and position depends on it. With nobody there it is told to be the nameplate's word alone.
-    """
+    """Have the number of pole pairs confirmed: CiA 402 has no object for it, and no torque, current, speed or
+    position depends on it. Unattended it is reported as the nameplate's statement alone."""
     printed = session.request.nameplate.motor.pole_pairs
     if printed is None:
         return
@@ -214,7 +214,7 @@ def confirm_pole_pairs(session: Session, outcome: StepOutcome) -> None:
         outcome.say(f"pole pairs: not measurable over CiA 402; {printed}, by the nameplate file alone")
         return
     answer = session.dialog.line(
-        "    pole pairs: not measurable over CiA 402. How many has the motor, by plate or data sheet?",
+        "    pole pairs: not measurable over CiA 402. How many pole pairs does the plate or data sheet give?",
         session.idle,
     )
     if not answer.isdecimal() or not 0 < int(answer) <= POLE_PAIRS_MAX:
@@ -232,7 +232,7 @@ def confirm_pole_pairs(session: Session, outcome: StepOutcome) -> None:
 
 
 def keeps_motor(session: Session) -> bool:
-    """It is known where the drive's maker keeps the motor."""
+    """Return True if the maker's motor objects are known."""
     identity = session.found.identity
     return identity is not None and bool(
         motor_objects_for(identity.vendor, identity.product, identity.device_name)
@@ -240,7 +240,7 @@ def keeps_motor(session: Session) -> bool:
 
 
 def read_motor(session: Session, outcome: StepOutcome) -> None:
-    """What the drive was told of its motor."""
+    """Read the motor data entered into the drive."""
     identity = session.found.identity
     assert identity is not None, "the step 'identity' comes first"
     motor = read_told_motor(session.objects, identity.vendor, identity.product, identity.device_name)
@@ -260,8 +260,8 @@ def read_motor(session: Session, outcome: StepOutcome) -> None:
 
 
 def settle_winding(session: Session, outcome: StepOutcome) -> None:
-    """Take the drive's word or the nameplate's for each quantity. Raises StepFailed if they contradict each
-    other by far, and nobody says which is right."""
+    """Choose the drive's or the nameplate's value for each quantity. Raises StepFailed if they contradict
+    each other by far, and nobody decides."""
     session.found.stated.clear()  # of an attempt that failed
     plate, motor = session.request.nameplate, session.found.motor
     winding = plate.motor
@@ -283,7 +283,7 @@ def settle_winding(session: Session, outcome: StepOutcome) -> None:
 
 
 def plate_constant(plate: Nameplate) -> float | None:
-    """N m per A rms by a constant of the flux, else by the ratings; None without either."""
+    """Return N m per A rms by a constant of the flux, else by the ratings; None without either."""
     flux = plate.figures.flux_v_s
     return None if flux is None else figure("kt_nm_arms", flux)
 
@@ -336,13 +336,13 @@ def _settle_pole_pairs(session: Session, outcome: StepOutcome, figure: ToldFigur
 
 
 def _by_drive(figure: ToldFigure, value: str, printed: float) -> str:
-    """The drive's word beside the nameplate's, with the slip that would explain it."""
+    """Describe the drive's value and the nameplate's, with the slip that would explain the difference."""
     slip = likely_slip(figure.value / printed, WINDING_SLIPS, tolerance=_SLIP_TOLERANCE)
     return f"{value} ({figure.object}{f'; {slip}' if slip else ''})"
 
 
 def compare_constant(told: ToldMotor, measured: float, outcome: StepOutcome) -> None:
-    """The torque constant that was told against the measured one, N m/A."""
+    """Compare the stated torque constant with the measured one, N m/A."""
     figure = told.figures.get(CONSTANT_QUANTITY)
     if figure is None:
         return
@@ -363,7 +363,7 @@ def _named(figure: ToldFigure) -> tuple[str, str]:
 
 
 def compare_inertia(session: Session, outcome: StepOutcome, inertia_kg_m2: float) -> None:
-    """The shaft with its load cannot have less than the rotor alone has by the nameplate."""
+    """Check that the shaft with its load has no less than the rotor alone by the nameplate."""
     rotor = session.request.nameplate.motor.inertia_kg_m2
     if rotor is not None and inertia_kg_m2 < rotor * (1.0 - CONSTANT_TOLERANCE):
         outcome.faults.append(

@@ -1,4 +1,4 @@
-"""What came of a step of commissioning."""
+"""Results of a commissioning step."""
 
 from dataclasses import dataclass, field
 from enum import Enum
@@ -7,20 +7,20 @@ from typing import Any, Final
 from servobench.drivers.errors import PeerFault
 
 LOSSES_MAX: Final = 0.1
-"""Part of a step's readings that may be lost. A bus in order loses none, a bad one a hundredth; where a tenth
-is gone something is wrong that is not the drive's, and the torque is not known for a tenth of the time."""
+"""Part of a step's readings that may be lost. A sound bus loses none, a bad one a hundredth; if a tenth is
+missing something beyond the drive is wrong, and the torque is unknown for a tenth of the time."""
 
 
 class StepFailed(PeerFault):
-    """A step found what it must not find; it may be repeated, or skipped with a reason."""
+    """A step failed; it may be repeated, or skipped with a reason."""
 
 
 class ReadingsLost(PeerFault):
-    """Bus or machine were disturbed while a step measured; of the drive that says nothing."""
+    """Bus or machine were disturbed while a step measured; it says nothing about the drive."""
 
 
 def refuse_losses(lost: int, cycles: int) -> None:
-    """Raises ReadingsLost if more were lost than a figure may rest on."""
+    """Raise ReadingsLost if more were lost than a figure can tolerate."""
     if lost > LOSSES_MAX * cycles:
         raise ReadingsLost(
             f"{lost} of {cycles} readings were lost",
@@ -36,11 +36,11 @@ class StepVerdict(Enum):
     DONE = "done"
     FAILED = "failed"
     SKIPPED = "skipped"
-    """The user's word, with a reason."""
+    """The user skipped it, with a reason."""
     LEFT_OUT = "left out"
     """The drive or the limits do not allow it."""
     NOT_DONE = "not done"
-    """A dry run, or the end came first."""
+    """A dry run, or an early end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,25 +51,25 @@ class StatedFigure:
     value: float
     unit: str
     uncertainty: float | None = None
-    """Expanded, k = 2; None where none is known."""
+    """Expanded, k = 2; None if unknown."""
 
 
 @dataclass(slots=True)
 class StepOutcome:
-    """What a step found."""
+    """Findings of a step."""
 
     lines: list[str] = field(default_factory=list)
-    """For the report, a sentence each."""
+    """Sentences for the report."""
     figures: dict[str, Any] = field(default_factory=dict)
-    """The same for programs."""
+    """Figures for programs."""
     faults: list[str] = field(default_factory=list)
-    """What is wrong with the drive's settings, and what was done about it."""
+    """Faults in the drive's settings, and their remedies."""
     pictures: list[str] = field(default_factory=list)
     """File names of plots, relative to the report."""
     quantities: list[StatedFigure] = field(default_factory=list)
 
     headline: str = ""
-    """For the table at the top of the report; the first of ``lines`` if empty."""
+    """Line for the table at the top of the report; default: the first of ``lines``."""
 
     def measured(self, name: str, value: float, unit: str, uncertainty: float | None = None) -> None:
         """Add a figure for the report's table."""
@@ -82,14 +82,14 @@ class StepOutcome:
 
 @dataclass(slots=True)
 class StepRecord:
-    """One step as the report tells it."""
+    """One step in the report."""
 
     name: str
     title: str
     plan: str
     verdict: StepVerdict
     limit: str = ""
-    """At which it fails."""
+    """Its failure limit."""
     reason: str = ""
     outcome: StepOutcome = field(default_factory=StepOutcome)
     attempts: int = 1

@@ -1,4 +1,4 @@
-"""The pictures of a commissioning's report."""
+"""Plots for a commissioning report."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,7 +19,7 @@ _BLUE, _RED, _GREY = "#1f5fa8", "#c8442c", "#8a8f98"
 
 @contextmanager
 def _figure(path: Path, rows: int, height: float, **options: Any) -> Iterator[list[Any]]:
-    """Axes one below the other; the picture is written when they are left."""
+    """Yield axes one below the other; the picture is written afterwards."""
     figure = Figure(figsize=(8.0, height), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, 1, **options))
     for ax in axes:
@@ -30,7 +30,7 @@ def _figure(path: Path, rows: int, height: float, **options: Any) -> Iterator[li
 
 
 def draw_mechanics(path: Path, recordings: Sequence[Recording], mechanics: Mechanics) -> None:
-    """Speed over time, and the torque that the fit leaves for friction over speed."""
+    """Plot speed over time, and the torque that the fit leaves for friction over speed."""
     with _figure(path, 2, 7.0) as (above, below):
         begin = 0.0
         for recording in recordings:
@@ -54,7 +54,7 @@ def draw_mechanics(path: Path, recordings: Sequence[Recording], mechanics: Mecha
 
 
 def draw_angle(path: Path, by_angle: TorqueByAngle) -> None:
-    """Torque that inertia and friction leave, over the angle, each way."""
+    """Plot the torque beyond inertia and friction over the angle, each way."""
     with _figure(path, 1, 4.5) as (ax,):
         degrees = np.degrees(by_angle.angle_rad)
         ax.plot(degrees, by_angle.forward_nm, color=_BLUE, linewidth=1.2, label="forwards")
@@ -65,7 +65,7 @@ def draw_angle(path: Path, by_angle: TorqueByAngle) -> None:
 
 
 def draw_current(path: Path, current: Array, torque: Array, slope: float, offset: float) -> None:
-    """Torque over current with the line through it."""
+    """Plot torque over current with the line through it."""
     with _figure(path, 1, 4.5) as (ax,):
         ax.plot(current, torque, ".", color=_GREY, markersize=2)
         ends = np.array([current.min(), current.max()])
@@ -75,7 +75,7 @@ def draw_current(path: Path, current: Array, torque: Array, slope: float, offset
 
 
 def draw_response(path: Path, response: FrequencyResponse, model: ComplexArray) -> None:
-    """Magnitude, phase and coherence of torque to speed, beside the identified inertia and friction."""
+    """Plot magnitude, phase and coherence of torque to speed, with the identified inertia and friction."""
     frequency = response.frequency_hz
     with _figure(path, 3, 9.0, sharex=True) as (magnitude, phase, coherence):
         magnitude.loglog(
@@ -94,7 +94,7 @@ def draw_response(path: Path, response: FrequencyResponse, model: ComplexArray) 
 
 
 def draw_delays(path: Path, readings_us: Array, age_us: Array, part: Array, lag: StepLag) -> None:
-    """Histogram of the readings' delay, and the answer to a step of the command."""
+    """Plot a histogram of the readings' delay, and the response to a step of the command."""
     with _figure(path, 2, 7.0) as (above, below):
         above.hist(readings_us, bins=60, color=_BLUE)
         above.set(xlabel="from SYNC to reading, us", ylabel="readings")
@@ -105,7 +105,7 @@ def draw_delays(path: Path, readings_us: Array, age_us: Array, part: Array, lag:
 
 
 def draw_verification(path: Path, recording: Recording, time: Array, reference: Array) -> None:
-    """Speed beside its reference, and the torque."""
+    """Plot speed with its reference, and the torque."""
     with _figure(path, 2, 7.0, sharex=True) as (above, below):
         above.plot(time, reference * RPM_PER_RAD_S, color=_RED, linewidth=1.2, label="reference")
         above.plot(

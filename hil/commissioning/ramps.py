@@ -1,4 +1,4 @@
-"""The ramps that a drive makes by itself, and its speed of a move: read, set and read back before it moves.
+"""The drive's own ramps, and its speed of a move: read, set and verified before it moves.
 
     profile position, profile velocity      6083h and 6084h, cut by 60C5h and 60C6h
     profile position                        6081h, cut by 607Fh
@@ -6,9 +6,8 @@
     cyclic velocity and position            60C5h and 60C6h
     profile torque                          6087h
 
-Each is made steep enough for the host's own limits, where it is not; the exercises then ask for no more than
-the drive has granted. Ramps that are steeper are left as they are: torque and set-points are bounded beside
-them.
+Each is raised to the host's own limits if necessary; the exercises then use no more than the drive has
+granted. Steeper ramps are left alone: torque and set-points have their own bounds.
 """
 
 import math
@@ -28,27 +27,28 @@ from servobench.hil.commissioning.outcome import StepFailed
 from servobench.hil.commissioning.request import MotionLimits
 
 _HIDDEN_S: Final = 1e-3
-"""The rated torque in so long: 6087h then hides no command, whose switches are a tenth of it; how fast a
-command may rise the host sees to itself."""
+"""Time for the rated torque: 6087h then hides no command, whose switches are a tenth of it; the host itself
+limits a command's rise."""
 _RUN_UP_MAX_S: Final = 5.0
-"""To a tenth of the limit of speed, or to the limit of torque: no exercise waits for longer."""
+"""To a tenth of the speed limit, or to the torque limit: no exercise waits for longer."""
 _PROOF_SHARE: Final = 0.1
 _STEEPER: Final = 1000.0
-"""Where no shaft moves by what was set: units of the acceleration are wrong by as much."""
+"""Factor if no shaft moves by the value set: units of the acceleration are wrong by as much."""
 _SCALED: Final = frozenset({*RAMPS[Mode.PROFILE_VELOCITY]})
-"""In the drive's unit of acceleration."""
+"""Objects in the drive's unit of acceleration."""
 _SPEEDS: Final = frozenset(SPEEDS[Mode.PROFILE_POSITION])
 _RAW_MAX: Final = 0xFFFF_FFFF
 
 
 class RampTooSlow(StepFailed):
-    """The drive's own ramp makes no motion in this mode; another mode may have none."""
+    """The drive's own ramp permits no motion in this mode; another mode may have none."""
 
 
 def set_ramps(
     objects: RemoteObjects, found: Findings, mode: Mode, most_told: Callable[[int], int | None]
 ) -> list[str]:
-    """Read the ramps of ``mode`` and write those that are too slow; notes on what was changed or refused.
+    """Read the ramps of ``mode`` and raise those that are too slow; return notes on what was changed or
+    refused.
 
     ``most_told``: the greatest value of an object by the data sheet. Raises RampTooSlow, naming the object
     and its value.
@@ -90,8 +90,8 @@ def set_ramps(
 
 
 def steepen(found: Findings) -> bool:
-    """Have the next :func:`set_ramps` ask for a thousand times more, as the shaft has not moved by what was
-    set; False if it did already, or there is nothing to ask for."""
+    """Make the next :func:`set_ramps` use a thousand times more, as the shaft has not moved; False if that
+    was done already, or there is no ramp."""
     if found.ramp_factor > 1.0 or not found.ramps.keys() & _SCALED:
         return False
     found.ramp_factor = _STEEPER
@@ -99,7 +99,7 @@ def steepen(found: Findings) -> bool:
 
 
 def within_ramps(found: Findings, limits: MotionLimits) -> MotionLimits:
-    """``limits``, cut to what the drive's ramps let a set-point do."""
+    """Return ``limits``, reduced to the drive's ramps."""
     speed, acceleration, slew = limits.speed_rad_s, limits.acceleration_rad_s2, limits.torque_slew_nm_s
     for index, ramp in found.ramps.items():
         if index is Object.TORQUE_SLOPE:
@@ -112,7 +112,7 @@ def within_ramps(found: Findings, limits: MotionLimits) -> MotionLimits:
 
 
 def ramps_told(found: Findings) -> str:
-    """The ramps in force, in SI units; empty in a mode without."""
+    """Describe the ramps in force, in SI units; empty in a mode without."""
     return ", ".join(_told(index, ramp) for index, ramp in found.ramps.items())
 
 
@@ -139,7 +139,7 @@ def _wanted(found: Findings, limits: MotionLimits, index: Object, mode: Mode) ->
 
 
 def _too_slow(limits: MotionLimits, index: Object, amount: float) -> str:
-    """Why no motion comes of it; empty if one does."""
+    """Explain why no motion results; empty if one does."""
     slow_rad_s = _PROOF_SHARE * limits.speed_rad_s
     if index in _SPEEDS:
         return "" if amount >= CATCH_UP * slow_rad_s else f"a slow motion goes at {slow_rad_s:.3g} rad/s"

@@ -1,4 +1,4 @@
-"""The recording of a commissioning: every frame and what was done, in the formats of a run's.
+"""The recording of a commissioning: every frame and every action, in the formats of a run's.
 
 Frames are kept in memory while an attempt at a step goes on, and written when it is over: with the drive
 disabled. A process that is killed loses the frames of the step that was under way.
@@ -30,7 +30,7 @@ class SessionLog:
         """``bus``: the spec; its last part is the interface in frames.log. Error: OSError."""
         folder.mkdir(parents=True, exist_ok=True)
         self.failed = ""
-        """Why nothing more is recorded; empty while it is."""
+        """Why nothing more is recorded; empty while recording."""
         self._clock = world.clock
         self._zero = self._clock.now()
         offset = world.wall_offset
@@ -49,20 +49,20 @@ class SessionLog:
     def _take(
         self, direction: str, can_id: int, data: bytes, extended: bool, remote: bool, at: Instant
     ) -> None:
-        """Fits ``BusLink.tap``."""
+        """Take a frame, as ``BusLink.tap`` requires."""
         flags = (EXTENDED_FLAG if extended else 0) | (REMOTE_FLAG if remote else 0)
         self._rows.append(frame_row(at, can_id | flags, int(direction == "tx"), data))
 
     def event(self, level: str, text: str, at: Instant | None = None) -> None:
-        """Something worth reading. ``level``: "INFO", "WARN", "ERROR", "CRITICAL"; ``at``: now if absent."""
+        """Record an event. ``level``: "INFO", "WARN", "ERROR", "CRITICAL"; ``at``: default now."""
         self._events.append(TextEvent(self._clock.now() if at is None else at, level, text))
 
     def step(self, name: str) -> None:
-        """A step begins."""
+        """Record the begin of a step."""
         self._events.append(StateEvent(self._clock.now(), _TRACK, name))
 
     def write(self) -> None:
-        """Bring to the disk what was taken. A disk that is full ends the recording, not the commissioning."""
+        """Write the collected frames to disk. A full disk ends the recording, not the commissioning."""
         rows, self._rows = self._rows, []
         events, self._events = self._events, []
         if self.failed:
@@ -78,7 +78,7 @@ class SessionLog:
             self.failed = str(error)
 
     def close(self) -> None:
-        """The end; nothing comes any more."""
+        """Close the recording."""
         self.write()
         if not self.failed:
             for file in (self._directions, self._frames, self._told):

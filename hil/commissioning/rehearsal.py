@@ -1,6 +1,6 @@
-"""Simulated drives to rehearse commissioning with: one that nobody has described, or one by its data sheet.
+"""Simulated drives for rehearsing a commissioning: an unknown one, or one by its data sheet.
 
-In simulated time, beside the commissioning itself (:func:`rehearsed_drive`), or in a process of its own on a
+In simulated time, with the commissioning itself (:func:`rehearsed_drive`), or in a separate process on a
 real-time bus: the unknown one by ``hil rehearse``, the one of a data sheet by ``hil simulate --eds``.
 """
 
@@ -26,9 +26,9 @@ from servobench.virtual_bus.hosting.injection import Faults
 def rehearsed_drive(
     rehearsal: Rehearsal, node: int, bitrate_bit_s: int, announce: Callable[[str], None]
 ) -> tuple[SimulatedServo, dict[str, Any]]:
-    """The simulated drive, and what is printed on its motor, as tables of a nameplate file. Raises BadInput.
+    """Return the simulated drive, and its nameplate, as tables of a nameplate file. Raises BadInput.
 
-    A data sheet need not tell what a position unit is: the encoder is printed on the motor of its drive.
+    A data sheet need not define the position unit: the nameplate then names the encoder.
     """
     if rehearsal.eds is None:
         servo, truth = unknown_drive(rehearsal.seed or 0, node)
@@ -73,7 +73,7 @@ def rehearse(
 
 
 def truth_tables(truth: Truth) -> dict[str, Any]:
-    """What is hidden, as tables of a file."""
+    """Return the hidden data, as tables of a file."""
     motor = asdict(truth.motor)
     motor["transform"] = truth.motor.transform.value
     return {

@@ -1,4 +1,4 @@
-"""The files beside the bench of a commissioned drive: its data sheet, and its rehearsed drive."""
+"""Files that accompany the bench of a commissioned drive: its data sheet, and its rehearsed drive."""
 
 import shutil
 from pathlib import Path
@@ -9,16 +9,16 @@ from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.rows.run_files import BENCH_FILE
 
 _SHEET: Final = "data-sheet"
-"""The drive's, with the suffix that it had."""
+"""The drive's, with its original suffix."""
 _REHEARSED_SHEET: Final = "rehearsed"
-"""The simulated drive's, where it was commissioned with another one."""
+"""The simulated drive's, if it was commissioned with another one."""
 _REHEARSED_MOTOR_FILE: Final = "rehearsed-motor.toml"
 _BITRATE_BIT_S: Final = 1_000_000
 """The default of ``--bitrate``."""
 
 
 def copied_files(request: CommissionRequest) -> dict[str, str]:
-    """Copy the data sheets that the bench names to its side; return what else is to be written, by name."""
+    """Copy the data sheets named by the bench next to it; return the other files to write, by name."""
     rehearsal = request.rehearsal
     for sheet, name in (
         (request.eds, sheet_name(request)),
@@ -35,7 +35,7 @@ def copied_files(request: CommissionRequest) -> dict[str, str]:
 
 
 def sheet_name(request: CommissionRequest) -> str:
-    """Name of the copy of the drive's data sheet; empty without one."""
+    """Return the name of the copy of the drive's data sheet; empty without one."""
     return "" if request.eds is None else f"{_SHEET}{request.eds.suffix}"
 
 
@@ -47,7 +47,7 @@ def _rehearsed_name(request: CommissionRequest) -> str:
 
 
 def simulation_table(request: CommissionRequest) -> dict[str, Any]:
-    """The drive that was rehearsed, for a bench to make it again."""
+    """Return the rehearsed drive as a bench table."""
     rehearsal = request.rehearsal
     if rehearsal is None:
         return {}
@@ -57,8 +57,8 @@ def simulation_table(request: CommissionRequest) -> dict[str, Any]:
 
 
 def ways_to_run(request: CommissionRequest, folder: Path) -> list[str]:
-    """How the bench in ``folder`` is run with its rehearsed drive: as it is, and with the drive in another
-    process; empty for a real drive."""
+    """Return commands to run the bench in ``folder`` with its rehearsed drive: as it is, and with the drive
+    in another process; empty for a real drive."""
     rehearsal = request.rehearsal
     if rehearsal is None:
         return []

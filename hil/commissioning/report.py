@@ -1,4 +1,4 @@
-"""The report of a commissioning: Markdown with pictures beside it, HTML with them inside, JSON."""
+"""The report of a commissioning: Markdown with separate pictures, HTML with embedded ones, JSON."""
 
 import base64
 import json
@@ -34,29 +34,29 @@ th{background:#f2f4f7}img{max-width:100%}.failed{color:#b3261e;font-weight:bold}
 
 @dataclass(slots=True)
 class Commissioned:
-    """How it ended."""
+    """The end of a commissioning."""
 
     begun_at: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     records: list[StepRecord] = field(default_factory=list)
     findings: Findings = field(default_factory=Findings)
     left: DriveLeft = field(default_factory=DriveLeft)
     error: BenchError | None = None
-    """What ended it early."""
+    """The error that ended it early."""
     defect: str = ""
-    """An error of hil's own that ended it, or that is under way while the report is written."""
+    """A program defect that ended it, or that is under way while the report is written."""
     disturbances: tuple[str, ...] = ()
-    """What others sent on the bus that was not allowed: first frame, its time, how often."""
+    """Forbidden frames from others on the bus: first frame, its time, count."""
 
     @property
     def passed(self) -> bool:
-        """Every step that could be done was done, and the drive is as it was found, or stored."""
+        """True if every possible step was done, and the drive is as found, or stored."""
         failed = any(record.verdict is StepVerdict.FAILED for record in self.records)
         left = self.left.stored or (self.left.as_found and not self.left.not_stored)
         return self.error is None and not failed and left
 
     @property
     def exit_status(self) -> int:
-        """How the command tells it."""
+        """Exit status of the command."""
         if self.error is not None:
             return self.error.exit_status
         if not self.passed:
@@ -77,7 +77,7 @@ class Commissioned:
 
     @property
     def ended_by(self) -> str:
-        """In words; empty if it came to its end."""
+        """The reason in words; empty if it came to its end."""
         return self.defect if self.error is None else str(self.error)
 
 
@@ -91,7 +91,7 @@ def write_report(request: CommissionRequest, result: Commissioned) -> None:
 
 
 def header_of(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
-    """What a lab writes on top: when, with what, of which drive and motor."""
+    """Return the report's header: date, tool, drive and motor."""
     identity = result.findings.identity
     drive = {} if identity is None else {
         "name (1008h)": identity.device_name,
@@ -123,7 +123,7 @@ def _scale(request: CommissionRequest, result: Commissioned) -> TorqueScale | No
 
 
 def _by_plate_alone(request: CommissionRequest, result: Commissioned) -> list[str]:
-    """Keys of the nameplate that were held against each other, in wide bands, and against nothing else."""
+    """Return keys of the nameplate that were compared with each other only, within wide bands."""
     plate, findings, scale = request.nameplate, result.findings, _scale(request, result)
     motor, rating = plate.motor, plate.rating
     alone = {
@@ -145,12 +145,12 @@ def _by_plate_alone(request: CommissionRequest, result: Commissioned) -> list[st
 
 
 def _read(findings: Findings) -> set[int]:
-    """Indices of the objects that the drive has."""
+    """Return the indices of the objects that the drive has."""
     return {index for index, _ in findings.dump}
 
 
 def summary_of(request: CommissionRequest, result: Commissioned) -> list[str]:
-    """What came of it, in a line; what its torques rest on, in another."""
+    """Summarise the result in a line, and the basis of its torques in another."""
     done = sum(record.verdict is StepVerdict.DONE for record in result.records)
     faults = sum(len(record.outcome.faults) for record in result.records)
     scale = _scale(request, result) if result.findings.mechanics is not None else None
@@ -164,7 +164,7 @@ def summary_of(request: CommissionRequest, result: Commissioned) -> list[str]:
 
 
 def _stated(findings: Findings) -> str | dict[str, str]:
-    """Whose word stands for what nothing measures."""
+    """Return the sources of the unmeasurable quantities."""
     if not any(each.told for each in findings.stated.values()):
         return "resistance, inductance, pole pairs: by the nameplate, or as said at the motor"
     return {
@@ -175,7 +175,7 @@ def _stated(findings: Findings) -> str | dict[str, str]:
 
 
 def _in_words(value: Any) -> str:
-    """A value of the header; a table as key: value, its tables as their name with theirs behind it."""
+    """Format a value of the header; a table as key: value, nested tables by their name."""
     if isinstance(value, dict):
         parts = [
             f"{key}: {_in_words(each)}" if not isinstance(each, dict) else f"{key} ({_in_words(each)})"
@@ -187,7 +187,7 @@ def _in_words(value: Any) -> str:
 
 
 def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
-    """The same for programs."""
+    """Return the report for programs."""
     left, findings = result.left, result.findings
     restoration = left.restoration
     scale = _scale(request, result)
@@ -228,14 +228,15 @@ def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
 
 
 def _quantity(figure: StatedFigure, scale: TorqueScale | None) -> dict[str, Any]:
-    """With what it rests on and the relative uncertainty of that, if it is in proportion to the torque."""
+    """Return the quantity, with the torque scale and its relative uncertainty if it is proportional to the
+    torque."""
     if scale is None or not is_proportional(figure.unit):
         return asdict(figure)
     return {**asdict(figure), "scale_uncertainty": scale.uncertainty, "rests_on": scale.sentence}
 
 
 def _rests_on(step: Mapping[str, Any]) -> str:
-    """What figures of a step rest on; empty if none is in proportion to the torque."""
+    """Name the basis of a step's figures; empty if none is proportional to the torque."""
     sentences = [(each["name"], each["rests_on"]) for each in step["quantities"] if "rests_on" in each]
     return f"{', '.join(name for name, _ in sentences)}: {sentences[0][1]}" if sentences else ""
 
@@ -245,7 +246,7 @@ def _title(figures: Mapping[str, Any]) -> str:
 
 
 def _results(figures: Mapping[str, Any]) -> list[list[str]]:
-    """Title, verdict and one sentence of each step."""
+    """Return title, verdict and one sentence of each step."""
     return [[step["title"], step["verdict"], step["reason"] or step["headline"]] for step in figures["steps"]]
 
 
@@ -300,7 +301,7 @@ def _markdown_step(number: int, step: Mapping[str, Any]) -> list[str]:
 
 
 def _html(figures: Mapping[str, Any], folder: Path) -> str:
-    """As a lab files it: one file, with the pictures, read from ``folder``, inside."""
+    """Return one HTML file, with the pictures, read from ``folder``, embedded."""
     fair = "" if figures["exit_status"] == ExitStatus.PASSED else " class='failed'"
     verdict = f"<p{fair}><strong>{_text(figures['verdict'])}</strong></p>"
     body = [f"<h1>{_text(_title(figures))}</h1>", verdict, _pairs(figures["header"])]
@@ -386,7 +387,7 @@ def _figure(value: float | None) -> str:
 
 
 def _of_scale(quantity: Mapping[str, Any]) -> str:
-    """Of a figure that is in proportion to the torque scale, the uncertainty of that."""
+    """Format the torque scale's uncertainty for a proportional figure."""
     if "rests_on" not in quantity:
         return ""
     share = quantity["scale_uncertainty"]

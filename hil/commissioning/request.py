@@ -1,4 +1,4 @@
-"""What the user asked for and allows."""
+"""The user's request and permissions."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -32,11 +32,10 @@ from servobench.hil.restoring.journal import restore_command
 
 
 class PlateMotor(Section):
-    """``[motor]``: what is known of the motor itself; all optional.
+    """``[motor]``: known data of the motor itself; all optional.
 
     Resistance and inductances are of one phase of a star. The constants of the flux are named as in
-    :data:`servobench.design.flux_constants.CONVENTIONS`; with one of them the torque has a witness beside the
-    ratings.
+    :data:`servobench.design.flux_constants.CONVENTIONS`; with one of them the torque has a second witness.
     """
 
     name: str = "motor"
@@ -45,7 +44,7 @@ class PlateMotor(Section):
     inductance_q_h: Inductance | None = None
     pole_pairs: int | None = Field(default=None, gt=0, le=POLE_PAIRS_MAX)
     inertia_kg_m2: Inertia | None = None
-    """Of the rotor, without load."""
+    """Inertia of the rotor, without load."""
     kt_nm_arms: float | None = Field(default=None, gt=0)
     kt_nm_apk: float | None = Field(default=None, gt=0)
     kt_nm_adc: float | None = Field(default=None, gt=0)
@@ -58,7 +57,7 @@ class PlateMotor(Section):
 
 
 class PlateRating(Section):
-    """``[rating]``: what is printed on the motor; all optional."""
+    """``[rating]``: ratings printed on the motor; all optional."""
 
     torque_nm: Torque | None = None
     speed_rpm: Speed | None = None
@@ -75,24 +74,24 @@ class PlateEncoder(Section):
 
 
 class PlateLimits(Section):
-    """``[limits]``: how far commissioning may go; each has a cautious default."""
+    """``[limits]``: bounds of commissioning; each has a cautious default."""
 
     speed_max_rpm: Speed | None = None
-    """Half of the rated speed if absent."""
+    """Default: half of the rated speed."""
     torque_max_percent: float = Field(default=50.0, gt=0, le=300)
-    """Of the rated torque."""
+    """Share of the rated torque."""
     power_max_w: float | None = Field(default=None, gt=0)
-    """Rated torque times the speed limit if absent."""
+    """Default: rated torque times the speed limit."""
     energy_max_j: float | None = Field(default=None, gt=0)
-    """Mechanical work in one step; three seconds of the power limit if absent."""
+    """Mechanical work in one step; default: three seconds of the power limit."""
     turns_max: float | None = Field(default=None, gt=0)
-    """How far the shaft may turn to either side of where it stood; absent: without end."""
+    """Travel of the shaft to either side of its start; absent: unlimited."""
     following_error_max_turns: float = Field(default=0.5, gt=0)
     temperature_max_c: float = Field(default=80.0, gt=0)
 
 
 class PlateTemperature(Section):
-    """``[temperature]``: the drive's own object for it, for the profile has none."""
+    """``[temperature]``: the drive's own object for it, as the profile has none."""
 
     index: int = Field(ge=FIRST_OBJECT, le=0xFFFF, description="the object's index")
     sub: int = Field(default=0, ge=0, le=255)
@@ -101,7 +100,7 @@ class PlateTemperature(Section):
 
 
 class Nameplate(Section):
-    """A nameplate file: what somebody reads off motor and machine before anything moves."""
+    """A nameplate file: data read from motor and machine before anything moves."""
 
     motor: PlateMotor = PlateMotor()
     rating: PlateRating = PlateRating()
@@ -111,7 +110,7 @@ class Nameplate(Section):
 
     @property
     def figures(self) -> SheetFigures:
-        """What it says of the motor, to be held against itself."""
+        """Its motor figures, for comparison with each other."""
         motor, rating = self.motor, self.rating
         return SheetFigures(
             rated_torque_nm=rating.torque_nm,
@@ -139,21 +138,21 @@ _KEYS: Final = {
     "peak_current_a": "rating.current_max_a",
     "dc_bus_voltage_v": "rating.dc_bus_voltage_v",
 }
-"""In a nameplate file, of the fields of SheetFigures; of the others it is ``motor`` and the name."""
+"""Keys in a nameplate file for fields of SheetFigures; all others are ``motor`` plus the name."""
 _READINGS_SHOWN: Final = 3
 """More would not help to find the right one."""
 
 
 @dataclass(eq=False)
 class ImpossiblePlate(BadInput):
-    """A nameplate whose figures cannot be those of one motor: no drive's word can make them so."""
+    """A nameplate whose figures cannot belong to one motor, whatever the drive states."""
 
     def __str__(self) -> str:
         return printable(f"{self.source}: {self.key}: {self.value}; {self.expected}")
 
 
 def load_nameplate(path: Path) -> Nameplate:
-    """The nameplate in the file at ``path``. Raises BadInput or BadInputs; ImpossiblePlate for one that
+    """Load the nameplate in the file at ``path``. Raises BadInput or BadInputs; ImpossiblePlate for one that
     contradicts itself."""
     plate = load_file(Nameplate, path, "nameplate file", NamedBy("--motor", "", str(path)))
     refuse_impossible(plate, str(path))
@@ -161,7 +160,7 @@ def load_nameplate(path: Path) -> Nameplate:
 
 
 def refuse_impossible(plate: Nameplate, source: str) -> None:
-    """Raise ImpossiblePlate for figures that cannot be those of one motor."""
+    """Raise ImpossiblePlate for figures that cannot belong to one motor."""
     figures = plate.figures
     contradiction = next(figures.contradictions(), None)  # the others follow from it most often
     if contradiction is not None:
@@ -170,7 +169,7 @@ def refuse_impossible(plate: Nameplate, source: str) -> None:
 
 
 def plate_keys(contradiction: Contradiction, figures: SheetFigures) -> list[str]:
-    """The keys of the file that a contradiction is of, as far as they are given."""
+    """Return the keys in the file that a contradiction concerns, as far as given."""
     keys = []
     for name in contradiction.fields:
         if name == "flux":
@@ -181,7 +180,7 @@ def plate_keys(contradiction: Contradiction, figures: SheetFigures) -> list[str]
 
 
 def in_which_they_agree(figures: SheetFigures) -> str:
-    """The slips of the pen that would explain figures that contradict each other."""
+    """Name the slips that would explain contradictory figures."""
     agreeing = readings(figures)[:_READINGS_SHOWN]
     if not agreeing:
         return (
@@ -191,14 +190,14 @@ def in_which_they_agree(figures: SheetFigures) -> str:
 
 
 _RUN_UP_S: Final = 0.1
-"""From rest to the limit of speed: a set-point of speed rises no faster."""
+"""From rest to the speed limit: a speed set-point rises no faster."""
 _UNWATCHED_SPEED: Final = 0.2
 """A shaft that is left alone has 4 % of the energy that it had at the limit."""
 _UNWATCHED_TORQUE: Final = 0.5
 """It takes twice as long to run away, and is still above the friction of a motor, which is below a tenth of
 its rated torque."""
 _UNWATCHED_TURNS: Final = 3.0
-"""Each way: no step turns the shaft one way for long, and 607Dh stops drives that mind it."""
+"""Each way: no step turns the shaft one way for long, and 607Dh stops drives that obey it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +207,7 @@ class Rehearsal:
     seed: int | None = None
     eds: Path | None = None
     motor: MotorFile = LING2012
-    """Beside ``eds``; a seed draws its own."""
+    """Used with ``eds``; a seed draws its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,19 +221,19 @@ class CommissionRequest:
     nameplate: Nameplate = field(default_factory=Nameplate)
     bitrate_bit_s: int = 1_000_000
     period_us: int | None = None
-    """None: 1 ms, or longer where the bus has no room."""
+    """None: 1 ms, or longer if the bus has no room."""
     dry_run: bool = False
     store: bool = False
     trust_nameplate: bool = False
-    """Take the nameplate's word, where nobody is there to ask, though the drive contradicts it by far."""
+    """Trust the nameplate when unattended, even if the drive contradicts it by far."""
     heartbeat_timeout_ms: int = 150
-    """Silence that the host bears of the drive, and the drive of the host."""
+    """Longest silence that the host tolerates from the drive, and the drive from the host."""
     rehearsal: Rehearsal | None = None
     """None: the drive is on the bus."""
     unwatched: bool = False
-    """Bear a drive that has neither 1016h nor node guarding: within the limits of :func:`cautious`."""
+    """Accept a drive that has neither 1016h nor node guarding: within the limits of :func:`cautious`."""
     allow: tuple[Foreign, ...] = Guard().allow
-    """What others may send, as in ``[guard]`` of a bench."""
+    """Frames that others may send, as in ``[guard]`` of a bench."""
 
     @property
     def heartbeat_ms(self) -> int:
@@ -243,18 +242,18 @@ class CommissionRequest:
 
     @property
     def journal(self) -> Path:
-        """Where changes are noted."""
+        """The file that records changes."""
         return self.out / "journal.jsonl"
 
     @property
     def restore_command(self) -> str:
-        """What puts everything back that the journal tells of."""
+        """The command that undoes everything in the journal."""
         return restore_command(self.journal)
 
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """What the host allows, in SI units at the motor shaft."""
+    """The host's limits, in SI units at the motor shaft."""
 
     torque_nm: float
     torque_slew_nm_s: float
@@ -262,14 +261,14 @@ class MotionLimits:
     power_w: float
     energy_j: float
     acceleration_rad_s2: float
-    """No faster does a set-point of speed rise or fall."""
+    """Limit of a speed set-point's rise and fall."""
     travel_rad: float
-    """To either side of where the shaft stood; infinite: without end."""
+    """To either side of the shaft's start; infinite: unlimited."""
     following_rad: float
 
 
 def motion_limits(plate: Nameplate, rated_torque_nm: float, drive_speed_rpm: float | None) -> MotionLimits:
-    """From the nameplate, and where it is silent from what the drive tells."""
+    """Return limits from the nameplate, else from the drive."""
     given = plate.limits
     rated_rpm = plate.rating.speed_rpm or drive_speed_rpm or 1000.0
     speed = (given.speed_max_rpm or 0.5 * rated_rpm) * RAD_S_PER_RPM
@@ -288,8 +287,8 @@ def motion_limits(plate: Nameplate, rated_torque_nm: float, drive_speed_rpm: flo
 
 
 def cautious(limits: MotionLimits) -> MotionLimits:
-    """For a drive that goes on with its last command when its host is gone: whoever stands at its emergency
-    stop needs time, and what turns until then is to do no harm."""
+    """Reduce the limits for a drive that continues its last command when its host is gone: the person at its
+    emergency stop needs time, and its motion until then must do no harm."""
     return replace(
         limits,
         torque_nm=_UNWATCHED_TORQUE * limits.torque_nm,

@@ -1,4 +1,4 @@
-"""Torque against the angle of the shaft: cogging, and friction that is not the same all round."""
+"""Torque against the angle of the shaft: cogging, and friction that varies over a turn."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -9,11 +9,11 @@ from servobench.hil.commissioning.exercise import Recording, smooth_speed
 from servobench.hil.commissioning.identify import Array, Mechanics
 
 _BINS: Final = 72
-"""Of 5 degrees: twelve for a period of the sixth harmonic."""
+"""Bins of 5 degrees: twelve for a period of the sixth harmonic."""
 _SMOOTHED: Final = 9
 """Samples of the line by which the speed is smoothed."""
 _REACH_RAD: Final = 0.5
-"""That those samples may span: of the sixth harmonic half a period, beyond which smoothing levels it."""
+"""Span of those samples: half a period of the sixth harmonic, beyond which smoothing levels it."""
 _FEWEST: Final = 5
 """Samples in a bin, for a mean with a scatter."""
 
@@ -24,7 +24,7 @@ class TorqueByAngle(NamedTuple):
     angle_rad: Array
     """(72,) middle of each bin, from the drive's zero of position."""
     forward_nm: Array
-    """(72,) torque that inertia and identified friction leave, turning towards positive positions."""
+    """(72,) torque beyond inertia and identified friction, turning towards positive positions."""
     backward_nm: Array
     error_nm: float
     """Standard error of a bin, root mean square."""
@@ -37,7 +37,7 @@ class TorqueByAngle(NamedTuple):
 
 
 def torque_by_angle(recordings: Sequence[Recording], mechanics: Mechanics) -> TorqueByAngle:
-    """What is left of the torque, by angle: of the samples slow enough for their acceleration to be told."""
+    """Return the remaining torque by angle, from samples slow enough to know their acceleration."""
     samples = [np.zeros((3, 0))]
     for recording in recordings:
         if len(recording.time) <= _SMOOTHED:

@@ -1,4 +1,4 @@
-"""The guided sequence: each step says what it will do, is asked for, done, checked, repeated or skipped."""
+"""The guided sequence: each step announces itself, is confirmed, done, checked, repeated or skipped."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -18,32 +18,32 @@ from servobench.hil.machine.stopping import Interrupted
 
 
 class Step(ABC):
-    """One step. The attributes say what it is; the methods are called in the order in which they stand."""
+    """One step. The attributes describe it; the methods are called in their order here."""
 
     name: ClassVar[str]
     title: ClassVar[str]
     limit: ClassVar[str] = ""
-    """What fails it, behind "it fails if"."""
+    """The failure condition, to follow "it fails if"."""
     needs: ClassVar[tuple[str, ...]] = ()
-    """Names of steps that must have been done."""
+    """Names of steps that must be done before."""
     writes: ClassVar[bool] = False
-    """It changes objects of a drive at rest."""
+    """True if it changes objects of a drive at rest."""
     moves: ClassVar[bool] = False
-    """The shaft may turn; for that it writes, too."""
+    """True if the shaft may turn; it then writes, too."""
     essential: ClassVar[bool] = False
-    """What follows is not safe without it: it cannot be skipped."""
+    """True if later steps are not safe without it: it cannot be skipped."""
 
     def left_out(self, session: Session) -> str | None:  # noqa: ARG002 - most steps can always be done
-        """Why this drive cannot have it, or None."""
+        """Return why this drive cannot do it, or None."""
         return None
 
     @abstractmethod
     def plan(self, session: Session, /) -> str:
-        """What it will do, before it is asked for."""
+        """Describe the action, before it is confirmed."""
 
     @abstractmethod
     def run(self, session: Session, outcome: StepOutcome) -> None:
-        """Do it, check it, and put into ``outcome`` what came of it.
+        """Do it, check it, and put the result into ``outcome``.
 
         Raises StepFailed, or another PeerFault of bus or drive.
         """
@@ -56,14 +56,14 @@ class Abandoned(PeerFault):
 
 
 def run_sequence(session: Session, steps: Sequence[Step], records: list[StepRecord]) -> None:
-    """Carry out ``steps``; each leaves a record in ``records``, the one that ends it all too.
+    """Run ``steps``; each adds a record to ``records``, even the one that ends the sequence.
 
     Raises Abandoned if an essential step failed or the user quits, Interrupted by a stop signal or key,
     BusDown if the bus goes away.
     """
     done: set[str] = set()
     shown: set[str] = set()
-    """Steps of a dry run that were only told of."""
+    """Steps of a dry run that were only described."""
     for number, step in enumerate(steps, start=1):
         session.check_stop()
         record = StepRecord(step.name, step.title, "", StepVerdict.NOT_DONE, step.limit)
@@ -115,7 +115,7 @@ def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
         session.dialog.tell(f"    failed: {failure}")
         if not session.dialog.attended:
             if record.attempts < _attempts_unattended(failure):
-                session.dialog.tell("    once more, as nobody is there to ask")
+                session.dialog.tell("    repeated, as nobody can be asked")
                 record.attempts += 1
                 continue
             if step.essential:
@@ -126,7 +126,7 @@ def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
 
 
 def _attempts_unattended(failure: PeerFault) -> int:
-    """How often a step that ended with ``failure`` is done in all where nobody can be asked."""
+    """Return how often a step that ended with ``failure`` is attempted when unattended."""
     if isinstance(failure, ReadingsLost):
         return 3  # seconds of a busy machine or bus, in steps of seconds
     # A drive's fault may be passing; what a step has judged stands.
@@ -134,7 +134,7 @@ def _attempts_unattended(failure: PeerFault) -> int:
 
 
 def _attempt(session: Session, step: Step, record: StepRecord) -> PeerFault | None:
-    """Do the step once; what failed, if it did."""
+    """Do the step once; return the failure, if any."""
     outcome = StepOutcome()
     failure: PeerFault | None = None
     try:

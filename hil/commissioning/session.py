@@ -1,4 +1,4 @@
-"""What the steps of one commissioning share: the drive, the limits, and what was found so far."""
+"""Shared state of the steps of a commissioning: the drive, the limits, and the findings so far."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -51,9 +51,9 @@ T = TypeVar("T")
 ENABLE_LIMIT_S: Final = 3.0
 """A drive that charges its DC link or releases a brake takes a second or two."""
 STOP_LIMIT: Final = Duration(5 * NS_PER_S)
-"""More than the longest stop that is let pass, 2 s from the limit of speed."""
+"""More than the longest stop tolerated, 2 s from the speed limit."""
 PERIODS_US: Final = (1000, 2000, 4000, 5000, 10_000, 20_000)
-"""The longer ones are for a bus that has no room for the PDOs of 1 ms."""
+"""The longer ones are for a bus without room for the PDOs of 1 ms."""
 SETTLE: Final = Duration(20 * NS_PER_MS)
 """Between the SYNCs by which a drive's clock is learnt: no late reading may pass for a later answer."""
 _IGNORED: Final = Duration(40 * NS_PER_MS)
@@ -64,11 +64,11 @@ _IGNORED_CYCLES: Final = 10
 _SERVED_S: Final = 0.01
 """How soon the end of a fit is seen."""
 BUS_LOAD_MAX_PERCENT: Final = 70.0
-"""The worst case of stuffing included; the rest is for SDO, heartbeats and what others send."""
+"""Worst case of stuffing included; the rest is for SDO, heartbeats and other nodes."""
 
 
 def _command_timeout_ms(period: Duration) -> int:
-    """How long a drive may ignore the commands of an exercise."""
+    """Return how long a drive may ignore the commands of an exercise."""
     return max(_IGNORED, _IGNORED_CYCLES * period) // NS_PER_MS
 
 
@@ -108,27 +108,27 @@ class Session:
         self.configured = False
         self.energy = EnergyMeter()
         self.disturbed = False
-        """The last attempt at a step failed: who knows how it left the drive."""
+        """True if the last attempt at a step failed: the drive's state is unknown."""
         self.gaps = HostGaps(network, request.heartbeat_timeout_ms)
         self._port: DrivePort | None = None
 
     def _tell(self, at: Instant, level: str, text: str) -> None:
-        """What the guard saw."""
+        """Report an observation of the guard."""
         self.log.event(level, text, at)
         self.dialog.tell(f"    {text}")
 
     def write_log(self) -> None:
-        """Bring the recording to the disk; while the drive is disabled nobody waits for it."""
+        """Write the recording to disk; a disabled drive does not have to wait."""
         if self.drive.enabled:
             self.log.write()
         else:
             self.meanwhile(self.log.write)
 
     def begin_attempt(self) -> None:
-        """Each attempt at a step has its own bound on the work it may do, and begins with a drive that is
-        set up: one that fell out of it, as its host was not heard for a while, is set up again.
+        """Begin an attempt at a step, with its own bound on the work, and with a drive that is set up: one
+        that fell out of it, as its host was silent for a while, is set up again.
 
-        Only the fault that the host's own silence makes is reset. Raises PeerFault.
+        Only the fault caused by the host's own silence is reset. Raises PeerFault.
         """
         self.energy = EnergyMeter()
         self.gaps.begin()
@@ -147,7 +147,7 @@ class Session:
         self.disturbed = False
 
     def end_attempt(self, failure: PeerFault | None) -> PeerFault | None:
-        """What made an attempt fail, if it did: the host's own silence before what came of it."""
+        """Return the cause of a failed attempt: the host's own silence takes precedence."""
         failure = self.gaps.cause_of(failure)
         self.disturbed = failure is not None
         return failure
@@ -156,24 +156,24 @@ class Session:
 
     @property
     def clock_now(self) -> Instant:
-        """On the bench's clock."""
+        """Now, on the bench's clock."""
         return self.network.clock.now()
 
     def wait(self, seconds: float) -> None:
-        """Let time pass; frames and heartbeats go on."""
+        """Let time pass; frames and heartbeats continue."""
         self.network.pump(Instant(self.clock_now + duration_s(seconds)))
 
     def deadline(self, seconds: float) -> Instant:
-        """The instant so many seconds from now."""
+        """Return the instant ``seconds`` from now."""
         return self.network.deadline_after(duration_s(seconds))
 
     def idle(self) -> None:
-        """What happens while somebody thinks."""
+        """Pass time while the user thinks."""
         self.wait(0.02)
         self.check_stop()
 
     def check_stop(self) -> None:
-        """Raises Interrupted if somebody wants the end."""
+        """Raise Interrupted if the end is requested."""
         if self.stop():
             if self.stop.key:
                 raise EmergencyStopped("emergency stop by a key")
@@ -183,15 +183,15 @@ class Session:
 
     @property
     def limits(self) -> MotionLimits:
-        """What the host allows; less of a drive that does not notice that its host is gone, or whose own
-        ramps are slow."""
+        """The host's limits; reduced for a drive that does not notice the loss of its host, or has slow
+        ramps."""
         assert self.found.limits is not None, "the step 'limits' comes first"
         limits = cautious(self.found.limits) if self.unwatched else self.found.limits
         return within_ramps(self.found, limits)
 
     @property
     def unwatched(self) -> bool:
-        """The drive was found to watch its host by no means; borne with ``--unwatched`` only."""
+        """True if the drive has no means to watch its host; accepted with ``--unwatched`` only."""
         return self.configured and not self.drive.error_control.host_watched
 
     @property
@@ -202,27 +202,27 @@ class Session:
 
     @property
     def units(self) -> Scaling:
-        """The units as far as they are known by now."""
+        """The units known so far."""
         return self.found.scaling
 
     @property
     def position_rad(self) -> float:
-        """One raw unit of the position, as far as it is known by now."""
+        """One raw unit of the position, as known so far."""
         return self.units.position_rad
 
     @property
     def velocity_rad_s(self) -> float:
-        """One raw unit of the velocity, as far as it is known by now."""
+        """One raw unit of the velocity, as known so far."""
         return self.units.velocity_rad_s
 
     @property
     def acceleration_rad_s2(self) -> float:
-        """One raw unit of the accelerations, as far as it is known by now."""
+        """One raw unit of the accelerations, as known so far."""
         return self.units.acceleration_rad_s2
 
     @property
     def rated_torque_nm(self) -> float:
-        """The rated torque, as far as it is known by now."""
+        """The rated torque, as known so far."""
         return self.units.rated_torque_nm
 
     @property
@@ -238,18 +238,19 @@ class Session:
         return self._port
 
     def torque_mode(self) -> Mode | None:
-        """A mode in which torque is commanded; None if the drive has none."""
+        """Return a mode in which torque is commanded; None if the drive has none."""
         mode = self.motion_mode()
         return mode if mode is not None and QUANTITY_OF_MODE[mode] is Quantity.TORQUE else None
 
     def motion_mode(self) -> Mode | None:
-        """The mode for exercises: torque if there is one, else speed, else position."""
+        """Return the mode for exercises: torque if available, else speed, else position."""
         return next((mode for mode in QUANTITY_OF_MODE if mode in self.found.modes), None)
 
     def configure(self, mode: Mode | None = None, plan: PdoPlan | None = None) -> list[str]:
-        """Write set-up, limits and PDO plan; the drive must be disabled. Notes on what it did not take.
+        """Write set-up, limits and PDO plan; the drive must be disabled. Return notes on what it did not
+        take.
 
-        Exercises hold torque and position against the speed of the same SYNC: the plan is a coherent one.
+        Exercises compare torque and position with the speed of the same SYNC: the plan is a coherent one.
         """
         mode = mode or self.motion_mode()
         if mode is None:
@@ -289,12 +290,12 @@ class Session:
         return notes
 
     def most_told(self, index: int) -> int | None:
-        """The greatest value of an object by the data sheet; None if it tells none."""
+        """Return the greatest value of an object by the data sheet; None if it has none."""
         entry = None if self.dictionary is None else self.dictionary.get(index)
         return getattr(entry, "max", None)
 
     def choose_period(self, mode: Mode) -> tuple[Duration, float]:
-        """The shortest period that the bus bears, ns, and its load in percent."""
+        """Return the shortest period possible on the bus, ns, and its load in percent."""
         plan = mode_plan(self.request.node, PlanWish(mode, coherent=True))
         asked_us = self.request.period_us
         for period_us in (asked_us,) if asked_us is not None else PERIODS_US:
@@ -309,7 +310,7 @@ class Session:
         )
 
     def timing(self) -> LoopTiming:
-        """The loop's times."""
+        """Return the loop's times."""
         settle = Duration(max(3 * self.found.period, SETTLE))
         return timing_without_bench(self.found.period, self.request.bitrate_bit_s, settle)
 
@@ -327,7 +328,7 @@ class Session:
 
     @contextmanager
     def exercising(self, limits: MotionLimits | None = None) -> Iterator[Exerciser]:
-        """As :meth:`enabled`, with what runs exercises."""
+        """Inside, the drive is enabled, with an exerciser; see :meth:`enabled`."""
         within = limits or self.limits
         with self.enabled():
             yield Exerciser(
@@ -336,7 +337,7 @@ class Session:
             )  # fmt: skip
 
     def check_temperature(self) -> None:
-        """Raises StepFailed if the drive is hotter than the nameplate allows; nothing if none is named."""
+        """Raise StepFailed if the drive is hotter than the nameplate allows; no check without a limit."""
         told, limit_c = self.request.nameplate.temperature, self.request.nameplate.limits.temperature_max_c
         if told is None:
             return
@@ -351,7 +352,7 @@ class Session:
             )
 
     def calm(self) -> None:
-        """Bring the drive to rest and disable it; what the drive says against it is told and passed on."""
+        """Bring the drive to rest and disable it; its errors are shown and passed on."""
         try:
             self.drive.quick_stop(self.network.deadline_after(STOP_LIMIT))
         except BusDown:
@@ -360,11 +361,11 @@ class Session:
             self.dialog.tell(f"  while stopping: {error}")
 
     def meanwhile(self, work: Callable[P, T], *args: P.args, **options: P.kwargs) -> T:
-        """What ``work`` returns, which takes its time: a fit, a design, a picture. The drive is disabled.
+        """Run ``work``, which takes its time: a fit, a design, a picture. The drive is disabled.
 
         In real time the bus is served by this thread meanwhile, so that the drive hears its host; ``work``
-        has one of its own, and must leave the session alone. While a drive is enabled nothing but the loop
-        that commands it sends its heartbeat: RuntimeError.
+        has a separate thread, and must not touch the session. While a drive is enabled only the loop that
+        commands it sends its heartbeat: RuntimeError.
         """
         if self.drive.enabled:
             raise RuntimeError("the drive is enabled: its host has no time for anything else")
@@ -377,7 +378,7 @@ class Session:
         return future.result()
 
     def overridden(self, **changes: Any) -> None:
-        """Take better factors or signs; they act from the next :meth:`configure` on."""
+        """Set better factors or signs; they act from the next :meth:`configure` on."""
         self.found.override = replace(self.found.override, **changes)
         self.found.units = read_scaling(self.objects, self.found.override)
 
@@ -385,7 +386,7 @@ class Session:
         self, outcome: StepOutcome, name: str, draw: Callable[Concatenate[Path, P], None],
         *figures: P.args, **options: P.kwargs,
     ) -> None:  # fmt: skip
-        """Have a plot drawn into the folder of the report, and shown there. The drive is disabled."""
+        """Draw a plot into the folder of the report, and show it there. The drive is disabled."""
         folder = self.request.out / "plots"
         folder.mkdir(parents=True, exist_ok=True)
         self.meanwhile(draw, folder / f"{name}.png", *figures, **options)

@@ -13,7 +13,7 @@ from servobench.hil.commissioning.steps_voltage import VoltageConstant
 
 
 def all_steps() -> list[Step]:
-    """New steps, for one commissioning."""
+    """Return new steps, for one commissioning."""
     return [
         BusCheck(),
         IdentityCheck(),

@@ -1,4 +1,4 @@
-"""The step that holds torque against current: the torque constant."""
+"""The step that compares torque with current: the torque constant."""
 
 import math
 from dataclasses import replace
@@ -26,15 +26,15 @@ from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_mechanics import guide_mechanics, tells_torque
 
 _SLOWEST_RAD_S: Final = 2.0 * math.tau
-"""Of the swing: three of them in its time."""
+"""Slowest swing: three of them fit into its time."""
 _SLEW_SHARE: Final = 0.8
-"""Of the steepest torque, that the swing has where it is steepest."""
+"""Share of the steepest torque at the steepest point of the swing."""
 _CURRENT_S: Final = 1.5
 """Three swings at the slowest, of 2 Hz."""
 
 
 class TorqueConstant(Step):
-    """Torque 6077h against current 6078h, while the shaft swings."""
+    """Measures torque 6077h against current 6078h, while the shaft swings."""
 
     name = "torque_constant"
     title = "Torque constant against current"
@@ -126,7 +126,8 @@ class TorqueConstant(Step):
 
 
 def _plan_with_current(session: Session) -> PdoPlan:
-    """The current in the frame of the torque, in the place of the statusword, which has a TPDO of its own."""
+    """Return a plan with the current in the frame of the torque, in place of the statusword, which has its
+    own TPDO."""
     mode = session.torque_mode()
     assert mode is not None
     node = session.request.node
@@ -146,7 +147,7 @@ def _plan_with_current(session: Session) -> PdoPlan:
 
 
 def _swing(session: Session) -> list[tuple[Instant, float]]:
-    """Swing the shaft; the torques with the instants of the frames that told them."""
+    """Swing the shaft; return the torques with the instants of their frames."""
     known = guide_mechanics(session)
     limits = session.limits
     speed_change = known.inertia_kg_m2 * 0.4 * limits.speed_rad_s
@@ -175,7 +176,7 @@ def _swing(session: Session) -> list[tuple[Instant, float]]:
 def _paired(
     readings: list[tuple[Instant, float]], currents: list[tuple[Instant, int]]
 ) -> tuple[Array, Array]:
-    """Torque and current of the same frame."""
+    """Return torque and current of the same frame."""
     by_instant = dict(currents)
     pairs = [(torque, by_instant[at]) for at, torque in readings if at in by_instant]
     if len(pairs) < 50:

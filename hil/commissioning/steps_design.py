@@ -1,4 +1,4 @@
-"""Steps that make something of the figures: limits, period, controller, and a run with them."""
+"""Steps that use the figures: limits, period, controller, and a run with them."""
 
 import math
 from typing import Final
@@ -21,29 +21,29 @@ from servobench.hil.control.controllers import Pid, PidGains
 from servobench.hil.loop.scenario import Ramp, ReferenceProfile, Segment
 
 _MARGIN: Final = 1.6
-"""The controller is designed for so many times the measured delay."""
+"""Factor of the measured delay for which the controller is designed."""
 _NOISE_TORQUE: Final = 0.05
-"""Rms of the torque that the velocity's noise may make, of the rated torque."""
+"""Rms of the torque caused by the velocity's noise, as a share of the rated torque."""
 _GAIN_DELAY: Final = 0.6
 """Crossing frequency times delay of the designs, about."""
 _LOAD_MAX_PERCENT: Final = 60.0
-"""Less than a commissioning takes: more drives and other devices are to come."""
+"""Less than a commissioning uses: more drives and other devices will follow."""
 _ROOM: Final = 1.25
-"""The delays that were measured are medians; a quarter more holds their spread."""
+"""The measured delays are medians; a quarter more covers their spread."""
 _VERIFY_SHARE: Final = 0.5
-"""Of the limit of speed: what overshoots stays within it."""
+"""Share of the speed limit: overshoots stay within it."""
 _RAMP_S: Final = 0.25
 """Long against the speed loop, so that a plateau is reached without a step in torque."""
 _HOLD_S: Final = 0.5
 """Its second half is judged: the loop has settled by then."""
 _ERROR_MAX: Final = 0.02
-"""Of the plateau's speed, rms."""
+"""Rms error, as a share of the plateau's speed."""
 _UNITS_MAX: Final = 3.0
-"""Of 606Ch, where these are coarse: its rounding, and what the loop makes of it."""
+"""Units of 606Ch, if they are coarse: its rounding, amplified by the loop."""
 
 
 class Suggest(Step):
-    """Limits, sampling period and controller out of what was measured."""
+    """Suggests limits, sampling period and controller from the measurements."""
 
     name = "suggest"
     title = "Suggested limits, period and controller"
@@ -110,12 +110,12 @@ class Suggest(Step):
 
 
 def rounded(value: float) -> float:
-    """To four digits, as somebody would write it into a file."""
+    """Round to four digits, as in a file written by hand."""
     return float(f"{value:.4g}")
 
 
 def _shaft(inertia: float, viscous: float, lag_s: float) -> PmsmParameters:
-    """A motor with one N m per ampere whose current follows with ``lag_s``."""
+    """Return a motor with one N m per ampere whose current follows with ``lag_s``."""
     return PmsmParameters(
         name="identified",
         resistance_ohm=1.0,
@@ -135,7 +135,7 @@ def _shaft(inertia: float, viscous: float, lag_s: float) -> PmsmParameters:
 
 
 def _period_us(session: Session) -> int:
-    """The shortest that bus and delays allow: readings are in before the command has to go."""
+    """Return the shortest period for bus and delays: readings are in before the command has to go."""
     findings = session.found
     assert findings.plan is not None
     needed_us = _ROOM * ((findings.reading_delay_us or 0.0) + 0.5 * (findings.effect_delay_us or 0.0))
@@ -148,7 +148,7 @@ def _period_us(session: Session) -> int:
 
 
 def suggested_limits(session: Session) -> dict[str, float]:
-    """Without a drive that was set up there are none."""
+    """Return the suggested limits; none without a drive that was set up."""
     if not session.configured:
         return {}
     rating, rated_nm = session.request.nameplate.rating, session.drive.rated_torque_nm
@@ -163,7 +163,7 @@ def suggested_limits(session: Session) -> dict[str, float]:
 
 
 class Verify(Step):
-    """The suggested controller on the drive."""
+    """Runs the suggested controller on the drive."""
 
     name = "verify"
     title = "Verification run"

@@ -1,4 +1,4 @@
-"""Steps that measure how fast everything answers: torque to speed, and the ways of readings and commands."""
+"""Steps that measure response times: torque to speed, and the delays of readings and commands."""
 
 import math
 from dataclasses import replace
@@ -33,39 +33,39 @@ from servobench.hil.reviewing.network_meter import runs_of
 _BLOCK_S: Final = 1.0
 """A period of the multisine: its lines are whole multiples of 1 Hz."""
 _BLOCKS: Final = 6
-"""Periods over which is averaged; a coherence of one alone would always be 1."""
+"""Periods to average; the coherence of a single one would always be 1."""
 _LINES: Final = 28
-"""Some ten a decade: a resonance lies between no two of them unseen, and each still has its share of
-torque."""
+"""Some ten per decade: no resonance hides between two of them, and each still has its share of torque."""
 _LOWEST_HZ: Final = 2.0
-"""A rigid shaft answers to a torque by 1/f: lower ones need much speed, and say no more."""
+"""A rigid shaft responds to a torque by 1/f: lower lines need much speed, and add nothing."""
 _SPAN: Final = 5.0
 """From the lowest line to the highest, at the least: a decade nearly shows the slope of an inertia."""
 _SMALL_SHARE: Final = 0.05
-"""Of the rated torque: sines of so little are steep at as high a frequency as 6087h allows, and each is still
-above a thousandth of the rated torque, the unit of 6077h."""
+"""Share of the rated torque: such small sines are steep at as high a frequency as 6087h allows, and each is
+still above a thousandth of the rated torque, the unit of 6077h."""
 _NYQUIST_PART: Final = 0.4
-"""The highest line, of the sampling rate: below a half, or what is faster would be folded back onto it."""
+"""The highest line, as a share of the sampling rate: below a half, or faster parts would be aliased onto
+it."""
 _BASE_SHARE: Final = 0.4
-"""Of the speed limit, that the shaft turns at: far enough from rest that no swing turns it round."""
+"""Share of the speed limit at which the shaft turns: far enough from rest that no swing reverses it."""
 _GUIDE_RAD_S: Final = 4.0
-"""Bandwidth of what holds the speed: below the lowest line, 12.6 rad/s, so that it does not act on any."""
+"""Bandwidth of the loop that holds the speed: below the lowest line, 12.6 rad/s, so that it affects none."""
 _COHERENT: Final = 0.8
-"""Below it the noise is a quarter and more of what the torque does."""
+"""Below this the noise is a quarter or more of the torque's effect."""
 _MIDDLE_HZ: Final = (4.0, 60.0)
-"""Where a shaft is rigid: above the guide, and below the resonances of couplings."""
+"""Range in which a shaft is rigid: above the guide, and below the resonances of couplings."""
 
 _FINEST_US: Final = 20.0
-"""What an instant of sending may be off, see the delays of commands that commissioning finds."""
+"""Uncertainty of an instant of sending; see the delays of commands found by commissioning."""
 _SLOPE_PART: Final = 1.0
-"""A ramp passes from 10 to 90 % in 0.8 of its time, a lag in 2.2 of its own: with one as long as the lag more
-than a third of the rise is the ramp's."""
+"""A ramp passes from 10 to 90 % in 0.8 of its time, a lag in 2.2 of its own: with one as long as the lag the
+ramp makes more than a third of the rise."""
 _READINGS_S: Final = 1.0
 """A thousand readings at 1 kHz, for a 99th percentile out of ten."""
 
 
 class Response(Step):
-    """Torque to speed by a multisine while the shaft turns one way."""
+    """Measures torque to speed by a multisine while the shaft turns one way."""
 
     name = "response"
     title = "Frequency response torque to speed"
@@ -130,7 +130,7 @@ class Response(Step):
 
 
 def _sines(session: Session) -> tuple[float, float]:
-    """N m of all sines at most, and Hz of the highest: less where 6087h lets no torque rise as steeply."""
+    """Return N m of all sines at most, and Hz of the highest: less if 6087h limits the torque's rise."""
     limits, host, period_s = session.limits, session.found.limits, session.found.period / NS_PER_S
     nyquist_hz = _NYQUIST_PART / period_s
     if host is None or limits.torque_slew_nm_s >= host.torque_slew_nm_s:
@@ -140,7 +140,7 @@ def _sines(session: Session) -> tuple[float, float]:
 
 
 def _roomy(limits: MotionLimits) -> MotionLimits:
-    """The work of many swings adds up: this step is bounded by its time."""
+    """Enlarge the energy limit: the work of many swings adds up, and time bounds this step."""
     return replace(limits, energy_j=4.0 * limits.energy_j)
 
 
@@ -176,7 +176,7 @@ def _judge_response(measured: FrequencyResponse, model: ComplexArray, outcome: S
 
 
 class Delays(Step):
-    """How long readings and commands take, and how many are lost."""
+    """Measures the delays of readings and commands, and their losses."""
 
     name = "delays"
     title = "Delays and losses"
@@ -248,13 +248,14 @@ class Delays(Step):
 
 
 def _bandwidth_hz(session: Session, lag: StepLag) -> float | None:
-    """Of the lag that the drive adds to the command's way over the bus; None: too short to be measured."""
+    """Return the bandwidth of the drive's own lag, without the command's way over the bus; None: too short to
+    measure."""
     in_drive_us = lag.mean_us - session.timing().command_latency / NS_PER_US
     return 1e6 / (math.tau * in_drive_us) if in_drive_us > _FINEST_US else None
 
 
 def _time_readings(session: Session, outcome: StepOutcome) -> None:
-    """Only the way of the readings, with the drive at rest."""
+    """Measure only the readings' delay, with the drive at rest."""
     whole_only, session.port.whole_only = session.port.whole_only, False  # a position is not what is timed
     with session.exercising() as exerciser:
         recording = exerciser.rest(_READINGS_S)
@@ -283,7 +284,7 @@ def _keep_readings(
     effect_us: float = 0.0,
     commands_lost: int = 0,
 ) -> None:
-    """What was measured of the readings, as a network file has it, and in words."""
+    """Record the readings' figures, as in a network file and in words."""
     p50, p99, p999, largest = (float(np.percentile(readings_us, level)) for level in (50, 99, 99.9, 100))
     session.found.reading_delay_us = float(np.median(readings_us))
     session.found.network = Network(
@@ -306,7 +307,7 @@ def _keep_readings(
 
 
 def total_delay_s(session: Session) -> float:
-    """From a sample to the middle of the time for which a torque that rests on it acts, s."""
+    """Return the time from a sample to the middle of the action of a torque based on it, s."""
     findings = session.found
     reading = findings.reading_delay_us or 0.0
     effect = findings.effect_delay_us or 0.0

@@ -1,4 +1,4 @@
-"""The step that identifies inertia and friction, and what others need of it."""
+"""The step that identifies inertia and friction, and its tools for other steps."""
 
 import math
 from collections.abc import Callable
@@ -30,46 +30,47 @@ from servobench.hil.commissioning.torque_scale import torque_scale
 from servobench.hil.loop.scenario import LevelStep, Quantity, Ramp, Segment
 
 _SPEED_SHARE: Final = 0.9
-"""Of the speed limit: the rest is room for the overshoot of a guide that knows the shaft only roughly."""
+"""Share of the speed limit: the rest is room for the overshoot of a guide that knows the shaft only
+roughly."""
 _TORQUE_SHARE: Final = 0.6
-"""Of the torque limit, for a ramp: the guide's feedback and friction that is not known yet need the rest."""
+"""Share of the torque limit for a ramp: the guide's feedback and unknown friction need the rest."""
 _RAMP_S: Final = 0.25
 """The shortest ramp: two windows of the identification and more."""
 _RATE_SHARE: Final = 0.8
-"""Of the drive's own acceleration: a speed that lags behind its ramp can catch up."""
+"""Share of the drive's own acceleration: a speed that lags behind its ramp can catch up."""
 _RISE_SHARE: Final = 0.1
-"""Of a ramp, for the torque to rise in, where 6087h bounds it: the speed then lags by 5 % of the change."""
+"""Share of a ramp in which the torque rises, if 6087h bounds it: the speed then lags by 5 % of the change."""
 _ERROR_SHARE: Final = 0.05
-"""Of the limit of speed: that error."""
+"""Share of the speed limit: that error."""
 _SLOWER: Final = 2.5
-"""A drive in a speed mode follows a ramp by its own loop, whose lag has to be short against it."""
+"""A drive in a speed mode follows a ramp by its own loop, whose lag must be short against it."""
 _PLATEAU_S: Final = 0.4
 """Long against the speed loop that holds it; the torque of its second part is friction alone."""
 _PLATEAUS: Final = (0.3, 0.65, 1.0)
-"""Of the top speed: three speeds, or viscous and Coulomb friction could not be told apart."""
+"""Shares of the top speed: three speeds, or viscous and Coulomb friction could not be separated."""
 _COAST_S_MAX: Final = 2.0
 """A shaft that hardly slows down is not waited for."""
 _WINDOW_S: Final = 0.1
-"""Of the identification: long enough that an encoder's steps average out, short beside a ramp."""
+"""Window of the identification: long enough to average an encoder's steps, short against a ramp."""
 _WINDOW_PERIODS: Final = 20
 """At a long period a window needs samples more than it needs to be short."""
 _SLOWEST: Final = 0.03
-"""Of the top speed: slower windows may hold a moment at rest, where sliding friction is not what acts."""
+"""Share of the top speed: slower windows may include a moment at rest, without sliding friction."""
 _REACHED: Final = 0.8
-"""Of the top speed: a loop that settles within a plateau is nearer; the next plateau lies at 0.65."""
+"""Share of the top speed: a loop that settles within a plateau is nearer; the next plateau is at 0.65."""
 _UNCERTAIN: Final = 0.05
 """An inertia with a larger relative error fails the step."""
 _COMMANDED: Final = 0.05
-"""Relative standard uncertainty of a torque that is only commanded: a drive turns it into a current by a
+"""Relative standard uncertainty of a torque that is only commanded: a drive converts it into a current by a
 torque constant that it does not measure; magnets lose 0.1 to 0.2 % per kelvin, and are rated to 5 or 10 %."""
 _FRAMES_TO_ACT: Final = 5.8
-"""From a SYNC until the torque of its cycle acts, in frames of a command, as long as it was not measured."""
+"""From a SYNC until the torque of its cycle acts, in command frames, before it is measured."""
 _SLOW_START_RPM: Final = 20.0
-"""A top speed below shows little but friction at the start."""
+"""Below this top speed little but friction shows at the start."""
 
 
 class MechanicsStep(Step):
-    """Speed ramps both ways and coasting: inertia, viscous and Coulomb friction."""
+    """Runs speed ramps both ways and coasting: inertia, viscous and Coulomb friction."""
 
     name = "mechanics"
     title = "Inertia and friction"
@@ -138,7 +139,7 @@ class MechanicsStep(Step):
 def identified(
     session: Session, recordings: list[Recording], window_s: float, failure: str, **options: Any
 ) -> Mechanics:
-    """By :func:`.identify_mechanics`, with ``options`` of it. Raises StepFailed, as ``failure``."""
+    """Call :func:`.identify_mechanics` with ``options``. Raises StepFailed, as ``failure``."""
     records = [(each.time, each.position, each.torque) for each in recordings]
     try:
         return session.meanwhile(identify_mechanics, records, window_s, held_s=_held_s(session), **options)
@@ -147,7 +148,8 @@ def identified(
 
 
 def _refuse_cut_speeds(session: Session, recordings: list[Recording], speed: float) -> None:
-    """A drive that cuts its set-points shows one speed, by which viscous and Coulomb friction are one.
+    """Refuse a drive that clips its set-points: it shows one speed, at which viscous and Coulomb friction are
+    one.
 
     Raises StepFailed with the drive's limits of speed.
     """
@@ -168,7 +170,8 @@ def _refuse_cut_speeds(session: Session, recordings: list[Recording], speed: flo
 
 
 def _held_s(session: Session) -> float | None:
-    """How long after a SYNC the torque of the cycle acts; None where torque is not what is commanded."""
+    """Return the delay from a SYNC to the action of its cycle's torque; None if the torque is not
+    commanded."""
     if session.torque_mode() is None:
         return None
     findings = session.found
@@ -178,7 +181,7 @@ def _held_s(session: Session) -> float | None:
 
 
 def _speed_noise(recordings: list[Recording]) -> float:
-    """Rms of the quick part of the velocity: of each sample less the mean of its neighbours."""
+    """Return the rms of the fast part of the velocity: each sample less the mean of its neighbours."""
     parts = [
         recording.velocity[1:-1] - 0.5 * (recording.velocity[2:] + recording.velocity[:-2])
         for recording in recordings
@@ -188,27 +191,28 @@ def _speed_noise(recordings: list[Recording]) -> float:
 
 
 def top_speed(session: Session) -> float:
-    """The fastest that an exercise goes to, rad/s: within the speed limit and the allowed travel."""
+    """Return the highest speed of an exercise, rad/s: within the speed limit and the allowed travel."""
     limits = session.limits
     path_s = _RAMP_S + (_PLATEAU_S + _RAMP_S) * sum(_PLATEAUS)
     return min(_SPEED_SHARE * limits.speed_rad_s, 0.8 * limits.travel_rad / (path_s * _slower(session)))
 
 
 def _slower(session: Session) -> float:
-    """How much longer everything lasts: a drive that takes speeds runs its own speed loop, whose torque
-    swings."""
+    """Return the factor by which everything takes longer: a drive that takes speeds runs its own speed loop,
+    whose torque swings."""
     return 1.0 if session.torque_mode() is not None else _SLOWER
 
 
 def guide_mechanics(session: Session) -> Mechanics:
-    """What is known of the shaft by now: enough to guide an exercise."""
+    """Return the shaft's data known so far: enough to guide an exercise."""
     known = session.found.mechanics or session.found.rough
     assert known is not None, "the pulses come first"
     return known
 
 
 def follow(session: Session, exerciser: Exerciser, duration: float, reference: list[Segment]) -> Recording:
-    """Have the shaft follow speeds for ``duration`` s: by the torque of a guide, or by a drive's own loop."""
+    """Make the shaft follow speeds for ``duration`` s: by the torque of a guide, or by the drive's own
+    loop."""
     if exerciser.port.quantity is Quantity.TORQUE:
         guide = SpeedGuide(
             guide_mechanics(session), exerciser.period_s, bandwidth_rad_s=guide_bandwidth_rad_s(session)
@@ -218,8 +222,8 @@ def follow(session: Session, exerciser: Exerciser, duration: float, reference: l
 
 
 def ramp_time(session: Session, change: float) -> float:
-    """How long a ramp of the speed has to take: its torque stays well below the limit, and neither it nor the
-    ramp is held up by ramps of the drive's own."""
+    """Return the necessary time of a speed ramp: its torque stays well below the limit, and the drive's own
+    ramps delay neither it nor the speed."""
     known, limits = session.found.mechanics or session.found.rough, session.limits
     least_s = max(_RAMP_S, abs(change) / (_RATE_SHARE * limits.acceleration_rad_s2))
     if known is None:
@@ -233,7 +237,8 @@ def ramp_time(session: Session, change: float) -> float:
 
 
 def guide_bandwidth_rad_s(session: Session) -> float:
-    """Of a guide: the torque that corrects an error of :data:`_ERROR_SHARE` follows within its response time.
+    """Return the bandwidth of a guide: the torque that corrects an error of :data:`_ERROR_SHARE` follows
+    within its response time.
 
     A loop of bandwidth w answers to an error e by J w e of torque, and by J w^2 e of it in a second; one
     whose torque is slower than that swings ever farther.
@@ -245,9 +250,9 @@ def guide_bandwidth_rad_s(session: Session) -> float:
 
 
 def _ramps(session: Session, speed: float) -> list[Recording]:
-    """Up by plateaus and down again, both ways.
+    """Run up by plateaus and down again, both ways.
 
-    A drive that plans its own ramps is given steps, lest it plan one for each cycle.
+    A drive that plans its own ramps is given steps, so that it does not plan one for each cycle.
     """
     port = session.port
     own_ramps = port.mode is Mode.PROFILE_VELOCITY
@@ -276,7 +281,7 @@ def _write_ramps(session: Session, acceleration_rad_s2: float) -> None:
 
 
 def _coasts(session: Session, speed: float) -> list[Recording]:
-    """Up to speed, then no torque at all until the shaft is slow, then back to rest."""
+    """Run up to speed, then give no torque until the shaft is slow, then bring it to rest."""
     known = guide_mechanics(session)
     limits = session.limits
     slowing = max(known.coulomb_friction_nm, 1e-3 * limits.torque_nm) / known.inertia_kg_m2
@@ -299,7 +304,7 @@ def _coasts(session: Session, speed: float) -> list[Recording]:
 
 
 def _turned_round(session: Session, mechanics: Mechanics, outcome: StepOutcome) -> Mechanics:
-    """Torque against motion shows only here in a drive that is never given a torque."""
+    """Detect torque against motion, which shows only here in a drive that is never given a torque."""
     session.overridden(torque_sign=-session.found.override.torque_sign)
     session.configure()
     outcome.faults.append("polarity: torque 6077h counts against the position; the bench turns its sign")
@@ -313,7 +318,7 @@ def _turned_round(session: Session, mechanics: Mechanics, outcome: StepOutcome) 
 
 
 def tells_torque(session: Session) -> bool:
-    """6077h or 6078h is among what the drive sends."""
+    """Return True if the drive sends 6077h or 6078h."""
     plan = session.found.plan
     return plan is None or any(
         plan.tpdo_with(index) is not None
@@ -322,7 +327,7 @@ def tells_torque(session: Session) -> bool:
 
 
 def _by_command(session: Session, mechanics: Mechanics, outcome: StepOutcome) -> Mechanics:
-    """With the uncertainty of a torque that nobody measured; the motion tells the command's delay."""
+    """Add the uncertainty of an unmeasured torque; the motion yields the command's delay."""
     outcome.figures["by_command"] = True
     outcome.say(
         "the drive tells no torque (6077h, 6078h): the commanded one is taken, in units of 6076h, with "

@@ -1,4 +1,4 @@
-"""Steps that set the drive up and prove its watch over the host, before anything turns."""
+"""Steps that set the drive up and test its watch over the host, before anything turns."""
 
 import math
 from typing import Final
@@ -19,19 +19,19 @@ from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 
 _PATIENCE: Final = 4.0
-"""So many time-outs are waited for the drive to react."""
+"""Time-outs to wait for the drive's reaction."""
 _LATE: Final = 1.5
-"""A reaction later than so many time-outs fails the step."""
+"""A reaction later than this many time-outs fails the step."""
 _SILENT_PERIODS: Final = 5
-"""Readings that stay away for so long: the drive answers no SYNC any more, and is asked for its state."""
+"""Periods without readings after which the drive is asked for its state: it no longer answers a SYNC."""
 _REST_S: Final = 0.3
-"""A shaft that an offset of the torque drives has crept visibly by then."""
+"""A shaft driven by a torque offset has crept visibly by then."""
 _REST_TURNS: Final = 0.01
-"""3.6 degrees: more than what a drive settles by when its controllers are switched on."""
+"""3.6 degrees: more than a drive settles by when its controllers are switched on."""
 
 
 class SetUp(Step):
-    """Heartbeats, reactions, limits and the PDO plan, each written and read back."""
+    """Writes and verifies heartbeats, reactions, limits and the PDO plan."""
 
     name = "setup"
     title = "Limits, reactions and PDO plan"
@@ -68,7 +68,7 @@ class SetUp(Step):
         outcome.figures = {"mode": mode.name.lower(), "bus_load_percent_max": load}
 
     def _first_mode_taken(self, session: Session, outcome: StepOutcome) -> Mode:
-        """Configure in the first mode that the drive takes; those that it does not are struck out."""
+        """Configure the first mode that the drive takes; remove those that it does not."""
         refusals: list[str] = []
         while True:
             mode = session.motion_mode()
@@ -89,14 +89,14 @@ class SetUp(Step):
 
 
 def _of_the_mode(error: PeerFault) -> bool:
-    """Another mode may be taken, or be served by the PDOs."""
+    """Return True if another mode may be taken, or be served by the PDOs."""
     return isinstance(error, ModeRefused | PlanImpossible | RampTooSlow) or isinstance(
         error.__cause__, PlanImpossible
     )
 
 
 def _extra_limits(session: Session) -> list[str]:
-    """Limits that the drive need not have, beside those of the drive client."""
+    """Write optional limits, beyond those of the drive client."""
     objects, limits, rated = session.objects, session.limits, session.rated_torque_nm
     share = min(0xFFFF, round(1000.0 * limits.torque_nm / rated))
     held = objects.read_if_there(Object.MAX_CURRENT, 0, "H")
@@ -121,10 +121,10 @@ def _extra_limits(session: Session) -> list[str]:
 
 
 class Watchdog(Step):
-    """Stop the host's heartbeat while the drive is enabled, and time its reaction."""
+    """Stops the host's heartbeat while the drive is enabled, and times its reaction."""
 
     name = "watchdog"
-    title = "Proof of the watch over the host"
+    title = "Host watch test"
     limit = "the drive stays enabled, or is late"
     needs = ("setup",)
     writes = True
@@ -166,7 +166,7 @@ class Watchdog(Step):
 
 
 def _bear_unwatched(session: Session, outcome: StepOutcome) -> None:
-    """Have somebody say that he stands by."""
+    """Have somebody confirm that he stands by."""
     limits = session.limits
     session.dialog.tell(
         "    Nothing stops this drive if host, cable or adapter fail: it goes on with its last command. "
@@ -174,7 +174,7 @@ def _bear_unwatched(session: Session, outcome: StepOutcome) -> None:
         "and few turns. Somebody has to stand at its emergency stop."
     )
     if session.dialog.attended:
-        answer = session.dialog.line("    Write yes if you do.", session.idle)
+        answer = session.dialog.line("    Type yes if you do.", session.idle)
         if answer.strip().lower() != "yes":
             raise StepFailed("nobody stands by to stop the drive")
     outcome.faults.append("the drive does not notice that its host is gone; its motions were limited")
@@ -182,10 +182,11 @@ def _bear_unwatched(session: Session, outcome: StepOutcome) -> None:
 
 
 def _silence(session: Session, timeout_ms: int) -> tuple[float | None, State | None]:
-    """Send one last heartbeat; ms until the drive says that it is enabled no more, and its state then.
+    """Send one last heartbeat; return ms until the drive reports that it is no longer enabled, and its state
+    then.
 
-    A drive may tell it by statusword, by EMCY, or by falling silent: with the node's NMT state its PDOs end
-    too (1029h). The state itself is then asked for.
+    A drive may report it by statusword, by EMCY, or by falling silent: with the node's NMT state its PDOs end
+    too (1029h). The state itself is then read.
     """
     network, drive = session.network, session.drive
     drive.take_readings()
@@ -216,7 +217,7 @@ def _silence(session: Session, timeout_ms: int) -> tuple[float | None, State | N
 
 
 def _recover(session: Session) -> None:
-    """From what the proof left behind, to disabled."""
+    """Return from the test's aftermath to disabled."""
     drive = session.drive
     if drive.control.read_state() in (State.FAULT, State.FAULT_REACTION):
         drive.reset_fault(session.deadline(3.0))
@@ -226,7 +227,7 @@ def _recover(session: Session) -> None:
 
 
 class EnableAtZero(Step):
-    """Enable, ask for nothing, and see that nothing happens."""
+    """Enables the drive without commands, and checks that nothing happens."""
 
     name = "enable"
     title = "Enable at zero torque"

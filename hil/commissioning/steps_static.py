@@ -32,9 +32,9 @@ CONNECT_LIMIT_S = 5.0
 """A drive that was just switched on boots in a second or two."""
 LISTEN_S = 0.5
 ROUND_TRIPS = 20
-"""Their median does not move where the host is busy for a moment."""
+"""Their median does not move if the host is busy for a moment."""
 _SHOWN = 40
-"""Of the settings that differ; parameters.txt holds them all."""
+"""Number of differing settings shown; parameters.txt holds them all."""
 _REMEDIES = {
     "torque": "6076h tells none: give rating.torque_nm in the nameplate (--motor)",
     "position": "608Fh, 6092h and 60A8h tell none: give encoder.counts_per_revolution, the position units in "
@@ -48,15 +48,15 @@ _OVERRIDES = {
     "velocity": "velocity_rad_s",
     "acceleration": "acceleration_rad_s2",
 }
-"""Which field of an override gives the unit."""
+"""Field of an override that gives the unit."""
 _UNKNOWN = 1e-3
-"""In place of a unit that nobody tells, to see what else is missing."""
+"""Replaces an unknown unit, to find what else is missing."""
 _COARSEST_RAD = 1.01 * math.tau / 6.0
-"""Hall sensors of one pole pair: a position unit that is coarser is a resolution that nobody has set."""
+"""Hall sensors of one pole pair: a coarser position unit is an unset resolution."""
 
 
 class BusCheck(Step):
-    """Listen to the bus, and time the node's answers."""
+    """Listens to the bus, and times the node's answers."""
 
     name = "bus"
     title = "Adapter and bus"
@@ -91,7 +91,7 @@ class BusCheck(Step):
 
 
 class IdentityCheck(Step):
-    """Who is it, and does the data sheet belong to it."""
+    """Identifies the drive, and checks that the data sheet belongs to it."""
 
     name = "identity"
     title = "Identity against the data sheet"
@@ -132,7 +132,7 @@ class IdentityCheck(Step):
 
 
 class DumpStep(Step):
-    """Read everything, and tell what differs from the factory's settings."""
+    """Reads everything, and lists differences from the factory settings."""
 
     name = "dump"
     title = "All parameters"
@@ -161,7 +161,7 @@ class DumpStep(Step):
 
 
 class UnitsTold(Step):
-    """What the drive's own objects say of its units, and what the nameplate says to that."""
+    """Reads the drive's own units, and compares them with the nameplate."""
 
     name = "units"
     title = "Units as told"
@@ -211,9 +211,9 @@ class UnitsTold(Step):
 
 
 def _units(session: Session, outcome: StepOutcome) -> tuple[Scaling, ScaleOverride]:
-    """The units by the drive, and what the nameplate says of those that it does not tell.
+    """Return the units by the drive, completed by the nameplate.
 
-    Raises StepFailed that asks for all that neither tells.
+    Raises StepFailed that asks for everything still missing.
     """
     plate, override, missing = session.request.nameplate, ScaleOverride(), list[UnitNotTold]()
     torque_nm, counts = plate.rating.torque_nm, plate.encoder.counts_per_revolution
@@ -242,7 +242,7 @@ def _units(session: Session, outcome: StepOutcome) -> tuple[Scaling, ScaleOverri
 
 
 def _plausible(told: Scaling) -> Scaling:
-    """``told``. Raises UnitNotTold for a position unit with which no shaft could be controlled."""
+    """Return ``told``. Raises UnitNotTold for a position unit too coarse to control any shaft."""
     if told.position_rad > _COARSEST_RAD:
         raise UnitNotTold(
             f"one position unit would be {told.position_rad:.4g} rad",
@@ -253,7 +253,8 @@ def _plausible(told: Scaling) -> Scaling:
 
 
 def _judge(session: Session, outcome: StepOutcome) -> None:
-    """The modes that the drive can be commanded in. Raises StepFailed if there is none, or it is no drive."""
+    """Find the modes in which the drive can be commanded. Raises StepFailed if there is none, or it is no
+    drive."""
     identity = session.found.identity
     assert identity is not None, "the step 'identity' comes first"
     told = told_by_drive(session.objects, identity.device_type, session.sheet_told)

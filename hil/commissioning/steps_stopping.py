@@ -1,4 +1,4 @@
-"""Can it stop? Asked of the drive's settings before anything turns, and of the shaft before it turns fast."""
+"""Tests whether the drive can stop: by its settings at rest, then by the shaft before it turns fast."""
 
 import math
 from typing import Final, NamedTuple
@@ -19,35 +19,34 @@ from servobench.hil.commissioning.steps_mechanics import follow, ramp_time
 from servobench.hil.loop.scenario import Ramp
 
 _STOP_MAX_S: Final = 2.0
-"""From the limit of speed: whoever brings a drive to rest waits for 3 s at least."""
+"""From the speed limit: everything that brings a drive to rest waits for 3 s at least."""
 _STOP_S: Final = 0.5
-"""From the limit of speed, where the drive's own 6085h is no use: below half of what the rated torque gives
-to a servo motor with ten times its own inertia."""
+"""From the speed limit, if the drive's own 6085h is unusable: below half of the deceleration by rated torque
+of a servo motor with ten times its own inertia."""
 _STEEP: Final = 0.9
-"""Of :data:`_STOP_S`, rounded to whole units: a ramp below that is steeper."""
+"""Share of :data:`_STOP_S`, rounded to whole units: a ramp below that is steeper."""
 _SHORTEST_S: Final = 0.005
 """No servo motor stops from its speed in less: the torque decides then, not 6085h."""
 _PROOF_SHARE: Final = 0.1
-"""Of the limit of speed: a hundredth of its energy."""
+"""Share of the speed limit: a hundredth of its energy."""
 _RUN_UP_S: Final = 0.3
-"""A servo motor with a load follows a ramp of so long, and :func:`_proof_speed` fits it into the travel."""
+"""A servo motor with a load follows such a ramp, and :func:`_proof_speed` fits it into the travel."""
 _HOLD_S: Final = 0.2
 """The speed has settled before it is stopped."""
 _SLOWER: Final = 1.5
-"""The ramp is the drive's, but its controller lags, and a stop begins within a cycle of its own."""
+"""The ramp is the drive's, but its controller lags, and a stop begins within one of its cycles."""
 _REST_UNITS: Final = 2
-"""Of position: an encoder that stands between two counts flickers by one."""
+"""Position units: an encoder between two counts flickers by one."""
 _REST_READINGS: Final = 5
-"""So many in a row within :data:`_REST_UNITS`; a shaft that turns round stands for less."""
+"""Consecutive readings within :data:`_REST_UNITS`; a reversing shaft stands for less."""
 _UNIT_OFF: Final = 1.3
-"""A speed that is not reached by so much, or overshot, is of another unit: set-points of 5 r/min and more are
-rounded by less."""
+"""A speed missed or overshot by this factor has another unit: set-points of 5 r/min round off less."""
 _FIT_READINGS: Final = 10
-"""The speed out of positions, over so many: a count is a tenth of the error then."""
+"""Readings over which the speed is derived from positions: a count is a tenth of the error then."""
 
 
 class StopSettings(Step):
-    """What the drive would stop with: 605Ah, 6085h, 6084h, in SI units, before it is enabled."""
+    """Checks how the drive would stop: 605Ah, 6085h, 6084h, in SI units, before it is enabled."""
 
     name = "stop"
     title = "Can it stop?"
@@ -92,13 +91,13 @@ class StopSettings(Step):
 
 
 def _quick_ramp(session: Session) -> Object:
-    """The ramp of a quick stop in the mode of the exercises: velocity mode has one of its own."""
+    """Return the quick stop ramp in the mode of the exercises: velocity mode has its own."""
     velocity_mode = session.port.mode is Mode.VELOCITY
     return Object.VL_VELOCITY_QUICK_STOP if velocity_mode else Object.QUICK_STOP_DECELERATION
 
 
 def _velocity_mode_ramp(session: Session) -> tuple[float | None, str]:
-    """As :func:`_ramp`, for 604Ah."""
+    """Check 604Ah; see :func:`_ramp`."""
     speed, index = session.limits.speed_rad_s, Object.VL_VELOCITY_QUICK_STOP
     held = velocity_mode_ramp(session.objects, index)
     if held is None:
@@ -115,7 +114,7 @@ def _velocity_mode_ramp(session: Session) -> tuple[float | None, str]:
 
 
 def _option_refused(session: Session, option: QuickStopOption) -> str:
-    """Why the drive does not hold 605Ah as wanted; empty if it does, or has none and stops as it will."""
+    """Explain why the drive does not hold the 605Ah wanted; empty if it does, or lacks 605Ah."""
     objects = session.objects
     held = objects.read_if_there(Object.QUICK_STOP_OPTION, 0, "h")
     if held is None:
@@ -126,7 +125,7 @@ def _option_refused(session: Session, option: QuickStopOption) -> str:
 
 
 def _ramp(session: Session, index: Object) -> tuple[float | None, str]:
-    """Seconds of a stop by this ramp from the limit of speed, None: the drive does not tell; else why not.
+    """Return seconds of a stop by this ramp from the speed limit (None: unknown), or why not.
 
     A ramp of 0, or one that takes too long, is replaced.
     """
@@ -168,21 +167,21 @@ def _tell(session: Session, outcome: StepOutcome, time_s: float | None, option: 
 
 
 class SlowStop(NamedTuple):
-    """A measured one."""
+    """A measured stop."""
 
     speed_rad_s: float
-    """At which it began."""
+    """Speed at its begin."""
     time_s: float
-    """Until rest; of a shaft that still turned at the end, what is to be expected."""
+    """Time to rest; extrapolated for a shaft that still turned at the end."""
 
     @property
     def deceleration_rad_s2(self) -> float:
-        """Mean."""
+        """Mean deceleration."""
         return self.speed_rad_s / max(self.time_s, 1e-9)
 
 
 class StopProof(Step):
-    """A quick stop from a low speed, against what was computed."""
+    """Compares a quick stop from a low speed with the computed one."""
 
     name = "stop_proof"
     title = "A slow stop"
@@ -214,8 +213,8 @@ class StopProof(Step):
             )
 
     def _try_gentler(self, session: Session, outcome: StepOutcome, steep: "_Timed") -> "_Timed":
-        """A stop by a ramp that every motor follows: if it lasts as computed, the unit is right, and the
-        drive's own ramp is set again."""
+        """Stop by a ramp that every motor follows: if it lasts as computed, the unit is right, and the
+        drive's own ramp is restored."""
         found, figures, index = session.found, outcome.figures, _quick_ramp(session)
         before, found.quick_stop_rad_s2 = found.quick_stop_rad_s2, session.limits.speed_rad_s / _STOP_S
         session.configure()
@@ -230,13 +229,13 @@ class StopProof(Step):
         return gentle
 
     def _set_both(self, session: Session, outcome: StepOutcome) -> None:
-        """The drive may stop by 6085h in velocity mode too."""
+        """Set 6085h as well: the drive may stop by it in velocity mode too."""
         outcome.faults.append("the quick stop of velocity mode does not go by 604Ah: 6085h is set as well")
         session.found.quick_stop_rad_s2 = session.limits.speed_rad_s / _STOP_S
         session.configure()
 
     def _believe(self, session: Session, timed: "_Timed", outcome: StepOutcome) -> None:
-        """Take the unit of 6085h from the measured stop, and write what is needed for a quick one."""
+        """Derive the unit of 6085h from the measured stop, and write the ramp for a quick one."""
         unit = session.acceleration_rad_s2 * timed.stop.deceleration_rad_s2 / timed.ramp_rad_s2
         outcome.faults.append(
             f"acceleration unit: one unit of 6085h is {unit:.3g} rad/s^2 by a measured stop, "
@@ -248,11 +247,11 @@ class StopProof(Step):
 
 
 class _Timed(NamedTuple):
-    """A measured stop, held against what was computed."""
+    """A measured stop and its computed time."""
 
     stop: SlowStop
     computed_s: float | None
-    """None: no ramp makes it, or the drive does not tell."""
+    """None: no ramp applies, or it is unknown."""
     limit_rad_s: float
     lag_s: float
 
@@ -262,27 +261,27 @@ class _Timed(NamedTuple):
 
     @property
     def ramp_rad_s2(self) -> float:
-        """The drive's ramp as computed; infinite where it takes no time, or is not told."""
+        """The drive's ramp as computed; infinite if it takes no time, or is unknown."""
         return self.stop.speed_rad_s / self.computed_s if self.computed_s else math.inf
 
     @property
     def is_slow(self) -> bool:
-        """It lasted longer than computed."""
+        """True if it lasted longer than computed."""
         return self.computed_s is not None and self.stop.time_s > self.lag_s + _SLOWER * self.computed_s
 
     @property
     def as_it_should(self) -> bool:
-        """As computed, and soon enough from the limit of speed."""
+        """True if it lasted as computed, and is fast enough from the speed limit."""
         return not self.is_slow and self.at_limit_s <= _STOP_MAX_S + 10.0 * self.lag_s
 
     @property
     def may_be_torque(self) -> bool:
-        """It was slow, by a ramp that not every motor follows."""
+        """True if it was slow, by a ramp that not every motor follows."""
         return self.is_slow and self.limit_rad_s / self.ramp_rad_s2 < _STEEP * _STOP_S
 
 
 def _timed(session: Session, outcome: StepOutcome) -> _Timed:
-    """Turn slowly, stop, and say how long it took."""
+    """Turn slowly, stop, and time it."""
     stop = _stop_slowly(session)
     computed_s = _computed_s(session, stop.speed_rad_s)
     timed = _Timed(stop, computed_s, session.limits.speed_rad_s, _lag_s(session))
@@ -301,12 +300,12 @@ def _timed(session: Session, outcome: StepOutcome) -> _Timed:
 
 
 def _lag_s(session: Session) -> float:
-    """How much later than computed a stop may seem to end: by readings, and by the drive's controller."""
+    """Return how much later than computed a stop may seem to end, by readings and drive controller."""
     return 0.02 + (_REST_READINGS + 2) * session.found.period / NS_PER_S
 
 
 def _computed_s(session: Session, speed_rad_s: float) -> float | None:
-    """None of a stop that no ramp makes, or of a drive that does not tell."""
+    """Return the computed time; None for a stop without a ramp, or an unknown one."""
     quick = session.found.quick_stop_option is QuickStopOption.QUICK_STOP_RAMP
     if quick and _quick_ramp(session) is Object.VL_VELOCITY_QUICK_STOP:
         rate = velocity_mode_ramp(session.objects, Object.VL_VELOCITY_QUICK_STOP)
@@ -345,7 +344,7 @@ def _stop_slowly(session: Session) -> SlowStop:
     if began < 0.3 * speed:
         ramps = ramps_told(session.found)
         raise StepFailed(
-            "the shaft does not come up to a low speed",
+            "the shaft does not reach a low speed",
             f"{began:.3g} of {speed:.3g} rad/s in {run_up_s + _HOLD_S:.3g} s{f'; {ramps}' if ramps else ''}",
             "a brake, a load, or limits.torque_max_percent of the nameplate?",
         )
@@ -353,7 +352,7 @@ def _stop_slowly(session: Session) -> SlowStop:
 
 
 def _until_rest(session: Session) -> list[Reading]:
-    """The readings from the command to rest; a shaft that does not come to it is let go to coast."""
+    """Return the readings from the command to rest; a shaft that does not stop is left to coast."""
     network, drive, period = session.network, session.drive, session.found.period
     drive.take_readings()
     drive.stop()

@@ -1,4 +1,4 @@
-"""Steps that find out which way the shaft turns, and whether its units are what the drive says."""
+"""Steps that find the shaft's direction, and check the drive's units."""
 
 import math
 from dataclasses import replace
@@ -25,31 +25,31 @@ from servobench.hil.loop.scenario import Quantity, Ramp, Segment
 
 POSITION_BIT: Final = 0x80
 VELOCITY_BIT: Final = 0x40
-"""Of 607Eh, as the one above: set, it turns the sign."""
+"""Bit of 607Eh, like the one above: set, it reverses the sign."""
 _NEAR_TURNS: Final = 0.003
-"""A degree: by it a shaft has broken away, and is not only twisted or has its play taken up."""
+"""A degree: by then a shaft has broken away, and is not only twisted or taking up its play."""
 _NEAR_UNITS: Final = 4
-"""The same for a coarse encoder, whose reading may jump to and fro by a unit or two at rest."""
+"""The same for a coarse encoder, whose reading may flicker by a unit or two at rest."""
 _PULSE_TURNS: Final = 0.05
-"""Enough to see a direction; the shaft may be coupled to something."""
+"""Enough to see a direction; the shaft may be coupled."""
 _LONG_PULSE_TURNS: Final = 0.25
 """Enough to compare velocity and path to a percent."""
 _NUDGES: Final = 4
-"""Each three times as fast as the one before, 27 times at last: velocity units are wrong by as much."""
+"""Each three times as fast as the one before, 27 times in the end: velocity units are wrong by as much."""
 _PULSE_S: Final = 5.5
-"""Beside the rise of the torque: for the shaft to come to a stop."""
+"""Added to the rise of the torque: for the shaft to come to a stop."""
 _RATED_S: Final = 1.0
-"""In which the torque of a pulse rises by the rated one: slowly, as nobody knows yet what it moves."""
+"""Time in which the torque of a pulse rises by the rated one: slowly, as the load is still unknown."""
 _RISE_SHARE: Final = 0.25
-"""Of the steepest torque: a pulse falls four times as fast as it rises."""
+"""Share of the steepest torque: a pulse falls four times as fast as it rises."""
 _SIGN_ERROR: Final = 0.5
-"""Relative, of what has only to show a sign."""
+"""Relative error of a ratio that only has to show a sign."""
 _RATIO_ERROR: Final = 0.01
-"""Of what has to show a factor."""
+"""Relative error of a ratio that has to show a factor."""
 _RATIO_ERROR_MAX: Final = 0.1
-"""Twice of it tells the nearest two factors that occur, 1.25 apart."""
+"""Twice this separates the nearest two factors that occur, 1.25 apart."""
 _UNITS_MIN: Final = 10.0
-"""A velocity that shows fewer units is not told to 10 % by any motion, however quiet it is."""
+"""A velocity that shows fewer units cannot be known to 10 % by any motion, however quiet it is."""
 _LOOKS: Final = 4
 """Each over a longer path, as far as the limits allow one."""
 _FARTHER: Final = 4.0
@@ -57,9 +57,9 @@ _FARTHER: Final = 4.0
 _WORTH_IT: Final = 1.5
 """A path that is not half as long again brings no visibly better ratio."""
 _PULSE_SPEED_SHARE: Final = 0.5
-"""Of the speed limit, that a longer pulse may come up to: its speed goes with the root of its path."""
+"""Share of the speed limit that a longer pulse may reach: its speed goes with the root of its path."""
 _RATIO_TOLERANCE: Final = 0.03
-"""Slips of units are factors of 1.25 and more; what is below is the measurement's."""
+"""Slips of units are factors of 1.25 and more; smaller deviations are the measurement's."""
 _ROUGH_WINDOW_S: Final = 0.03
 """A pulse is short; the fit needs several windows in it."""
 _ROUGH_PERIODS: Final = 15
@@ -67,7 +67,7 @@ _ROUGH_PERIODS: Final = 15
 
 
 class Polarity(Step):
-    """A pulse each way: which way do position and velocity count."""
+    """Moves by a pulse each way, to see which way position and velocity count."""
 
     name = "polarity"
     title = "Direction and polarity"
@@ -104,7 +104,7 @@ class Polarity(Step):
         outcome.say("607Eh does not help; the bench turns the signs itself")
 
     def _by_object(self, session: Session, wrong: int, outcome: StepOutcome) -> bool:
-        """Turn bits of 607Eh over, and look whether that helped; else put the object back."""
+        """Reverse bits of 607Eh, and check whether that helped; else restore the object."""
         held = session.objects.read_if_there(Object.POLARITY, 0, "B")
         if held is None:
             return False
@@ -121,7 +121,7 @@ class Polarity(Step):
 
 
 def _signs(session: Session, outcome: StepOutcome) -> tuple[int, int]:
-    """Sign of the position against the set-point, and of the velocity against the position."""
+    """Return the sign of the position against the set-point, and of the velocity against the position."""
     recordings, ratio = _compared(session, _PULSE_TURNS, _SIGN_ERROR)
     signs = []
     for direction, recording in zip((1.0, -1.0), recordings, strict=True):
@@ -136,7 +136,7 @@ def _signs(session: Session, outcome: StepOutcome) -> tuple[int, int]:
 
 
 def _compared(session: Session, turns: float, error: float) -> tuple[list[Recording], SpeedRatio]:
-    """Pulses, and velocity over path: known to ``error``, or as well as paths within the limits allow.
+    """Return pulses, and velocity over path: known to ``error``, or as well as paths within the limits allow.
 
     The integral of a velocity that scatters grows with the square root of the time, the path with its square.
     """
@@ -153,7 +153,7 @@ def _compared(session: Session, turns: float, error: float) -> tuple[list[Record
 
 
 def pulses(session: Session, far_turns: float) -> list[Recording]:
-    """A pulse forwards and one backwards, each from rest to rest. Raises StepFailed if nothing moves."""
+    """Make a pulse forwards and one backwards, each from rest to rest. Raises StepFailed if nothing moves."""
     far = min(far_turns * math.tau, 0.4 * session.limits.travel_rad)
     near = max(_NEAR_TURNS * math.tau, _NEAR_UNITS * session.position_rad)
     recordings = _both_ways(session, near, far)
@@ -197,7 +197,7 @@ def _both_ways(session: Session, near: float, far: float) -> list[Recording]:
 
 
 def _nudges(exerciser: Exerciser, direction: float, far: float) -> Recording:
-    """Short runs at a low speed until one leads far enough, for a drive that takes speeds."""
+    """Make short runs at a low speed until one leads far enough, for a drive that takes speeds."""
     speed = min(0.02 * exerciser.limits.speed_rad_s, far / 0.5)
     for _ in range(_NUDGES):
         recording = _nudge(exerciser, direction * speed, far)
@@ -216,7 +216,7 @@ def _nudge(exerciser: Exerciser, speed: float, far: float) -> Recording:
 
 
 class MotionUnits(Step):
-    """Velocity against the derivative of the position; a first idea of inertia and friction."""
+    """Compares the velocity with the derivative of the position; estimates inertia and friction roughly."""
 
     name = "motion_units"
     title = "Velocity against position"
@@ -278,7 +278,7 @@ class MotionUnits(Step):
 
 
 class Turn(Step):
-    """One real turn of the motor, measured in the drive's position units."""
+    """Measures one real turn of the motor in the drive's position units."""
 
     name = "turn"
     title = "Encoder counts by a turn"
@@ -325,7 +325,7 @@ class Turn(Step):
         session.configure()
 
     def _judge(self, session: Session, ratio: float, outcome: StepOutcome) -> None:
-        """Position by the turn, and velocity by the position."""
+        """Correct position by the turn, and velocity by the position."""
         findings = session.found
         told = session.told
         assert findings.velocity_ratio is not None
@@ -358,12 +358,12 @@ class Turn(Step):
 
 
 def _tolerance(ratio: SpeedRatio) -> float:
-    """By how much it may be off a factor that occurs: by twice its uncertainty, as nothing else lies near."""
+    """Return the deviation allowed from a known factor: twice its uncertainty, as no other is near."""
     return max(_RATIO_TOLERANCE, 2.0 * ratio.error)
 
 
 def _unmeasured(session: Session, counts: int, believed: float, outcome: StepOutcome) -> tuple[float, str]:
-    """Position units of a turn where none could be turned, and by what."""
+    """Return the position units of a turn if none could be turned, and their source."""
     plate, drive = f"{counts} counts per turn", f"{_count(believed)} position units"
     if abs(counts / believed - 1.0) > _RATIO_TOLERANCE and not nameplate_wins(
         session, "encoder", plate, drive

@@ -1,4 +1,4 @@
-"""The step that holds the back-EMF against the DC link: the voltage constant, or what it is below.
+"""The step that compares the back-EMF with the DC link: the voltage constant, or its upper bound.
 
 A drive can put sqrt(v_d^2 + v_q^2) <= U_dc / sqrt(3) into each phase (space-vector modulation). Where a shaft
 is pushed on by a torque well above its friction and turns no faster, its back-EMF takes all of that:
@@ -30,33 +30,34 @@ from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
 from servobench.hil.loop.samples import StateEstimate
 
 _SPEED_SHARE: Final = 0.95
-"""Of the speed limit."""
+"""Share of the speed limit."""
 _PUSH_SHARE: Final = 0.3
-"""Of the torque limit, beside what friction takes: a run-up of a second or two."""
+"""Share of the torque limit, in addition to friction: a run-up of a second or two."""
 _RISE_SHARE: Final = 0.2
-"""Of the steepest torque, that the push rises with."""
+"""Share of the steepest torque, with which the push rises."""
 _LOOK_S: Final = 0.15
-"""Between two looks at the speed: long enough for the shaft to show whether it still gains."""
+"""Interval between two checks of the speed: long enough to show whether the shaft still accelerates."""
 _END_S: Final = 0.02
-"""Of a run-up that ends at the limit of speed."""
+"""End part of a run-up that reaches the speed limit."""
 _STALLED: Final = 0.1
-"""Of the acceleration that the push makes on a shaft whose torque is not cut."""
+"""Share of the acceleration by the push on a shaft whose torque is not limited."""
 _VOLTAGE_V: Final = (5.0, 1500.0)
-"""A DC link that drives motors; 6079h is in mV, and some drives tell other units."""
+"""Possible DC links for motors; 6079h is in mV, and some drives use other units."""
 _PLATE_RATIO: Final = 1.5
 """DC link and losses are known to a tenth or two; 1.73, lines taken for phases, is beyond it."""
 _USED: Final = 0.05
-"""k = 2, relative: what dead times and the room for current measurement take of the DC link."""
+"""k = 2, relative: the DC link lost to dead times and to the room for current measurement."""
 _DROP: Final = 0.08
-"""R i over the phase voltage at the rated current, at most, of a servo motor whose R nobody tells."""
+"""R i over the phase voltage at the rated current, at most, for a servo motor with unknown R."""
 _CONTRADICTION: Final = 1.5
 """Sines without third harmonic use 0.866 of the DC link, and ratings are rounded."""
 _DOUBT: Final = 1.25
-"""From here on it is a finding, and the step goes on: sqrt(2) is more, sines without third harmonic less."""
+"""From here on it is a finding, and the step continues: sqrt(2) is more, sines without third harmonic
+less."""
 
 
 class VoltageConstant(Step):
-    """Run up towards the limit of speed, and see whether the DC link gives out before."""
+    """Runs up towards the speed limit, to see whether the DC link limits the speed before."""
 
     name = "voltage_constant"
     title = "Voltage constant against the DC link"
@@ -114,7 +115,7 @@ class VoltageConstant(Step):
 
 
 class RunUp(Controller):
-    """A torque that pushes until the shaft is fast enough, or for a while no longer gains speed.
+    """Pushes with a torque until the shaft is fast enough, or no longer accelerates for a while.
 
     torque    ____________________
              /                    |
@@ -133,10 +134,10 @@ class RunUp(Controller):
         self._looks: list[StateEstimate] = []
         self._fast = False
         self.stalled = False
-        """It was pushed on and gained no speed."""
+        """True if the push no longer accelerates the shaft."""
 
     def output(self, context: Context) -> SetPoint:
-        """The torque of this cycle."""
+        """Return the torque of this cycle."""
         self._torque = min(self._push_nm, self._torque + self._step)
         estimate = context.estimate
         if estimate.sequence:
@@ -145,7 +146,7 @@ class RunUp(Controller):
         return TorqueSetPoint(self._torque)
 
     def done(self) -> bool:
-        """Nothing more is to be seen."""
+        """Return True once the run-up has shown everything."""
         return self._fast or self.stalled
 
     def _look(self, look: StateEstimate) -> None:
@@ -176,7 +177,7 @@ def _run_up_s(session: Session) -> float:
 
 
 def _slow(session: Session) -> float:
-    """Less than this, rad/s^2, is no run-up."""
+    """Return the acceleration, rad/s^2, below which it is no run-up."""
     return _STALLED * session.limits.speed_rad_s / _run_up_s(session)
 
 
@@ -185,7 +186,7 @@ def _path_rad(session: Session) -> float:
 
 
 def dc_link_v(session: Session) -> float:
-    """Raises StepFailed for a voltage that cannot be."""
+    """Read the DC link voltage. Raises StepFailed for an impossible one."""
     link_v = (session.objects.read_if_there(Object.DC_LINK_CIRCUIT_VOLTAGE) or 0) / 1000.0
     printed = session.request.nameplate.rating.dc_bus_voltage_v
     low, high = _VOLTAGE_V if printed is None else (printed / _PLATE_RATIO, printed * _PLATE_RATIO)
@@ -200,7 +201,7 @@ def dc_link_v(session: Session) -> float:
 
 
 def _ending_rad_s(recording: Recording, window_s: float) -> float:
-    """Speed at the end of the run-up."""
+    """Return the speed at the end of the run-up."""
     last = recording.time >= recording.time[-1] - window_s
     path, passed_s = np.ptp(recording.position[last]), np.ptp(recording.time[last])
     if not passed_s:
@@ -209,7 +210,7 @@ def _ending_rad_s(recording: Recording, window_s: float) -> float:
 
 
 def _constant(session: Session, voltage_v: float, speed: float, outcome: StepOutcome) -> float:
-    """V s/rad from the speed at which the voltage gives out."""
+    """Return V s/rad from the speed at the voltage limit."""
     torque_nm = session.mechanics.friction_nm(speed)  # at a speed that stays
     resistance, per_a = session.found.value("resistance_ohm"), session.found.torque_constant_nm_a
     drop_v, unsure_v = 0.0, _DROP * voltage_v * torque_nm / session.rated_torque_nm
@@ -232,7 +233,7 @@ def _constant(session: Session, voltage_v: float, speed: float, outcome: StepOut
 
 
 def _by_torque(session: Session) -> float | None:
-    """V s/rad by the torque constant: measured, told, or of the ratings."""
+    """Return V s/rad by the torque constant: measured, stated, or from the ratings."""
     findings = session.found
     by_torque = findings.torque_constant_nm_a or findings.motor.value(CONSTANT_QUANTITY)
     if by_torque is None and findings.rated_current_a:
@@ -241,7 +242,7 @@ def _by_torque(session: Session) -> float | None:
 
 
 def _judge(least: float, most: float, expected: float | None, outcome: StepOutcome) -> None:
-    """``expected``: by the torque constant, which rests on 6075h and 6076h."""
+    """Judge the constant. ``expected``: by the torque constant, which rests on 6075h and 6076h."""
     if expected is None:
         outcome.say("no torque constant was measured to hold it against")
         return

@@ -1,4 +1,4 @@
-"""What every torque of a commissioning rests on, and how well that is known.
+"""The torque scale: basis of every torque of a commissioning, and its uncertainty.
 
 6077h and 6071h count in thousandths of the rated torque 6076h, and nothing on the bus measures a torque:
 inertia, friction and gains are in proportion to that rating. The flux is its only witness, for volts and
@@ -17,30 +17,30 @@ from servobench.hil.commissioning.request import Nameplate
 TORQUE_PER_VOLTAGE: Final = 1.5 * math.sqrt(2.0)
 """N m per A rms over V s/rad (a phase's peak), of three phases."""
 RATED_CURRENT: Final = 0.05
-"""k = 2, relative: 6075h in mA and a plate's three digits, and what a drive's current sensors are off."""
+"""k = 2, relative: 6075h in mA and a plate's three digits, and the error of a drive's current sensors."""
 _PROPORTIONAL: Final = ("N m", "kg m^2")
 """Units of figures that are in proportion to the torque."""
 
 
 @dataclass(frozen=True, slots=True)
 class TorqueScale:
-    """The rated torque that stands for the unit of all torques."""
+    """The rated torque that sets the unit of all torques."""
 
     rated_torque_nm: float
     by: str
-    """Whose word it is."""
+    """Its source."""
     witness: str = ""
-    """What was held against it; empty: nothing."""
+    """The figure compared with it; empty: none."""
     ratio: float | None = None
-    """What the witness makes of the rated torque, over it."""
+    """The rated torque by the witness, over this one."""
     uncertainty: float | None = None
-    """Of the ratio, expanded, k = 2; None without a witness: nobody knows how far off the torque is."""
+    """Expanded uncertainty of the ratio, k = 2; None without a witness: the torque's error is unknown."""
     measured: bool = False
-    """The witness was measured, and not only printed."""
+    """True if the witness was measured, not only printed."""
 
     @property
     def sentence(self) -> str:
-        """What rests on it says so by this."""
+        """Sentence for figures that depend on it."""
         rests = f"rests on the rated torque of {self.by}, {self.rated_torque_nm:.4g} N m"
         if self.ratio is None or self.uncertainty is None:
             return f"{rests}, which nothing measured"
@@ -51,12 +51,12 @@ class TorqueScale:
         return f"{rests}, which nothing measured; {held}, {percent}"
 
     def as_json(self) -> dict[str, Any]:
-        """For programs."""
+        """Return it for programs."""
         return {**asdict(self), "sentence": self.sentence}
 
 
 def torque_scale(findings: Findings, plate: Nameplate) -> TorqueScale | None:
-    """As far as it is known by now; None before the units are read."""
+    """Return the scale known so far; None before the units are read."""
     if findings.told is None:
         return None
     printed, overridden = plate.rating.torque_nm, findings.override.rated_torque_nm
@@ -83,5 +83,5 @@ def torque_scale(findings: Findings, plate: Nameplate) -> TorqueScale | None:
 
 
 def is_proportional(unit: str) -> bool:
-    """A figure in ``unit`` is in proportion to the torque scale."""
+    """Return True for a figure in ``unit`` that is proportional to the torque scale."""
     return any(each in unit for each in _PROPORTIONAL)

@@ -1,8 +1,7 @@
 """One turn of the motor in position units: by the encoder's index pulse, or by hand.
 
-Homing on the index pulse (methods 33 and 34 of CiA 402-2) sets the position to the home offset where the
-pulse is. The second homing in a row finds the next pulse, one turn on: there the position jumps back by what
-one turn is worth.
+Homing on the index pulse (methods 33 and 34 of CiA 402-2) sets the position to the home offset at the pulse.
+The second homing in a row finds the next pulse, one turn on: there the position jumps back by one turn.
 
     position      ____/|        /|
                  /     |  ____ / |      the height of the second jump
@@ -24,35 +23,37 @@ from servobench.hil.machine.stopping import Interrupted
 INDEX_POSITIVE: Final = 34
 """Homing method: the next index pulse in the positive direction."""
 _SPEEDS_TURNS_S: Final = (0.5, 2.0, 8.0)
-"""By the unit that the drive tells, which may be wrong: so the search begins slowly."""
+"""In the drive's unit, which may be wrong: so the search begins slowly."""
 _SEARCH_S: Final = 5.0
 """Two turns at the slowest speed take 4 s, and the next pulse is one away at most."""
 _SEARCHES: Final = 4
-"""The first finds a pulse, the second the next; two more where a shaft ran on too far, or not far enough."""
+"""The first finds a pulse, the second the next; two more for a shaft that ran on too far, or not far
+enough."""
 _SPEED_UP_S: Final = 0.25
 """Short beside a search. At the slowest speed a sixteenth of a turn, and a lag of 1e-4 turns in 10 ms."""
 _OVERSHOOT_MAX: Final = 0.4
-"""Of what is taken for a turn: behind half a turn it could be two."""
+"""Share of an assumed turn: beyond half a turn it could be two."""
 _STALE_NS: Final = 20_000_000
-"""For so long the statusword may still tell of the homing before."""
+"""Time for which the statusword may still describe the previous homing."""
 _SETTLED: Final = 36
-"""Readings in a row that tell the end: the position may be set back some cycles after the statusword has told
-it, and three times :data:`_HISTORY` is long enough to see that."""
+"""Consecutive readings that show the end: the position may be reset some cycles after the statusword has
+changed, and three times :data:`_HISTORY` is long enough to see that."""
 _HISTORY: Final = 12
-"""Readings by which the motion is led on: over so many one count of the encoder is little of the speed."""
+"""Readings from which the motion is extrapolated: over so many one count of the encoder is little of the
+speed."""
 _JUMP_TURNS: Final = 0.01
-"""Less is motion led on wrongly: the steepest start, 8 turns/s in 0.25 s, makes 2e-4 at 1 ms a cycle."""
+"""Less is an extrapolation error: the steepest start, 8 turns/s in 0.25 s, makes 2e-4 at 1 ms a cycle."""
 _WORD: Final = 1 << 32
 """6064h is an INTEGER32, and wraps."""
 _START: Final = 1 << 4
-"""Of the controlword: homing starts as it rises."""
+"""Bit of the controlword: homing starts as it rises."""
 
 _FOUND: Final = Status.MODE_12
 _FAILED: Final = Status.MODE_13
 
 
 def can_home(session: Session) -> bool:
-    """The drive has homing, as far as it tells."""
+    """Return True if the drive has homing, as far as it says."""
     objects = session.objects
     if objects.read_if_there(Object.HOMING_METHOD, 0, "b") is None:
         return False
@@ -61,7 +62,8 @@ def can_home(session: Session) -> bool:
 
 
 def index_turn(session: Session) -> tuple[float | None, str]:
-    """Position units of one turn, and how they were found; None with the reason if they were not."""
+    """Return the position units of one turn, and how they were found; None with the reason if they were
+    not."""
     drive, objects = session.drive, session.objects
     if not can_home(session):
         return None, "the drive has no homing"
@@ -90,8 +92,8 @@ def index_turn(session: Session) -> tuple[float | None, str]:
 
 
 def _ramp(session: Session, turns_s: float) -> list[str]:
-    """Have 609Ah reach the speed soon, and no sooner: the shaft brakes with it from the pulse on, and what it
-    lags behind by the next reading, a t^2/2, is taken for a part of the turn. Notes on what is refused."""
+    """Make 609Ah reach the speed soon, but no sooner: the shaft brakes with it from the pulse on, and its lag
+    by the next reading, a t^2/2, would count as part of the turn. Return notes on refusals."""
     if session.objects.read_if_there(Object.HOMING_ACCELERATION) is None:
         return []
     raw = round(turns_s * math.tau / _SPEED_UP_S / session.acceleration_rad_s2)
@@ -103,13 +105,13 @@ class _Homing(NamedTuple):
     """One homing to its end, rad."""
 
     jump: float
-    """By how much the position was set back where the pulse was."""
+    """Change of the position at the pulse."""
     overshoot: float
-    """How far the shaft went on behind it."""
+    """Distance that the shaft went on beyond it."""
 
 
 def _by_searches(session: Session) -> float | None:
-    """What one turn is worth, rad by the units in use; None if no two pulses a turn apart were found.
+    """Return one turn, rad by the units in use; None if no two pulses a turn apart were found.
 
     A shaft that came to rest before the pulse that it had passed finds the same one again: that is no turn.
     One that ran on over further pulses finds one several turns on: only a short way behind the pulse before
@@ -168,7 +170,8 @@ def _search(session: Session, limit_s: float) -> _Homing | None:
 
 
 def _jump(history: list[Reading], reading: Reading) -> float:
-    """How much lower the position is than the motion before it leads to expect; 0 if it is as expected."""
+    """Return how much lower the position is than extrapolated from the previous motion; 0 if it is as
+    expected."""
     if len(history) < _HISTORY:
         return 0.0
     first, last = history[0], history[-1]
@@ -184,7 +187,8 @@ def _jump(history: list[Reading], reading: Reading) -> float:
 
 
 def _sampled_ns(reading: Reading) -> int:
-    """When it was taken, ns from any origin: by the drive's stamp, as a busy host receives it late."""
+    """Return the sampling instant, ns from any origin: by the drive's stamp, as a busy host receives it
+    late."""
     stamp_ns = reading.device_time_ns
     return reading.received_at if stamp_ns is None else stamp_ns
 

@@ -1,6 +1,5 @@
-"""What a measurement found: as figures for programs, as a network file, and as a fault plan that does the
-same to a simulated bus.
-"""
+"""Results of a measurement: figures for programs, a network file, and a fault plan with the same effect on a
+simulated bus."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -27,7 +26,7 @@ from servobench.hil.rows.records import COMMAND_FATES, NOTHING, Rows
 
 Json = dict[str, Any]
 _APART: Final = 1000
-"""Unknown fates between the sequences of two drives, so that neither's state says anything of the other's."""
+"""Unknown fates between the sequences of two drives, so that neither's state affects the other's."""
 _ACTING: Final = COMMAND_FATES.index(CommandFate.ACTING)
 
 
@@ -41,11 +40,11 @@ class ClockFigures:
     """Host minus drive, at the last stamp."""
     error_us: float
     steps: int
-    """Times that it was found to be set."""
+    """Number of times it was found to be set."""
 
     @staticmethod
     def of(axis: Axis) -> "ClockFigures | None":
-        """None for a drive without a clock."""
+        """Return the figures; None for a drive without a clock."""
         by_stamp = axis.by_stamp
         clock = by_stamp.clock
         if not clock.ready:
@@ -73,18 +72,18 @@ class MeasuredDrive:
     losses: dict[str, Losses]
     """By the keys of :func:`servobench.hil.measuring.stages.ways`."""
     uncertain: int
-    """Readings of which it is not decided which SYNC they answer."""
+    """Readings for which the SYNC they answer is undecided."""
     clock: ClockFigures | None
     notes: Sequence[str]
     stamp: StampFigures | None = None
     """None: the drive has no such object."""
     readbacks_unordered: int = 0
-    """Demands that came while the order of frames told nothing."""
+    """Demands that came while the order of frames was unreliable."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Everything."""
+    """All results."""
 
     request: MeasureRequest
     cycles: int
@@ -97,16 +96,17 @@ class Measured:
     network: Network | None
     """None if no reading came."""
     timing: Json
-    """As in the summary of a run: what placing the readings rests on."""
+    """Basis of the readings' placement, as in a run's summary."""
     surplus: int
-    """SYNCs that came to the bus after they had been given up: as many of those lost before it were late."""
+    """SYNCs that reached the bus after they had been given up: that many of those lost before it were
+    late."""
     distrust: Sequence[str]
-    """Why what was measured is not to be trusted."""
+    """Reasons for distrust."""
     disturbances: Sequence[str] = ()
-    """What others sent on the bus that was not allowed: first frame, its time, how often."""
+    """Forbidden frames from others on the bus: first frame, its time, count."""
 
     def as_json(self) -> Json:
-        """For ``--json``."""
+        """Return the results for ``--json``."""
         request = self.request
         return {
             "bus": request.bus,
@@ -127,7 +127,7 @@ class Measured:
 
 
 def stage_json(measured: Stage) -> Json:
-    """A stage: us, with bounds at the confidence of :mod:`servobench.design.confidence`."""
+    """Return a stage: us, with bounds at the confidence of :mod:`servobench.design.confidence`."""
     times = measured.times
     delays, bars = delays_of(times), histogram_of(times)
     if delays is None or bars is None:
@@ -148,7 +148,7 @@ def stage_json(measured: Stage) -> Json:
 
 
 def quantile_below_us(measured: Stage, share: float) -> float | None:
-    """What the true quantile does not exceed, us; None where the samples are too few to say."""
+    """Return an upper bound of the true quantile, us; None if there are too few samples."""
     total = measured.times.total
     rank = rank_above(share, total)
     value = None if rank is None else measured.times.quantile_ns(rank / total)
@@ -156,7 +156,7 @@ def quantile_below_us(measured: Stage, share: float) -> float | None:
 
 
 def losses_json(losses: Losses) -> Json:
-    """Losses on a way."""
+    """Return the losses on a path."""
     if losses.interval is None:
         return {"measured": False, "why": losses.why_none}
     figures: Json = {
@@ -195,7 +195,7 @@ def _drive_json(drive: MeasuredDrive) -> Json:
 
 
 def clocks_by_node(drives: Sequence[MeasuredDrive]) -> dict[str, ClockHealth]:
-    """Of each drive: ``node1`` and so on."""
+    """Return the clock of each drive: ``node1`` and so on."""
     return {f"node{drive.node}": _clock_of(drive) for drive in drives}
 
 
@@ -217,8 +217,8 @@ def _clock_of(drive: MeasuredDrive) -> ClockHealth:
 
 
 def network_of(period_us: int, rows: Sequence[Rows], ways: Sequence[dict[str, Outcomes]]) -> Network | None:
-    """The network file of a measurement: all drives together. ``rows``, ``ways``: of each; None without a
-    reading."""
+    """Return the network file of a measurement: all drives together. ``rows``, ``ways``: of each; None
+    without a reading."""
     meter = NetworkMeter(period_us, len(rows))
     for each in rows:
         meter.add(each)
@@ -251,16 +251,16 @@ def network_of(period_us: int, rows: Sequence[Rows], ways: Sequence[dict[str, Ou
 
 
 def _chain_of(losses: Losses) -> LossChain | None:
-    """The model of these losses; None where there is none."""
+    """Return the model of these losses; None if there is none."""
     model = losses.model
     return None if model is None else LossChain(**model.parameters._asdict())
 
 
 def fault_plan_text(measured: Measured) -> str:
-    """A fault plan by which a simulated bus treats these drives as the measured one did.
+    """Return a fault plan by which a simulated bus treats these drives like the measured one.
 
-    Losses strike the frames that were measured: SYNC, those with the speed, the commands. What a frame takes
-    on an idle bus is left out of the delays, since the simulated bus takes it again.
+    Losses affect the measured frames: SYNC, those with the speed, the commands. The time of a frame on an
+    idle bus is left out of the delays, since the simulated bus adds it again.
     """
     request = measured.request
     head = (
@@ -312,7 +312,8 @@ def _burst(losses: Losses, where: Json) -> Iterator[Json]:
 
 
 def _from_drive(drive: MeasuredDrive, frames: int | str) -> Json:
-    """What travels with the speed is delayed as it is: a frame that overtook it would be another SYNC's."""
+    """Return a selector for all frames that travel with the speed: they share its delay, as an overtaking
+    frame would belong to another SYNC."""
     return {"side": "drive", "nodes": [drive.node], "direction": "drive_to_host", "frames": [frames]}
 
 

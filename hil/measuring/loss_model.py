@@ -1,4 +1,4 @@
-"""A model of the losses on one way: none that lasts, or the chain of Gilbert (1960) and Elliott (1963).
+"""A model of the losses on one path: memoryless, or the chain of Gilbert (1960) and Elliott (1963).
 
     frame      1    2    3    4    5    6    7
     state      good good bad  bad  bad  good good     moves before each frame: p_good_to_bad, p_bad_to_good
@@ -26,7 +26,7 @@ CAME: Final = 0
 LOST: Final = 1
 UNKNOWN: Final = 2
 RUNS_MIN: Final = 10
-"""Runs of losses below which nothing is said of bursts: ten events tell a rate to a factor of two."""
+"""Fewer runs of losses say nothing about bursts: ten events give a rate to a factor of two."""
 _SIGMAS: Final = 1.959964
 """Half of a 95 % interval of a normal distribution, in standard deviations."""
 _STEP: Final = 1e-3
@@ -35,14 +35,15 @@ _FLAT: Final = 0.01
 """Slope of the logarithm of the likelihood, in logits, that counts as none. Of ten bursts the curvature is
 about ten, so that the maximum is a thousandth of a logit away."""
 _NEAR: Final = 9.0
-"""Logits: a parameter within 1e-4 of 0 or 1 is that, and the model with fewer of them tells as much."""
+"""Logits: a parameter within 1e-4 of 0 or 1 counts as that, and the model with fewer parameters says as
+much."""
 
 Outcomes = NDArray[np.int8]
 """(n,) of CAME, LOST and UNKNOWN, in the order of sending."""
 
 
 class Parameters(NamedTuple):
-    """Of the chain, each a probability; as a fault plan's [[burst]] takes them."""
+    """Parameters of the chain, each a probability; in the form of a fault plan's [[burst]]."""
 
     p_good_to_bad: float
     p_bad_to_good: float
@@ -51,13 +52,13 @@ class Parameters(NamedTuple):
 
     @property
     def share_bad(self) -> float:
-        """Of the frames that find the chain bad, in the long run."""
+        """Long-run share of frames that find the chain bad."""
         moving = self.p_good_to_bad + self.p_bad_to_good
         return self.p_good_to_bad / moving if moving > 0.0 else 0.0
 
     @property
     def loss(self) -> float:
-        """Of the frames that are lost, in the long run."""
+        """Long-run share of lost frames."""
         return self.share_bad * self.loss_bad + (1.0 - self.share_bad) * self.loss_good
 
     @property
@@ -76,18 +77,18 @@ class Parameters(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LossModel:
-    """What was fitted."""
+    """The fitted model."""
 
     independent: bool
-    """Every frame is lost with the same probability: ``parameters.loss``."""
+    """True: every frame is lost with the same probability: ``parameters.loss``."""
     parameters: Parameters
     intervals: dict[str, Interval]
-    """Of each parameter that was fitted; of independent losses, of ``probability``."""
+    """Interval of each fitted parameter; for independent losses of ``probability``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """What was lost on one way."""
+    """Losses on one path."""
 
     known: int
     """Frames of known fate."""
@@ -95,14 +96,14 @@ class Losses:
     runs: tuple[int, ...]
     """How often exactly 1, 2, ... were lost in a row."""
     interval: Interval | None
-    """Of the loss rate; None if no fate is known."""
+    """Interval of the loss rate; None if no fate is known."""
     model: LossModel | None
     why_none: str = ""
-    """Why there is no model."""
+    """Reason if there is no model."""
 
 
 def losses_of(outcomes: Outcomes) -> Losses:
-    """Counts, rate and model of a sequence."""
+    """Return counts, rate and model of a sequence."""
     known, lost = int((outcomes != UNKNOWN).sum()), int((outcomes == LOST).sum())
     runs = runs_of(outcomes == LOST)
     if not known:
@@ -118,7 +119,7 @@ def losses_of(outcomes: Outcomes) -> Losses:
 
 
 def fit(outcomes: Outcomes) -> LossModel:
-    """The likeliest model; ``outcomes`` with at least one loss and one frame that came."""
+    """Fit the likeliest model; ``outcomes`` with at least one loss and one frame that came."""
     known, lost = int((outcomes != UNKNOWN).sum()), int((outcomes == LOST).sum())
     rate = lost / known
     runs = Runs(outcomes)
@@ -164,7 +165,8 @@ class Runs:
 
 
 def _powers(matrix: NDArray[np.float64], exponents: NDArray[np.int64]) -> tuple[NDArray[np.float64], float]:
-    """``matrix`` to each exponent, (m, 2, 2), each scaled; and the sum of the logarithms of the scales."""
+    """Return ``matrix`` to each exponent, (m, 2, 2), each scaled; and the sum of the logarithms of the
+    scales."""
     distinct, place, count = np.unique(exponents, return_inverse=True, return_counts=True)
     powers = np.broadcast_to(np.eye(2), (distinct.size, 2, 2)).copy()
     logs = np.zeros(distinct.size)
@@ -180,7 +182,7 @@ def _powers(matrix: NDArray[np.float64], exponents: NDArray[np.int64]) -> tuple[
 
 
 def _product(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """The product of (n, 2, 2) in their order, scaled, by pairs; and the logarithm of the scale."""
+    """Return the product of (n, 2, 2) in their order, scaled, by pairs; and the logarithm of the scale."""
     logs = 0.0
     while len(matrices) > 1:
         if len(matrices) % 2:
@@ -191,14 +193,15 @@ def _product(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
 
 
 def _scaled(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Each divided by its largest element, and the logarithms of those; products would vanish otherwise."""
+    """Divide each by its largest element, and return the logarithms of those; products would vanish
+    otherwise."""
     largest = matrices.max(axis=(1, 2))
     largest[largest <= 0.0] = 1.0
     return matrices / largest[:, None, None], np.log(largest)
 
 
 def _markov_chain(outcomes: Outcomes) -> Parameters:
-    """The chain whose states are seen: lost or not. Its likeliest parameters have a closed form."""
+    """Fit the chain whose states are visible: lost or not. Its likeliest parameters have a closed form."""
     before, after = outcomes[:-1], outcomes[1:]
     moved = {(a, b): int(((before == a) & (after == b)).sum()) for a in (CAME, LOST) for b in (CAME, LOST)}
     up, down = moved[CAME, LOST], moved[LOST, CAME]
@@ -210,8 +213,8 @@ def _markov_chain(outcomes: Outcomes) -> Parameters:
 def _likeliest(
     runs: Runs, start: Parameters, free: int
 ) -> tuple[Parameters, dict[str, Interval], float] | None:
-    """The first ``free`` parameters of the largest likelihood, their intervals, and the likelihood's
-    logarithm; None where the data leave one of them open.
+    """Return the first ``free`` parameters of the largest likelihood, their intervals, and the likelihood's
+    logarithm; None if the data leave one of them open.
 
     The intervals are from the curvature at the maximum, in logits.
     """
@@ -245,7 +248,7 @@ def _parameters(logits: Sequence[float] | NDArray[np.float64]) -> Parameters:
 
 
 def _curvature(cost: Callable[[NDArray[np.float64]], float], at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Second derivatives by central differences: (p, p)."""
+    """Return second derivatives by central differences: (p, p)."""
     size = at.size
     steps = _STEP * np.eye(size)
     curvature = np.empty((size, size))
@@ -261,5 +264,5 @@ def _curvature(cost: Callable[[NDArray[np.float64]], float], at: NDArray[np.floa
 
 
 def _geometric_inflation(mean_length: float) -> float:
-    """:attr:`Parameters.inflation` of rare bursts of that mean length, in which all is lost."""
+    """Return :attr:`Parameters.inflation` of rare bursts of that mean length, in which everything is lost."""
     return 2.0 * mean_length - 1.0

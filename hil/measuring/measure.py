@@ -1,4 +1,4 @@
-"""A whole measurement: from the first frame to the figures, and the drives back as they were found."""
+"""A whole measurement: from the first frame to the figures, with the drives restored."""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -73,7 +73,7 @@ def run_measurement(request: MeasureRequest, say: Say, progress: Progress) -> Me
 
 
 class Measurement:
-    """One of them, in its world."""
+    """One measurement, in its world."""
 
     def __init__(
         self,
@@ -84,7 +84,8 @@ class Measurement:
         say: Say,
         progress: Progress,
     ) -> None:
-        """``folder``: of the journals, which are gone once all is put back; ``say``: tells the user."""
+        """``folder``: place of the journals, deleted once everything is restored; ``say``: notifies the
+        user."""
         self._request = request
         self._world = world
         self._stop = stop
@@ -110,10 +111,10 @@ class Measurement:
         self._timing = timing_of(request)
 
     def to_the_end(self) -> Measured:
-        """Measure. Whatever happens, the drives are brought to rest and put back before this returns.
+        """Measure. In every case the drives are brought to rest and restored before this returns.
 
-        Raises BadInput for what the drives cannot do, PeerFault if bus or drives failed or are not as they
-        were, Interrupted for an end before the first cycle.
+        Raises BadInput for a request beyond the drives, PeerFault if bus or drives failed or could not be
+        restored, Interrupted for an end before the first cycle.
         """
         try:
             outcome, syncs = self._run()
@@ -168,7 +169,7 @@ class Measurement:
         return outcome, syncs
 
     def _tell(self, _at: Instant, _level: str, text: str) -> None:
-        """What the guard saw."""
+        """Report an observation of the guard."""
         self._say(text)
 
     def _enable(self) -> None:
@@ -186,7 +187,7 @@ class Measurement:
     # ---- the way out ----------------------------------------------------------------------------------
 
     def _leave(self) -> list[str]:
-        """Every way out leads through here: rest, everything put back. What failed, in words."""
+        """Finish on every way out: rest, restore everything. Return failures in words."""
         self._progress("putting back", 0.0)
         network, failures = self._network, []
         self._guard.calm()

@@ -1,4 +1,4 @@
-"""The stages of a measurement as histograms."""
+"""Plots the stages of a measurement as histograms."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ _ROW_INCHES = 1.3
 
 
 def draw_stages(path: Path, measured: Measured) -> None:
-    """A row for each stage that was measured, of the host and of each drive; p50, p99 and p99.9 marked."""
+    """Draw a row for each measured stage, of the host and of each drive; p50, p99 and p99.9 marked."""
     rows = [(each.title, each.times) for each in measured.host if each.measured]
     for drive in measured.drives:
         rows += [(f"node {drive.node}: {each.title}", each.times) for each in drive.stages if each.measured]

@@ -1,4 +1,4 @@
-"""Where the loop's own times are taken: around the drive, and at the beginning of a decision."""
+"""Takes the loop's own times: around the drive, and at the beginning of a decision."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -14,26 +14,27 @@ from servobench.hil.loop.context import Context
 from servobench.hil.loop.samples import Sample, StateEstimate
 
 BEFORE_NS: Final = 2_000
-"""A demand that changed so shortly before its command was on the bus is its own: a stamp of 1013h is rounded
-down to a microsecond, and the map of the clock errs by as much. Longer before, it is another command's."""
+"""A demand that changed this shortly before its command was on the bus belongs to it: a stamp of 1013h is
+rounded down to a microsecond, and the map of the clock errs by as much. An earlier change belongs to another
+command."""
 
 
 class TimedDemandChange(NamedTuple):
-    """A torque demand that a drive told when it changed, on the host's clock."""
+    """A change of torque demand reported by a drive, on the host's clock."""
 
     demand_raw: int
     at: Instant
     error_ns: int
-    """Of the map of the drive's clock."""
+    """Error of the map of the drive's clock."""
 
 
 class ProbedDrive(Drive):
-    """The drive of an axis, with a note of when the loop took what came and sent what it decided."""
+    """The drive of an axis, noting when the loop took readings and sent commands."""
 
     def __init__(self, drive: ServoDrive, clock: Clock) -> None:
         self.drive = drive
         self.map: ClockMap | None = None
-        """Of the drive's clock; None for a drive whose demand changes are not placed."""
+        """Map of the drive's clock; None for a drive whose demand changes are not placed."""
         self.to_user_code_ns: list[int] = []
         """From the bus stamp of each reading until the loop has it."""
         self.computation_ns: list[int] = []
@@ -45,7 +46,7 @@ class ProbedDrive(Drive):
         self._now = clock.now
 
     def begin(self) -> None:
-        """Forget what was before the first cycle."""
+        """Discard everything before the first cycle."""
         for notes in (self.to_user_code_ns, self.computation_ns, self.sent, self.changes):
             notes.clear()
         self.drive.take_demand_changes()
@@ -76,7 +77,7 @@ class ProbedDrive(Drive):
 
 
 class DecisionProbe(Compensator):
-    """A compensator: the newest sample at once, with a note of when a decision began by asking for it."""
+    """A compensator: the newest sample at once; it notes when a decision began by requesting it."""
 
     def __init__(self, clock: Clock) -> None:
         self.began_at = Instant(0)
@@ -84,21 +85,21 @@ class DecisionProbe(Compensator):
         self._arrival = Arrival()
 
     def receive(self, sample: Sample) -> None:
-        """As that of :class:`servobench.hil.control.compensation.Arrival`."""
+        """Take a sample; see :class:`servobench.hil.control.compensation.Arrival`."""
         self._arrival.receive(sample)
 
     def estimate(self, context: Context) -> StateEstimate:
-        """As that of :class:`servobench.hil.control.compensation.Arrival`."""
+        """Return the estimate; see :class:`servobench.hil.control.compensation.Arrival`."""
         self.began_at = self._now()
         return self._arrival.estimate(context)
 
 
 def acting(sent: Sequence[SentCommand], changes: Sequence[TimedDemandChange]) -> dict[int, TimedDemandChange]:
-    """By cycle: when its command began to act.
+    """Return by cycle when its command began to act.
 
-    A change belongs to the newest command of its value that was on its way then. Values come again only
-    after many cycles, see :class:`servobench.hil.measuring.subject.Excitation`; a command late by as many is
-    taken for the later one. A value told twice for one command counts the first time.
+    A change belongs to the newest command of its value under way then. Values repeat only after many cycles,
+    see :class:`servobench.hil.measuring.subject.Excitation`; a command late by as many counts as the later
+    one. A value reported twice for one command counts the first time.
     """
     by_value: dict[int, list[SentCommand]] = {}
     for command in sent:
@@ -113,5 +114,5 @@ def acting(sent: Sequence[SentCommand], changes: Sequence[TimedDemandChange]) ->
 
 
 def on_its_way(command: SentCommand) -> int:
-    """When it was on the bus, or at least handed over."""
+    """Return when it was on the bus, or at least handed over."""
     return command.handed_at if command.on_bus_at is None else command.on_bus_at

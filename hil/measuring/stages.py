@@ -1,4 +1,4 @@
-"""The stages of a cycle as distributions, and the fates of frames on each way, from the rows of a run.
+"""The stages of a cycle as distributions, and the fates of frames on each path, from the rows of a run.
 
 tick   woke    SYNC            sampled   received  in the loop   decision    command         acting
  |------|-------|--------------|---------|---------|.............|-----------|---------------|----------->
@@ -42,7 +42,7 @@ Times = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One of them."""
+    """One stage."""
 
     key: str
     title: str
@@ -53,19 +53,19 @@ class Stage:
 
     @property
     def measured(self) -> bool:
-        """There is at least one."""
+        """True if there is at least one time."""
         return self.times.total > 0
 
 
 def stage(key: str, title: str, times_ns: Times | Sequence[int], basis: str) -> Stage:
-    """From all of its times."""
+    """Make a stage from all of its times."""
     histogram = TimeHistogram()
     histogram.add(np.asarray(times_ns, np.int64))
     return Stage(key, title, histogram, basis)
 
 
 def host_stages(rows: Rows, echoes: EchoBasis) -> list[Stage]:
-    """Those of the host alone. ``rows``: of one axis."""
+    """Return the stages of the host alone. ``rows``: of one axis."""
     woke = rows[rows["woke_at"] != NOTHING]
     on_bus = rows[(rows["sync_on_bus_at"] != NOTHING) & (echoes is not EchoBasis.NONE)]
     return [
@@ -80,7 +80,7 @@ def host_stages(rows: Rows, echoes: EchoBasis) -> list[Stage]:
 
 
 def reading_stages(rows: Rows, to_user_code_ns: Sequence[int]) -> list[Stage]:
-    """From the SYNC on the bus until the loop has the reading, of one axis."""
+    """Return the stages from the SYNC on the bus until the loop has the reading, for one axis."""
     came = rows[(rows["fate"] == FATE_SAMPLE) & (rows["certain"] == 1) & (rows["sync_on_bus_at"] != NOTHING)]
     stamped = came[came["device_time_ns"] != NOTHING]
     received = rows[(rows["delay_ns"] != NOTHING) & (rows["certain"] == 1)]
@@ -102,10 +102,10 @@ def command_stages(
     echoes: EchoBasis,
     why_not: str,
 ) -> list[Stage]:
-    """From the decision until the command acts, of one axis.
+    """Return the stages from the decision until the command acts, for one axis.
 
     ``changes``: by cycle, when its command began to act, see :func:`servobench.hil.measuring.probe.acting`;
-    without any the rows bracket it by SYNCs. ``why_not``: why it may not be measured at all.
+    without any the rows bracket it by SYNCs. ``why_not``: reason if it cannot be measured.
     """
     echoed = [command for command in sent if command.on_bus_at is not None]
     on_bus = [command.on_bus_at - command.handed_at for command in echoed if command.on_bus_at is not None]
@@ -134,10 +134,10 @@ def command_stages(
 
 
 def refined(rows: Rows, changes: Mapping[int, TimedDemandChange], sent: Sequence[SentCommand]) -> Rows:
-    """The rows with what is known better: when a command acted, and that one acted which seemed lost.
+    """Return rows with better knowledge: when a command acted, and the action of one that seemed lost.
 
-    A command whose fate was not identifiable stays so, though it is known to have acted: of those that did
-    not act there is no such telling, and the rate of losses would come out too small.
+    A command whose fate was not identifiable stays so, even if it is known to have acted: there is no such
+    evidence for those that did not act, and the rate of losses would be too small.
     """
     better, passed = rows.copy(), passed_over(rows)
     place_of = {int(sequence): place for place, sequence in enumerate(better["sequence"])}
@@ -155,10 +155,10 @@ def refined(rows: Rows, changes: Mapping[int, TimedDemandChange], sent: Sequence
 
 
 def ways(rows: Rows, echoes: EchoBasis, *, acting: bool) -> dict[str, Outcomes]:
-    """What became of the frames of each cycle on each way; ``rows``: refined, of one axis.
+    """Return the fates of the frames of each cycle on each path; ``rows``: refined, of one axis.
 
-    A reading of uncertain place came all the same: which cycle lost its own then errs, how many did not.
-    ``acting``: whether the drive tells which command it follows.
+    A reading with an uncertain SYNC still counts as received: the cycle of a loss may be wrong, the number is
+    not. ``acting``: True if the drive reports which command it follows.
     """
     echoed = echoes is not EchoBasis.NONE
     handed, on_bus = rows["sync_handed_at"] != NOTHING, rows["sync_on_bus_at"] != NOTHING
@@ -189,7 +189,7 @@ WAYS: Final = {
     "command_before_bus": "command, before the bus",
     "command_behind_bus": "command, behind the bus",
 }
-"""What can be told apart; ``readings`` and ``commands`` are the whole of each."""
+"""Distinguishable losses; ``readings`` and ``commands`` are the whole of each."""
 
 
 def _outcomes(known: NDArray[np.bool_], lost: NDArray[np.bool_]) -> Outcomes:
@@ -197,7 +197,7 @@ def _outcomes(known: NDArray[np.bool_], lost: NDArray[np.bool_]) -> Outcomes:
 
 
 def _brackets(rows: Rows) -> tuple[Times, Times]:
-    """From the command on its way until it acted: the least and the most that it may be, ns."""
+    """Return the lower and upper bound of the time from a command under way until it acted, ns."""
     acting = rows[rows["command_fate"] == _ACTING]
     there = np.maximum(acting["command_on_bus_at"], acting["command_handed_at"])
     return acting["command_acts_after"] - there, acting["command_acts_by"] - there

@@ -1,4 +1,4 @@
-"""How a drive stamps: whether its counter runs, in what unit, by what steps, and whether a SYNC latches it.
+"""How a drive stamps: whether its counter runs, its unit, its steps, and whether a SYNC latches it.
 
 Rounds at random distances, before anything is configured: a SYNC, and two reads of the stamp by SDO after it.
 
@@ -9,7 +9,7 @@ Rounds at random distances, before anything is configured: a SYNC, and two reads
     resolution  greatest common divisor of its differences; or the grid of a task, rounded to counts
     width       the least power of two modulo which the counter is a straight line, if it was seen to wrap
 
-How late a stamp is latched cannot be told apart from a constant delay of the SYNC.
+The latch delay of a stamp cannot be distinguished from a constant delay of the SYNC.
 """
 
 import math
@@ -31,7 +31,7 @@ ROUNDS: Final = 32
 WAIT_MAX: Final = 5 * NS_PER_MS
 """Drawn anew before each read, to the ns; a counter of 16 bits of 1 us wraps after 65 ms and is followed."""
 SETTLE: Final = Duration(NS_PER_MS)
-"""From the SYNC until the first read: a task of 1 kHz has seen it by then."""
+"""From the SYNC to the first read: a task of 1 kHz has seen it by then."""
 UNITS_NS: Final = tuple(
     int(part * 10**power) for power in range(1, 7) for part in (1, 1.25, 1.6, 2, 2.5, 3.2, 4, 5, 6.25, 8)
 )
@@ -39,31 +39,31 @@ UNITS_NS: Final = tuple(
 TASKS_HZ: Final = (1000, 2000, 2500, 3000, 4000, 5000, 6000, 8000, 10_000, 12_000, 16_000, 20_000, 25_000)
 """Rates of the inner loops of drives, whose ticks need not be whole counts."""
 GRID_COUNTS_MIN: Final = 5
-"""A grid of fewer counts cannot be told from single ones after rounding."""
+"""A grid of fewer counts cannot be distinguished from single ones after rounding."""
 RATE_MAX: Final = 2e-3
-"""How far a drive's clock may be off, twice what a simulated one may."""
+"""Largest error of a drive's clock, twice that of a simulated one."""
 
 
 @dataclass(frozen=True, slots=True)
 class StampFigures:
-    """What the counter of a drive was seen to be; None for what the reads do not decide."""
+    """Properties of a drive's counter; None if the reads do not decide."""
 
     object: str
     reads: int
     runs: bool
     """False: it stood still, so a master sets it, or nothing does."""
     at_sync: bool | None
-    """It changes with a SYNC and not between two: latched at its arrival. None if it does not run."""
+    """True: it changes with a SYNC only, latched at its arrival. None if it does not run."""
     unit_us: float | None
     resolution_us: float | None
     bits: int | None
-    """None: it did not wrap while it was looked at."""
+    """None: it did not wrap during the test."""
     step_chance: float
-    """That a counter of finer steps would have looked so."""
+    """Probability that a counter of finer steps would have looked the same."""
 
 
 def find_stamp(network: CanopenNetwork, node: int, key: tuple[int, int], seed: int) -> StampFigures | None:
-    """Look at the object ``key`` of ``node`` for a third of a second; None if the drive does not have it.
+    """Examine the object ``key`` of ``node`` for a third of a second; None if the drive does not have it.
 
     SYNCs are sent. Raises NoAnswer and AnswersTwice.
     """
@@ -81,7 +81,7 @@ def find_stamp(network: CanopenNetwork, node: int, key: tuple[int, int], seed: i
 
 
 class _Series:
-    """Reads: when the SYNC before went out, the middle of the transfer, half of its time, the count."""
+    """Reads: when the previous SYNC went out, the middle of the transfer, half of its time, the count."""
 
     def __init__(self) -> None:
         self.sync_at: list[int] = []
@@ -136,7 +136,7 @@ def _figures(name: str, first: _Series, second: _Series) -> StampFigures:
 def _unwrapped(
     counts: Sequence[int], times: Sequence[int], error_ns: int
 ) -> tuple[list[int] | None, int | None]:
-    """The counts as they go on over their wraps, and the width that this needs; no counts if none does."""
+    """Return the unwrapped counts, and the width needed for that; no counts if none fits."""
     if all(later >= earlier for earlier, later in pairwise(counts)):
         return list(counts), None
     for bits in BITS:
@@ -149,7 +149,8 @@ def _unwrapped(
 
 
 def _is_straight(line: Sequence[int], times: Sequence[int], error_ns: int) -> bool:
-    """Each count lies where the first and the last one put it, to twice the errors of both and two steps."""
+    """Return True if each count lies on the line through the first and the last one, to twice the errors of
+    both and two steps."""
     per_ns = (line[-1] - line[0]) / (times[-1] - times[0])
     most = per_ns * (4 * error_ns + 2 * NS_PER_MS)
     return all(
@@ -158,7 +159,7 @@ def _is_straight(line: Sequence[int], times: Sequence[int], error_ns: int) -> bo
 
 
 def _unit_ns(line: Sequence[int], times: Sequence[int], error_ns: int) -> int | None:
-    """The unit that makers use nearest to the slope, if the reads decide it."""
+    """Return the usual unit nearest to the slope, if the reads decide it."""
     passed_ns, counted = times[-1] - times[0], line[-1] - line[0]
     if counted <= 0:
         return None
@@ -170,7 +171,8 @@ def _unit_ns(line: Sequence[int], times: Sequence[int], error_ns: int) -> int | 
 
 
 def _resolution_ns(differences: Sequence[int], step: int, unit_ns: int) -> float:
-    """The longest step that all differences are multiples of: of counts, or of ticks rounded to counts."""
+    """Return the longest step of which all differences are multiples: of counts, or of ticks rounded to
+    counts."""
     for rate_hz in TASKS_HZ:  # the slowest, so the longest, first
         tick = Fraction(NS_PER_S, rate_hz * unit_ns)
         if tick < GRID_COUNTS_MIN or tick <= step:

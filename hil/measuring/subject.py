@@ -1,6 +1,6 @@
-"""One drive under measurement: how it is set up, the torques that it is given, and its axis in the loop.
+"""One drive under measurement: its set-up, its torques, and its axis in the loop.
 
-Torques are small and alternate in sign; every command can be told from its neighbours.
+Torques are small and alternate in sign; every command can be distinguished from its neighbours.
 """
 
 import math
@@ -50,23 +50,23 @@ measured as slow, not as lossy."""
 SETTLE: Final = Duration(50 * NS_PER_MS)
 """Between the SYNCs by which a drive's clock is learnt, and after the last cycle."""
 BLIND: Final = Duration(100 * NS_PER_MS)
-"""An enabled drive is stopped after so long without a reading, or without a command."""
+"""An enabled drive is stopped after this time without a reading, or without a command."""
 HEARTBEAT_MS: Final = 50
-"""20 frames a second are no load on a bus that is measured."""
+"""20 frames a second are no load on a bus under measurement."""
 WATCH_ENABLED_MS: Final = 150
 """Three heartbeats fit into it."""
 WATCH_DISABLED_MS: Final = 1000
-"""What does not turn need not be noticed at once."""
+"""A drive at rest need not be noticed at once."""
 POSITION_EVERY: Final = (1, 4, 10)
-"""With how many SYNCs position and torque demand travel: the first that the bus bears. Of an enabled drive
-the demand is wanted with every one, or a lost command would be seen less often than one that acts."""
+"""SYNCs per position and torque demand: the first value possible on the bus. For an enabled drive the demand
+is needed with every one, or a lost command would be seen less often than one that acts."""
 _MODE: Final = Mode.CYCLIC_SYNCHRONOUS_TORQUE
 TORQUE_SHARE: Final = 0.03
-"""Of the rated torque: thirty steps of 6071h, hardly more than the friction of most motors."""
+"""Share of the rated torque: thirty steps of 6071h, hardly more than the friction of most motors."""
 STEPS_MIN: Final = 8
 """Distinct magnitudes: with fewer, commands that are four cycles apart may be equal."""
 CALM_SHARE: Final = 0.25
-"""Of the speed limit: beyond it torques only brake, instead of changing their sign."""
+"""Share of the speed limit: beyond it torques only brake, instead of changing their sign."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,17 +79,17 @@ class MeasureRequest:
     period_us: int
     bitrate_bit_s: int
     enable: bool
-    """Enable the drives and have them follow small torques."""
+    """Enable the drives and command small torques."""
     speed_max_rad_s: float
-    """An enabled drive that turns faster is stopped."""
+    """Speed at which an enabled drive is stopped."""
     torque_max_nm: float | None = None
     """Largest torque; None: :data:`TORQUE_SHARE` of the rated one."""
     motor: PmsmParameters | None = None
-    """Of the drives of a simulated bus."""
+    """Motor of the drives of a simulated bus."""
     faults: Faults | None = None
     seed: int = 0
     allow: tuple[Foreign, ...] = Guard().allow
-    """What others may send, as in ``[guard]`` of a bench."""
+    """Frames that others may send, as in ``[guard]`` of a bench."""
 
     @property
     def period(self) -> Duration:
@@ -98,15 +98,15 @@ class MeasureRequest:
 
 
 def timing_of(request: MeasureRequest) -> LoopTiming:
-    """Of the loop of a measurement."""
+    """Return the timing of the loop of a measurement."""
     settle = Duration(max(10 * request.period, SETTLE))
     return timing_without_bench(request.period, request.bitrate_bit_s, settle)
 
 
 def affordable(request: MeasureRequest) -> tuple[bool, int]:
-    """Whether 6074h may be told on change, and with how many SYNCs the position comes.
+    """Return whether 6074h may be sent on change, and with how many SYNCs the position comes.
 
-    Raises BadInput if the bus has no room for what is least.
+    Raises BadInput if the bus has no room for the minimum.
     """
     for changes in (True, False) if request.enable else (False,):
         for every in POSITION_EVERY[:1] if request.enable else POSITION_EVERY:
@@ -125,7 +125,7 @@ def affordable(request: MeasureRequest) -> tuple[bool, int]:
 
 
 def steps_of(torque_max_nm: float | None, rated_torque_nm: float) -> int:
-    """How many steps of 6071h, thousandths of the rated torque, a command may have.
+    """Return the number of steps of 6071h, thousandths of the rated torque, for commands.
 
     Raises BadInput for a bound that leaves fewer than :data:`STEPS_MIN`, or is beyond the rated torque.
     """
@@ -145,10 +145,10 @@ def steps_of(torque_max_nm: float | None, rated_torque_nm: float) -> int:
 
 
 class Excitation(Controller):
-    """Torques of 1 to ``steps`` units, no magnitude twice within half as many cycles.
+    """Commands torques of 1 to ``steps`` units, no magnitude twice within half as many cycles.
 
-    The sign alternates, so that the speed stays where it was; where it has wandered off by more than
-    :data:`CALM_SHARE` of its limit the torque brakes.
+    The sign alternates, so that the speed stays constant; if it has drifted by more than :data:`CALM_SHARE`
+    of its limit the torque brakes.
     """
 
     def __init__(self, steps: int, unit_nm: float, speed_max_rad_s: float, seed: int) -> None:
@@ -163,7 +163,7 @@ class Excitation(Controller):
         self._draw()
 
     def output(self, context: Context) -> SetPoint:
-        """The torque of this cycle."""
+        """Return the torque of this cycle."""
         sign, speed_rad_s = self._sign, context.estimate.velocity_rad_s
         if abs(speed_rad_s) > self._calm_rad_s:
             sign = -math.copysign(1.0, speed_rad_s)
@@ -182,24 +182,24 @@ class Excitation(Controller):
 
 
 class Subject:
-    """One drive."""
+    """One drive under measurement."""
 
     def __init__(self, drive: ServoDrive, clock: Clock, request: MeasureRequest) -> None:
         self.drive = drive
         self.probe = ProbedDrive(drive, clock)
         self.identity = ""
         self.stamp: StampFigures | None = None
-        """What its counter was seen to be; None if it has none."""
+        """Properties of its counter; None if it has none."""
         self._profile: StampProfile = STANDARD_STAMP
         self.notes: list[str] = []
         self.configured = False
-        """Something may have been written."""
+        """True if something may have been written."""
         self.tells_demand = False
-        """6074h with the SYNC."""
+        """True: 6074h comes with the SYNC."""
         self._tells_changes = False
-        """6074h when it changes."""
+        """True: 6074h comes on change."""
         self._steps = 0
-        """Of 6071h, that a command may have."""
+        """Number of steps of 6071h for commands."""
         self._request = request
         self._timing = timing_of(request)
         self._memory = bytearray(request.cycles * ROW.size)
@@ -211,7 +211,7 @@ class Subject:
         return np.frombuffer(self._memory, ROW_DTYPE, self._filled // ROW.size)
 
     def find_stamp(self, network: CanopenNetwork) -> None:
-        """Look at its stamp, by SYNCs and SDO; the drive is connected. Raises NoAnswer and AnswersTwice."""
+        """Examine its stamp, by SYNCs and SDO; the drive is connected. Raises NoAnswer and AnswersTwice."""
         drive = self.drive
         if drive.identity is not None:
             self._profile = drive.identity.stamp.if_there(drive.objects.read_if_there)
@@ -220,7 +220,7 @@ class Subject:
             self._profile = replace(self._profile, latched="arrival")
 
     def _stamp_resolution(self) -> Duration:
-        """As it was found; a whole period, so that it is not used, if the counter is none of the kind."""
+        """Return the resolution found; a whole period, so that it is not used, for an unusable counter."""
         profile, found, period = self._profile, self.stamp, self._timing.period
         if found is None or found.unit_us is None or found.resolution_us is None:
             return period if found is not None else profile.resolution_at(self._request.bitrate_bit_s)
@@ -228,7 +228,7 @@ class Subject:
         return Duration(round(found.resolution_us * NS_PER_US)) if same else period
 
     def configure(self, *, changes: bool, every: int) -> None:
-        """Map PDOs and set the drive up; one that does not take the fullest plan has a lesser one.
+        """Map PDOs and set the drive up; one that does not take the fullest plan gets a lesser one.
 
         ``changes``, ``every``: see :func:`affordable`. Raises BadInput for a bound of torque that it cannot
         follow, PeerFault for a drive that cannot be measured.
@@ -254,7 +254,7 @@ class Subject:
             drive.control.set_point.hold(Object.CONTROLWORD, CONTROLWORDS[DriveCommand.DISABLE_VOLTAGE])
 
     def join(self, number: int, syncs: SyncLog, say: Callable[[str], None]) -> Axis:
-        """The axis of the drive, the ``number``-th on the bus; it is configured."""
+        """Return the axis of the drive, the ``number``-th on the bus; it is configured."""
         request, timing, drive = self._request, self._timing, self.drive
         period = timing.period
         unit_nm = drive.rated_torque_nm / 1000.0
@@ -287,13 +287,14 @@ class Subject:
         return axis
 
     def _record(self, record: CycleRecord) -> None:
-        """Keep a cycle; the memory was taken before, so that none waits for it."""
+        """Keep a cycle; the memory was allocated before, so that none waits for it."""
         end = self._filled + ROW.size
         self._memory[self._filled : end] = row_of(record)
         self._filled = end
 
     def _limits(self, unit_nm: float) -> TorqueLimits:
-        """A disabled drive is not stopped, whoever turns its shaft and however little comes of it."""
+        """Return the limits. A disabled drive is not stopped, even if its shaft is turned or few readings
+        come."""
         request, period = self._request, self._timing.period
         return TorqueLimits(
             torque_max_nm=self._steps * unit_nm,
@@ -319,7 +320,7 @@ class Subject:
         )
 
     def _configure_fully(self, settings: DriveSettings) -> bool:
-        """With 6074h and its stamp on change; False if the drive does not take that."""
+        """Configure with 6074h and its stamp on change; False if the drive does not take that."""
         plan = _plan(self.drive.node_id, changes=True, every=settings.position_every_cycles)
         try:
             self.notes += self.drive.configure(replace(settings, plan=plan))
@@ -330,7 +331,7 @@ class Subject:
 
 
 def _blind(period: Duration) -> Duration:
-    """How long an enabled drive may go on without a reading, or without a command."""
+    """Return how long an enabled drive may go on without a reading, or without a command."""
     return Duration(max(BLIND, 10 * period))
 
 

@@ -275,7 +275,7 @@ def test_an_enabled_drive_does_not_rest() -> None:
         (9, 1.0, ("too few readings came", "")),
         (20, 0.31, None),
         (20, -0.31, None),
-        (20, 0.29, ("the shaft does not come up to a low speed", "4.56 of 15.7 rad/s in 0.5 s")),
+        (20, 0.29, ("the shaft does not reach a low speed", "4.56 of 15.7 rad/s in 0.5 s")),
     ],
 )
 def test_the_speed_before_a_stop_is_that_of_the_last_ten_readings(

@@ -244,7 +244,7 @@ def test_a_drive_without_a_watch_is_borne_by_somebody_who_stands_by(answer: str 
         f"is given {LIMITS.torque_nm:.4g} N m and {rpm:.0f} r/min at most, and few turns. Somebody has to "
         "stand at its emergency stop."
     )
-    assert said[1:] == ([] if answer is None else ["    Write yes if you do."])
+    assert said[1:] == ([] if answer is None else ["    Type yes if you do."])
     assert outcome.faults == ["the drive does not notice that its host is gone; its motions were limited"]
     assert outcome.figures == {"reaction_ms": None, "timeout_ms": None}
 
