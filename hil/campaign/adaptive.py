@@ -1,4 +1,5 @@
-"""Draws that go where runs fail, each with the weight that puts it right: importance sampling in rounds.
+"""Adaptive draws that concentrate where runs fail, with weights that correct for it: importance sampling in
+rounds.
 
     round 0      from the distributions of the sweep
     round r + 1  from a proposal fitted to the runs of round r that were nearest to failing, or failed
@@ -24,29 +25,31 @@ from servobench.hil.campaign.sweep_file import Adaptive
 Floats = NDArray[np.float64]
 
 ELITE_SHARE: Final = 0.2
-"""Of a round, that the next one is fitted to; when so many fail, the rounds have arrived."""
+"""Share of a round to which the next one is fitted; when this many fail, the rounds have arrived."""
 NOMINAL_SHARE: Final = {"failures": 0.1, "boundary": 0.5}
-"""Of a proposal, by focus: a proposal about the boundary leaves what lies behind it to this share."""
+"""Share of the nominal distribution in a proposal, by focus: a proposal about the boundary leaves the region
+beyond it to this share."""
 _SPREAD: Final = 0.7
-"""Of a kernel beside the runs that all of them stand for. Narrower ones shrink from round to round, and then
+"""Width of a kernel relative to the runs it represents. Narrower ones shrink from round to round, and then
 the rounds hardly advance."""
 _LEAST_DEVIATION: Final = 0.3
-"""Of a kernel, in standard deviations of a key: about as far as a normal reaches beyond three of them."""
+"""Least width of a kernel, in standard deviations of a key: about as far as a normal reaches beyond three of
+them."""
 
 
 class Proposal(NamedTuple):
-    """Where to draw."""
+    """Distribution to draw from."""
 
     nominal_share: float
     centres: Floats
-    """(k, keys) of the kernels."""
+    """(k, keys), centres of the kernels."""
     shares: Floats
-    """(k,) of the kernels, 1 together."""
+    """(k,), shares of the kernels, 1 together."""
     factor: Floats
     """(keys, keys), lower triangular: times its transpose the kernels' covariance."""
 
     def draw(self, count: int, stream: np.random.Generator) -> Floats:
-        """(count, keys), standard normal space."""
+        """Draw (count, keys) in standard normal space."""
         keys = self.factor.shape[0]
         noise = stream.standard_normal((count, keys))
         nominal = stream.random(count) < self.nominal_share
@@ -55,7 +58,8 @@ class Proposal(NamedTuple):
         return drawn
 
     def weights(self, z: Floats) -> Floats:
-        """(n,) density of the sweep's distributions over that of the proposal at ``z``, (n, keys)."""
+        """Return the (n,) density of the sweep's distributions over that of the proposal at ``z``, (n,
+        keys)."""
         apart = z[:, None, :] - self.centres
         scaled = np.linalg.solve(self.factor, apart.reshape(-1, z.shape[1]).T).T.reshape(apart.shape)
         with np.errstate(divide="ignore"):
@@ -69,7 +73,8 @@ class Proposal(NamedTuple):
 
 
 def fitted(z: Floats, weights: Floats, guide: Floats, failed: NDArray[np.bool_], focus: str) -> Proposal:
-    """To the runs of a round: (n, keys), (n,), (n,), (n,); ``guide``: the larger, the nearer to failing."""
+    """Fit a proposal to the runs of a round: (n, keys), (n,), (n,), (n,); ``guide``: the larger, the nearer
+    to failing."""
     order = np.lexsort((guide, failed))
     count, fails = max(z.shape[1] + 2, round(ELITE_SHARE * len(z))), int(failed.sum())
     if focus == "boundary" and fails:
@@ -88,17 +93,17 @@ def fitted(z: Floats, weights: Floats, guide: Floats, failed: NDArray[np.bool_],
 
 
 class Drawn(NamedTuple):
-    """What a run draws."""
+    """The draw of a run."""
 
     even: tuple[float, ...]
     """By key, in [0, 1) before its distribution."""
     weight: float
     counts: bool
-    """Whether it counts for the rate: its proposal was there before all runs that do."""
+    """True if it counts for the rate: its proposal preceded all runs that count."""
 
 
 class Rounds:
-    """The draws of a campaign, a function of the sweep and of the rows that came before."""
+    """The draws of a campaign, a function of the sweep and of the earlier rows."""
 
     def __init__(self, adaptive: Adaptive, nominal: Floats, seed: int) -> None:
         """``nominal``: (runs, keys) even draws of the sweep, of which round 0 takes the first."""
@@ -112,7 +117,7 @@ class Rounds:
         self._begin = 0
 
     def take(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Rows in order of their number; one that was taken in before changes nothing."""
+        """Take in rows in order of their number; one taken before changes nothing."""
         for row in rows:
             if row["run"] < len(self._rows):
                 continue
@@ -123,11 +128,11 @@ class Rounds:
 
     @property
     def known(self) -> int:
-        """Runs whose draws are known."""
+        """Number of runs with known draws."""
         return len(self._even)
 
     def drawn(self, number: int) -> Drawn:
-        """Of run ``number``, below :attr:`known`."""
+        """Return the draw of run ``number``, below :attr:`known`."""
         even = tuple(self._even[number].tolist())
         return Drawn(even, float(self._weights[number]), number >= self._first_counting)
 

@@ -1,4 +1,4 @@
-"""A campaign from its sweep to its table: runs, stops, goes on, and says what came of it."""
+"""A campaign from its sweep to its table: runs, stops, resumes, and states its results."""
 
 import os
 import shutil
@@ -27,13 +27,13 @@ from servobench.hil.verdict.claim import claim
 from servobench.hil.verdict.verdict import ExitStatus
 
 STORED_EVERY_NS: Final = 5 * NS_PER_S
-"""So much work at most is done again after a kill."""
+"""At most this much work is repeated after a kill."""
 FAILURES_FOLDER: Final = "failures"
 REPLAYS_FOLDER: Final = "replays"
 
 
 class CampaignProgress(NamedTuple):
-    """How far a campaign is."""
+    """Progress of a campaign."""
 
     done: int
     planned: int
@@ -44,65 +44,65 @@ class CampaignProgress(NamedTuple):
 
 
 class CounterExample(BenchError):
-    """A run within the premises of a certificate did not keep what is certified: one of the two is wrong."""
+    """A run within the premises of a certificate violated it: one of the two is wrong."""
 
     exit_status = ExitStatus.COUNTER_EXAMPLE
 
 
 class NothingCertified(BenchError):
-    """No run could be held against a certificate."""
+    """No run could be checked against a certificate."""
 
     exit_status = ExitStatus.INCOMPLETE
 
 
 class Campaign:
-    """The runs of a campaign that are stored, and what may be claimed of them."""
+    """The stored runs of a campaign, and claims about them."""
 
     def __init__(self, folder: Path, plan: CampaignPlan) -> None:
-        """``folder``: of the campaign."""
+        """``folder``: that of the campaign."""
         self.folder = folder
         self.plan = plan
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> "Campaign":
-        """The one in ``folder``. Raises BadInput."""
+        """Load the campaign in ``folder``. Raises BadInput."""
         return cls(Path(folder), plan_in(Path(folder)))
 
     @cached_property
     def table(self) -> pa.Table:
-        """A row a run, in order of their numbers; units and meanings are metadata of the fields."""
+        """One row per run, in order of their numbers; units and meanings are metadata of the fields."""
         return stored_runs(self.folder, schema_of(self.plan))
 
     def column(self, name: str) -> NDArray[Any]:
-        """(n,) of a column; NaN where a figure was not measured."""
+        """Return the (n,) values of a column; NaN where a figure was not measured."""
         values: NDArray[Any] = self.table.column(name).to_numpy()
         return values
 
     def at(self, axis: GridAxis, place: int) -> NDArray[np.bool_]:
-        """(n,) which runs have the ``place``-th value of an axis."""
+        """Return (n,) True for runs with the ``place``-th value of an axis."""
         value = axis.labels[place] if axis.numbers is None else axis.numbers[place]
         mask: NDArray[np.bool_] = self.column(axis.title) == value
         return mask
 
     @property
     def sequential(self) -> bool:
-        """Whether the campaign was to end when it had seen enough: its intervals are those that then hold."""
+        """True if the campaign could end early: its intervals allow for that."""
         return self.plan.sweep.stop.rate_width is not None
 
     @property
     def adaptive(self) -> bool:
-        """Whether draws went where runs fail: its rate is of weighted runs."""
+        """True if draws were adaptive: its rate comes from weighted runs."""
         return self.plan.sweep.adaptive is not None
 
     @property
     def nominal(self) -> NDArray[np.bool_]:
-        """(n,) which runs were drawn as the sweep has it, all with the same weight."""
+        """(n,) True for runs drawn from the sweep's own distributions, all with the same weight."""
         adaptive = self.plan.sweep.adaptive
         numbers = np.arange(self.table.num_rows)
         return numbers < (numbers.size if adaptive is None else adaptive.round_runs)
 
     def failure_rate(self, confidence: float | None = None) -> ConfidenceInterval:
-        """Of a campaign with one point; else as :meth:`pass_rate`."""
+        """Return the failure rate of a campaign with one point; otherwise see :meth:`pass_rate`."""
         if not self.adaptive:
             return self.pass_rate(0, confidence).complement
         counts = self.column("counts").astype(bool)
@@ -111,7 +111,7 @@ class Campaign:
         return weighted_rate(self.column("weight")[counts], failed[counts], confidence)
 
     def pass_rate(self, point: int = 0, confidence: float | None = None) -> ConfidenceInterval:
-        """At a point of the grid; ``confidence``: else that of the sweep file.
+        """Return the pass rate at a point of the grid; ``confidence``: default that of the sweep file.
 
         There is none over several points: they share their seeds, and no point is more likely than another.
         """
@@ -124,10 +124,10 @@ class Campaign:
 
     @claim
     def assert_pass_rate(self, *, at_least: float, confidence: float = 0.95) -> None:
-        """At every point of the grid the true rate of passed runs is at least ``at_least``.
+        """Assert that at every point of the grid the true pass rate is at least ``at_least``.
 
-        With this one-sided confidence, for all points together: each is held against it. It fails where there
-        are too few runs to say so, too. The rate is over the seeds and what is drawn.
+        The one-sided confidence holds for all points together. It also fails if there are too few runs. The
+        rate is over the seeds and the draws.
         """
         __tracebackhide__ = True
         for point in range(self.plan.points):
@@ -144,8 +144,8 @@ class Campaign:
                 )
 
     def assert_certificate(self) -> None:
-        """Every run within the premises of its controller's certificate kept what is certified, and some
-        were; what the others left is in :attr:`table`."""
+        """Assert that every run within the premises of its controller's certificate kept it, and that some
+        were; :attr:`table` has the premises that the others left."""
         __tracebackhide__ = True
         try:
             self.hold_certificate()
@@ -154,26 +154,26 @@ class Campaign:
 
     @property
     def found(self) -> dict[int, list[str]]:
-        """By number of the run what the check of one's own says, of runs of which it says anything."""
+        """Findings of the user's check, by number of the run, for runs with any."""
         if not self.plan.own.checks:
             return {}
         findings = self.table.column("findings").to_pylist()
         return {number: texts for number, texts in enumerate(findings) if texts}
 
     def assert_nothing_found(self) -> None:
-        """The check of one's own says nothing of any run."""
+        """Assert that the user's check found nothing in any run."""
         __tracebackhide__ = True
         if self.found:
             raise AssertionError("\n".join(self.found_lines()))
 
     def found_lines(self) -> list[str]:
-        """What it says, with the commands that run those again."""
+        """Return the findings, with the commands that repeat those runs."""
         lines = [f"run {number}: {text}" for number, texts in self.found.items() for text in texts]
         again = [f"hil campaign replay {self.folder} --run {number}" for number in self.found]
         return lines + again
 
     def hold_certificate(self) -> None:
-        """Raises CounterExample for the first run that is one, NothingCertified if none could be one."""
+        """Raise CounterExample for the first run that is one, NothingCertified if none could be one."""
         states = self.column("certificate").astype(str)
         exceeded = np.flatnonzero(states == CertificateState.EXCEEDED)
         if exceeded.size:
@@ -185,8 +185,8 @@ class Campaign:
             raise NothingCertified(f"no run could be held against a certificate: {by_state}")
 
     def replay(self, number: int, record: Path | None = None) -> Finished:
-        """Run ``number`` once more with everything recorded; ``record``: where, else below the campaign.
-        Its check, if there is one, looks at the recording.
+        """Repeat run ``number`` with everything recorded; ``record``: where, default below the campaign. Its
+        check, if any, sees the recording.
 
         Raises BadInput: there is no such run; NotTheSame: its digest is another one.
         """
@@ -204,13 +204,13 @@ class Campaign:
 
 
 def learn(plan: CampaignPlan, table: pa.Table) -> None:
-    """Adaptive draws follow from the rows before them."""
+    """Derive adaptive draws from the rows before them."""
     if plan.rounds is not None and plan.sweep.adaptive is not None:
         plan.rounds.take(table.select(["run", "passed", plan.sweep.adaptive.guide]).to_pylist())
 
 
 def counter_example(row: Row, folder: Path) -> CounterExample:
-    """In words, with the command that runs it again."""
+    """Return the error, with the command that repeats the run."""
     return CounterExample(
         f"counter-example: run {row['run']} kept all premises of its certificate, and the gain from load to "
         f"speed error is at least {row['load_gain_least_rad_s_nm']:.4g} rad/s per N m, certified "
@@ -219,7 +219,7 @@ def counter_example(row: Row, folder: Path) -> CounterExample:
 
 
 def counted(values: Iterable[Any]) -> dict[str, int]:
-    """How often each text is there."""
+    """Count the occurrences of each text."""
     return dict(sorted(Counter(map(str, values)).items()))
 
 
@@ -233,7 +233,7 @@ class Enough:
         self._next = 1
 
     def __call__(self, row: Mapping[str, Any]) -> bool:
-        """Take in the next row; whether it was the last that is needed."""
+        """Take in the next row; return True if it was the last one needed."""
         if self._against_certificate and row["certificate"] == CertificateState.EXCEEDED:
             return True
         width = self._plan.sweep.stop.rate_width
@@ -262,12 +262,11 @@ def run_campaign(
     """Run a sweep file to its end; from any thread.
 
     ``out``: folder of the campaign, new or empty; with ``resume`` also that of the same sweep, which goes on
-    where its stored runs end. ``workers``: processes; as many as there are cores if absent, 1: this one.
-    ``dask``: address of a Dask scheduler, whose workers run it instead.
-    ``against_certificate``: a counter-example ends it, see :meth:`Campaign.hold_certificate`.
-    ``seconds``: it ends after so long, and goes on with ``resume``.
+    where its stored runs end. ``workers``: processes; default: one per core, 1: this one. ``dask``: address
+    of a Dask scheduler, whose workers run it instead. ``against_certificate``: a counter-example ends it; see
+    :meth:`Campaign.hold_certificate`. ``seconds``: it ends after this time, and continues with ``resume``.
     Raises BadInput or BadInputs, RunRefused for a run that cannot be run, WorkerDied, ClusterLost,
-    Interrupted; what is stored then stays, and can be resumed.
+    Interrupted; stored runs then remain, and can be resumed.
     """
     plan = sweep if isinstance(sweep, CampaignPlan) else CampaignPlan.load(Path(sweep))
     campaign = Campaign(Path(out), plan)
@@ -288,7 +287,7 @@ RowMaker = Callable[[range], RowSource]
 def _row_maker(
     plan: CampaignPlan, workers: int | None, dask: str | None, stop: StopRequest
 ) -> Iterator[RowMaker]:
-    """Who makes the rows of runs. Raises BadInput before anything is written."""
+    """Return the maker of the rows. Raises BadInput before anything is written."""
     if dask is None:
         cores = len(os.sched_getaffinity(0))
         yield lambda numbers: rows_of(plan, numbers, workers or cores, stop)
@@ -342,9 +341,9 @@ def _run(
 
 
 def _require_same(row: Row, store: RunStore) -> None:
-    """Raises NotTheSame for a run that came to another row when it was stored.
+    """Raise NotTheSame for a run whose row differs from the stored one.
 
-    What a check of one's own says of it is left out: it may name files and times.
+    The findings of a user's check are ignored: they may name files and times.
     """
     (stored,) = store.table().slice(row["run"], 1).to_pylist()
     if others := [name for name, value in stored.items() if name != "findings" and row[name] != value]:
@@ -356,7 +355,7 @@ def _require_same(row: Row, store: RunStore) -> None:
 
 
 def _record_failures(campaign: Campaign) -> None:
-    """The first runs that did not pass leave a recording; with a check those of which it says something."""
+    """Record the first runs that did not pass; with a check those with findings."""
     most = campaign.plan.sweep.campaign.failures_recorded
     failed = np.flatnonzero(~campaign.column("passed").astype(bool))
     for number in (list(campaign.found) if campaign.plan.own.checks else failed)[:most]:

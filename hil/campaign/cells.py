@@ -1,4 +1,4 @@
-"""The cells of a map over two axes of a campaign: what came of the runs in each, and how a map shows it."""
+"""The cells of a map over two axes of a campaign: the results of the runs in each, and their display."""
 
 from typing import Final, NamedTuple
 
@@ -28,7 +28,7 @@ class CellMap(NamedTuple):
     """(rows, columns), the interval of a pass rate; NaN where a cell pools points, which share seeds."""
     high: Floats
     runs: NDArray[np.int64]
-    """(rows, columns), the run to look into: the worst that failed, or the one of that error; -1: none."""
+    """(rows, columns), the run to inspect: the worst that failed, or the one with that error; -1: none."""
     is_rate: bool
 
     @property
@@ -43,12 +43,12 @@ class CellMap(NamedTuple):
 
     @property
     def palette(self) -> str:
-        """No red against green alone: eight of a hundred men cannot tell them apart."""
+        """No red against green alone: eight of a hundred men cannot distinguish them."""
         return "RdYlBu" if self.is_rate else "viridis_r"
 
     @property
     def inks(self) -> NDArray[np.uint8]:
-        """(rows, columns, 3): black or white, whichever can be read on the cell (WCAG 2.2, contrast)."""
+        """(rows, columns, 3): black or white, whichever is legible on the cell (WCAG 2.2, contrast)."""
         share = self.colors / 255.0
         linear = np.where(share <= _LINEAR_BELOW, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
         luminance = linear @ np.array((0.2126, 0.7152, 0.0722))
@@ -56,7 +56,7 @@ class CellMap(NamedTuple):
         return np.where(black[..., None], np.uint8(0), np.uint8(255)) * np.ones(3, np.uint8)
 
     def label(self, row: int, column: int) -> str:
-        """The value, its interval, and the run to look into."""
+        """Return the value, its interval, and the run to inspect."""
         value, low, high = (float(one[row, column]) for one in (self.values, self.low, self.high))
         if not np.isfinite(value):
             return "none"
@@ -68,7 +68,7 @@ class CellMap(NamedTuple):
 
 
 def cell_maps(done: Campaign, rows: GridAxis, across: GridAxis) -> tuple[CellMap, CellMap]:
-    """Pass rate and largest peak error over two axes."""
+    """Return pass rate and largest peak error over two axes."""
     shape = (len(rows.labels), len(across.labels))
     rate, low, high, peak = (np.full(shape, np.nan) for _ in range(4))
     failed, largest = (np.full(shape, -1) for _ in range(2))

@@ -1,6 +1,6 @@
-"""Runs that are handed out in chunks of like cost, and whose rows leave in order of their number.
+"""Hands out runs in chunks of like cost, and passes their rows on in order of their number.
 
-Results come in any order, so nothing behind this file can depend on who ran what.
+Results come in any order, so nothing after this file can depend on who ran what.
 """
 
 from collections import deque
@@ -13,22 +13,22 @@ from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.worker import Row
 
 CHUNK_NS: Final = NS_PER_S // 2
-"""What a chunk is to take: a thousand times its handing over, and little to lose with a worker."""
+"""Duration of a chunk: a thousand times its overhead, and little to lose with a worker."""
 AHEAD_MIN: Final = 64
-"""Chunks that may be done before one that is missing, with few workers: bounds what waits in memory."""
+"""Chunks that may be done before a missing one, with few workers: bounds the rows waiting in memory."""
 EACH_HOLDS: Final = 2
 """Chunks that a worker has at a time, so that it does not wait for the next."""
 
 
 class WorkerDied(BenchError):
-    """A run kills its process, or none can be started: the campaign ends before its runs are done."""
+    """A run kills its process, or no process can start: the campaign ends before its runs are done."""
 
     exit_status = 6
 
 
 class RunRefused(BenchError):
-    """A run of the sweep cannot be run: its bench is at fault, its controller's certificate, or code of the
-    user's; with the exit status that it has in the worker."""
+    """A run of the sweep cannot be run: because of its bench, its controller's certificate, or user code;
+    with its exit status in the worker."""
 
     exit_status = 2
 
@@ -38,7 +38,7 @@ class RunRefused(BenchError):
 
 
 class Chunks:
-    """What is left to be run, and what is done before its turn."""
+    """Runs left to do, and rows done before their turn."""
 
     def __init__(self, plan: CampaignPlan, numbers: range) -> None:
         self._plan = plan
@@ -48,15 +48,15 @@ class Chunks:
         self._done: dict[int, Row] = {}
         self._due, self._end = numbers.start, numbers.stop
         self._cost_ns = CHUNK_NS
-        """Of a run, as measured; before the first a chunk is one run."""
+        """Measured cost of a run; before the first a chunk is one run."""
 
     @property
     def left(self) -> bool:
-        """Whether rows are still to come."""
+        """True while rows are still to come."""
         return self._due < self._end
 
     def next(self, workers: int) -> list[int] | None:
-        """A chunk to be handed out; None: there is none, or not before others are done."""
+        """Return the next chunk; None: there is none, or not before others are done."""
         if self._again:
             return self._again.popleft()
         size = max(1, CHUNK_NS // max(1, self._cost_ns))
@@ -67,16 +67,17 @@ class Chunks:
         return [self._fresh.popleft() for _ in range(min(size, known, len(self._fresh)))] or None
 
     def drawn(self, chunk: Iterable[int]) -> list[Any]:
-        """A chunk as a worker takes it, see :meth:`servobench.hil.campaign.worker.Workshop.answers`."""
+        """Return a chunk as a worker takes it; see
+        :meth:`servobench.hil.campaign.worker.Workshop.answers`."""
         return [[number, self._plan.drawn(number)] for number in chunk]
 
     def put_back(self, chunks: Iterable[list[int]]) -> None:
-        """Whoever had them is gone: they come first."""
+        """Return chunks of a lost worker: they come first."""
         self._again.extend(chunks)
 
     def take(self, answer: dict[str, Any]) -> int:
-        """The run that an answer of a worker is of. Raises RunRefused if it is an error, BadInput for a file
-        that was another one in another run."""
+        """Take a worker's answer; return its run. Raises RunRefused if it is an error, BadInput for a file
+        with other contents in another run."""
         if "row" not in answer:
             raise RunRefused(answer["error"], answer["status"])
         self._plan.files.meet(answer["files"])
@@ -87,7 +88,7 @@ class Chunks:
         return number
 
     def rows(self) -> Iterator[Row]:
-        """Those whose turn it is."""
+        """Yield the rows whose turn it is."""
         while self._due in self._done:
             yield self._done.pop(self._due)
             self._due += 1

@@ -1,4 +1,4 @@
-"""What a campaign came to: rates, quantiles, worst cases, sensitivities, pairs; plain values."""
+"""Results of a campaign: rates, quantiles, worst cases, sensitivities, pairs; plain values."""
 
 import math
 from collections.abc import Collection
@@ -15,13 +15,13 @@ from servobench.hil.campaign.worker import FIGURES
 from servobench.hil.reviewing.certificate_meter import CertificateState
 
 PEAK = "speed_error_peak_percent"
-"""The figure of heat maps and worst cases."""
+"""The figure shown in heat maps and worst cases."""
 WORST_SHOWN = 10
 QUANTILES = (0.5, 0.95)
 
 
 def figures_of(done: Campaign) -> dict[str, Any]:
-    """For JSON and reports."""
+    """Return the figures for JSON and reports."""
     stop = done.plan.sweep.stop
     kind = "a confidence sequence: it holds whenever one ends" if done.sequential else "Clopper-Pearson"
     if done.adaptive:
@@ -47,7 +47,7 @@ def figures_of(done: Campaign) -> dict[str, Any]:
 
 
 def _failure(done: Campaign) -> dict[str, Any]:
-    """The failure probability of adaptive draws, and how many plain ones would know it as well."""
+    """Return the failure probability of adaptive draws, and how many plain ones would be as precise."""
     rate = done.failure_rate()
     deviation = (rate.high - rate.low) / (
         2.0 * NormalDist().inv_cdf(0.5 + 0.5 * done.plan.sweep.stop.confidence)
@@ -76,7 +76,7 @@ def _point(done: Campaign, number: int) -> dict[str, Any]:
 
 
 def failure_line(rates: dict[str, Any]) -> str:
-    """The same in words."""
+    """Return the same in words."""
     plain = "" if rates["plain_runs"] is None else f"; plain draws would take {rates['plain_runs']} for it"
     rate, low, high = (rates[name] for name in ("rate", "low", "high"))
     shown = "not known" if rate is None else f"{rate:.3g}"
@@ -87,13 +87,13 @@ def failure_line(rates: dict[str, Any]) -> str:
 
 
 def _plain(figures: ConfidenceInterval | Sensitivity, estimate: str = "") -> dict[str, float | None]:
-    """Without what JSON has no word for; ``estimate``: what that of an interval is called."""
+    """Remove values that JSON cannot express; ``estimate``: name of an interval's estimate."""
     named = {estimate if key == "estimate" else key: value for key, value in figures._asdict().items()}
     return {key: float(value) if math.isfinite(value) else None for key, value in named.items()}
 
 
 def _certificate(done: Campaign) -> dict[str, Any]:
-    """How many runs say what of their controller's certificate, and how near they came to it."""
+    """Count the runs by the state of their controller's certificate, with the nearest approach to it."""
     states = done.column("certificate").astype(str)
     if not (states != "").any():
         return {}
@@ -111,7 +111,8 @@ def _certificate(done: Campaign) -> dict[str, Any]:
 
 
 def _quantiles(done: Campaign) -> dict[str, Any]:
-    """Over all nominal runs, each figure that was measured in some; no intervals, as points share seeds."""
+    """Return quantiles over all nominal runs, for each measured figure; no intervals, as points share
+    seeds."""
     quantiles: dict[str, Any] = {}
     for name, figure in FIGURES.items():
         values = done.column(name).astype(float)[done.nominal]
@@ -128,7 +129,7 @@ def _quantiles(done: Campaign) -> dict[str, Any]:
 
 
 def _sensitivities(done: Campaign) -> dict[str, Any]:
-    """By key, of passing and of the peak error."""
+    """Return sensitivities by key, of passing and of the peak error."""
     sensitivities = {}
     for key in done.plan.run(0).labels:
         values = done.column(key)[done.nominal]
@@ -141,7 +142,7 @@ def _sensitivities(done: Campaign) -> dict[str, Any]:
 
 
 def worst_first(done: Campaign) -> NDArray[np.intp]:
-    """(runs,) places in the table: those that failed first, of them those cut short, then by peak error."""
+    """Return (runs,) places in the table: failed runs first, those cut short leading, then by peak error."""
     peak = -np.nan_to_num(done.column(PEAK).astype(float), nan=np.inf)
     passed, completed = (done.column(name).astype(bool) for name in ("passed", "completed"))
     order: NDArray[np.intp] = np.lexsort((peak, completed, passed))
@@ -149,7 +150,7 @@ def worst_first(done: Campaign) -> NDArray[np.intp]:
 
 
 def worst_runs(done: Campaign, named: Collection[int] = ()) -> list[dict[str, Any]]:
-    """The first of them, and those among the others that are ``named``."""
+    """Return the first of them, and those among the others that are ``named``."""
     keys = list(done.plan.run(0).labels)
     columns = ["run", "seed", *keys, "outcome", PEAK, "reason", "digest"]
     numbers = done.column("run").astype(int)
@@ -160,7 +161,7 @@ def worst_runs(done: Campaign, named: Collection[int] = ()) -> list[dict[str, An
 
 
 def _pairs(done: Campaign) -> list[dict[str, Any]]:
-    """Each choice of the first axis without numbers against the first one, all else being the same."""
+    """Compare each choice of the first non-numeric axis with the first one, all else being equal."""
     axis = next((each for each in done.plan.axes if each.numbers is None), None)
     if axis is None:
         return []

@@ -1,6 +1,6 @@
-"""What the rows of a campaign depend on, by content: its sweep, every file that a run opened, the program.
+"""Content on which the rows of a campaign depend: its sweep, every file that a run opened, the program.
 
-    {"sweep": BLAKE2b of what the sweep says,
+    {"sweep": BLAKE2b of the sweep,
      "program": {"servobench": version, "source": BLAKE2b, "commit": ..., "python": ...,
                  PACKAGE: version, ...},
      "files": {path from the folder of the sweep file on: BLAKE2b}}
@@ -30,18 +30,18 @@ _NAME: Final = re.compile(r"[A-Za-z0-9._-]+")
 
 
 class SourceFiles:
-    """The files that the runs of a campaign have opened: each has one content in all of its runs."""
+    """The files opened by the runs of a campaign: each has one content in all of its runs."""
 
     def __init__(self, sweep: Path, digests: Mapping[str, str] | None = None) -> None:
-        """``sweep``: the sweep file; ``digests``: as the campaign has them already."""
+        """``sweep``: the sweep file; ``digests``: those already stored in the campaign."""
         self._folder = os.path.realpath(sweep.parent)
         self.digests = dict(digests or {})
-        """By path from the folder of the sweep on."""
+        """Digests by path relative to the folder of the sweep."""
         self._fresh: dict[str, str] = {}
 
     @contextmanager
     def noting(self) -> Iterator[None]:
-        """What is opened inside is among them. Raises BadInput for a file that is not as it was."""
+        """Note the files opened inside. Raises BadInput for a file that has changed."""
         with opened_files() as opened:
             yield
         self.meet({os.path.relpath(path, self._folder): digest for path, digest in opened.digests.items()})
@@ -49,7 +49,7 @@ class SourceFiles:
             raise _changed(path, now, before)
 
     def meet(self, digests: Mapping[str, str]) -> None:
-        """Others have opened these. Raises BadInput for a file that was another one here."""
+        """Take in files opened by others. Raises BadInput for one with other contents here."""
         for name, digest in digests.items():
             known = self.digests.get(name)
             if known is None:
@@ -58,12 +58,12 @@ class SourceFiles:
                 raise _changed(self._path(name), digest, known)
 
     def fresh(self) -> dict[str, str]:
-        """Those that came since this was last asked."""
+        """Return files noted since the last call."""
         fresh, self._fresh = self._fresh, {}
         return fresh
 
     def require(self, digests: Mapping[str, str]) -> None:
-        """Go on with a campaign of these. Raises BadInput for the first that is not as it was."""
+        """Resume a campaign with these files. Raises BadInput for the first that has changed."""
         for name, digest in digests.items():
             now = self.digests.get(name) or digest_of(self._path(name))
             if now != digest:
@@ -83,7 +83,7 @@ def _changed(path: str, now: str, before: str) -> BadInput:
 
 @cache
 def program() -> dict[str, str]:
-    """What runs: servobench by content, the packages that it requires by version."""
+    """Identify the program: servobench by content, its required packages by version."""
     digest = blake2b(digest_size=DIGEST_BYTES)
     for room in ROOMS:
         for path in sorted((ROOT / room).rglob("*")):
@@ -107,7 +107,7 @@ def program() -> dict[str, str]:
 
 
 def require_program(before: Mapping[str, str], source: str) -> None:
-    """Raises BadInput for a program that is not that of the campaign in the file ``source``."""
+    """Raise BadInput for another program than that of the campaign in the file ``source``."""
     now = program()
     for name in sorted((before.keys() | now.keys()) - {"commit"}):
         if before.get(name) == now.get(name):

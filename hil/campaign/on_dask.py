@@ -3,9 +3,9 @@
     here -> worker   a chunk: run numbers with what they draw; which sweep, and one of its runs as it is here
     worker -> here   a row for each run; or why there is none
 
-A worker reads the sweep by itself, at the path that it has here, and proves before its first chunk that it
-does here what is done there: the files have the same identity, and the first run comes to the same row. Dask
-hands the chunks of a worker that died to others; it alone is imported here, and only when it is asked for.
+A worker reads the sweep itself, at the same path, and proves before its first chunk that it computes the
+same: the files have the same identity, and the first run yields the same row. Dask hands the chunks of a dead
+worker to others; it alone is imported here, and only on demand.
 """
 
 import asyncio
@@ -32,38 +32,38 @@ if TYPE_CHECKING:
     from distributed import Future as DaskFuture
 
 CONNECT_S: Final = 10.0
-"""For an answer of the scheduler."""
+"""Wait for an answer of the scheduler."""
 CLOSE_S: Final = 5.0
-"""To part from it, if it is still there."""
+"""Wait when disconnecting from it."""
 WITHOUT_WORKER_NS: Final = 60 * NS_PER_S
-"""After so long without any worker nobody is going to start one."""
+"""After this time without any worker nobody is going to start one."""
 LOOKED_EVERY_NS: Final = NS_PER_S
-"""How many workers there are is asked of the scheduler, a millisecond each time."""
+"""Interval between queries of the number of workers, a millisecond each."""
 POLL_S: Final = 0.2
-"""So long after a stop was asked for it is seen."""
+"""Delay until a stop request is noticed."""
 
 Flying = Future[list[Answer]]
 
 
 class ClusterLost(BenchError):
-    """The scheduler is gone, or it has no workers. What is stored stays, and can be resumed."""
+    """The scheduler is gone, or it has no workers. Stored runs remain, and can be resumed."""
 
 
 class Order(NamedTuple):
-    """Which campaign a chunk is of; as plain values, and hashable."""
+    """The campaign of a chunk; plain, hashable values."""
 
     client: str
-    """A name of this campaign alone: none goes on with what a worker has read for another."""
+    """A name for this campaign alone: none continues with a sweep that a worker has read for another."""
     sweep: str
     identity: str
     """JSON of :data:`servobench.hil.campaign.identity.Identity`."""
     witness: str
-    """JSON of the number of a run, what it draws, and its row as it came out here."""
+    """JSON of the number of a run, its draw, and its row as computed here."""
 
 
 @contextmanager
 def dask_client(address: str) -> Iterator["Client"]:
-    """Connected to the scheduler at ``address``.
+    """Connect to the scheduler at ``address``.
 
     Raises MissingExtra: ``distributed`` is not installed. BadInput: no scheduler answers there.
     """
@@ -87,7 +87,8 @@ def dask_client(address: str) -> Iterator["Client"]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What the client logs of a scheduler that is gone, tracebacks of a hundred lines, is told here."""
+    """Silence the client's log about a lost scheduler, tracebacks of a hundred lines: this module reports
+    it."""
     loggers = [logging.getLogger(name) for name in ("distributed.client", "distributed.utils")]
     before = [logger.level for logger in loggers]
     for logger in loggers:
@@ -100,8 +101,8 @@ def _quiet() -> Iterator[None]:
 
 
 async def _reach(address: str) -> None:
-    """Raises OSError, ValueError. A client alone waits without end where something listens and says nothing:
-    its timeout leaves out the handshake."""
+    """Raise OSError or ValueError. The client alone waits for ever where something listens and stays silent:
+    its timeout excludes the handshake."""
     from distributed import Security
     from distributed.comm.core import connect
 
@@ -114,7 +115,7 @@ async def _reach(address: str) -> None:
 
 
 def rows_on_dask(client: "Client", plan: CampaignPlan, numbers: range, stop: StopRequest) -> RowSource:
-    """Of runs ``numbers`` in order.
+    """Yield the rows of runs ``numbers`` in order.
 
     Raises BadInput or RunRefused of a run that cannot be run, WorkerDied, ClusterLost, Interrupted.
     """
@@ -144,17 +145,17 @@ def rows_on_dask(client: "Client", plan: CampaignPlan, numbers: range, stop: Sto
 class _Flight(NamedTuple):
     chunk: list[int]
     task: "DaskFuture[list[Answer]]"
-    """As long as it is held Dask holds what it comes to."""
+    """While it is held Dask keeps its result."""
 
 
 def _outcome(client: "Client", task: "DaskFuture[list[Answer]]") -> Flying:
-    """As the standard library waits for it; whatever goes wrong on the way is an outcome too."""
+    """Wrap a task for the standard library's wait; any failure on the way is an outcome too."""
     loop: Any = client.loop
     return asyncio.run_coroutine_threadsafe(client.gather(task, asynchronous=True), loop.asyncio_loop)
 
 
 def order_of(client: "Client", plan: CampaignPlan, number: int, stop: StopRequest) -> Order:
-    """With run ``number`` as it comes out here. Raises as
+    """Return the order with run ``number`` as computed here. Raises as
     :meth:`servobench.hil.campaign.worker.Workshop.row`."""
     drawn = plan.drawn(number)
     row = Workshop(plan, stop).row(number, drawn)
@@ -163,7 +164,7 @@ def order_of(client: "Client", plan: CampaignPlan, number: int, stop: StopReques
 
 
 class _Cluster:
-    """What there is of it at present."""
+    """The present state of the cluster."""
 
     def __init__(self, client: "Client") -> None:
         self._client = client
@@ -174,7 +175,7 @@ class _Cluster:
         self._looked_at = self._seen_at = self._clock.now()
 
     def workers(self) -> int:
-        """As many as it had a second ago at most. Raises ClusterLost."""
+        """Return the number of workers, at most a second old. Raises ClusterLost."""
         if self._client.status != "running":
             raise self._gone()
         now = self._clock.now()
@@ -195,7 +196,7 @@ class _Cluster:
         return self._count
 
     def answers(self, landed: Flying, flight: _Flight) -> list[Answer]:
-        """Of a chunk that is done. Raises ClusterLost or WorkerDied: there are none."""
+        """Return the answers of a finished chunk. Raises ClusterLost or WorkerDied: there are none."""
         from distributed import KilledWorker
 
         error = None if landed.cancelled() else landed.exception()
@@ -218,11 +219,11 @@ class _Cluster:
 
 
 _one_at_a_time = threading.Lock()
-"""Threads of one worker would wait for each other all the same."""
+"""Threads of one worker would wait for each other anyway."""
 
 
 def run_chunk(order: Order, chunk: list[Any]) -> list[Answer]:
-    """On a worker: the answers of :meth:`servobench.hil.campaign.worker.Workshop.answers`."""
+    """Run a chunk on a worker: the answers of :meth:`servobench.hil.campaign.worker.Workshop.answers`."""
     with _one_at_a_time:
         try:
             return list(_workshop(order).answers(chunk))
@@ -235,7 +236,8 @@ def run_chunk(order: Order, chunk: list[Any]) -> list[Answer]:
 
 @lru_cache(maxsize=4)
 def _workshop(order: Order) -> Workshop:
-    """Raises as :meth:`Workshop.of_sweep`, and NotTheSame for a worker that must not take part."""
+    """Make a workshop. Raises as :meth:`Workshop.of_sweep`, and NotTheSame for a worker that must not take
+    part."""
     workshop = Workshop.of_sweep(order.sweep, json.loads(order.identity))
     number, drawn, expected = json.loads(order.witness)
     (answer,) = workshop.answers([[number, drawn]])

@@ -1,7 +1,8 @@
-"""Which files the calling thread opens to read, and what is in them: by Python's audit hook (PEP 578).
+"""Notes the files that the calling thread opens to read, with their contents: by Python's audit hook (PEP
+578).
 
-What was read is known by its content, before it is read and again after: a file that is edited meanwhile is
-noticed. A file that compiled code opens by itself, past Python, is not seen.
+Contents are digested before reading and again after: an edit meanwhile is noticed. A file that compiled code
+opens by itself, past Python, is not seen.
 """
 
 import os
@@ -21,29 +22,29 @@ from typing import Any, Final
 DIGEST_BYTES: Final = 16
 """128 bits: of 2^64 files two are alike by chance."""
 ABSENT: Final = "no file"
-"""In place of a digest: it was looked for and not there."""
+"""In place of a digest: the file was looked for and missing."""
 ROOMS: Final = ("drivers", "virtual_bus", "design", "hil")
 """The packages of the program; beside each other."""
 ROOT: Final = Path(__file__).parents[2]
 _SYSTEM: Final = ("/proc", "/sys", "/dev", "/run", "/etc", "/lib", "/usr/lib", "/usr/share")
-"""What belongs to the machine: its processor, clock and time zones are in no campaign's identity."""
+"""Paths of the machine: its processor, clock and time zones are in no campaign's identity."""
 _IMPORTER: Final = "<frozen "
-"""How the file names of Python's own importers begin."""
+"""Prefix of file names of Python's own importers."""
 _BLOCK_BYTES: Final = 1 << 20
 _WRITES: Final = os.O_WRONLY | os.O_RDWR
 
 
 class Opened:
-    """What one thread has opened within :func:`opened_files`."""
+    """Files opened by one thread within :func:`opened_files`."""
 
     def __init__(self) -> None:
         self.digests: dict[str, str] = {}
-        """BLAKE2b by real path, as it was when the file was first opened; :data:`ABSENT`."""
+        """BLAKE2b by real path, when the file was first opened; :data:`ABSENT`."""
         self.written: set[str] = set()
-        """Real paths that were opened to be written: products, and no sources."""
+        """Real paths opened for writing: products, not sources."""
 
     def changed(self) -> Iterator[tuple[str, str, str]]:
-        """Path, digest when opened, and digest now, of each file that was edited since."""
+        """Yield path, digest when opened, and digest now, of each file edited since."""
         for path, digest in self.digests.items():
             if (now := digest_of(path)) != digest:
                 yield path, digest, now
@@ -52,13 +53,13 @@ class Opened:
 _noting: dict[int, Opened] = {}
 """By thread."""
 _modules: dict[str, str] = {}
-"""Digests of the user's modules that were imported within :func:`opened_files`, as they were then: a process
-does not read them again. They count wherever a file beside them, or above, is opened."""
+"""Digests of user modules imported within :func:`opened_files`, at that time: a process does not read them
+again. They count wherever a file beside or above them is opened."""
 
 
 @contextmanager
 def opened_files() -> Iterator[Opened]:
-    """Note what this thread opens inside, and the modules of the user that are imported."""
+    """Note the files that this thread opens inside, and the user modules imported."""
     _install()
     thread, opened = threading.get_ident(), Opened()
     before = set(sys.modules)
@@ -82,7 +83,8 @@ def opened_files() -> Iterator[Opened]:
 
 
 def digest_of(path: str) -> str:
-    """BLAKE2b of a file's content, 128 bit, hex; :data:`ABSENT`. Error: OSError: it cannot be read."""
+    """Return the BLAKE2b of a file's content, 128 bit, hex; :data:`ABSENT`. Error: OSError: it cannot be
+    read."""
     digest = blake2b(digest_size=DIGEST_BYTES)
     try:
         with open(path, "rb") as file:
@@ -95,7 +97,7 @@ def digest_of(path: str) -> str:
 
 @cache
 def _install() -> None:
-    """Once a process: an audit hook cannot be taken away."""
+    """Install the hook, once per process: it cannot be removed."""
     sys.addaudithook(_hear)
 
 
@@ -133,7 +135,7 @@ def _note(opened: Opened, path: str, flags: int) -> None:
 
 
 def _is_users(path: str, imported: bool) -> bool:
-    """Whether a file is the user's: none of the program, its packages, the system, and no cache."""
+    """Return True for a file of the user's: not of the program, its packages or the system, and no cache."""
     if path.endswith(".pyc") or f"{os.sep}__pycache__{os.sep}" in path:
         return False
     packages, others = _not_the_users()
@@ -144,7 +146,7 @@ def _is_users(path: str, imported: bool) -> bool:
 
 @cache
 def _not_the_users() -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Folders of installed packages, and the others, each with the separator at its end."""
+    """Return folders of installed packages, and other excluded ones, each with the separator at its end."""
     paths = sysconfig.get_paths()
     packages = {paths["purelib"], paths["platlib"], site.getusersitepackages(), *site.getsitepackages()}
     home = os.path.expanduser("~")

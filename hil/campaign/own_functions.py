@@ -1,4 +1,4 @@
-"""Functions of one's own in a campaign: what a run changes in its bench, and what it is held against."""
+"""User functions in a campaign: changes to a run's bench, and a check of the run."""
 
 import traceback
 from collections.abc import Callable
@@ -17,15 +17,15 @@ T = TypeVar("T")
 
 
 class OwnFunctions:
-    """Those that ``[own]`` of a sweep names.
+    """The functions named by ``[own]`` of a sweep.
 
     ``changes(seed)`` returns what is changed in the bench, by dotted keys. ``check(seed, run)`` calls
-    ``run()`` once, which runs the bench and returns a :class:`hil.Run`; it returns or yields in words what
-    is not as it should be.
+    ``run()`` once, which runs the bench and returns a :class:`hil.Run`; it returns or yields defects in
+    words.
     """
 
     def __init__(self, own: Own, source: Path) -> None:
-        """``source``: the sweep file. Runs none of them. Raises BadInput for a file that is not there."""
+        """``source``: the sweep file. Runs none of them. Raises BadInput for a missing file."""
         self._source = str(source)
         given = own.model_dump(exclude_none=True)
         self._names = {
@@ -35,14 +35,14 @@ class OwnFunctions:
         self.checks = "check" in self._names
 
     def changes(self, seed: int) -> dict[str, Any]:
-        """For the run with ``seed``. Raises BadInput or OwnCodeFailed."""
+        """Return the changes for the run with ``seed``. Raises BadInput or OwnCodeFailed."""
         if "changes" not in self._names:
             return {}
         # a copy: keys below its tables may be changed further
         return self._called("changes", seed, lambda function: deepcopy(dict(function(seed))))
 
     def findings(self, seed: int, run: Callable[[], Any]) -> list[str]:
-        """Of the check. Raises BadInput or OwnCodeFailed, and BenchError as ``run``."""
+        """Return the findings of the check. Raises BadInput or OwnCodeFailed, and BenchError as ``run``."""
         return self._called("check", seed, lambda function: list(map(str, function(seed, run))))
 
     def _called(self, key: str, seed: int, call: Callable[[Any], T]) -> T:
@@ -70,5 +70,6 @@ class OwnFunctions:
 
 @cache
 def _function(name: str, _digest: str) -> Any:
-    """Loaded once, and again when its file is another one: in a notebook campaigns follow each other."""
+    """Load a function once, and again when its file has changed: in a notebook campaigns follow each
+    other."""
     return object_of(name)

@@ -1,4 +1,4 @@
-"""A campaign as Rerun shows it: the map, every run as a point, and the way from a cell to its worst run."""
+"""A campaign in Rerun: the map, every run as a point, and the way from a cell to its worst run."""
 
 from collections.abc import Iterator
 from itertools import combinations
@@ -22,7 +22,7 @@ _MEMBERS: Final = "/members"
 _GREEN, _RED = (112, 224, 128), (255, 74, 96)
 _INK: Final = (235, 235, 235)
 _MARGIN: Final = 0.5
-"""Of a cell, about the map."""
+"""Margin around the map, in cells."""
 
 
 class _Map(NamedTuple):
@@ -65,7 +65,7 @@ def _labels(cells: CellMap) -> rr.Points2D:
 
 
 def _keys(rows: GridAxis, across: GridAxis) -> rr.Points2D:
-    """What varies, beside the cells."""
+    """Label the varied values beside the cells."""
     places = [(-_MARGIN / 2, row + 0.5) for row in range(len(rows.labels))]
     places += [(column + 0.5, len(rows.labels) + _MARGIN / 2) for column in range(len(across.labels))]
     labels = [*rows.labels, *across.labels]
@@ -73,7 +73,7 @@ def _keys(rows: GridAxis, across: GridAxis) -> rr.Points2D:
 
 
 def _send_members(stream: rr.RecordingStream, done: Campaign) -> None:
-    """Each run's peak error over its number; one without a peak error is not drawn."""
+    """Send each run's peak error over its number; one without a peak error is not drawn."""
     numbers, peak = done.column("run").astype(np.int64), done.column(PEAK).astype(float)
     passed = done.column("passed").astype(bool)
     for name, kept, color in (("passed", passed, _GREEN), ("failed", ~passed, _RED)):

@@ -5,7 +5,7 @@
 
 Every point of the grid meets the same draws and seeds in the same order, so that two of them can be compared
 in pairs, and a campaign that ends early has seen all points equally often. At one point no two runs share a
-seed: which frames are lost follows from it alone, and runs that lose the same frames are no two witnesses.
+seed: it alone determines the lost frames, and runs that lose the same frames are not independent.
 """
 
 import hashlib
@@ -36,7 +36,7 @@ class GridAxis(NamedTuple):
     """One axis of the grid."""
 
     title: str
-    """Its key; of several the first."""
+    """Its key; the first of several."""
     choices: tuple[Changes, ...]
     labels: tuple[str, ...]
     numbers: tuple[float, ...] | None
@@ -44,33 +44,33 @@ class GridAxis(NamedTuple):
 
 
 class PlannedRun(NamedTuple):
-    """What makes one run of a campaign."""
+    """The parameters of one run of a campaign."""
 
     number: int
     point: int
     replicate: int
     seed: int
     changes: Changes
-    """Of the bench, the seed left out."""
+    """Changes of the bench, without the seed."""
     labels: dict[str, float | str]
-    """What varies, for tables: numbers as they are, everything else by its label."""
+    """Varied values, for tables: numbers as they are, everything else by its label."""
     weight: float = 1.0
-    """Of its draw, where draws are adaptive."""
+    """Weight of its draw, if draws are adaptive."""
     counts: bool = True
-    """Whether it counts for the rate."""
+    """True if it counts for the rate."""
 
 
 class CampaignPlan:
     """All runs of a sweep."""
 
     def __init__(self, sweep: SweepFile, source: Path, files: SourceFiles | None = None) -> None:
-        """``source``: the sweep file; ``files``: what is known of it and of those that it names.
+        """``source``: the sweep file; ``files``: known digests of it and its files.
 
-        Raises BadInput or BadInputs: the bench, a key that it has not, a file that is not as it is known.
+        Raises BadInput or BadInputs: the bench, a key that it lacks, a file that has changed.
         """
         self.sweep = sweep
         self.source = source.absolute()
-        """Whatever the working directory is by then."""
+        """Absolute, independent of later changes of the working directory."""
         self.files = files or SourceFiles(self.source)
         with self.files.noting():
             self._read(sweep, self.source)
@@ -80,9 +80,9 @@ class CampaignPlan:
         self.axes = tuple(_axis(vary) for vary in sweep.vary)
         self._points = list(itertools.product(*(range(len(axis.choices)) for axis in self.axes)))
         self.points = len(self._points)
-        """Of the grid."""
+        """Number of grid points."""
         self.count = self.points * sweep.campaign.seeds
-        """Runs, if nothing ends it before."""
+        """Number of runs, unless something ends it early."""
         if self.count > RUNS_MAX:
             raise BadInput(str(source), "campaign", f"{self.count} runs", f"at most {RUNS_MAX}")
         path = source.parent / sweep.campaign.bench
@@ -91,12 +91,12 @@ class CampaignPlan:
         refuse_real_time(self.bench.config, str(path))
         adaptive = sweep.adaptive
         self.rounds = None if adaptive is None else Rounds(adaptive, self._even, sweep.drawing.seed)
-        """Of adaptive draws; to be given the rows in order."""
+        """Rounds of adaptive draws; to be given the rows in order."""
         self._check_choices()
 
     @classmethod
     def load(cls, path: Path, identity: Identity | None = None) -> "CampaignPlan":
-        """Of the sweep file at ``path``; ``identity``: of the campaign that it must be of.
+        """Load the sweep file at ``path``; ``identity``: that of the campaign it must belong to.
 
         Raises BadInput or BadInputs.
         """
@@ -107,17 +107,17 @@ class CampaignPlan:
 
     @property
     def known(self) -> int:
-        """So many runs can be run by now; the draws of later ones depend on their rows."""
+        """Number of runs with known draws; those of later ones depend on their rows."""
         return self.count if self.rounds is None else self.rounds.known
 
     def drawn(self, number: int) -> Drawn:
-        """What run ``number``, below :attr:`known`, draws."""
+        """Return the draw of run ``number``, below :attr:`known`."""
         if self.rounds is not None:
             return self.rounds.drawn(number)
         return Drawn(tuple(self._even[number // self.points].tolist()), 1.0, True)
 
     def run(self, number: int, drawn: Drawn | None = None) -> PlannedRun:
-        """Run ``number``, counted from 0; ``drawn``: as :meth:`drawn` has it, if that is known elsewhere."""
+        """Return run ``number``, counted from 0; ``drawn``: result of :meth:`drawn`, if already known."""
         drawn = drawn or self.drawn(number)
         replicate, point = divmod(number, self.points)
         seed = self.sweep.campaign.first_seed + replicate
@@ -133,7 +133,7 @@ class CampaignPlan:
         return PlannedRun(number, point, replicate, seed, changes, labels, drawn.weight, drawn.counts)
 
     def point_title(self, point: int) -> str:
-        """A point of the grid in words; empty where there is one alone."""
+        """Describe a point of the grid; empty if there is only one."""
         labels = self.run(point).labels
         shown = {axis.title: labels[axis.title] for axis in self.axes}
         return ", ".join(
@@ -143,11 +143,11 @@ class CampaignPlan:
 
     @property
     def identity(self) -> Identity:
-        """What its rows depend on, as far as files were opened by now: a campaign goes on with the same."""
+        """Content that its rows depend on, for the files opened so far: a resumed campaign must match it."""
         return {"sweep": self._sweep_digest, "program": dict(program()), "files": dict(self.files.digests)}
 
     def require(self, identity: Identity) -> None:
-        """Raises BadInput for a sweep, or a file that runs have opened, that is another in ``identity``."""
+        """Raise BadInput if the sweep, or a file opened by runs, differs from ``identity``."""
         self.files.require(identity["files"])
         if identity["sweep"] != self._sweep_digest:
             expected = "the sweep as it was when the campaign began"
@@ -159,7 +159,7 @@ class CampaignPlan:
         return hashlib.blake2b(said.encode(), digest_size=16).hexdigest()
 
     def _check_choices(self) -> None:
-        """Each choice, the others at their first: no key that the bench has not, no value out of range."""
+        """Check each choice, the others at their first: no unknown key, no value out of range."""
         first = self.run(0).changes
         for choice in [choice for axis in self.axes for choice in axis.choices] or [{}]:
             _ = self.bench.changed({**first, **choice}).config
@@ -179,7 +179,7 @@ class CampaignPlan:
 
 
 def _spread(draw: Draw, even: float) -> float:
-    """An even value in [0, 1) as the distribution has it."""
+    """Map an even value in [0, 1) to the distribution."""
     if draw.distribution == "normal":
         tiny = np.finfo(np.float64).tiny  # Sobol points may be 0, whose quantile is -infinity
         return float(norm.ppf(max(even, tiny), draw.mean, draw.deviation))
@@ -214,7 +214,7 @@ def _label(value: Any) -> str:
 
 
 def refuse_real_time(config: BenchConfig, source: str) -> None:
-    """Raises BadInput for a bench on a bus in real time, whose drives may be real."""
+    """Raise BadInput for a bench on a bus in real time, whose drives may be real."""
     spec = config.bus.spec
     if spec != "simulated":
         raise BadInput(source, "bus.spec", spec, "'simulated': a campaign runs in simulated time")

@@ -1,4 +1,4 @@
-"""Rows of runs from several processes, in order of their number; one that dies is replaced.
+"""Rows of runs from several processes, in order of their number; a dead one is replaced.
 
 here -> worker   lines of JSON: where the plan is; then run numbers with what they draw, a chunk each
 worker -> here   "ready"; then a line for each run: its row; or why there is none
@@ -19,17 +19,17 @@ from servobench.hil.machine.stopping import StopRequest
 from servobench.virtual_bus.child_python import python_command, python_environment
 
 DEATHS_MAX: Final = 3
-"""A run during which so many workers died is the cause; so many that died in a row before they were ready are
-no accident."""
+"""A run during which this many workers died is the cause; so many consecutive deaths before they were ready
+are no accident."""
 ENDING_S: Final = 5.0
-"""Between the end of a worker's output and its own end pass milliseconds."""
+"""Limit between the end of a worker's output and its own end, which takes milliseconds."""
 
 RowSource = Generator[Row, None, None]
-"""To be closed when no more are needed: then its processes are gone."""
+"""To be closed when no more are needed: its processes then end."""
 
 
 class Worker:
-    """One process, with its own end of the lines."""
+    """One process, with its ends of the pipes."""
 
     def __init__(self, plan: CampaignPlan) -> None:
         self.process = subprocess.Popen(
@@ -44,7 +44,7 @@ class Worker:
         assert self.process.stdout is not None
         self.output = self.process.stdout
         self.chunks: deque[list[int]] = deque()
-        """Handed to it, and not yet done."""
+        """Handed to it, and not done yet."""
         self.ready = False
         self._partial = b""
         self.send({"sweep": str(plan.source), "identity": plan.identity})
@@ -58,7 +58,7 @@ class Worker:
             """It is gone; the end of its output says so."""
 
     def lines(self) -> list[dict[str, Any]] | None:
-        """What it said; None: it is gone."""
+        """Return its output lines; None: it is gone."""
         data = os.read(self.output.fileno(), 1 << 16)
         if not data:
             return None
@@ -66,7 +66,7 @@ class Worker:
         return [json.loads(line) for line in whole]
 
     def status(self) -> int:
-        """With which it ended, once its output has; -N by signal N."""
+        """Return its exit status, once its output has ended; -N for signal N."""
         try:
             return self.process.wait(ENDING_S)
         except subprocess.TimeoutExpired:
@@ -74,7 +74,7 @@ class Worker:
             return self.process.wait()
 
     def end(self) -> None:
-        """Now, whatever it does."""
+        """End it now, whatever it does."""
         self.process.kill()
         self.process.wait()
         for pipe in (self.process.stdin, self.process.stdout):
@@ -94,15 +94,15 @@ class WorkerPool:
         self._alive: list[Worker] = []
         self._deaths: dict[int, int] = {}
         self._starts_lost = 0
-        """Workers in a row that died before they were ready."""
+        """Consecutive workers that died before they were ready."""
 
     @property
     def process_ids(self) -> list[int]:
-        """Of the workers."""
+        """Process ids of the workers."""
         return [worker.process.pid for worker in self._alive]
 
     def rows(self, numbers: range) -> RowSource:
-        """Of these runs. Raises BadInput of a run that cannot be run, WorkerDied, Interrupted."""
+        """Yield the rows of these runs. Raises BadInput for an impossible run, WorkerDied, Interrupted."""
         chunks = Chunks(self._plan, numbers)
         try:
             for _ in range(min(self._workers, len(numbers))):
@@ -154,7 +154,7 @@ class WorkerPool:
             worker.chunks.popleft()
 
     def _replace(self, worker: Worker) -> None:
-        """It died."""
+        """Replace a worker that died."""
         self._selector.unregister(worker.output)
         self._alive.remove(worker)
         status = worker.status()
@@ -169,8 +169,8 @@ class WorkerPool:
         self._start()
 
     def _count_start(self, status: int) -> None:
-        """A worker died before it was ready. One that was killed, say for want of memory, may do better next
-        time; one that ended by itself would not."""
+        """Count a worker that died before it was ready. One that was killed, say for want of memory, may
+        succeed next time; one that ended by itself would not."""
         if status >= 0:
             raise WorkerDied(f"a worker ended with status {status} before its first run")
         self._starts_lost += 1
@@ -181,7 +181,7 @@ class WorkerPool:
 
 
 def rows_of(plan: CampaignPlan, numbers: range, workers: int, stop: StopRequest) -> RowSource:
-    """Of runs ``numbers`` in order; in this process if one worker is enough."""
+    """Yield the rows of runs ``numbers`` in order; in this process if one worker is enough."""
     if workers > 1:
         yield from WorkerPool(plan, workers, stop).rows(numbers)
         return

@@ -1,4 +1,4 @@
-"""A campaign as one HTML file that needs nothing beside it."""
+"""A campaign as one self-contained HTML file."""
 
 import io
 from collections.abc import Iterable, Iterator, Sequence
@@ -17,7 +17,7 @@ from servobench.hil.campaign.figures import PEAK, failure_line, figures_of, wors
 from servobench.hil.campaign.plan import GridAxis
 
 CELLS_NAMED_MAX = 200
-"""Beyond that the numbers in the cells of a heat map do not fit them."""
+"""Beyond this the numbers do not fit the cells of a heat map."""
 _STYLE = """body{font:15px/1.5 sans-serif;max-width:72em;margin:2em auto;padding:0 1em;color:#222}
 table{border-collapse:collapse;margin:.5em 0 1.5em}th,td{padding:.15em .8em;text-align:left;border-bottom:1px
 solid #ddd}td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}h2{margin-top:2em}.b{font-size:1.3em}
@@ -41,7 +41,8 @@ def _parts(done: Campaign, figures: dict[str, Any]) -> Iterator[str]:
         f"<p class='b'>{figures['passed']} of {figures['runs']} runs passed, "
         f"{figures['planned']} were planned.</p>"
         f"<p>Intervals of {confidence:g} %; of pass rates: {escape(figures['interval'])}; of quantiles and "
-        "means: bootstrap. Points of the grid share their draws and seeds: there is none over several.</p>"
+        "means: bootstrap. No interval spans several points of the grid, because they share their draws "
+        "and seeds.</p>"
     )
     outcomes = (f"{count} {escape(name)}" for name, count in figures["outcomes"].items())
     yield f"<p>{', '.join(outcomes)}</p>"
@@ -132,7 +133,7 @@ def _worst(done: Campaign, worst: list[dict[str, Any]]) -> str:
 
 
 def heat_maps(maps: Sequence[CellMap], rows: GridAxis, across: GridAxis) -> str:
-    """As one SVG; a cell is a link to the run that it names."""
+    """Return the maps as one SVG; a cell links to the run that it names."""
     picture = Picture(figsize=(12.0, 0.8 + 0.5 * max(6, len(rows.labels))), layout="constrained")
     for axes, cells in zip(picture.subplots(1, len(maps)), maps, strict=True):
         _heat_map(axes, cells, rows, across)

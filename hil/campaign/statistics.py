@@ -1,9 +1,9 @@
-"""What runs drawn at random tell of a rate, a quantile and a difference, with intervals that hold.
+"""Statistics of random runs: rates, quantiles and differences, with valid intervals.
 
-A rate after a planned number of runs has the interval of Clopper and Pearson: it holds the true rate at least
-as often as it says. A campaign that ends when it has seen enough must not use it: to look again and again,
-and end at a lucky moment, makes any interval of a fixed number of runs hold less often. There the interval
-comes from a confidence sequence: by Ville's inequality the mixture
+A rate after a planned number of runs has the interval of Clopper and Pearson: it covers the true rate at
+least as often as stated. A campaign that ends when it has seen enough must not use it: repeated looks, and an
+end at a lucky moment, make any interval for a fixed number of runs cover less often. There the interval comes
+from a confidence sequence: by Ville's inequality the mixture
 
     M(p) = B(k + 1/2, n - k + 1/2) / (B(1/2, 1/2) p^k (1 - p)^(n - k))      (Robbins 1970, Jeffreys' prior)
 
@@ -29,16 +29,16 @@ from servobench.design.confidence import clopper_pearson as confidence_limits
 Floats = NDArray[np.float64]
 
 RESAMPLES: Final = 2000
-"""Of a bootstrap: the ends of a 95 % interval rest on 50 of them each."""
+"""Resamples of a bootstrap: the ends of a 95 % interval rest on 50 of them each."""
 _PRIOR: Final = 0.5
 """Jeffreys' prior of a rate, Beta(1/2, 1/2): the bound holds for any, and is narrow for this at rates near
 0 and 1."""
 _EDGE: Final = 1e-15
-"""Nearest to 0 and 1 at which the logarithms of the likelihood are still told apart."""
+"""Nearest to 0 and 1 at which the logarithms of the likelihood still differ."""
 
 
 class ConfidenceInterval(NamedTuple):
-    """An estimate and where the truth is, with the confidence that was asked for."""
+    """An estimate and its interval at the requested confidence."""
 
     estimate: float
     low: float
@@ -50,19 +50,19 @@ class ConfidenceInterval(NamedTuple):
 
     @property
     def complement(self) -> "ConfidenceInterval":
-        """Of how often it does not happen, where this is of a rate."""
+        """The interval of the complementary rate."""
         return ConfidenceInterval(1.0 - self.estimate, 1.0 - self.high, 1.0 - self.low)
 
 
 def clopper_pearson(passed: int, runs: int, confidence: float) -> ConfidenceInterval:
-    """Of a rate after a number of runs that was planned; exact, never below ``confidence``."""
+    """Return the interval of a rate after a planned number of runs; exact, never below ``confidence``."""
     if not runs:
         return ConfidenceInterval(math.nan, 0.0, 1.0)
     return ConfidenceInterval(passed / runs, *confidence_limits(passed, runs, confidence=confidence))
 
 
 def anytime(passed: int, runs: int, confidence: float) -> ConfidenceInterval:
-    """Of a rate after runs that ended when enough was seen, by whatever rule (see above)."""
+    """Return the interval of a rate after runs that ended when enough was seen, by any rule (see above)."""
     if not runs:
         return ConfidenceInterval(math.nan, 0.0, 1.0)
     rate, failed = passed / runs, runs - passed
@@ -77,7 +77,7 @@ def anytime(passed: int, runs: int, confidence: float) -> ConfidenceInterval:
 
 
 def weighted_rate(weights: Floats, happened: NDArray[np.bool_], confidence: float) -> ConfidenceInterval:
-    """Of how often something happens, from independent draws with weights, (n,), of mean 1.
+    """Return how often something happens, from independent draws with weights, (n,), of mean 1.
 
     Normal in the logarithm, as a rate that is known to a factor is not known evenly to both sides. It sees
     what was drawn: a way to fail that no draw has met is in no interval. Where it never happened, its upper
@@ -97,27 +97,28 @@ def weighted_rate(weights: Floats, happened: NDArray[np.bool_], confidence: floa
 
 
 def _root(excess: Any, low: float, high: float) -> float:
-    """Where ``excess`` changes its sign; where it does not, the end at which it is positive or nearest."""
+    """Return where ``excess`` changes its sign; without a change, the end at which it is positive or
+    nearest."""
     if excess(low) * excess(high) > 0.0:
         return low if abs(excess(low)) < abs(excess(high)) else high
     return float(brentq(excess, low, high, xtol=1e-12))
 
 
 def quantile(values: Floats, share: float, confidence: float) -> ConfidenceInterval:
-    """Of a figure, (n,); by bootstrap, so that nothing is presumed of its distribution.
+    """Return the quantile of a figure, (n,); by bootstrap, so that nothing is assumed about its distribution.
 
-    It cannot tell more than the values do: a share beyond 1 - 10/n rests on the few largest.
+    It is limited by the values: a share beyond 1 - 10/n rests on the few largest.
     """
     return _resampled(values, partial(np.quantile, q=share), confidence, "percentile")
 
 
 def mean(values: Floats, confidence: float) -> ConfidenceInterval:
-    """Of a figure, (n,); by bootstrap, bias-corrected and accelerated."""
+    """Return the mean of a figure, (n,); by bootstrap, bias-corrected and accelerated."""
     return _resampled(values, np.mean, confidence, "BCa")
 
 
 def _resampled(values: Floats, of: Callable[..., Any], confidence: float, method: str) -> ConfidenceInterval:
-    """``of``: what is estimated, of a sample along ``axis``."""
+    """Bootstrap; ``of`` estimates from a sample along ``axis``."""
     if values.size < 2:
         return ConfidenceInterval(float(values[0]) if values.size else math.nan, -math.inf, math.inf)
     estimate = float(of(values))
@@ -135,13 +136,13 @@ def _resampled(values: Floats, of: Callable[..., Any], confidence: float, method
 
 
 class Paired(NamedTuple):
-    """Two points of a grid on the same draws and seeds: the second less the first."""
+    """Two points of a grid on the same draws and seeds: the second minus the first."""
 
     pairs: int
     passed_first_alone: int
     passed_second_alone: int
     p_value: float
-    """Of the pass rates being the same, exact (McNemar): pairs with the same outcome say nothing of it."""
+    """P-value of equal pass rates, exact (McNemar): pairs with the same outcome do not matter."""
     difference: ConfidenceInterval
     """Mean difference of the figure over the pairs that have it in both, by bootstrap."""
 
@@ -149,7 +150,7 @@ class Paired(NamedTuple):
 def paired(
     passed: tuple[NDArray[np.bool_], NDArray[np.bool_]], figure: tuple[Floats, Floats], confidence: float
 ) -> Paired:
-    """``passed``, ``figure``: (n,) of each point, in the same order of draws and seeds."""
+    """Compare two points. ``passed``, ``figure``: (n,) of each, in the same order of draws and seeds."""
     first, second = passed
     first_alone, second_alone = int((first & ~second).sum()), int((second & ~first).sum())
     apart = first_alone + second_alone
@@ -161,10 +162,10 @@ def paired(
 
 
 class Sensitivity(NamedTuple):
-    """How a figure goes with a key."""
+    """Dependence of a figure on a key."""
 
     share_of_variance: float
-    """Of that of the figure, what the key's value explains by itself (correlation ratio), 0 to 1."""
+    """Share of the figure's variance explained by the key alone (correlation ratio), 0 to 1."""
     rank_correlation: float
     """Spearman's, -1 to 1; NaN for a key that is no number."""
 
@@ -174,7 +175,7 @@ _BINS: Final = 10
 
 
 def sensitivity(key: NDArray[Any], figure: Floats) -> Sensitivity:
-    """``key``: (n,) numbers or texts. ``figure``: (n,), NaN where there is none."""
+    """Compute it. ``key``: (n,) numbers or texts. ``figure``: (n,), NaN if missing."""
     there = np.isfinite(figure)
     key, figure = key[there], figure[there]
     if figure.size < 3 or np.ptp(figure) == 0.0 or np.unique(key).size < 2:

@@ -1,8 +1,8 @@
 """The table of a campaign on disk: a Parquet dataset that only grows, by whole files.
 
 Each file holds the next runs in order of their number, is written beside its place, synced, and put there by
-one rename: whatever is killed when, what is there is whole, and goes from run 0 on without a gap. A seal has
-the digest of each (:mod:`servobench.hil.campaign.store_seal`), which is checked whenever it is read.
+one rename: after any kill the files are whole, and continuous from run 0. A seal has the digest of each
+(:mod:`servobench.hil.campaign.store_seal`), which is checked whenever it is read.
 """
 
 import fcntl
@@ -33,17 +33,17 @@ PLAN_FILE: Final = "campaign.json"
 RUNS_FOLDER: Final = "runs"
 LOCK_FILE: Final = "campaign.lock"
 _HOLDER_BYTES: Final = 200
-"""Of the lock file: a process and the name of a host, 64 characters on Linux."""
+"""Size of the lock file: a process and the name of a host, 64 characters on Linux."""
 _PART: Final = "part-{:09d}.parquet"
 _PARTS: Final = f"{RUNS_FOLDER}/part-*.parquet"
 
 
 class RunStore:
-    """Of one campaign, below its folder, which nobody else writes to meanwhile."""
+    """The store of one campaign, in its folder, which nobody else writes to meanwhile."""
 
     def __init__(self, folder: Path, plan: CampaignPlan, lock: int, seal: StoreSeal) -> None:
-        """``folder``: of the campaign, which is there; ``lock``: a descriptor to be closed with the store, as
-        ``seal`` is. Raises BadInput for one whose files are not whole."""
+        """``folder``: that of the campaign, which exists; ``lock``: a descriptor to close with the store,
+        like ``seal``. Raises BadInput for incomplete files."""
         self.folder, self._plan, self._lock, self._seal = folder, plan, lock, seal
         self._runs = folder / RUNS_FOLDER
         self.schema = schema_of(plan)
@@ -51,10 +51,10 @@ class RunStore:
         for left in self._runs.glob(f"*{SUFFIX}"):
             left.unlink()
         self.count = self.table().num_rows
-        """Runs that are stored: 0 to ``count`` - 1."""
+        """Stored runs: 0 to ``count`` - 1."""
 
     def close(self) -> None:
-        """Let others write to the folder; a second time is no harm."""
+        """Release the folder for other writers; a second call does no harm."""
         lock, self._lock = self._lock, -1
         if lock >= 0:
             with suppress(OSError):  # the disk is full: --resume will end it
@@ -68,7 +68,7 @@ class RunStore:
         self.close()
 
     def append(self, rows: Sequence[Row]) -> None:
-        """Store the next runs. Raises BadInput or DiskFull for a folder that does not take them."""
+        """Store the next runs. Raises BadInput or DiskFull for a folder that cannot take them."""
         numbers = [row["run"] for row in rows]
         if numbers != list(range(self.count, self.count + len(rows))):
             raise ValueError(f"runs {numbers[:3]}..., expected those from {self.count} on")
@@ -83,14 +83,14 @@ class RunStore:
         self.count += len(rows)
 
     def table(self) -> pa.Table:
-        """As :func:`stored_runs`."""
+        """Return the stored runs; see :func:`stored_runs`."""
         return stored_runs(self.folder, self.schema)
 
 
 def stored_runs(folder: Path, schema: pa.Schema) -> pa.Table:
-    """All runs in order of the campaign in ``folder``, also while it goes on.
+    """Return all runs in order of the campaign in ``folder``, even while it runs.
 
-    Raises BadInput for a file that is damaged or missing, or that none of its runs has written.
+    Raises BadInput for a file that is damaged or missing, or not written by any of its runs.
     """
     parts = [pq.read_table(path, schema=schema) for path in _sealed(folder) if path.name != PLAN_FILE]
     return pa.concat_tables(parts) if parts else schema.empty_table()
@@ -101,7 +101,7 @@ def _sealed(folder: Path) -> list[Path]:
 
 
 def schema_of(plan: CampaignPlan) -> pa.Schema:
-    """Columns with units and meanings, and in the metadata what the campaign is."""
+    """Return the columns with units and meanings, and in the metadata the campaign."""
     fields = [_field("run", pa.int64(), "", "number of the run, from 0")]
     fields += [_field(name, pa.int64(), "", text) for name, text in _COUNTS.items()]
     for name, value in plan.run(0).labels.items():
@@ -147,7 +147,7 @@ def _field(name: str, kind: Any, unit: str, meaning: str) -> pa.Field:
 
 
 def open_campaign(folder: Path, plan: CampaignPlan, resume: bool) -> RunStore:
-    """The store of a campaign in ``folder``: a new one, or that of the same sweep to go on with.
+    """Open the store of a campaign in ``folder``: a new one, or that of the same sweep to resume.
 
     Raises BadInput: there is another campaign in it, or the same one and it is not to be resumed; one of its
     files, or the program, is not as it was; somebody writes to it; or the guide of its draws is no figure.
@@ -168,7 +168,7 @@ def open_campaign(folder: Path, plan: CampaignPlan, resume: bool) -> RunStore:
 
 
 def _lock(folder: Path, lock: int) -> None:
-    """Whoever dies leaves no lock behind: the kernel holds it, the file says whose it is."""
+    """Lock the folder: the kernel holds the lock, so none survives its process; the file names the owner."""
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -211,8 +211,8 @@ def _write_plan(seal: StoreSeal, plan: CampaignPlan) -> None:
 
 
 def plan_in(folder: Path) -> CampaignPlan:
-    """Of the campaign in ``folder``. Raises BadInput: there is none, or a file that its runs have opened, the
-    sweep among them, is another one by now."""
+    """Load the plan of the campaign in ``folder``. Raises BadInput: there is none, or a file opened by its
+    runs, the sweep included, has changed."""
     place = folder / PLAN_FILE
     if not place.exists():
         raise BadInput("DIR", "", str(folder), "the folder of a campaign: --out of hil campaign")
@@ -224,7 +224,7 @@ def plan_in(folder: Path) -> CampaignPlan:
 
 
 def _stored(place: Path) -> tuple[Path, Identity]:
-    """Path of the sweep, and what its campaign rests on. Raises BadInput."""
+    """Return the path of the sweep, and the identity of its campaign. Raises BadInput."""
     table = parse_json(read_text(place, "campaign"), str(place), "what hil campaign wrote")
     match table:
         case {

@@ -23,7 +23,7 @@ class StoreSeal:
     """Writes the files of a store; its folder is locked meanwhile."""
 
     def __init__(self, folder: Path, *, fresh: bool) -> None:
-        """``fresh``: a new store. Raises BadInput for a seal that is damaged."""
+        """``fresh``: a new store. Raises BadInput for a damaged seal."""
         self._folder = folder
         self._chain, self._ended = FIRST_CHAIN, False
         if not fresh:
@@ -38,7 +38,7 @@ class StoreSeal:
                 self._put_in_place(beside, last.file)
 
     def put(self, name: str, data: bytes) -> None:
-        """A file, or its next version. Error: OSError."""
+        """Write a file, or its next version. Error: OSError."""
         beside = (self._folder / name).with_suffix(SUFFIX)
         with beside.open("wb") as file:
             write_synced(file, data)
@@ -47,7 +47,7 @@ class StoreSeal:
         self._ended = False
 
     def close(self) -> None:
-        """All that was to be written is. Error: OSError."""
+        """End the seal: everything is written. Error: OSError."""
         if not self._ended:
             self._write({ENDED: True})
         self._file.close()
@@ -64,7 +64,7 @@ class StoreSeal:
 
 
 def sealed_files(folder: Path, *, under_way: bool, among: str) -> Iterator[Path]:
-    """The files of a store in order of their first lines, each as its seal has it.
+    """Yield the files of a store in order of their first lines, each checked against its seal.
 
     ``under_way``: somebody writes to it, whose last file may not be in its place yet. ``among``: a pattern of
     names, of which none else may be there. Raises BadInput.

@@ -1,4 +1,4 @@
-"""Sweep files: which bench, what varies in it, how often, and when it is enough."""
+"""Sweep files: the bench, the varied values, the number of runs, and the stopping rule."""
 
 from typing import Annotated, Any, Literal
 
@@ -20,12 +20,12 @@ class CampaignSection(Section):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="a name of letters, digits, . _ -")
     bench: str = Field(min_length=1, description="the path of a bench file, from the sweep file on")
     seeds: int = Field(default=1, ge=1, le=RUNS_MAX)
-    """How often each point is run, each time with a seed and a draw of its own, the same at all points."""
+    """Runs per point, each with its own seed and draw, the same at all points."""
     first_seed: int = Field(default=1, ge=0, lt=2**62)
     allow_uncertified: bool = False
-    """As --allow-uncertified of hil run."""
+    """Like --allow-uncertified of hil run."""
     failures_recorded: int = Field(default=3, ge=0, le=1000)
-    """So many of the first runs that did not pass are run once more, with everything recorded."""
+    """Number of first failed runs that are repeated with everything recorded."""
 
 
 class Vary(Section):
@@ -40,9 +40,9 @@ class Vary(Section):
     count: int | None = Field(default=None, ge=2, le=RUNS_MAX)
     spacing: Literal["linear", "log"] = "linear"
     whole: bool = False
-    """Whether a range is rounded to whole numbers."""
+    """True: a range is rounded to whole numbers."""
     labels: Annotated[tuple[str, ...], Field(strict=False)] = ()
-    """What reports say in place of the values."""
+    """Names in reports instead of the values."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> "Vary":
@@ -71,7 +71,7 @@ class Draw(Section):
     mean: float | None = None
     deviation: float | None = Field(default=None, gt=0)
     whole: bool = False
-    """Whether values are rounded to whole numbers."""
+    """True: values are rounded to whole numbers."""
 
     @model_validator(mode="after")
     def _its_parameters(self) -> "Draw":
@@ -97,19 +97,19 @@ class Drawing(Section):
 
 
 class Stop(Section):
-    """``[stop]``: when it is enough before all planned runs are done."""
+    """``[stop]``: when to end before all planned runs are done."""
 
     rate_width: float | None = Field(default=None, gt=0, lt=1)
     """The pass rate of every point of the grid is known to an interval no wider than this."""
     confidence: float = Field(default=0.95, gt=0.5, lt=1)
-    """Of that interval, and of those of the report."""
+    """Confidence of that interval, and of those in the report."""
 
 
 class Adaptive(Section):
-    """``[adaptive]``: draws that go where runs fail, in rounds, with weights that put the rate right."""
+    """``[adaptive]``: draws that concentrate where runs fail, in rounds, with correcting weights."""
 
     guide: str = Field(description="a figure of the runs, e.g. speed_error_peak_percent")
-    """The larger, the nearer to failing. It leads there; what fails the verdict says."""
+    """The larger, the nearer to failing. It only guides; the verdict decides about failures."""
     focus: Literal["failures", "boundary"] = "failures"
     """``failures``: for rare ones; ``boundary``: to where runs that pass and runs that do not meet."""
     round_runs: int = Field(default=200, ge=20, le=100_000)
@@ -117,12 +117,12 @@ class Adaptive(Section):
 
 
 class Own(Section):
-    """``[own]``: functions of one's own, see :class:`servobench.hil.campaign.own_functions.OwnFunctions`."""
+    """``[own]``: user functions; see :class:`servobench.hil.campaign.own_functions.OwnFunctions`."""
 
     changes: str | None = Field(default=None, pattern=OBJECT_PATTERN)
-    """Of the bench, by the seed of a run."""
+    """Function that changes the bench, by the seed of a run."""
     check: str | None = Field(default=None, pattern=OBJECT_PATTERN)
-    """What every run is held against."""
+    """Function that checks every run."""
 
 
 class SweepFile(Section):
@@ -140,7 +140,7 @@ class SweepFile(Section):
 
 
 def sweep_from(tables: Any, source: str) -> SweepFile:
-    """A sweep from the tables of a file. Raises BadInput or BadInputs."""
+    """Make a sweep from the tables of a file. Raises BadInput or BadInputs."""
     sweep = validated(SweepFile, tables, source)
     varied = [key for axis in sweep.vary for key in (axis.keys or (axis.key or "",))]
     varied += [draw.key for draw in sweep.draw]

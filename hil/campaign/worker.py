@@ -34,28 +34,28 @@ from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import VerdictKind
 
 COLLECTED_EVERY: Final = 50
-"""Runs between two collections of garbage: a run leaves some hundred kB in circles, a collection takes some
-milliseconds once what was imported is frozen."""
+"""Runs between two garbage collections: a run leaves some hundred kB in cycles, a collection takes some
+milliseconds once the imports are frozen."""
 
 
 class Figure(NamedTuple):
-    """What is kept of a run, as a column."""
+    """A figure kept for each run, as a column."""
 
     unit: str
     meaning: str
     of: Callable[[Summary, int], float | None]
-    """Of a summary, and the number of axes."""
+    """Computes it from a summary, and the number of axes."""
 
 
 def _gain(summary: Summary, which: str) -> float | None:
-    """Of the axis whose seen gain is nearest to its certificate."""
+    """Return the gain of the axis nearest to its certificate."""
     pairs = [each["gain_rad_s_nm"] for each in summary.certificates.values()]
     known = [pair for pair in pairs if pair["certified"] is not None and pair["seen"] is not None]
     return max(known, key=lambda pair: pair["seen"] / pair["certified"])[which] if known else None
 
 
 def certificate_state(summary: Summary) -> str:
-    """What a run says of the certificates of its controllers; empty: they have none."""
+    """Return the state of a run's certificates; empty: its controllers have none."""
     states = {each["state"] for each in summary.certificates.values()}
     return next((state.value for state in CertificateState if state in states), "")
 
@@ -102,32 +102,32 @@ FIGURES: Final[Mapping[str, Figure]] = {
     ),
     "cycles": Figure("", "control cycles", lambda s, _: float(s.cycles)),
 }
-"""By name of the column; the names are those of the limits in ``[verdict]`` where there is one."""
+"""Figures by column name; the names are those of the limits in ``[verdict]`` if there is one."""
 
 Row = dict[str, Any]
 """A row of the table of a campaign: plain values by column."""
 Answer = dict[str, Any]
-"""Of a worker, plain values: ``row`` and ``took_ns`` of a run, and ``files`` that were opened since the last
+"""Answer of a worker, plain values: ``row`` and ``took_ns`` of a run, and ``files`` opened since the last
 answer; or ``error`` and ``status``: there is none."""
 
 
 class NotTheSame(BenchError):
-    """A run that was repeated came to another digest: something in it is not deterministic."""
+    """A repeated run has another digest: something in it is not deterministic."""
 
     exit_status = 70
 
 
 class Finished(NamedTuple):
-    """A run that was run."""
+    """A finished run."""
 
     config: BenchConfig
     summary: Summary
     findings: list[str] | None
-    """Of the check of one's own; None: there is none."""
+    """Findings of the user's check; None: there is no check."""
 
 
 class Workshop:
-    """Runs any run of a plan, in any order; what they share is loaded once."""
+    """Runs any run of a plan, in any order; shared data are loaded once."""
 
     def __init__(self, plan: CampaignPlan, stop: StopRequest | None = None) -> None:
         self._plan = plan
@@ -139,15 +139,15 @@ class Workshop:
 
     @classmethod
     def of_sweep(cls, path: str, identity: Identity) -> "Workshop":
-        """Of a worker, which reads the sweep by itself. Raises BadInput or BadInputs: a file that it
-        names, or the program here, is not that of the campaign."""
+        """Make the workshop of a worker, which reads the sweep itself. Raises BadInput or BadInputs: one of
+        its files, or the program here, is not that of the campaign."""
         require_program(identity["program"], path)
         plan = CampaignPlan.load(Path(path), identity)
         plan.require(identity)
         return cls(plan, StopRequest())
 
     def answers(self, chunk: Iterable[Any]) -> Iterator[Answer]:
-        """Of a chunk: pairs of a run's number and what it draws. Raises as :meth:`row`."""
+        """Yield the answers for a chunk: pairs of a run's number and its draw. Raises as :meth:`row`."""
         for number, drawn in chunk:
             began = self._clock.now()
             row = self.row(number, Drawn(*drawn))
@@ -155,10 +155,10 @@ class Workshop:
             yield {"row": row, "took_ns": took_ns, "files": self._plan.files.fresh()}
 
     def row(self, number: int, drawn: Drawn | None = None) -> Row:
-        """Run ``number``; ``drawn``: as :meth:`CampaignPlan.run` takes it.
+        """Return the row of run ``number``; ``drawn``: as for :meth:`CampaignPlan.run`.
 
-        Raises BadInput or BadInputs for one that cannot be run, and for a file that it opens and that is not
-        as other runs met it; Interrupted.
+        Raises BadInput or BadInputs for an impossible run, and for a file that has changed since other runs
+        opened it; Interrupted.
         """
         with self._plan.files.noting():
             planned = self._plan.run(number, drawn)
@@ -170,9 +170,9 @@ class Workshop:
         return row_of_run(planned, done)
 
     def finished(self, planned: PlannedRun, record: Path | None = None) -> Finished:
-        """What a run comes to; ``record``: the folder of its recording.
+        """Run a planned run to its end; ``record``: the folder of its recording.
 
-        Raises as :meth:`row`, and OwnCodeFailed; what else ends a run is told by its verdict.
+        Raises as :meth:`row`, and OwnCodeFailed; its verdict reports any other end.
         """
         try:
             config = self._plan.bench.changed(planned.changes).config
@@ -233,13 +233,13 @@ class Workshop:
 
 
 def refusal(error: BenchError) -> Answer:
-    """What a worker answers where it has no row."""
+    """Return a worker's answer without a row."""
     notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
     return {"error": f"{error}{notes}", "status": error.exit_status}
 
 
 def row_of_run(planned: PlannedRun, done: Finished) -> Row:
-    """What the table keeps. Raises Interrupted: such a run tells nothing."""
+    """Return the row of the table. Raises Interrupted: such a run says nothing."""
     summary, verdict = done.summary, done.summary.verdict
     if ended_by := verdict.of(VerdictKind.INTERRUPTED):
         raise Interrupted("; ".join(ended_by))
@@ -265,7 +265,7 @@ def row_of_run(planned: PlannedRun, done: Finished) -> Row:
 
 
 def main() -> int:
-    """A worker of :mod:`servobench.hil.campaign.pool`: run what is asked for until nothing more comes."""
+    """Run as a worker of :mod:`servobench.hil.campaign.pool` until no more requests come."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     said = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what code of one's own prints is no answer

@@ -1,4 +1,4 @@
-"""Controllers and compensators: what the loop computes its commands with."""
+"""Controllers and compensators, by which the loop computes its commands."""
 
 from servobench.drivers.compiled import use_fresh
 

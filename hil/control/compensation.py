@@ -1,4 +1,4 @@
-"""Delay compensation: which state a command is computed from.
+"""Delay compensation: the state from which a command is computed.
 
 sampled      x0        x1        x2        x3
 received        x0        x1        --        x3
@@ -22,7 +22,7 @@ def _as_estimate(sample: Sample) -> StateEstimate:
 
 
 class Arrival(Compensator):
-    """The newest sample at once; through a dropout the last one is held."""
+    """Uses the newest sample at once; through a dropout the last one is held."""
 
     def __init__(self) -> None:
         self._held = AT_REST

@@ -19,23 +19,23 @@ STEP_SIGMAS: Final = 1.5
 """An innovation so many times its standard deviation is taken for a step of the load. By chance one in seven
 is, which the design reckons with; at 3 a step that comes late in a period is often seen a period later."""
 _PANELS: Final = 64
-"""Of Simpson's rule over a period; its error is far below what a double tells of a covariance."""
+"""Panels of Simpson's rule over a period; its error is far below a double's resolution of a covariance."""
 _SETTLING_STEPS: Final = 5000
 """Updates after which the covariance has settled; a load that walks slowly takes as many periods."""
 
 
 @dataclass(frozen=True, slots=True)
 class FilterNoise:
-    """What the filter goes by."""
+    """Noise data of the filter."""
 
     speed_rad_s: float
     """Rms of the noise on each reading of the speed."""
     torque_nm: float
-    """Rms of what the torque of a period differs from its command."""
+    """Rms difference between a period's torque and its command."""
     load_nm_sqrt_s: float
-    """Of the load's random walk: rms of its change over a second."""
+    """The load's random walk: rms of its change over a second."""
     load_max_nm_sqrt_s: float
-    """The same where an innovation tells of a step."""
+    """The same after an innovation that indicates a step."""
 
 
 class Covariance:
@@ -78,7 +78,7 @@ class Covariance:
             self.correct()
 
     def _transition(self, plant: PredictorPlant, period_s: float) -> None:
-        """What a unit of each state makes of the others within a period."""
+        """Compute the effect of each state on the others within a period."""
         speed, filtered = ShaftMotion(plant), ShaftMotion(plant)
         speed.speed_rad_s = 1.0
         filtered.filtered_rad_s = 1.0
@@ -90,7 +90,8 @@ class Covariance:
         self._t_sl, self._t_fl = load.speed_rad_s, load.filtered_rad_s
 
     def _process(self, plant: PredictorPlant, torque_nm: float, walk: float, period_s: float) -> None:
-        """What the walk adds within a period, by Simpson's rule, and the torque's noise."""
+        """Compute the variance added by the walk within a period, by Simpson's rule, and by the torque's
+        noise."""
         ss = sf = sl = ff = fl = ll = 0.0
         for k in range(_PANELS + 1):
             weight = 1.0 if k in (0, _PANELS) else 4.0 if k % 2 else 2.0
@@ -112,7 +113,7 @@ class Covariance:
 
     @property
     def spread(self) -> float:
-        """Variance of the innovation, before it has come."""
+        """Variance of the innovation, before it arrives."""
         return self.ff + self._noise
 
     def copy(self, other: "Covariance") -> None:
@@ -121,7 +122,7 @@ class Covariance:
         self.ff, self.fl, self.ll = other.ff, other.fl, other.ll
 
     def predict(self) -> None:
-        """On by a period."""
+        """Advance by a period."""
         t_ss, t_fs, t_ff, t_sl, t_fl = self._t_ss, self._t_fs, self._t_ff, self._t_sl, self._t_fl
         ss, sf, sl, ff, fl, ll = self.ss, self.sf, self.sl, self.ff, self.fl, self.ll
         # rows of Phi P: speed and filtered speed against each state; the load stays
@@ -139,7 +140,7 @@ class Covariance:
         self.ll = ll + self._q_ll
 
     def correct(self) -> None:
-        """A reading has come; its gains."""
+        """Correct by a reading; set its gains."""
         sf, ff, fl = self.sf, self.ff, self.fl
         per_spread = 1.0 / (ff + self._noise)
         self.speed_gain = speed_gain = sf * per_spread
@@ -165,13 +166,13 @@ class LoadFilter:
         self._threshold = STEP_SIGMAS * STEP_SIGMAS
 
     def predict(self, periods: int) -> None:
-        """On by whole periods; all but the last without a reading."""
+        """Advance by whole periods; all but the last without a reading."""
         for _ in range(periods):
             self.quiet.predict()
             self._bold.predict()
 
     def correct(self, innovation: float) -> None:
-        """A reading has come, so far from what was expected, rad/s."""
+        """Take a reading with this innovation, rad/s."""
         quiet, bold = self.quiet, self._bold
         if innovation * innovation > self._threshold * quiet.spread:
             quiet.copy(bold)
@@ -180,7 +181,8 @@ class LoadFilter:
 
 
 def _loaded(plant: PredictorPlant, length_s: float) -> ShaftMotion:
-    """What 1 N m of load makes of a shaft at rest within ``length_s``, with no torque against it."""
+    """Return the motion of a shaft at rest under 1 N m of load within ``length_s``, without
+    counter-torque."""
     motion = ShaftMotion(plant)
     motion.advance(0.0, 1.0, length_s)
     return motion

@@ -14,7 +14,7 @@ _APART: Final = 1e-3
 """Part of its rate by which the speed's filter is moved away from the current loop's, where they are equal:
 the closed form divides by their difference."""
 _COASTS: Final = 1e-6
-"""1/s. A shaft that coasts longer has no friction that could be told from none."""
+"""1/s. A shaft that coasts longer has practically no friction."""
 
 
 class ShaftMotion:
@@ -64,7 +64,7 @@ class ShaftMotion:
         self.filtered_rad_s = other.filtered_rad_s
 
     def advance(self, command_nm: float, load_nm: float, length_s: float) -> None:
-        """On by ``length_s`` under a constant command and load, N m.
+        """Advance by ``length_s`` under a constant command and load, N m.
 
         Torque and speed are exact; the filter takes the speed's drift for a straight line within the piece.
         """

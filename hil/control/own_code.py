@@ -1,4 +1,4 @@
-"""Controllers and compensators of one's own: found, made, and kept from doing harm.
+"""User controllers and compensators: found, made, and kept from doing harm.
 
 Whatever such a class raises, ``sys.exit()`` included, an answer that is no number, and a call that does not
 come back end the run like any failure: the drives are brought to rest, and the message names the line.
@@ -49,12 +49,12 @@ _FILES: Final = "controller file "
 _SIGNAL: Final = signal.SIGRTMIN + 7
 """One that nothing else of the bench, of pytest or of a solver is known to use."""
 _LOOK_S: Final = 0.05
-"""How often it is looked whether a call takes too long: far below any patience, and no load."""
+"""Interval of the check for long calls: far below any patience, and no load."""
 _CHANNEL: Final = re.compile(r"[a-z][a-z0-9_]*")
 
 
 class OwnCodeFailed(BenchError):
-    """A controller or compensator of one's own raised, gave no number, or did not come back."""
+    """A user's controller or compensator raised, returned no number, or did not return."""
 
 
 class _TookTooLong(Exception):
@@ -103,18 +103,19 @@ def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Set
 
 
 def object_of(name: str) -> Any:
-    """What ``name`` says, as :data:`OBJECT_PATTERN` has it; runs its module. Raises whatever that raises."""
+    """Return the object that ``name`` names, see :data:`OBJECT_PATTERN`; runs its module. Raises whatever
+    that raises."""
     remember_modules()
     with held_process():
         return getattr(_module_of(name), name.rpartition(":")[2])
 
 
 class _FromSource(SourceFileLoader):
-    """Never from compiled code beside the file, which is taken for the file's own if second and size fit:
-    what is recorded as the source is what runs."""
+    """Ignores compiled code beside the file, which counts as current if second and size match: the recorded
+    source is what runs."""
 
     def get_code(self, fullname: str) -> CodeType:
-        """As the base class."""
+        """Return the code, compiled from source."""
         path = self.get_filename(fullname)
         code: CodeType = self.source_to_code(self.get_data(path), path)
         return code
@@ -187,7 +188,7 @@ class _Watchdog:
 
 
 _WATCHDOG: Final = _Watchdog()
-"""Of the process, as its signals are."""
+"""One for the process, like its signals."""
 
 
 class _Guard:
@@ -220,7 +221,7 @@ class _Guard:
             leave_call()
 
     def refuse(self, method: str, answer: object, expected: str) -> None:
-        """Raises OwnCodeFailed: what ``method`` returned is of no use."""
+        """Raise OwnCodeFailed: the result of ``method`` is unusable."""
         code = getattr(type(self._inner), method).__code__
         place = f"{Path(code.co_filename).name}:{code.co_firstlineno} in {method}"
         raise OwnCodeFailed(

@@ -1,4 +1,4 @@
-"""What commands a drive that closes more than its current loop: a position loop over its speed mode, and
+"""Controllers for a drive that closes more than its current loop: a position loop over its speed mode, and
 streams of set-points.
 
     reference position --> P --+--> speed set-point --> the drive's speed loop --> shaft

@@ -44,7 +44,7 @@ class Predictor(Compensator):
 
     def _begin(self) -> None:
         self.load_nm = 0.0
-        """The load torque, as far as the readings tell."""
+        """The load torque, as estimated from the readings."""
         self.innovation_rad_s = 0.0
         """The last reading's speed beside the one that was expected."""
         self._filter = LoadFilter(self._plant, self._noise, self._period * PER_NS)
@@ -55,7 +55,7 @@ class Predictor(Compensator):
         """For when the filter's state holds, ns."""
         self._acts_at: list[int] = [0]
         self._commands_nm: list[float] = [0.0]
-        """Those that act at the filter's instant or later, the one in force first."""
+        """Commands that act at the filter's instant or later, the one in force first."""
 
     def reset(self) -> None:
         self._begin()
@@ -104,7 +104,7 @@ class Predictor(Compensator):
         )
 
     def _run(self, motion: ShaftMotion, start: int, end: int) -> None:
-        """On through the commands that act between two instants, in pieces of a period at most."""
+        """Advance through the commands between two instants, in pieces of a period at most."""
         acts_at, load_nm, period = self._acts_at, self.load_nm, self._period
         count, place = len(acts_at), 0
         while start < end:
@@ -117,7 +117,7 @@ class Predictor(Compensator):
             start = stop
 
     def _forget(self) -> None:
-        """What acted before the filter's instant."""
+        """Discard commands that acted before the filter's instant."""
         acts_at = self._acts_at
         while len(acts_at) > 1 and acts_at[1] <= self._at:
             acts_at.pop(0)
@@ -125,7 +125,7 @@ class Predictor(Compensator):
 
 
 class LoadCancelling(Controller):
-    """Feedback of what its predictor tells, against the load that it knows: k_omega, and k_T in N m/N m."""
+    """Feeds back its predictor's state, and cancels the estimated load: k_omega, and k_T in N m/N m."""
 
     def __init__(
         self, predictor: Predictor, plant: PredictorPlant, speed_gain_nm_s_rad: float, torque_gain: float

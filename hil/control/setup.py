@@ -1,4 +1,4 @@
-"""What a controller or compensator is told of its axis when it is made."""
+"""Data about its axis for a controller or compensator."""
 
 from dataclasses import dataclass
 
@@ -13,18 +13,18 @@ class Setup:
 
     axis: str
     period: Duration
-    """Of the loop, ns."""
+    """Period of the loop, ns."""
     motor: PmsmParameters
     torque_max_nm: float
-    """Of a set-point; what is beyond is cut off."""
+    """Limit of a set-point; values beyond it are clipped."""
     speed_max_rad_s: float
     """At which the bench stops the drive."""
     patience_s: float
-    """How long one call of a class of one's own may take by the host's clock, s."""
+    """Limit of one call of a user class by the host's clock, s."""
     source: str
     """The bench file; errors name it."""
     given: Quantity = Quantity.TORQUE
-    """What the drive takes in its mode."""
+    """Quantity that the drive takes in its mode."""
 
     @property
     def period_s(self) -> float:

@@ -1,7 +1,7 @@
-"""What the loop writes in every cycle, in C (decision 0026).
+"""The part of the loop written in C that runs in every cycle (decision 0026).
 
-Where it is not built, or was built from other sources than those beside it, importing this package raises
-BadInput, which says what to do.
+If it is not built, or was built from other sources than the present ones, importing this package raises
+BadInput with the cure.
 """
 
 from servobench.design.core.build import LIBRARY, check_built

@@ -1,10 +1,10 @@
-"""What hil's core, written in C, shows to Python; the sources beside this file say how it is computed."""
+"""hil's core, written in C, as seen from Python; the sources beside this file document it."""
 
 from collections.abc import Callable
 from typing import Self
 
 SOURCES_DIGEST: str
-"""Of the C that the core was built from (servobench.design.core.build)."""
+"""Digest of the C sources of the core (servobench.design.core.build)."""
 
 def frame_row(at: int, can_id: int, sent: int, data: bytes, /) -> bytes:
     """A row of servobench.hil.rows.side_rows.FRAME; ``can_id`` with its flags

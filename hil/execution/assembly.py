@@ -1,4 +1,4 @@
-"""From a checked bench file to the parts of a run."""
+"""Builds the parts of a run from a checked bench file."""
 
 from collections.abc import Callable
 
@@ -23,18 +23,19 @@ from servobench.virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_durati
 from servobench.virtual_bus.frame import Frame
 
 FRAME_BITS_BARE = 44
-"""Of a data frame with an 11-bit identifier, beside its data and stuff bits, from start to end of frame."""
+"""Bits of a data frame with an 11-bit identifier without its data and stuff bits, from start to end of
+frame."""
 _CONTROLWORD_BYTES = 2
 COMMAND_FRAMES = {
     key: Frame(0x201, bytes(_CONTROLWORD_BYTES + TARGETS[mode].bits // 8))
     for key, mode in BENCH_MODES.items()
 }
-"""By mode; as long as a command can be told to be before its data are known: 6071h and 6042h have 16 bits,
-60FFh, 607Ah and 60C1h:1 have 32."""
+"""Command frames by mode; as long as a command can be before its data are known: 6071h and 6042h have 16
+bits, 60FFh, 607Ah and 60C1h:1 have 32."""
 
 
 def loop_timing(config: BenchConfig) -> LoopTiming:
-    """The loop's times; the latencies are those of the first segment while it is idle."""
+    """Return the loop's times; the latencies are those of the idle first segment."""
     bitrate = config.bus.bitrate_bit_s
     return LoopTiming(
         period=config.loop.period,
@@ -47,33 +48,34 @@ def loop_timing(config: BenchConfig) -> LoopTiming:
 
 
 def sync_latency(bitrate: int) -> Duration:
-    """From handing a SYNC over until its end on an idle segment of that bit rate, bit/s."""
+    """Return the time from handing a SYNC over to its end on an idle segment of that bit rate, bit/s."""
     return bits_duration(frame_bits(Frame(SYNC)), bitrate)
 
 
 def command_latency(bitrate: int, mode: str = "cst") -> Duration:
-    """From handing a command in a mode over until its end on an idle segment of that bit rate, bit/s."""
+    """Return the time from handing a command over to its end on an idle segment of that bit rate, bit/s."""
     return bits_duration(frame_bits(COMMAND_FRAMES[mode]), bitrate)
 
 
 def shortest_transit(data_bytes: int, bitrate: int) -> Duration:
-    """The least time that a frame takes on the wire: one without a stuff bit (ISO 11898-1)."""
+    """Return the least time of a frame on the wire: one without a stuff bit (ISO 11898-1)."""
     return bits_duration(FRAME_BITS_BARE + 8 * data_bytes, bitrate)
 
 
 def command_duration(bitrate: int, mode: str) -> Duration:
-    """How long a command in a mode keeps an idle segment of that bit rate, with the intermission after it."""
+    """Return how long a command in a mode occupies an idle segment of that bit rate, with the intermission
+    after it."""
     return bits_duration(frame_bits(COMMAND_FRAMES[mode]) + INTERMISSION_BITS, bitrate)
 
 
 def reference_profile(config: BenchConfig, axis: str) -> ReferenceProfile:
-    """The reference of one axis, in SI units."""
+    """Return the reference of one axis, in SI units."""
     entries = config.reference.get(axis, ())
     return ReferenceProfile([entry.segment() for entry in entries], quantity_of(config, axis))
 
 
 def _guard(config: BenchConfig, axis: str) -> SafetyGuard:
-    """The host limits of one axis, of the quantity that its drive is given."""
+    """Return the host limits of one axis, for its drive's quantity."""
     drive = config.drive[axis]
     limits = drive.limits
     guarded: Limits
@@ -106,9 +108,9 @@ def axis(
     record: Callable[[CycleRecord], None],
     tell: Callable[[str], None],
 ) -> Axis:
-    """The ``number``-th axis of the bench, on ``drive``, which is configured.
+    """Build the ``number``-th axis of the bench, on ``drive``, which is configured.
 
-    ``syncs``: of its segment. ``tell``: takes what is to be said of the drive's clock.
+    ``syncs``: of its segment. ``tell``: takes messages about the drive's clock.
     """
     name = config.axes[number]
     mode, segment, bitrate = config.drive[name].mode, config.drive[name].segment, config.bitrate_of(name)

@@ -1,4 +1,4 @@
-"""The controllers and compensators of a run, made before anything moves, with the files of one's own code."""
+"""Makes the controllers and compensators of a run, before anything moves, with the files of user code."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,33 +13,33 @@ from servobench.hil.loop.axis_roles import Compensator, Controller
 from servobench.hil.loop.quantity_by_mode import QUANTITY_BY_MODE
 
 PATIENCE_SIMULATED_S = 10.0
-"""How long a call of one's own code may take in simulated time, s: more than a solver takes for a step. On a
-bus in real time a drive stops by itself when it misses the host, which is then the limit."""
+"""Limit of a user code call in simulated time, s: more than a solver takes for a step. On a bus in real time
+a drive stops by itself when it misses the host, which is the limit then."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisCode:
-    """Of one axis."""
+    """The code of one axis."""
 
     controller: Controller
     compensator: Compensator
     own: Mapping[str, "KeptSource"] = field(default_factory=dict)
-    """Classes of one's own, by their key in the bench file: controller, compensator."""
+    """User classes by their key in the bench file: controller, compensator."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeptSource:
-    """The file of a class of one's own."""
+    """The file of a user class."""
 
     name: str
-    """Of the class, as the bench file has it."""
+    """Name of the class, as in the bench file."""
     file: Path
     digest: str
     """BLAKE2b, 128 bit, hex."""
 
 
 def check_axes(config: BenchConfig, controllers: Mapping[str, Controller]) -> None:
-    """Raises BadInput for a controller of an axis that is not there: the bench's own would run instead."""
+    """Raise BadInput for a controller of a missing axis: the bench's own would run instead."""
     for name in controllers:
         if name not in config.axes:
             expected = f"one of the bench's axes: {', '.join(config.axes)}"
@@ -49,9 +49,9 @@ def check_axes(config: BenchConfig, controllers: Mapping[str, Controller]) -> No
 def axis_code(
     config: BenchConfig, given: Mapping[str, Controller], *, real_time: bool
 ) -> dict[str, AxisCode]:
-    """Of every axis; ``given``: by axis, a controller in place of the bench's.
+    """Make the code of every axis; ``given``: by axis, a controller in place of the bench's.
 
-    It runs code of one's own, if the bench names any. Raises BadInput.
+    It runs user code, if the bench names any. Raises BadInput.
     """
     return {axis: _of_axis(config, axis, given.get(axis), real_time) for axis in config.axes}
 

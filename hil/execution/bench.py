@@ -1,4 +1,4 @@
-"""A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
+"""A whole run: the bus, the drives, the loop, the recording, and a safe end in every case."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -80,14 +80,14 @@ def run_bench(
 ) -> Summary:
     """Run a bench and review it; from any thread.
 
-    ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. ``record``: folder of
-    the recording, else one under ``runs``; no file is kept unless ``keep``. ``controllers``: by axis, what a
-    caller puts in place of the file's. ``network``: file of one measured before, which tells how stamps
-    advance. That network, the run's own and the drives must be what the controllers were made for, unless
-    ``allow_uncertified``. ``privileged``: ask the kernel for real-time priority and locked memory. ``stop``:
-    by which a caller ends the run, as a stop signal does. ``recording``: starts a recorder.
-    Raises BadInput before anything moves, PeerFault if bus or drive failed, RecordingFailed if the recording
-    did; the drives are brought to rest first, and ``concluded`` is given the summary, also of such a run.
+    ``bus_spec``, ``time``, ``seed``: override those in the file. ``record``: folder of the recording, default
+    one under ``runs``; no file is kept unless ``keep``. ``controllers``: by axis, replacements for the
+    file's. ``network``: file of an earlier measurement, with the stamps' resolution. That network, the run's
+    own and the drives must match the controllers' certificates, unless ``allow_uncertified``. ``privileged``:
+    ask the kernel for real-time priority and locked memory. ``stop``: ends the run on request, like a stop
+    signal. ``recording``: starts a recorder. Raises BadInput before anything moves, PeerFault if bus or drive
+    failed, RecordingFailed if the recording did; the drives are brought to rest first, and ``concluded`` is
+    given the summary, also of such a run.
     """
     controllers = controllers or {}
     check_axes(config, controllers)
@@ -131,7 +131,7 @@ def run_bench(
 
 
 def _simulated(config: BenchConfig) -> "Sequence[SimulatedServo]":
-    """The drives of the bench, if its bus is simulated."""
+    """Return the drives of the bench, if its bus is simulated."""
     if not config.simulated:
         return ()
     # A host of other drives does without it.
@@ -187,7 +187,7 @@ class _Run:
     def to_the_end(self, refused: Sequence[str], concluded: Callable[[Summary], None]) -> Summary:
         """Run, bring the drives to rest, close the recording; errors pass through afterwards.
 
-        ``refused``: what the kernel did not grant, in words.
+        ``refused``: requests refused by the kernel, in words.
         """
         for request in refused:
             self._say(f"not granted by the kernel: {request}", "WARN")
@@ -203,7 +203,7 @@ class _Run:
         return summary
 
     def write_fault_report(self, folder: Path, error: str) -> None:
-        """Beside the recording, which is closed: what was seen before the end."""
+        """Write the frames and events before the end into the closed recording's folder."""
         makes = {drive.node_id: drive.control.make for drive in self._drives}
         sent = sorted({e for drive in self._drives for e in drive.network.emergencies}, key=lambda e: e.at)
         write_fault_report(folder, error, sent, makes, self.world.clock.now())
@@ -218,7 +218,7 @@ class _Run:
             self._release()
 
     def _tell_end(self, error: BenchError) -> None:
-        """What ended the run and in what states the drives are, each as of when it showed."""
+        """Record the cause of the end and the states of the drives, each at its own instant."""
         seen_at = error.seen_at if isinstance(error, PeerFault) else None
         self.recorder.event(seen_at or self.world.clock.now(), "CRITICAL", str(error))
         for drive in self._drives:
@@ -308,7 +308,7 @@ class _Run:
         self.world.faults.finish()
 
     def _start(self, at: Instant) -> None:
-        """The run's time zero: the fault plan and the recording count from here."""
+        """Start the run's time zero: the fault plan and the recording count from here."""
         self._zero = at
         self.recorder.begin(at)
         self._load.begin(at)
@@ -336,7 +336,7 @@ class _Run:
         )
 
     def _tell_guard(self, drive: ServoDrive) -> None:
-        """From now on somebody notices when the drive does not hear its commands any more."""
+        """Report the supervision that now detects a drive deaf to its commands."""
         guard, active = drive.supervise_commands(), drive.supervision.active
         self._say(f"{drive.name}: its commands are watched by {guard}", "INFO" if active else "WARN")
         drive.watch.on_mode_watch = partial(self._tell_mode_watch, drive)
@@ -359,7 +359,7 @@ class _Run:
         return lambda text: self._say(f"{drive.name}: {text}", "WARN")
 
     def _release(self) -> None:
-        """Every way out of a run leads through here."""
+        """Release the drives: every way out of a run leads through here."""
         self._enter("stopping")
         self._guard.calm()
         if errors := self.world.error_frames():
@@ -389,7 +389,7 @@ class _Run:
         self.recorder.state(self.world.clock.now(), "phase", phase)
 
     def _note_state(self, drive: ServoDrive, seen_at: Instant | None = None) -> None:
-        """``seen_at``: when the state showed; None: with the statusword that tells it."""
+        """Note a drive's state. ``seen_at``: when it showed; None: with its statusword."""
         at = seen_at or drive.control.status_told_at or self.world.clock.now()
         label = "unknown" if drive.state is None else drive.state.value
         self.recorder.state(at, f"{drive.name} drive", label)

@@ -1,13 +1,13 @@
-"""Who else speaks on the bus of a run: what the bench did not send, did not ask for, or does not expect.
+"""Watches the bus of a run for frames that the bench did not send, did not request, or does not expect.
 
     COB-IDs of the bench itself     NMT, SYNC, its heartbeat, SDO requests and RPDOs to its drives
     more answers than questions     TPDOs beyond the SYNCs, SDO answers beyond the requests
     nodes that start                boot-up messages
     errors                          EMCYs of any node, a sudden rise of error frames
 
-Nothing looks at each frame. The guard listens on identifiers on which nothing is expected, or little, and
-compares ten times a second what others count anyway. The first sight of each kind is an event with the
-instant of its frame; further ones are counted, for the summary. The first two kinds disturb a run, unless
+It does not look at each frame. The guard listens on identifiers with little or no expected traffic, and
+compares existing counts ten times a second. The first occurrence of each kind is an event with the instant of
+its frame; further ones are counted, for the summary. The first two kinds disturb a run, unless
 ``[guard] allow`` names them.
 """
 
@@ -34,13 +34,13 @@ from servobench.hil.loop.syncs import REMEMBERED, SyncLog
 from servobench.hil.rows.frame_names import frame_name
 
 LOOK_EVERY: Final = Duration(100 * NS_PER_MS)
-"""Far below a second, in which a bench can still be stopped in time; far above a cycle, which it is not to
-cost anything."""
+"""Far below a second, in which a bench can still be stopped in time; far above a cycle, which it must not
+slow down."""
 LOOK_EVERY_SYNCS: Final = REMEMBERED // 2
-"""So often, where that is more: later the SYNCs are forgotten that frames are held against."""
+"""Interval in SYNCs, if longer: beyond it the SYNCs needed for comparison are forgotten."""
 ERRORS_A_SECOND_MAX: Final = 16
-"""A transmitter that meets so many errors in a row is error passive (8 are counted for each, 128 is the
-limit: ISO 11898-1, 12.1.4); a bus in order has less than one an hour."""
+"""A transmitter with this many consecutive errors is error passive (8 are counted for each, 128 is the limit:
+ISO 11898-1, 12.1.4); a sound bus has less than one an hour."""
 _BOOT_UP: Final = b"\x00"
 _SDO_WRITES: Final = (1, 6)
 """Client command specifiers of initiate download, also of blocks, CiA 301 7.2.4.3.3 and 7.2.4.3.9."""
@@ -49,20 +49,20 @@ _SDO_READS: Final = (2, 3, 5)
 _SDO_SEGMENT, _SDO_ABORT = 3, 4
 _NMT_BYTES: Final = 2
 _MESSAGE_BYTES: Final = 8
-"""Of every SDO request, CiA 301 7.2.4.3."""
+"""Length of every SDO request, CiA 301 7.2.4.3."""
 OBJECTS_TOLD: Final = 16
-"""So many written objects are told apart: who writes more writes anything."""
+"""Written objects reported one by one: more are arbitrary writes."""
 
 
 NO_BENCH: Final[Mapping[str, DriveConfig]] = {}
 
 
 class ForeignTraffic(PeerFault):
-    """Somebody else does on the bus what ``[guard]`` of the bench does not bear."""
+    """Another node does something on the bus that ``[guard]`` of the bench forbids."""
 
 
 class GuardedSegment(NamedTuple):
-    """What the bench is on one segment."""
+    """The bench's part of one segment."""
 
     network: CanopenNetwork
     drives: tuple[ServoDrive, ...]
@@ -74,10 +74,10 @@ class _WatchedTpdo(NamedTuple):
 
 
 class BusGuard:
-    """Of one run, on all its segments, from now on.
+    """The guard of one run, on all its segments, from now on.
 
-    :meth:`arm` when the drives are configured, and again whenever they or the SYNCs are others; :meth:`calm`
-    before they are let go, :meth:`end` at last. Where a rule says ``stop``, whatever lets time pass raises
+    Call :meth:`arm` when the drives are configured, and again when they or the SYNCs change; :meth:`calm`
+    before they are released, :meth:`end` at last. Where a rule says ``stop``, whatever lets time pass raises
     ForeignTraffic, once.
     """
 
@@ -94,15 +94,14 @@ class BusGuard:
     ) -> None:
         """``networks``: by the name of their segment. ``tell``: takes instant, level and text of an event.
         ``error_frames``: on all segments so far. ``own_sync``: the bench alone makes SYNCs. ``repeated``:
-        what injected faults make come twice, and no other node.
-        """
+        frames repeated by injected faults, not by another node."""
         self.counts: dict[str, int] = {}
-        """How often each was seen."""
+        """Count of each kind."""
         self._disturbances: dict[str, tuple[Instant, str]] = {}
-        """When each was first seen that disturbs a run, and its frame in words."""
+        """First occurrence of each disturbance, and its frame in words."""
         self._made_at = next(iter(networks.values())).clock.now()
         self._objects: set[tuple[int, int]] = set()
-        """That others wrote."""
+        """Objects written by others."""
         self._segments = {
             name: GuardedSegment(network, tuple(drive for drive in drives if drive.network is network))
             for name, network in networks.items()
@@ -131,11 +130,11 @@ class BusGuard:
         axes: Sequence[Axis] = (),
         bench: Mapping[str, DriveConfig] = NO_BENCH,
     ) -> None:
-        """The drives are configured, and nobody starts any more.
+        """Arm the guard: the drives are configured, and no node should start any more.
 
-        ``syncs``: by the name of their segment, where readings are held against them; ``period``: of them.
-        ``axes``: what is known of the delays of readings; without it no single one is told.
-        ``bench``: what a bench file says of the drives, by name: periods of their heartbeats.
+        ``syncs``: by the name of their segment, readings are compared with them; ``period``: theirs.
+        ``axes``: source of the readings' delays; without it no single surplus reading is identified.
+        ``bench``: data of the drives, by name: periods of their heartbeats.
         """
         self._ends_run = True
         self._look_every = Duration(min(LOOK_EVERY, LOOK_EVERY_SYNCS * period))
@@ -156,7 +155,7 @@ class BusGuard:
                         self._tpdos.append(_WatchedTpdo(title, stream))
 
     def attend(self, now: Instant) -> None:
-        """To be called in each cycle; costs something ten times a second."""
+        """Check; to be called in each cycle, costs something ten times a second."""
         if now < self._look_at:
             return
         if now - self._look_at > NS_PER_S:
@@ -181,7 +180,7 @@ class BusGuard:
                 self._foreign("tpdo", what, now, f"{more} since the last look", more)
 
     def attending(self, chore: Callable[[Instant], None] | None) -> Callable[[Instant], None]:
-        """:meth:`attend` and another chore of the loop."""
+        """Combine :meth:`attend` with another chore of the loop."""
         if chore is None:
             return self.attend
         other = chore
@@ -193,12 +192,12 @@ class BusGuard:
         return both
 
     def calm(self) -> None:
-        """The run is over: from now on all is only told."""
+        """Report only, without stopping anything: the run is over."""
         self._ends_run = False
 
     def end(self, now: Instant, zero: Instant | None = None) -> tuple[str, ...]:
-        """Say what was seen more than once, and return what others sent that ``[guard] allow`` does not name:
-        the first frame of each kind in words, when it came, and how many came.
+        """Report repeated observations, and return those not named by ``[guard] allow``: the first frame of
+        each kind in words, when it came, and the count.
 
         ``zero``: of the run; None: the guard's own beginning is.
         """
@@ -222,7 +221,7 @@ class BusGuard:
         self._errors.append(self._error_frames())
 
     def _foreign(self, kind: Foreign, what: str, at: Instant, detail: str, count: int = 1) -> None:
-        """Another sent something, of which it is to be said what it does to the run."""
+        """Note a foreign frame, and its consequence for the run."""
         if kind in self._allowed:
             self._count(what, at, f"{what}: {detail}", count, "INFO")
             return
@@ -252,7 +251,7 @@ class BusGuard:
             self._watch_commands(segment, drive)
 
     def _watch_commands(self, segment: GuardedSegment, drive: ServoDrive) -> None:
-        """RPDOs: those that it has by its id until it is configured."""
+        """Watch a drive's RPDOs: the predefined ones until it is configured."""
         plan = drive.plan
         own = [pdo.cob_id for pdo in plan.rpdos] if plan else [base + drive.node_id for base in cob_ids.RPDOS]
         for can_id in own:
@@ -269,7 +268,8 @@ class BusGuard:
                 pump.overhear(cob_ids.EMERGENCY + node_id, _emergency_watcher(node_id, listener))
 
     def _watch_timers(self, segment: GuardedSegment, drive: ServoDrive, said: DriveConfig | None) -> None:
-        """Heartbeats, unless the drive is guarded, and TPDOs that come by a timer while nothing changes."""
+        """Watch heartbeats, unless the drive is guarded, and TPDOs that come by a timer while nothing
+        changes."""
         node_id, pump = drive.node_id, segment.network.frame_pump
         if said is not None and not segment.network.status(node_id).guarded:
             can_id = cob_ids.ERROR_CONTROL + node_id
@@ -302,7 +302,8 @@ class BusGuard:
         return watch
 
     def _nmt_watcher(self, nodes: set[int]) -> Handler:
-        """Of commands to all nodes or to one of ``nodes``: others may have a master of their own."""
+        """Return a handler for commands to all nodes or to one of ``nodes``: others may have their own
+        master."""
         watch = self._foreign_watcher("nmt", cob_ids.NMT)
 
         def watch_own(data: bytes, at: Instant) -> None:
@@ -325,7 +326,7 @@ class BusGuard:
                 last = last if command == _SDO_SEGMENT else data[1:4]
                 kind, what = "sdo_read", f"SDO read from {where} that the bench did not send"
             elif command in _SDO_WRITES and index == Cia301.CONSUMER_HEARTBEAT_TIME:
-                what = f"1016h of node {node_id} changed by another: it may watch the bench no more"
+                what = f"1016h of node {node_id} changed by another: it may no longer watch the bench"
             elif command in _SDO_WRITES and self._is_told(index, data[3]):
                 what = f"SDO write of {object_name(index, data[3])} to {where} that the bench did not send"
             self._foreign(kind, what, at, f"data {_hex(data)}")
@@ -333,7 +334,7 @@ class BusGuard:
         return watch
 
     def _is_told(self, index: int, sub: int) -> bool:
-        """Whether a write to an object is told by its name."""
+        """Return True if a write to an object is reported by its name."""
         if len(self._objects) < OBJECTS_TOLD:
             self._objects.add((index, sub))
         return (index, sub) in self._objects
@@ -346,7 +347,7 @@ class BusGuard:
         return watch
 
     def _on_surplus_answer(self, node_id: int, data: bytes, at: Instant) -> None:
-        what = f"node {node_id} answers more often than it is asked: two nodes are likely to have its id"
+        what = f"node {node_id} sends more answers than requested: two nodes are likely to have its id"
         shown = f"an SDO answer too many ({cob_ids.SDO_ANSWER + node_id:03X}h), data {_hex(data)}"
         self._foreign("sdo_answer", what, at, shown)
 
@@ -367,7 +368,7 @@ def _hex(data: bytes) -> str:
 
 
 def _unless_others(drive: ServoDrive, can_id: int, watch: Handler) -> Handler:
-    """``watch``, while ``can_id`` is one of the drive's RPDOs, or nobody knows which it has."""
+    """Return ``watch``, active while ``can_id`` is one of the drive's RPDOs, or those are unknown."""
 
     def watch_own(data: bytes, at: Instant) -> None:
         if drive.plan is None or any(pdo.cob_id == can_id for pdo in drive.plan.rpdos):

@@ -1,4 +1,4 @@
-"""What is to be said of a run beside its rows, gathered from its first step until the last drive rests."""
+"""Facts about a run besides its rows, gathered from its first step until the last drive rests."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -25,15 +25,15 @@ from servobench.virtual_bus.faults.kinds.duplicate import Duplicate
 from servobench.virtual_bus.hosting.injection import Faults
 
 TOLD_WITHIN: Final = Duration(100 * NS_PER_MS)
-"""From a drive fault that was noticed to its EMCY: the drive sends it at once, and a full bus or a fault that
-holds frames keeps it for tens of ms."""
+"""From a noticed drive fault to its EMCY: the drive sends it at once, and a full bus or a fault that holds
+frames delays it by tens of ms."""
 
 
 class Conclusion:
-    """Of one run. Until it is told otherwise, the run was ended by a defect of the program."""
+    """Facts about one run. By default it was ended by a defect of the program."""
 
     def __init__(self, names: Sequence[str], faults: Faults | None, cycles_planned: int) -> None:
-        """``names``: of the axes. ``faults``: that are injected on purpose."""
+        """``names``: of the axes. ``faults``: those injected on purpose."""
         self._ends = {name: DriveEnd(name) for name in names}
         self._named = list(named_emergencies(faults))
         self._emergencies: list[str] = []
@@ -43,14 +43,14 @@ class Conclusion:
 
     @property
     def outcome(self) -> RunOutcome:
-        """All that was gathered."""
+        """All facts gathered."""
         outcome = self._outcome
         if not self._explained:
             outcome = _cut_short(outcome, "it ended by a defect of this program", VerdictKind.DEFECT)
         return replace(outcome, drives=tuple(self._ends.values()), emergencies=tuple(self._emergencies))
 
     def ended(self, ended: LoopOutcome, interrupted_by: str, loop: LoopConfig, **notes: Any) -> None:
-        """The loop ended as a loop does; ``notes``: fields of :class:`RunOutcome`.
+        """Note a regular end of the loop; ``notes``: fields of :class:`RunOutcome`.
 
         A host that comes back later than readings are waited for has not seen the end of its run.
         """
@@ -66,7 +66,7 @@ class Conclusion:
 
     @contextmanager
     def explaining(self, close: Callable[[], object]) -> Iterator[None]:
-        """What ends the run in here is noted, and the recording closed, before it passes on."""
+        """Note an error that ends the run inside, and close the recording, before it passes on."""
         try:
             yield
         except BaseException as error:
@@ -78,19 +78,19 @@ class Conclusion:
             raise
 
     def failed(self, error: BenchError) -> None:
-        """An error ended the run."""
+        """Note that an error ended the run."""
         self._explained = True
         self._outcome = _cut_short(self._outcome, str(error), outcome_of_status(error.exit_status))
 
     def came_to_its_end(self) -> None:
-        """Nothing was raised until the last drive was let go."""
+        """Note that nothing was raised until the last drive was released."""
         self._explained = True
 
     def look_at(self, drives: Sequence[ServoDrive]) -> None:
-        """After the last cycle, before any drive is told to stop: each must be as it was in the loop.
+        """Check each drive after the last cycle, before any is stopped: it must be as in the loop.
 
-        By what it has told, and by its answer to an SDO. Raises as :meth:`ServoDrive.check`; DriveInFault if
-        it left OPERATION ENABLED, NoAnswer if it does not answer.
+        The check uses its reports, and its answer to an SDO. Raises as :meth:`ServoDrive.check`; DriveInFault
+        if it left OPERATION ENABLED, NoAnswer if it does not answer.
         """
         for drive in drives:
             drive.check()
@@ -107,7 +107,7 @@ class Conclusion:
                 )
 
     def released(self, drive: ServoDrive, release: Release) -> None:
-        """A drive was let go."""
+        """Note that a drive was released."""
         if drive.identity is None:
             self._note(drive.name, evidence=release.evidence)  # nobody answered who could be asked
             return
@@ -122,7 +122,7 @@ class Conclusion:
         )
 
     def told(self, drive: ServoDrive, since: Instant, zero: Instant | None) -> None:
-        """Take in the EMCYs of a drive ``since`` an instant, and when it did not follow its commands;
+        """Take in a drive's EMCYs ``since`` an instant, and the times when it did not follow its commands;
         ``zero``: when the run began, if it did."""
         self._note(drive.name, lapses=tuple(lapse.told(zero) for lapse in drive.follow.lapses))
         unnamed = [
@@ -140,15 +140,15 @@ class Conclusion:
             self._emergencies.append(text)
 
     def watched(self, drive: ServoDrive, mode_watch: str) -> None:
-        """By what it is noticed that a drive does not follow, in words."""
+        """Note how a drive that does not follow is noticed, in words."""
         self._note(drive.name, mode_watch=mode_watch)
 
     def disturbed(self, disturbances: tuple[str, ...]) -> None:
-        """What others sent, in words."""
+        """Note the frames of other nodes, in words."""
         self._outcome = replace(self._outcome, disturbances=disturbances)
 
     def _explained_by_plan(self, emergency: Emergency, zero: Instant | None) -> bool:
-        """It is no error, or one that the plan names."""
+        """Return True for no error, or one named by the plan."""
         if emergency.code == NO_ERROR:
             return True
         if zero is None:
@@ -161,24 +161,24 @@ class Conclusion:
 
 
 class NamedEmergency(NamedTuple):
-    """An EMCY that a drive fault of a plan makes a drive send."""
+    """An EMCY caused by a drive fault of a plan."""
 
     nodes: tuple[int, ...]
-    """Empty: any."""
+    """Nodes; empty: any."""
     code: int
     from_ns: Duration
     """Since the run began."""
     until_ns: Duration | None
 
     def explains(self, emergency: Emergency, elapsed: Duration) -> bool:
-        """Whether it is this one, ``elapsed`` after the run began."""
+        """Return True if it is this one, ``elapsed`` after the run began."""
         inside = self.from_ns <= elapsed and (self.until_ns is None or elapsed < self.until_ns)
         mine = not self.nodes or emergency.node_id in self.nodes
         return inside and mine and emergency.code == self.code
 
 
 def named_emergencies(faults: Faults | None) -> Iterator[NamedEmergency]:
-    """What the drive faults of a plan, or of a recorded run, make drives send, and when."""
+    """Yield the EMCYs caused by the drive faults of a plan or of a recorded run, with their times."""
     if faults is None:
         return
     if isinstance(faults, FaultPlan):
@@ -194,8 +194,8 @@ def named_emergencies(faults: Faults | None) -> Iterator[NamedEmergency]:
 
 
 def made_twice(faults: Faults | None) -> set[Foreign]:
-    """What the duplicates of a plan, or of a recorded run, look like to who counts frames: a drive that hears
-    a SYNC or a request twice answers twice."""
+    """Return the foreign frame kinds that duplicates of a plan, or of a recorded run, resemble: a drive that
+    hears a SYNC or a request twice answers twice."""
     if faults is None:
         return set()
     if isinstance(faults, FaultPlan):

@@ -1,4 +1,4 @@
-"""The files of a simulated device on the command line: its data sheet and its memory."""
+"""Files of a simulated device on the command line: its data sheet and its memory."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -24,34 +24,34 @@ from servobench.virtual_bus.drive.data_sheet import lay_over, tell_motor
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 
 Maker = Callable[[ObjectDictionary], None]
-"""Makes a simulated device's dictionary that of a data sheet, or its own."""
+"""Turns a simulated device's dictionary into that of a data sheet, or its own."""
 REPAIRS_SHOWN = 5
-"""The others are counted."""
+"""Repairs shown; the others are counted."""
 _SERIAL_NUMBER = 4
 """Sub-index of 1018h."""
 
 
 class DeviceFiles(NamedTuple):
-    """What a device is made from beside motor and faults."""
+    """Files from which a device is made, besides motor and faults."""
 
     eds: Path | None = None
-    """EDS or DCF (CiA 306-1), XDD or XDC (CiA 311) that says which objects are on the bus."""
+    """EDS or DCF (CiA 306-1), XDD or XDC (CiA 311) that defines the objects on the bus."""
     store: Path | None = None
-    """Where 1010h and LSS store, over the end of the process."""
+    """File to which 1010h and LSS store, beyond the end of the process."""
     export: Path | None = None
-    """Where the device's own EDS is written."""
+    """File for the device's own EDS."""
 
     def commissioned_node(self) -> int | None:
-        """The node-ID that a DCF was made for; None if there is none. Raises BadInput."""
+        """Return the node-ID that a DCF was made for; None if there is none. Raises BadInput."""
         if self.eds is None:
             return None
         commissioning = load_dictionary(self.eds).commissioning
         return None if commissioning is None else commissioning.node_id
 
     def drive(self, parameters: DriveParameters) -> DriveParameters:
-        """``parameters`` with the units of the sheet's maker, and the encoder that the sheet tells of by an
-        object of the maker's, if it does: a master that knows the maker takes the units from there. Raises
-        BadInput."""
+        """Return ``parameters`` with the units of the sheet's maker, and the encoder that the sheet defines
+        by an object of the maker's, if it does: a master that knows the maker takes the units from there.
+        Raises BadInput."""
         if self.eds is None:
             return parameters
         loaded = load_dictionary(self.eds, BASE_NODE_ID)
@@ -79,9 +79,9 @@ class DeviceFiles(NamedTuple):
         bitrate_bit_s: int | None = None,
         motor: PmsmParameters | None = None,
     ) -> Maker | None:
-        """What lays the data sheet over a device's dictionary; ``announce`` hears what had to be mended, and
-        where a DCF was made for others than ``nodes`` and ``bitrate_bit_s``. ``motor``: the one that objects
-        of the sheet's maker tell of.
+        """Return the function that lays the data sheet over a device's dictionary; ``announce`` receives the
+        repairs, and differences between a DCF and ``nodes`` or ``bitrate_bit_s``. ``motor``: the one
+        described by objects of the sheet's maker.
 
         Raises BadInput if the file cannot be read.
         """
@@ -106,7 +106,8 @@ class DeviceFiles(NamedTuple):
 
     @staticmethod
     def makers(vendor: Maker | None, serials: Sequence[int | None]) -> list[Maker | None]:
-        """What makes each device's dictionary its own: ``vendor`` of all, and a serial number, if not None.
+        """Return the makers of each device's dictionary: ``vendor`` for all, and a serial number, if not
+        None.
 
         A device raises BadInput as it is made, if its data sheet has no serial number.
         """
@@ -124,14 +125,15 @@ class DeviceFiles(NamedTuple):
         return [vendor if serial is None else numbered(serial) for serial in serials]
 
     def write_data_sheet(self, dictionary: ObjectDictionary, announce: Callable[[str], None]) -> None:
-        """The EDS of the device that has ``dictionary``, if it is asked for. Raises BadInput."""
+        """Write the EDS of the device that has ``dictionary``, if requested. Raises BadInput."""
         if self.export is None:
             return
         write_file("--export-eds", self.export, export_eds(dictionary).encode("latin-1", "replace"))
         announce(f"its data sheet is {self.export}")
 
     def memory(self, nodes: Sequence[int]) -> FileStore | None:
-        """The store of the one device in ``nodes``. Raises BadInput for several, or for a foreign file."""
+        """Return the store of the one device in ``nodes``. Raises BadInput for several, or for a foreign
+        file."""
         if self.store is None:
             return None
         if len(nodes) > 1:
@@ -148,7 +150,7 @@ class DeviceFiles(NamedTuple):
 
 
 def _number(dictionary: ObjectDictionary, serial_number: int | None) -> bool:
-    """Put it into 1018h:4, which goes before the sheet's own; whether it has a place there."""
+    """Write it to 1018h:4, overriding the sheet's own; False if there is no such object."""
     variable = dictionary.get(Cia301.IDENTITY, _SERIAL_NUMBER)
     if variable is not None and serial_number is not None:
         variable.default = variable.value = serial_number

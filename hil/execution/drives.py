@@ -1,4 +1,5 @@
-"""The drives of a run: set up as bench, data sheets and commissioning have them; waited for, and stopped."""
+"""The drives of a run: their set-up from bench, data sheets and commissioning, waiting for them, and stopping
+them."""
 
 import math
 from collections.abc import Sequence
@@ -25,12 +26,12 @@ from servobench.hil.loop.loop import Actuation, LoopTiming
 from servobench.hil.machine.stopping import StopRequest
 
 _SLICE_S = 0.3
-"""How long a stop signal may wait to be heard."""
+"""Longest delay until a stop signal is noticed."""
 
 
 def data_sheets(config: BenchConfig) -> dict[str, LoadedDictionary]:
-    """The dictionaries of the axes that name one, by axis. Raises BadInput for a file that cannot be read,
-    and for one of a drive that cannot be commanded in the mode of its axis."""
+    """Load the dictionaries of the axes that name one, by axis. Raises BadInput for an unreadable file, and
+    for a drive that cannot be commanded in the mode of its axis."""
     sheets = {}
     for name, drive in config.drive.items():
         if drive.eds is None:
@@ -45,7 +46,7 @@ def data_sheets(config: BenchConfig) -> dict[str, LoadedDictionary]:
 def drive_settings(
     config: BenchConfig, axis: str, timing: LoopTiming, sheet: LoadedDictionary | None
 ) -> DriveSettings:
-    """What the drive of an axis is told before it is enabled."""
+    """Return the settings of an axis' drive before it is enabled."""
     drive, host = config.drive[axis], config.host
     limits, commissioned = drive.limits, drive.commissioned
     return DriveSettings(
@@ -74,15 +75,14 @@ def drive_settings(
 
 
 def _command_timeout_ms(dropouts_max: int, host: Host, timing: LoopTiming) -> int:
-    """As many commands may fail to come as readings: not for longer than the host's heartbeat, nor for less
-    than from one heartbeat to the next, so that a host that is late is not taken for one that is lost.
-    """
+    """Return the command time-out: that of readings, at most the host's heartbeat time-out, and at least one
+    heartbeat period, so that a late host does not count as lost."""
     blind_ms = math.ceil(dropouts_max * timing.period / NS_PER_MS)
     return min(host.heartbeat_timeout_ms, max(host.heartbeat_ms, blind_ms))
 
 
 def identity_notes(identity: Identity, sheet: LoadedDictionary) -> list[str]:
-    """Where the drive that answers is another one than the sheet is for; what is not told does not differ."""
+    """Say where the answering drive differs from its sheet; an unknown value does not differ."""
     told = told_identity(sheet.dictionary)
     return [
         f"the data sheet is for {name} {of_sheet:08X}h, the drive is {of_drive:08X}h"
@@ -91,7 +91,8 @@ def identity_notes(identity: Identity, sheet: LoadedDictionary) -> list[str]:
 
 
 def connect(drive: ServoDrive, timeout_s: float, stop: StopRequest) -> Identity:
-    """Who answers. Raises NoAnswer after ``timeout_s``, Interrupted once a stop signal has come."""
+    """Wait for the drive and return its identity. Raises NoAnswer after ``timeout_s``, Interrupted on a stop
+    signal."""
     network = drive.network
     deadline = network.deadline_after(duration_s(timeout_s))
     while True:
@@ -113,7 +114,7 @@ _SIMULATED_REMEDY: Final = (
 
 
 def write_commissioned(drive: ServoDrive, file: DriveFile, *, simulated: bool = False) -> None:
-    """Hold the drive against its file and write the file's objects; the drive is connected and disabled.
+    """Compare the drive with its file and write the file's objects; the drive is connected and disabled.
     ``simulated``: the bench makes it itself.
 
     Raises PeerFault if it is another drive, SettingRefused or TransferAborted if it does not take a setting.
@@ -144,17 +145,17 @@ def write_commissioned(drive: ServoDrive, file: DriveFile, *, simulated: bool = 
 
 
 def stop_all(drives: Sequence[ServoDrive]) -> None:
-    """A quick stop to each by RPDO, then by SDO; what fails is tried again, and told, by its release.
+    """Send a quick stop to each by RPDO, then by SDO; release repeats and reports failures.
 
-    A silent drive holds up the next one that is asked; a drive whose commands cease while another is brought
-    to rest would call that a fault.
+    A silent drive delays the next one; a drive whose commands cease while another is brought to rest would
+    report a fault.
     """
     for asking in (False, True):
         stop_each(drives, asking=asking)
 
 
 def stop_each(drives: Sequence[ServoDrive], *, asking: bool = False) -> None:
-    """A quick stop to each by RPDO and, if ``asking``, by SDO; what fails is left to :func:`stop_all`."""
+    """Send a quick stop to each by RPDO and, if ``asking``, by SDO; failures are left to :func:`stop_all`."""
     for drive in drives:
         with suppress(PeerFault):
             drive.stop(asking=asking)

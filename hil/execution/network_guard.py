@@ -1,8 +1,8 @@
-"""Holds network and drive of a run against those that its controller was made for.
+"""Compares network and drive of a run with those that its controller was made for.
 
-A certificate says nothing about a longer delay, more losses in a row, another period, another motor or
-another current loop. What can be known before anything moves is checked then; the rest is watched in
-the cycle records as they are made.
+A certificate does not cover a longer delay, more losses in a row, another period, another motor or another
+current loop. Known facts are checked before anything moves; the rest is watched in the cycle records as they
+are made.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -48,9 +48,9 @@ REMEDY: Final = (
     "--allow-uncertified, which warns instead"
 )
 _RELATIVE = 1e-6
-"""Controller files hold the motor's figures in full: what differs by more than rounding is another motor."""
+"""Controller files hold the motor's figures in full: a difference beyond rounding means another motor."""
 _Certified = StateFeedbackController | PredictorController | HinfSection
-"""Controllers whose files may say what they were made for."""
+"""Controllers whose files may state what they were made for."""
 
 Record = Callable[[CycleRecord], None]
 
@@ -67,7 +67,8 @@ class Allowed:
 
 
 def allowed(made_for: MadeFor, period: Duration) -> Allowed:
-    """The worst network within ``made_for``; of a constant delay alone losses and delay share the age."""
+    """Return the worst network within ``made_for``; for a constant delay alone losses and delay share the
+    age."""
     if made_for.losses_in_a_row_max is not None and made_for.delay_max_us is not None:
         delay = Duration(made_for.delay_max_us * NS_PER_US)
         losses = made_for.losses_in_a_row_max
@@ -124,7 +125,7 @@ def _network_faults(network: Network, made_for: MadeFor, period: Duration) -> li
 
 @dataclass(slots=True)
 class NetworkGuard:
-    """Passes one axis's records on and judges each; what is worse stops the run, or is told once."""
+    """Passes one axis's records on and judges each; a worse network stops the run, or is reported once."""
 
     axis: str
     limits: Allowed
@@ -133,13 +134,13 @@ class NetworkGuard:
     refuse: bool
     tell: Callable[[str], None]
     stopping: Callable[[], bool]
-    """Whether the run is being cut short, which loses readings by itself."""
+    """Returns True while the run is being cut short, which loses readings by itself."""
     _missing: int = field(default=0, init=False)
     _told_loss: bool = field(default=False, init=False)
     _told_delay: bool = field(default=False, init=False)
 
     def __call__(self, record: CycleRecord) -> None:
-        """Record it. Raises LimitExceeded if the network is worse than the controller was made for."""
+        """Record a cycle. Raises LimitExceeded if the network is worse than the controller was made for."""
         self.record(record)
         observation = record.observation
         if not isinstance(observation, Sample):
@@ -170,7 +171,7 @@ class NetworkGuard:
             )
 
     def _action_delay(self, record: CycleRecord, sample: Sample) -> int:
-        """The least that it certainly was, see
+        """Return the certain lower bound of the delay; see
         :func:`servobench.hil.reviewing.network_meter.action_delays_ns`."""
         sending = record.sending
         if sending is None:
@@ -194,20 +195,20 @@ class NetworkGuard:
 
 
 _ON_THE_DRIVE: Final = (DriveFault.kind, SafeTorqueOff.kind)
-"""Faults of a plan that are none of the network."""
+"""Faults of a plan that do not concern the network."""
 
 
 class Certificates:
-    """What the controllers of a bench were made for: held against the bench, its drives and its network.
+    """The certificates of a bench's controllers: compared with the bench, its drives and its network.
 
-    Those of ``replaced`` axes are not the bench's, and say nothing.
+    Controllers of ``replaced`` axes are not the bench's, and do not count.
     """
 
     def __init__(self, config: BenchConfig, replaced: Collection[str] = ()) -> None:
         self.refuse = True
-        """Whether a network that is worse ends the run, instead of being told."""
+        """True: a worse network ends the run; False: it is only reported."""
         self.notes: list[str] = []
-        """In what bench, drives or network were found to be worse, where the run goes on."""
+        """Aspects in which bench, drives or network are worse, if the run continues."""
         self._config = config
         self._own = [axis for axis in config.axes if axis not in replaced]
         self._made_for = {
@@ -218,9 +219,9 @@ class Certificates:
         }
 
     def check(self, network: Path | None, allow: bool) -> None:
-        """Hold all that is known before the run against it, and a ``network`` that was measured.
+        """Check everything known before the run, and a measured ``network``.
 
-        Raises BadInput or BadInputs for what is worse, unless it is to be let pass.
+        Raises BadInput or BadInputs for anything worse, unless allowed.
         """
         faults = self.faults({} if network is None else {f"--network {network}": load_network(network)})
         if faults and not allow:
@@ -229,7 +230,8 @@ class Certificates:
         self.notes += [str(fault) for fault in faults]
 
     def faults(self, networks: Mapping[str, Network]) -> list[BadInput]:
-        """What is known to be worse before anything moves; ``networks``: measured ones, by who names them."""
+        """Return everything known to be worse before anything moves; ``networks``: measured ones, by their
+        source."""
         config, faults = self._config, []
         if self._made_for:
             unknown = [commands_unknown(network, source) for source, network in networks.items()]
@@ -242,8 +244,8 @@ class Certificates:
         return faults
 
     def doubts(self) -> list[str]:
-        """What is told of the drives' current loops at the start and forbids no run: unknown ones, and too
-        slow ones for their PID."""
+        """Return notes on the drives' current loops at the start: unknown ones, and too slow ones for their
+        PID."""
         unknown = [
             f"{axis}: the bandwidth of the drive's current loop is not known, its controller is certified "
             f"for {range_text(certified)}; hil commission measures it"
@@ -259,13 +261,14 @@ class Certificates:
         ]
 
     def plans(self) -> dict[str, CertifiedPlan]:
-        """What the run is held against in its figures, by axis with a certified controller."""
+        """Return the certificates to compare the run with, by axis with a certified controller."""
         return {axis: self._plan(axis, made_for) for axis, made_for in self._made_for.items()}
 
     def watched(
         self, axis: str, record: Record, tell: Callable[[str], None], stopping: Callable[[], bool]
     ) -> Record:
-        """Where the records of an axis go: past a guard, if its controller was made for a network."""
+        """Return the sink for the records of an axis: through a guard, if its controller was made for a
+        network."""
         made_for = self._made_for.get(axis)
         if made_for is None:
             return record
@@ -281,7 +284,7 @@ class Certificates:
         return current_loop_of(self._config, axis)
 
     def _axis_faults(self, axis: str) -> list[_Fault]:
-        """Where bench and drive of an axis are other than what its controller was made for."""
+        """Return the differences of an axis' bench and drive from those that its controller was made for."""
         key, made_for = f"drive.{axis}.controller.made_for", self._made_for[axis]
         faults = _bench_faults(self._config, self._config.drive[axis], made_for, key)
         loop = self._loop(axis)
@@ -314,7 +317,7 @@ class Certificates:
         )
 
     def _left(self, axis: str) -> Iterator[str]:
-        """Premises that bench and drive do not keep, see
+        """Yield premises that bench and drive break; see
         :mod:`servobench.hil.reviewing.certificate_meter`."""
         for key, value, expected in self._axis_faults(axis):
             yield f"{key}: {value}, expected {expected}"
@@ -348,7 +351,7 @@ def _unknown(
     certificate: Certificate | LossCertificate | None,
     own: KnownLoop | None,
 ) -> Iterator[str]:
-    """Premises of which nobody knows whether bench and drive keep them, in words."""
+    """Yield premises for which it is unknown whether bench and drive keep them, in words."""
     if isinstance(certificate, LossCertificate):
         loop = certified_loop(made_for)
         if loop is not None and own is not None and not loop.is_that_of_the_design(own.bandwidth_hz):

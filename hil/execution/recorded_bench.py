@@ -1,7 +1,7 @@
-"""What the recording of a bench knows beforehand, and what it keeps of the user's files.
+"""Prepares the recording of a bench: its plan, and copies of the user's files.
 
-With copies of data sheets, of the files of references and loads, and of code of one's own a recording
-repeats its run by itself.
+With copies of data sheets, of the files of references and loads, and of user code a recording can repeat its
+run by itself.
 """
 
 import json
@@ -31,7 +31,7 @@ from servobench.hil.verdict.verdict import VerdictLimits
 
 
 def _kept_bench(config: BenchConfig, code: Mapping[str, AxisCode]) -> tuple[BenchConfig, dict[str, Path]]:
-    """The bench as its recording has it, with copies in place of the files that it names; and those files, by
+    """Return the bench of the recording, with copies in place of the files that it names; and those files, by
     the names of their copies."""
     files: dict[str, Path] = {}
     drives = dict(config.drive)
@@ -60,7 +60,7 @@ def _kept_bench(config: BenchConfig, code: Mapping[str, AxisCode]) -> tuple[Benc
 
 
 def _kept_sheet(path: str | None, name: str, files: dict[str, Path]) -> str | None:
-    """The name of the copy of a data sheet, which is noted."""
+    """Return the name of a data sheet's copy, and note it."""
     if path is None:
         return None
     copy = f"{name}{Path(path).suffix}"
@@ -69,7 +69,7 @@ def _kept_sheet(path: str | None, name: str, files: dict[str, Path]) -> str | No
 
 
 def _kept(entry: Reference | Load, name: str, files: dict[str, Path]) -> Reference | Load:
-    """An entry with the copy in place of its file, which is noted."""
+    """Return an entry with the copy in place of its file, and note it."""
     if not isinstance(entry, SignalFile):
         return entry
     path = Path(entry.path)
@@ -90,7 +90,7 @@ def keep_files(config: BenchConfig, code: Mapping[str, AxisCode], folder: Path) 
 def review_plan(
     config: BenchConfig, certified: Mapping[str, CertifiedPlan], *, real_time: bool
 ) -> ReviewPlan:
-    """What figures and verdict of a run of the bench depend on.
+    """Return the plan for figures and verdict of a run of the bench.
 
     ``certified``: of the axes whose controllers have certificates.
     """
@@ -124,7 +124,7 @@ def recording_plan(
     *,
     real_time: bool,
 ) -> RecordingPlan:
-    """What a recording of the bench has to know of it.
+    """Return the plan of a recording of the bench.
 
     ``folder``: None if no files are to be kept. ``certified``: of the axes whose controllers have
     certificates.
@@ -158,7 +158,7 @@ def recording_plan(
 
 
 def _observed_drives(config: BenchConfig) -> dict[str, ObservedDrive]:
-    """What drives tell for the recording alone."""
+    """Return the objects that drives send for the recording alone."""
     segments = [None, *(segment.name for segment in config.bus.segment)]
     return {
         axis: ObservedDrive(
@@ -175,7 +175,7 @@ def _observed_drives(config: BenchConfig) -> dict[str, ObservedDrive]:
 
 
 def _notes(config: BenchConfig) -> dict[str, str]:
-    """What is shown beside the verdict. What differs by axis is told of each."""
+    """Return notes to show with the verdict, for each axis if they differ."""
     drives = {axis: config.drive[axis] for axis in config.axes}
     notes: dict[str, dict[str, str]] = {
         "motor": {axis: drive.motor.motor.name for axis, drive in drives.items()},
@@ -188,7 +188,7 @@ def _notes(config: BenchConfig) -> dict[str, str]:
 
 
 def _current_loops(drive: DriveConfig) -> str:
-    """Of a simulated drive, where they are not its PI loops."""
+    """Describe a simulated drive's current loops, if they are not its PI loops."""
     loops = drive.current_control
     own = {"q": loops.controller, "d": loops.controller_d}
     return ", ".join(f"{axis} {each.kind}" for axis, each in own.items() if each is not None)
@@ -201,9 +201,10 @@ def _by_axis(told: Mapping[str, str]) -> str:
 
 
 def _limits(config: BenchConfig, certified: Collection[CertifiedPlan], real_time: bool) -> VerdictLimits:
-    """The bench file's, with what the controllers' files ask of the torque; of several the smallest.
+    """Return the bench file's limits, with the torque limits of the controllers' files; the smallest of
+    several.
 
-    What the controllers take of the host is judged where the drives wait for it.
+    The controllers' computing time is judged only where the drives wait for it.
     """
     asked = [config.verdict.torque_rms_nm_max, *(plan.torque_rms_nm_max for plan in certified)]
     return replace(
@@ -213,7 +214,7 @@ def _limits(config: BenchConfig, certified: Collection[CertifiedPlan], real_time
 
 
 def _set_points(config: BenchConfig) -> tuple[PlannedSetPoint, ...]:
-    """What the bench file plans for each axis, in words."""
+    """Return the planned references and loads of each axis, in words."""
     planned: list[PlannedSetPoint] = []
     for number, axis in enumerate(config.axes):
         profiles = (("reference", config.reference.get(axis, ())), ("load", config.load.get(axis, ())))

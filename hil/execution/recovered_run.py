@@ -1,4 +1,4 @@
-"""The recording of a run that nobody has ended: what it was to be is in its own bench file."""
+"""Ends the recording of an interrupted run, from its own bench file."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,7 @@ _UNKNOWN_END = "the end of the run is not known: whoever recorded it was ended b
 
 
 def refuse_whole(folder: Path) -> None:
-    """Raises BadInput unless ``folder`` holds a recording without a summary."""
+    """Raise BadInput unless ``folder`` holds a recording without a summary."""
     if not (folder / BENCH_FILE).is_file():
         raise BadInput("RUN", "", str(folder), f"the folder of a run, with its {BENCH_FILE}")
     try:
@@ -38,8 +38,8 @@ def refuse_whole(folder: Path) -> None:
 
 
 def _times(records: Path) -> tuple[Instant, Duration | None]:
-    """By the head of the records: the recording's start on the bench clock, and the offset from that of the
-    stamps in frames.log; 0 and None if it says nothing."""
+    """Return from the head of the records the recording's start on the bench clock, and the offset of the
+    stamps in frames.log; 0 and None if missing."""
     metadata = read_metadata(records) if records.exists() else {}
     if not metadata:
         return Instant(0), None
@@ -48,7 +48,8 @@ def _times(records: Path) -> tuple[Instant, Duration | None]:
 
 
 def recover_run(config: BenchConfig, folder: Path) -> Summary:
-    """End the recording of a run of ``config``. Raises BadInput while it is recorded, RecordingFailed."""
+    """End the recording of a run of ``config``. Raises BadInput while it is being recorded,
+    RecordingFailed."""
     started_at, wall_offset = _times(folder / RECORDS_FILE)
     plan = replace(
         recording_plan(config, folder, {}, Certificates(config).plans(), real_time=not config.simulated),

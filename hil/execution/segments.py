@@ -1,4 +1,4 @@
-"""Several segments and one loop: a master on each of them, and all are served whoever waits.
+"""Several segments and one loop: a master on each of them, all of them served during any wait.
 
     loop ---- SegmentMasters ----+---- FramePump, BusLink ---- segment 1: its drives
                                  +---- FramePump, BusLink ---- segment 2: its drives
@@ -28,7 +28,7 @@ from servobench.hil.loop.syncs import SyncLog
 
 
 def timing_without_bench(period: Duration, bitrate_bit_s: int, settle: Duration) -> LoopTiming:
-    """Of a loop that no bench file tells of: as a bench has it that says nothing of its own."""
+    """Return the timing of a loop without a bench file: that of a bench with defaults."""
     return LoopTiming(
         period=period,
         decide_after=Duration(7 * period // 10),
@@ -42,12 +42,12 @@ def timing_without_bench(period: Duration, bitrate_bit_s: int, settle: Duration)
 class SegmentMasters(Master):
     """The masters of ``networks`` as one.
 
-    From now on a network that waits, for an answer to an SDO or for a state, serves the others too: their
-    heartbeats go out and their drives are heard.
+    A network that waits, for an answer to an SDO or for a state, now serves the others too: their heartbeats
+    go out and their drives are heard.
     """
 
     def __init__(self, networks: Sequence[CanopenNetwork], wait: Callable[[Instant], object]) -> None:
-        """``wait``: let time pass until a frame is there on any of the segments, or until an instant."""
+        """``wait``: let time pass until a frame arrives on any of the segments, or until an instant."""
         super().__init__()
         self._pumps = [network.frame_pump for network in networks]
         self._now = networks[0].clock.now
@@ -83,7 +83,8 @@ class SegmentMasters(Master):
 
 
 def sync_log(network: CanopenNetwork, latency: Duration, period: Duration) -> SyncLog:
-    """The SYNCs that are sent on a network's segment. It hears their echoes from now on, and others' SYNCs.
+    """Return the log of SYNCs sent on a network's segment. It receives their echoes from now on, and others'
+    SYNCs.
 
     ``latency``: from handing one over until its end on an idle bus. One that finds no room there for half
     a ``period`` is given up: no drive gets two of them closer to one another than that.
@@ -100,9 +101,9 @@ def sync_log(network: CanopenNetwork, latency: Duration, period: Duration) -> Sy
 def heard_syncs(
     network: CanopenNetwork, clock: Clock, period: Duration, stall: Stall | None
 ) -> tuple[SyncLog, HeardSync]:
-    """The SYNCs that somebody else makes on a network's segment, and the pace that they set from now on.
+    """Return the log of SYNCs made by another node on a network's segment, and their pace.
 
-    SocketCAN's cyclic sender has a socket of its own: what it sends is received here as from another node.
+    SocketCAN's cyclic sender has a socket of its own: its frames are received here as from another node.
     """
     basis = network.link.echoes
     log = SyncLog(Duration(0), period, EchoBasis.RECEIPT if basis is EchoBasis.NONE else basis)
@@ -120,7 +121,7 @@ def listen_for_syncs(
     master: Master,
     period: Duration,
 ) -> tuple[dict[str | None, SyncLog], Pace]:
-    """The SYNCs of each segment, and what starts the cycles."""
+    """Return the SYNC log of each segment, and the source of the cycles."""
     if config.loop.sync != "own":
         log, heard = heard_syncs(networks[None], world.clock, period, world.faults.host_stall)
         return {None: log}, heard
@@ -140,7 +141,8 @@ def listen_for_syncs(
 
 
 def masters(first: CanopenNetwork, world: World) -> tuple[dict[str | None, CanopenNetwork], Master]:
-    """A network on each segment of ``world``, by name, None for the ``first``; and what the loop calls."""
+    """Return a network on each segment of ``world``, by name, None for the ``first``; and the loop's
+    master."""
     networks: dict[str | None, CanopenNetwork] = {None: first}
     if not world.further:
         return networks, first.frame_pump
@@ -152,7 +154,7 @@ def masters(first: CanopenNetwork, world: World) -> tuple[dict[str | None, Canop
 
 
 def record_frames(world: World, tap_of: Callable[[int], FrameTap]) -> None:
-    """Let ``tap_of(number)`` of each segment have its frames, error frames among them."""
+    """Let ``tap_of(number)`` of each segment have its frames, error frames included."""
     ends: list[World | FurtherSegment] = [world, *world.further]
     for number, end in enumerate(ends):
         tap = tap_of(number)
@@ -162,7 +164,7 @@ def record_frames(world: World, tap_of: Callable[[int], FrameTap]) -> None:
 
 @contextmanager
 def kernel_sync(bus: can.BusABC, period: Duration) -> Iterator[None]:
-    """The bus's own cyclic sender makes SYNCs. Raises BusDown if it cannot."""
+    """Let the bus's own cyclic sender make SYNCs. Raises BusDown if it cannot."""
     message = can.Message(arbitration_id=SYNC, is_extended_id=False)
     try:
         task = bus.send_periodic(message, period / NS_PER_S)
@@ -177,12 +179,12 @@ def kernel_sync(bus: can.BusABC, period: Duration) -> Iterator[None]:
 
 
 def sync_producer(source: str, bus: can.BusABC, period: Duration) -> AbstractContextManager[None]:
-    """Who makes SYNCs on behalf of this process, as long as it is entered; ``source``: ``loop.sync``."""
+    """Return the producer of SYNCs on behalf of this process, while entered; ``source``: ``loop.sync``."""
     return kernel_sync(bus, period) if source == "kernel" else nullcontext()
 
 
 def check_sync_source(config: BenchConfig, spec: BusSpec) -> None:
-    """Raises BadInput if nobody can make the SYNCs of ``config`` as it wants on the bus ``spec``."""
+    """Raise BadInput if nobody can make the SYNCs of ``config`` on the bus ``spec``."""
     source = config.loop.sync
     if source == "kernel" and not spec.simulated and spec.interface != SOCKETCAN:
         expected = f"'own' or 'foreign' on the bus {spec}"

@@ -1,7 +1,7 @@
-"""Simulated drives as a bench or a command line asks for them.
+"""Makes simulated drives for a bench or a command line.
 
-Two nodes with one id answer as one. On a bus with a real drive the second one would be its twin, and follow
-the torques that are meant for it: so a bus that others share is asked first who is there.
+Two nodes with one id answer as one. On a bus with a real drive a second one would be its twin, and follow its
+torques: so a shared bus is scanned first.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -44,15 +44,15 @@ from servobench.virtual_bus.hosting.devices import serve
 from servobench.virtual_bus.hosting.injection import Faults
 
 LISTEN_FOR: Final = Duration(NS_PER_S)
-"""In so long a node with a heartbeat, or in operation, is heard nearly always; the others are asked."""
+"""In this time a node with a heartbeat, or in operation, is nearly always heard; the others are asked."""
 ANSWER_LIMIT_S: Final = 0.1
-"""For one answer: a node that boots, or a full bus, takes less."""
+"""Time for one answer: a node that boots, or a full bus, takes less."""
 ATTEMPTS: Final = 2
-"""As a frame may be lost."""
+"""Attempts, since a frame may be lost."""
 
 
 def simulated_drives(config: BenchConfig) -> list[SimulatedServo]:
-    """The drives of a bench, for its own simulated bus. Raises BadInput for one that cannot be made so."""
+    """Make the drives of a bench, for its own simulated bus. Raises BadInput for an impossible one."""
     drives = []
     for axis in config.axes:
         try:
@@ -89,15 +89,13 @@ def servo_of(
     announce: Callable[[str], None] = lambda _text: None,
     bitrate_bit_s: int | None = None,
 ) -> SimulatedServo:
-    """The simulated drive of a data sheet, or servobench's own. ``announce``, ``bitrate_bit_s``: as in
-    :meth:`.DeviceFiles.vendor`. Raises BadInput for a sheet that cannot be read, ValueError for a lack that
-    cannot be."""
+    """Make the simulated drive of a data sheet, or servobench's own."""
     vendor = files.vendor(announce, [node], bitrate_bit_s, motor)
     return SimulatedServo(node, motor, files.drive(parameters), seed, vendor=vendor)
 
 
 def _load_of(config: BenchConfig, axis: str) -> LoadTable | None:
-    """What the shaft bears over time; None if an instrument makes it, or nothing does."""
+    """Return the shaft's load over time; None if an instrument makes it, or there is none."""
     if axis == config.load_machine_axis:
         return None
     files = (each for each in config.load.get(axis, ()) if isinstance(each, SignalFile))
@@ -105,7 +103,7 @@ def _load_of(config: BenchConfig, axis: str) -> LoadTable | None:
 
 
 def _at_rate(controller: CurrentController | None, rate_hz: int) -> StateSpace | None:
-    """The controller that the firmware runs. Raises BadInput if it cannot be run at its inner rate."""
+    """Return the controller for the firmware. Raises BadInput if it cannot run at its inner rate."""
     if controller is None:
         return None
     try:
@@ -117,7 +115,8 @@ def _at_rate(controller: CurrentController | None, rate_hz: int) -> StateSpace |
 
 
 def drive_parameters(current_control: Sequence[Path]) -> DriveParameters:
-    """Of the drives of ``hil simulate``, with the current controllers in these files. Raises BadInput."""
+    """Return the parameters of the drives of ``hil simulate``, with the current controllers in these files.
+    Raises BadInput."""
     controllers: dict[str, StateSpace | None] = {"q": None, "d": None}
     rate_hz = DriveParameters().inner_rate_hz
     for path in current_control:
@@ -147,13 +146,12 @@ def simulate(
     serials: Sequence[int] = (),
     force: bool = False,
 ) -> None:
-    """Simulated drives, and other nodes' traffic beside them, on a real-time bus until a stop signal comes.
+    """Simulate drives, and other nodes' traffic, on a real-time bus until a stop signal comes.
 
-    ``announce`` is told once the drives are on the bus. ``loads``: by node, what a bench can have its shaft
-    bear. ``serials``: as in :func:`serial_of_each`.
-    ``force``: also where somebody has their node-IDs.
-    Raises BadInput for a bus in simulated time, which no other process could join, and for a node-ID that
-    somebody has, and BusDown if the bus cannot be opened or goes away.
+    ``announce`` is called once the drives are on the bus. ``loads``: by node, loads that a bench can apply to
+    its shaft. ``serials``: as in :func:`serial_of_each`. ``force``: even if their node-IDs are taken. Raises
+    BadInput for a bus in simulated time, which no other process could join, and for a node-ID that somebody
+    has, and BusDown if the bus cannot be opened or goes away.
     """
     spec = shared_bus(bus_spec, "use hub:NAME, or run the bench itself with --bus simulated")
     store = files.memory(nodes)
@@ -182,10 +180,10 @@ def host_drives(
     load_machine: SimulatedLoadMachine | None = None,
     force: bool = False,
 ) -> None:
-    """Have ``drives``, and ``others`` that no fault befalls, on the bus of ``plan`` until a stop signal.
+    """Host ``drives``, and fault-free ``others``, on the bus of ``plan`` until a stop signal.
 
-    ``ids``: node-IDs that nobody else may have, unless ``force``. ``announce`` is told ``title`` once they
-    are on it. ``load_machine``: on the shaft of the first. Raises BadInput, BusDown.
+    ``ids``: node-IDs that must be free, unless ``force``. ``announce`` is called with ``title`` once they are
+    on it. ``load_machine``: on the shaft of the first. Raises BadInput, BusDown.
     """
     with stop_signals() as stop, open_world(plan, ()) as world:
         refuse_taken(world.link, world.clock, ids, announce, force)
@@ -202,7 +200,7 @@ def host_drives(
 
 
 def serial_of_each(nodes: Sequence[int], serials: Sequence[int]) -> list[int | None]:
-    """The serial number of each node: those asked for; else no two nodes without id have the same one.
+    """Return the serial number of each node: the requested ones; else no two nodes without id have the same.
 
     None: the data sheet's, or that of the simulated drive, its node-ID.
     """
@@ -215,7 +213,7 @@ def serial_of_each(nodes: Sequence[int], serials: Sequence[int]) -> list[int | N
 
 
 def ids_on_the_bus(nodes: Sequence[int], store: FileStore | None) -> list[int]:
-    """Which the devices will have: the one that LSS had stored goes before the one that it was made with."""
+    """Return the ids that the devices will have: one stored by LSS overrides the original."""
     stored = None if store is None else store.load().get(NODE_ID_KEY)
     return [stored[0]] if stored else list(nodes)
 
@@ -228,10 +226,10 @@ def _announcement(spec: BusSpec, nodes: Sequence[int], motor: PmsmParameters) ->
 def refuse_taken(
     link: BusLink, clock: Clock, nodes: Sequence[int], say: Callable[[str], None], force: bool
 ) -> None:
-    """Listen and ask, before the devices of ``nodes`` are put on the bus; ids that are none are passed over.
+    """Listen and ask, before the devices of ``nodes`` are put on the bus; invalid ids are skipped.
 
-    Nobody is asked on a hub on which nobody else is. Raises BadInput that names who has such an id; with
-    ``force`` that is said only.
+    Nothing is asked on a hub without other clients. Raises BadInput naming the owner of such an id; with
+    ``force`` it is only reported.
     """
     ids = [node for node in nodes if 1 <= node <= NODE_ID_MAX]
     if not ids or _alone(link.bus):
@@ -249,13 +247,13 @@ def refuse_taken(
 
 
 def _alone(bus: Any) -> bool:
-    """On a hub only: whether nobody else is there. Whoever joins later looks for us."""
+    """Return True on a hub without other clients. Later clients check for us."""
     status = getattr(getattr(bus, "inner", bus), "status", None)
     return status is not None and bool(getattr(status(), "alone", False))
 
 
 def _heard(link: BusLink, clock: Clock, nodes: Collection[int]) -> dict[int, str]:
-    """What was heard of the nodes, of each the last."""
+    """Return what was last heard from each of the nodes."""
     heard: dict[int, str] = {}
     until = Instant(clock.now() + LISTEN_FOR)
     while (received := link.recv(until)) is not None:
@@ -268,7 +266,7 @@ def _heard(link: BusLink, clock: Clock, nodes: Collection[int]) -> dict[int, str
 
 
 def _who_is(network: CanopenNetwork, node: int, heard: str) -> str | None:
-    """The node in words; None if nobody has that id."""
+    """Describe the node; None if nobody has that id."""
     answers = True
     try:
         network.upload(node, Cia301.DEVICE_TYPE, 0, ANSWER_LIMIT_S, ATTEMPTS)

@@ -1,7 +1,7 @@
-"""A host that stands still within a run: its process stopped, or the whole machine suspended.
+"""Detects a host that stands still within a run: its process stopped, or the whole machine suspended.
 
 The ticks of that time are missed, whichever it was. A suspended machine's own clock stands still too, so that
-no tick looks late: only the drives tell that they were left alone.
+no tick looks late: only the drives notice that they were left alone.
 """
 
 from collections.abc import Callable
@@ -12,14 +12,14 @@ from servobench.hil.execution.world import World
 from servobench.hil.loop.loop import PROGRESS_EVERY
 
 STOOD_STILL: Final = Duration(100 * NS_PER_MS)
-"""Longer than anything holds up a process on a machine that serves for a bench; drives wait for their
-master's heartbeat at least so long."""
+"""Longer than any delay of a process on a machine fit for a bench; drives wait for their master's heartbeat
+at least as long."""
 JUST_BEFORE: Final = Duration(NS_PER_S)
-"""What ends a run so soon after a standstill, it has ended: drives tell at once what it did to them."""
+"""An end so soon after a standstill is caused by it: drives report its effect at once."""
 
 
 class Standstill:
-    """Of the host of one world, where time passes by itself."""
+    """Standstills of the host of one world, where time passes by itself."""
 
     def __init__(
         self,
@@ -28,8 +28,8 @@ class Standstill:
         tell: Callable[[str, str], None],
         asleep: Callable[[], Duration] = suspended,
     ) -> None:
-        """``period``: of the cycles, between which somebody attends. ``tell``: takes text and level of an
-        event. ``asleep``: for how long the machine has been suspended so far."""
+        """``period``: of the cycles, between which ``attend`` is called. ``tell``: takes text and level of an
+        event. ``asleep``: returns how long the machine has been suspended so far."""
         self._clock, self._real_time, self._tell = world.clock, world.real_time, tell
         self._every = max(PROGRESS_EVERY, period)
         self._attended_at: Instant | None = None
@@ -38,7 +38,7 @@ class Standstill:
         self._told_at, self._told = Instant(0), ""
 
     def attend(self) -> None:
-        """Tell for how long nobody could, since the last time; from the first one on."""
+        """Report how long nothing ran since the last call; from the first one on."""
         if not self._real_time:
             return
         now, asleep = self._clock.now(), self._asleep()
@@ -53,8 +53,9 @@ class Standstill:
             self._tell(f"{self._told}: nothing was sent meanwhile", "WARN")
 
     def cure(self) -> str:
-        """What keeps it from standing still again, if it did so just before; else empty."""
+        """Say how to prevent a standstill, if one has just occurred; else empty."""
         self.attend()
         if not self._told or self._clock.now() - self._told_at > JUST_BEFORE:
             return ""
-        return f"{self._told}: keep it from being suspended or stopped, and its processor free for the bench"
+        cure = "prevent it from being suspended or stopped, and keep its processor free for the bench"
+        return f"{self._told}: {cure}"

@@ -1,4 +1,4 @@
-"""Frames that come regularly, and what comes between two of them.
+"""Regular frames, and surplus frames between two of them.
 
 A drive answers each SYNC once, and sends its heartbeat, or a TPDO of which nothing changes, by a timer. While
 a stream was regular for long enough, a frame is one too many if the next one comes in its own time as if it
@@ -30,8 +30,8 @@ from servobench.drivers.timebase import NEVER, Duration, Instant
 from servobench.hil.loop.syncs import REMEMBERED, SyncLog
 
 REGULAR: Final = 64
-"""SYNCs that must have been answered in order before one too many is told: a frame that was held back for
-longer than so many periods is taken for lost by any bench."""
+"""SYNCs that must have been answered in order before a surplus frame is reported: a frame held back for
+longer than so many periods counts as lost in any bench."""
 REGULAR_IN_TIME: Final = 2
 """The same where all readings that are remembered were sampled less than a period before they came, and no
 SYNC had two frames for :data:`QUIET_SYNCS`: then a frame that is missing was lost, and not held back."""
@@ -40,13 +40,13 @@ QUIET_SYNCS: Final = 2000
 REGULAR_TIMED: Final = 2
 """The same of a stream by timer, whose next frame has to come where it was due."""
 TOLERANCE: Final = 40
-"""A frame by timer is in time within this part of its period, and one that answers a SYNC comes as is usual
-within this part of a period: what a busy bus holds it up."""
+"""A frame by timer is in time within this part of its period, and one that answers a SYNC comes as usual
+within this part of a period: delays by a busy bus."""
 RECENT: Final = 32
 """Frames of which another one may be a repetition."""
 REPEATS: Final = 2
-"""So many repetitions make a network that repeats frames. A single one may be the answer that says the same
-again, beside a stranger's frame."""
+"""This many repetitions mark a network that repeats frames. A single one may be an equal answer beside a
+stranger's frame."""
 LEARNT: Final = 8
 """Frames over which the usual delay is averaged: a gateway's new one is learnt within ten periods."""
 EXTRAS_MAX: Final = 16
@@ -54,7 +54,7 @@ EXTRAS_MAX: Final = 16
 
 
 class DelaysKnown(IntEnum):
-    """What is known of the delays of a drive's readings."""
+    """Knowledge about the delays of a drive's readings."""
 
     UNKNOWN = 0
     """Or some are longer than a period."""
@@ -65,7 +65,7 @@ class DelaysKnown(IntEnum):
 
 
 class Extra(NamedTuple):
-    """A frame that nobody asked for."""
+    """A surplus frame."""
 
     at: Instant
     data: bytes
@@ -100,13 +100,13 @@ class RegularStream:
         self.last: int | None = None
         """Place of the last regular frame."""
         self.regular = 0
-        """How many came in order."""
+        """Frames that came in order."""
         self.least = least
         self.repetitions = 0
         """Frames too many that may be repetitions of one before; in a network that repeats frames, all that
         equal one of the last."""
         self.held = True
-        """A frame that is missing may have been held back, and come yet."""
+        """True if a missing frame may have been held back, and still come."""
         self.doubled = False
         """Since this was last set back there was more than one frame where one was due."""
         self._step, self._tolerance = step, tolerance
@@ -114,19 +114,19 @@ class RegularStream:
         self._noise = period / TOLERANCE
         self._recent: deque[bytes] = deque(maxlen=RECENT)
         self._times: dict[bytes, int] = {}
-        """How often each of them is there: a look at each of 32 would cost more than all else."""
+        """Count of each of them: comparing with all 32 would cost more than everything else."""
         self._counted = True
-        """So it was when the last one came; where nobody asks, they are not counted."""
+        """True if they were counted when the last one came; without a need they are not."""
         self._usual = 0.0
         self._frame = _Frame(Instant(0), b"", 0, False)
         self._extras: list[_Frame] = []
 
     def trust(self, place: int) -> None:
-        """Nothing was ever lost: the frame at ``place`` is expected next."""
+        """Expect the frame at ``place`` next: nothing was ever lost."""
         self.last, self.regular = place - self._step, self.least
 
     def take(self, place: int, delay: int, data: bytes, at: Instant) -> list[Extra]:
-        """A frame has come, ``delay`` after what it answers; which before it were extra ones."""
+        """Take a frame, ``delay`` after what it answers; return the surplus ones before it."""
         frame = _Frame(at, data, delay, not self._repeats and self._is_known(data))
         last = self.last
         moved = self._step if last is None else place - last
@@ -158,7 +158,7 @@ class RegularStream:
         return []
 
     def pass_over(self, places: range, delay: int, frames: list[bytes]) -> None:
-        """Frames have come, one for each of ``places``, which follow the last; ``delay``: their mean."""
+        """Take frames, one for each of ``places``, which follow the last; ``delay``: their mean."""
         self.last = places[-1]
         self.regular += len(places)
         self._recent.extend(frames)
@@ -167,7 +167,7 @@ class RegularStream:
         self._frame = _Frame(Instant(0), frames[-1], delay, False)
 
     def end(self) -> list[Extra]:
-        """No regular frame comes any more: what came since the last one nobody asked for."""
+        """End the stream: frames since the last regular one are surplus."""
         if self._frame.repeated and self.repeating:
             self._clear_of_doubt()
         self._extras = [frame for frame in self._extras if not self._is_on_other_side(frame)]
@@ -175,16 +175,16 @@ class RegularStream:
 
     @property
     def repeating(self) -> bool:
-        """Whether the network repeats frames: then one that equals one of the last proves no answer."""
+        """True if the network repeats frames: then one equal to a recent one proves no answer."""
         return self.repetitions >= REPEATS
 
     @property
     def calm(self) -> bool:
-        """Nothing extra is in question."""
+        """True if no surplus frame is suspected."""
         return not self._extras
 
     def _remember(self, data: bytes) -> None:
-        """As one of the last frames."""
+        """Add to the recent frames."""
         recent, times = self._recent, self._times
         if self._counted:
             if len(recent) == RECENT:
@@ -197,7 +197,7 @@ class RegularStream:
         recent.append(data)
 
     def _is_known(self, data: bytes) -> bool:
-        """Whether one of the last frames had it, be it in question or not."""
+        """Return True if one of the recent frames had it, suspected or not."""
         if not self._counted:
             self._times = {}
             for each in self._recent:
@@ -211,16 +211,16 @@ class RegularStream:
         return False
 
     def _is_on_other_side(self, frame: _Frame) -> bool:
-        """Whether a frame is likelier the answer that is usual a period before or after."""
+        """Return True if a frame is likelier the usual answer of a period before or after."""
         return abs(frame.delay - self._usual) > self._half
 
     def _is_as_extras(self, frame: _Frame) -> bool:
-        """Whether a frame comes as late as one in question did, and not as is usual."""
+        """Return True if a frame is as late as a suspected one, and not as usual."""
         off = abs(frame.delay - self._usual)
         return off > self._noise and any(abs(frame.delay - each.delay) < off for each in self._extras)
 
     def _found(self, frame: _Frame) -> list[Extra]:
-        """The extra frames before ``frame``, a regular one."""
+        """Return the surplus frames before ``frame``, a regular one."""
         before = self._frame
         back = frame.data == before.data
         if (self._same and not back) or (before.repeated and (self.repeating or not back)):
@@ -236,7 +236,7 @@ class RegularStream:
         return [Extra(frame.at, frame.data) for frame in extras]
 
     def _clear_of_doubt(self) -> None:
-        """What was in question nobody forged; it may be repeated as any frame may."""
+        """Clear the suspected frames: they are genuine, and may be repeated like any frame."""
         for frame in self._extras:
             self._remember(frame.data)
         self._extras.clear()
@@ -250,12 +250,12 @@ class TimedStream:
         self._stream = RegularStream(period, tolerance, REGULAR_TIMED, repeats=repeats, same=not repeats)
 
     def take(self, data: bytes, at: Instant) -> list[Extra]:
-        """A frame has come; which before it nobody asked for."""
+        """Take a frame; return the surplus ones before it."""
         return self._stream.take(at, 0, data, at)
 
 
 class SyncedStream:
-    """The frames of a synchronous TPDO, held against the SYNCs of its segment."""
+    """Compares the frames of a synchronous TPDO with the SYNCs of its segment."""
 
     def __init__(
         self,
@@ -271,7 +271,7 @@ class SyncedStream:
         self._frames_of, self._syncs, self._delays = take_frames, syncs, delays
         self._period = period
         self._behind: list[tuple[bytes, Instant]] = []
-        """Frames behind the last SYNC of another: the next one shows whether one was lost before them."""
+        """Frames after the last foreign SYNC: the next one shows whether one was lost before them."""
         self._cob_id = pdo.cob_id
         self._each = max(1, pdo.transmission_type)
         self._owed = Owed(REMEMBERED + self._each)
@@ -286,8 +286,8 @@ class SyncedStream:
             self._stream.trust(self._seen + 1)
 
     def look(self, *, at_end: bool = False) -> tuple[list[Extra], int]:
-        """What has come since the last call that no SYNC asked for: frames that are known, and how many more
-        there are than SYNCs. To be called before so many SYNCs are forgotten; ``at_end``: no more come."""
+        """Return the frames since the last call that no SYNC requested: known frames, and how many more there
+        are than SYNCs. Call it before too many SYNCs are forgotten; ``at_end``: no more come."""
         until = self._known_until(at_end)
         frames = self._take_frames(until)
         quiet = self._syncs.counted - self._quiet_since >= QUIET_SYNCS and self._were is DelaysKnown.ALL_SHORT
@@ -310,13 +310,13 @@ class SyncedStream:
         return found, max(0, beyond)
 
     def _known_until(self, at_end: bool) -> Instant:
-        """Until when all SYNCs are known that a frame may answer."""
+        """Return the instant until which all SYNCs that a frame may answer are known."""
         if not self._syncs.of_another:
             return NEVER
         return Instant(self._syncs.last_on_bus + (self._period if at_end else 0))
 
     def _take_frames(self, until: Instant) -> list[tuple[bytes, Instant]]:
-        """Those to hold against the SYNCs now; later ones wait."""
+        """Take the frames to compare with the SYNCs now; later ones wait."""
         frames = [*self._behind, *self._frames_of(self._cob_id)]
         self._behind = [frame for frame in frames if frame[1] >= until][-REMEMBERED:]
         return [frame for frame in frames if frame[1] < until]
@@ -343,7 +343,7 @@ class SyncedStream:
         return found
 
     def _passes(self, starts: list[tuple[Instant, int]], frames: list[tuple[bytes, Instant]]) -> bool:
-        """Whether each SYNC since the last look has its one frame: so it is nearly always."""
+        """Return True if each SYNC since the last look has its one frame, which is nearly always so."""
         stream, new = self._stream, starts[1:]
         if not frames or self._each > 1 or len(new) != len(frames) or not stream.calm or stream.repeating:
             return False
@@ -362,7 +362,7 @@ class SyncedStream:
 
 
 def _with_missing(starts: list[tuple[Instant, int]]) -> Iterator[tuple[Instant, int]]:
-    """``starts``, and between them those of the SYNCs that are missing, at equal distances."""
+    """Yield ``starts``, and between them missing SYNCs at equal distances."""
     yield starts[0]
     for (before_at, before), (at, place) in pairwise(starts):
         for number in range(before + 1, place) if place - before <= REMEMBERED else ():

@@ -1,4 +1,4 @@
-"""What a run's timing rests on, for its summary: clocks, placed readings, SYNCs, and what cannot be."""
+"""Basis of a run's timing, for its summary: clocks, placed readings, SYNCs, and contradictions."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,8 +14,8 @@ Report = dict[str, Any]
 def timing_report(
     axes: Sequence[Axis], syncs: Mapping[str, SyncLog], others: Mapping[str, int] | None = None
 ) -> Report:
-    """``syncs``: by segment. ``others``: what the bus guard saw, and how often, which may still grow.
-    Times in us."""
+    """Return the report. ``syncs``: by segment. ``others``: observations of the bus guard with counts, which
+    may still grow. Times in us."""
     return {
         "sync": {
             name: {"basis": log.basis.value, "surplus": log.surplus, "crowded": log.crowded}
@@ -27,7 +27,7 @@ def timing_report(
 
 
 def distrust(axes: Sequence[Axis], period: Duration) -> tuple[str, ...]:
-    """Why what a run says of its timing is not to be trusted; empty if nothing speaks against it."""
+    """Explain why a run's timing is not trustworthy; empty if it is."""
     reasons: list[str] = []
     for axis in axes:
         stamped = axis.by_stamp.health

@@ -36,12 +36,12 @@ from servobench.virtual_bus.timeline import PacedTimeline, SimulatedClock, Timel
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """What a run has to do with."""
+    """The environment of a run."""
 
     link: BusLink
     clock: Clock
     real_time: bool
-    """Whether time passes by itself: a full recording ring then loses rows instead of waiting."""
+    """True if time passes by itself: a full recording ring then loses rows instead of waiting."""
     faults: "WorldFaults"
     load_percent: Callable[[Instant, Instant], float]
     """Bus load between two instants, percent: exact on a simulated segment, the busiest if there are several;
@@ -49,30 +49,30 @@ class World:
     wall_offset: Duration | None
     """Wall clock minus the world's clock; None in simulated time."""
     error_frames: Callable[[], int]
-    """How many error frames there were on the bus so far, as far as they can be seen."""
+    """Returns the number of error frames on the bus so far, as far as visible."""
     tap_errors: Callable[[Tap], None]
-    """Show error frames to a tap, as extended frames with CAN_ERR_FLAG; nothing where none can be seen."""
+    """Passes error frames to a tap, as extended frames with CAN_ERR_FLAG; nothing if none are visible."""
     further: "tuple[FurtherSegment, ...]" = ()
-    """The segments beside the first one, in the order of the plan."""
+    """The segments after the first one, in the order of the plan."""
     wait: Callable[[Instant], object] = bool
-    """Where there are some: let time pass until a frame for the host is there on any, or until an instant."""
+    """With several segments: let time pass until a frame for the host arrives on any, or until an instant."""
     trouble: Callable[[], str] = str
-    """What the adapter counted of lost frames and the like, in words; empty if there is nothing."""
+    """The adapter's counts of lost frames and the like, in words; empty if there are none."""
 
     notes: tuple[str, ...] = ()
-    """What of the adapter's settings does not fit, each with the command that mends it."""
+    """Unsuitable settings of the adapter, each with the command that fixes it."""
 
     def tell_troubles(self, tell: Callable[[Instant, str, str], None]) -> None:
-        """From now on let ``tell`` know what befalls an adapter: the instant, the level and the text of an
-        event; at once what of its settings does not fit."""
+        """Report adapter events to ``tell`` from now on: instant, level and text; unsuitable settings at
+        once."""
         for note in self.notes:
             tell(self.clock.now(), "WARN", note)
         for link in self._links():
             link.on_trouble = lambda text, at: tell(at, "WARN", text)
 
     def explained(self, error: BenchError, cure: str = "") -> BenchError:
-        """``error``; that of a bus or a drive tells also ``cure``, and what mends the adapter: its state now,
-        and, where nothing is heard, settings that do not fit."""
+        """Return ``error``; for a bus or drive fault with ``cure``, and the cure for the adapter: its present
+        state, and, if nothing is heard, unsuitable settings."""
         if isinstance(error, PeerFault):
             settings = self.notes if isinstance(error, BusDown | NoAnswer) else ()
             cures = [error.remedy, cure, *settings, *(link.cure for link in self._links())]
@@ -85,7 +85,7 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class FurtherSegment:
-    """One of them."""
+    """One further segment."""
 
     name: str
     link: BusLink
@@ -93,42 +93,42 @@ class FurtherSegment:
 
 
 class WorldFaults:
-    """The faults of a world as a whole, and the buses that wear those of frames; there may be none."""
+    """The faults of a whole world, and the buses with frame faults; there may be none."""
 
     def __init__(self, parts: Sequence[tuple[Injection, FaultyBus | None]]) -> None:
         """``parts``: of each segment; empty without a fault plan."""
         self._parts = parts
         first = parts[0][0] if parts else None
         self.host_stall = first.host_stall if first is not None and first.stalls_host else None
-        """For how long the host, which should act at an instant, sleeps instead; None if it never does."""
+        """Returns how long the host oversleeps an instant; None if it never does."""
 
     def wrap(self, device: CanopenDevice) -> CanopenDevice | FaultyDevice:
-        """``device`` with what befalls it on the first segment. Raises BadInput if it cannot fail so."""
+        """Return ``device`` with its faults on the first segment. Raises BadInput if it cannot fail so."""
         return self._parts[0][0].wrap(device) if self._parts else device
 
     def start(self, now: Instant) -> None:
-        """Time zero of the plan is ``now``."""
+        """Start time zero of the plan at ``now``."""
         for injection, bus in self._parts:
             if bus is not None:
                 bus.start(now)
             injection.start(now)
 
     def stop(self) -> None:
-        """Nothing new happens from here on."""
+        """Stop injecting new faults."""
         for injection, bus in self._parts:
             if bus is not None:
                 bus.stop()
             injection.stop()
 
     def finish(self) -> None:
-        """Let the log have what it has not got yet; also while the run goes on."""
+        """Flush entries to the log; also while the run goes on."""
         for injection, _ in self._parts:
             injection.finish()
 
 
 @dataclass(frozen=True, slots=True)
 class WorldPlan:
-    """Which world to make."""
+    """Description of a world."""
 
     spec: BusSpec
     bitrate_bit_s: int
@@ -138,19 +138,19 @@ class WorldPlan:
     seed: int = 0
     side: Side = "host"
     fault_log: FaultLog | None = None
-    """Takes what is injected, for a recording."""
+    """Takes injected faults, for a recording."""
     background: BackgroundTables = ()
     """Other nodes' traffic on a simulated segment."""
     segments: tuple[BusSegment, ...] = ()
-    """Of a simulated bus beside the first one."""
+    """Further segments of a simulated bus."""
     segment_of: Mapping[int, str | None] = field(default_factory=dict)
-    """By node, the name of its segment; of one that is left out it is the first one."""
+    """By node, the name of its segment; default: the first one."""
 
     @classmethod
     def of_bench(
         cls, config: BenchConfig, spec: BusSpec, paced: bool, fault_log: FaultLog | None
     ) -> "WorldPlan":
-        """The world that a bench runs in, on the bus ``spec``."""
+        """Return the world for a bench, on the bus ``spec``."""
         return cls(
             spec,
             config.bus.bitrate_bit_s,
@@ -165,7 +165,7 @@ class WorldPlan:
 
 
 def check_time(spec: BusSpec, time: str | None) -> bool:
-    """Whether the run is to be paced; ``time``: the option ``--time``, None if not given.
+    """Return True if the run is to be paced; ``time``: the option ``--time``, None if not given.
 
     Raises BadInput for simulated time on a bus that others share.
     """
@@ -180,7 +180,7 @@ def check_time(spec: BusSpec, time: str | None) -> bool:
 
 @contextmanager
 def open_world(plan: WorldPlan, devices: Sequence[CanopenDevice]) -> Iterator[World]:
-    """Make the world and close it again; ``devices`` live on a simulated segment and nowhere else."""
+    """Make the world and close it again; ``devices`` exist on a simulated segment only."""
     world = _simulated_world(plan, devices) if plan.spec.simulated else _real_world(plan)
     try:
         yield world
@@ -191,7 +191,7 @@ def open_world(plan: WorldPlan, devices: Sequence[CanopenDevice]) -> Iterator[Wo
 
 @contextmanager
 def drive_network(bus: str, bitrate_bit_s: int, writes: WriteList) -> Iterator[CanopenNetwork]:
-    """A master on a bus with drives on it, which may write ``writes``.
+    """Open a master on a bus with drives on it, which may write ``writes``.
 
     Raises BadInput for the simulated one, BusDown.
     """
@@ -201,7 +201,7 @@ def drive_network(bus: str, bitrate_bit_s: int, writes: WriteList) -> Iterator[C
 
 
 class _SimulatedSegment:
-    """A segment with what is on it, and the host's link to it."""
+    """A segment with its devices, and the host's link to it."""
 
     def __init__(
         self, plan: WorldPlan, own: BusSegment | None, devices: Sequence[CanopenDevice], timeline: Timeline
@@ -243,7 +243,7 @@ class _SimulatedSegment:
             injection.on_start(attached.wake_now)
 
     def tap_errors(self, tap: Tap) -> None:
-        """Show error frames to ``tap``."""
+        """Pass error frames to ``tap``."""
 
         def show(error: BusError) -> None:
             frame = error_frame_of(error, self.bus.port.controller)
@@ -253,7 +253,7 @@ class _SimulatedSegment:
 
 
 class _Inboxes:
-    """What waits for the host on any of several segments."""
+    """Frames waiting for the host on any of several segments."""
 
     def __init__(self, segments: Sequence[_SimulatedSegment]) -> None:
         self._inboxes = [each.bus.frame_port.received for each in segments]
@@ -329,7 +329,7 @@ def _real_world(plan: WorldPlan) -> World:
 def _through_outages(
     bus: can.BusABC, injection: Injection | None, clock: Clock, stamps: StampSource
 ) -> can.BusABC:
-    """``bus``, or the adapter in front of it that fails now and then."""
+    """Return ``bus``, or an adapter in front of it that fails now and then."""
     if injection is None or injection.outages is None:
         return bus
     return OutageBus(bus, injection.outages, clock, stamps)

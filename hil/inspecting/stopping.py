@@ -22,10 +22,10 @@ from servobench.drivers.errors import BusDown, NoAnswer, PeerFault, TransferAbor
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
 
 _LIMIT: Final = Duration(5 * NS_PER_S)
-"""A drive with a ramp of its own takes seconds."""
+"""A drive with its own ramp takes seconds."""
 _ROUND: Final = Duration(20 * NS_PER_MS)
 _REST_ROUNDS: Final = 10
-"""At rest and disabled for so long, a master that enables it again has shown."""
+"""After being at rest and disabled for this long, a master that enables it again has shown."""
 _REST_UNITS: Final = 2
 """An encoder may jump to and fro."""
 _PATIENCE: Final = 3
@@ -49,21 +49,21 @@ _DISABLED: Final = (State.SWITCH_ON_DISABLED, State.FAULT, State.NOT_READY)
 
 
 class NodeStopped(NamedTuple):
-    """What became of one node."""
+    """Result for one node."""
 
     node: int
     at_rest: bool
     """Its position stands still, and it is disabled or in fault."""
     before: str
-    """Its state when it was first asked; empty if it did not tell."""
+    """Its state at the first query; empty if unknown."""
     after: str
     took_ms: float
     text: str
-    """In words, with what it took beside a quick stop."""
+    """Description, with measures beyond a quick stop."""
 
 
 class _Stop:
-    """Of one node, round by round."""
+    """The stop of one node, round by round."""
 
     def __init__(self, network: CanopenNetwork, node: int, began: Instant, before: State | None) -> None:
         self.node = node
@@ -79,7 +79,7 @@ class _Stop:
         self._ended = self._began
 
     def round(self) -> None:
-        """Look at the node, and tell it once more what it does not do. Raises BusDown."""
+        """Check the node, and repeat outstanding commands. Raises BusDown."""
         try:
             self._look()
             self._silent = 0
@@ -90,7 +90,7 @@ class _Stop:
             self._on_silence()
 
     def result(self) -> NodeStopped:
-        """So far."""
+        """Return the result so far."""
         named = "" if self._state is None else self._state.value
         before = "" if self._before is None else self._before.value
         if not self._asked:
@@ -131,7 +131,8 @@ class _Stop:
                 self._write(DriveCommand.DISABLE_VOLTAGE)  # 605Ah = 5 to 8 stay in it
 
     def _stands_still(self) -> bool:
-        """By its position now and when it was last read; not known of a drive that has none."""
+        """Return True if its position has not changed since the last read; unknown for a drive without
+        one."""
         before = self._position
         try:
             self._position = self._read(Object.POSITION_ACTUAL_VALUE)
@@ -164,12 +165,12 @@ class _Stop:
 
 
 def _apart(one: int, other: int) -> int:
-    """Of two positions of 32 bits, which may wrap."""
+    """Return the difference of two positions of 32 bits, which may wrap."""
     return min((one - other) % _WORD, (other - one) % _WORD)
 
 
 def stop_drives(network: CanopenNetwork, nodes: Sequence[int]) -> list[NodeStopped]:
-    """Bring ``nodes`` to rest and disable them; without any, all that tell a statusword.
+    """Bring ``nodes`` to rest and disable them; without any, all that report a statusword.
 
     Raises NoAnswer if none does, BusDown if the bus goes away.
     """
@@ -193,8 +194,8 @@ def stop_drives(network: CanopenNetwork, nodes: Sequence[int]) -> list[NodeStopp
 
 
 def _stop_at_once(network: CanopenNetwork, nodes: Sequence[int]) -> dict[int, State | None]:
-    """Ask each node for its statusword, and answer with a quick stop, without waiting for anybody. The states
-    that were told.
+    """Ask each node for its statusword, and answer with a quick stop, without waiting. Return the reported
+    states.
 
     A node that has shown no statusword gets none: 6040h of another device may be anything.
     """

@@ -1,1 +1,1 @@
-"""Load machines: in a drive's object dictionary, or instruments of their own."""
+"""Load machines: in a drive's object dictionary, or separate instruments."""

@@ -45,7 +45,7 @@ NM_PER_COUNT = 1e-3
 
 @dataclass(slots=True)
 class _Plateau:
-    """What was measured while one torque was asked for."""
+    """Measurements during one torque."""
 
     at: Instant
     asked_nm: float
@@ -83,7 +83,7 @@ class InstrumentLoadMachine:
     every: Duration | None = None
     """How often it is told the torque of a load over time; None: of each step, and what came of it."""
     _due_nm: float | None = field(default=None, init=False)
-    """Of a load over time, not told yet."""
+    """Torque of a load over time, not sent yet."""
     _due_at: Instant = field(default=Instant(0), init=False)
     _begun_at: Instant | None = field(default=None, init=False)
     _plateaus: list[_Plateau] = field(default_factory=list, init=False)
@@ -218,7 +218,7 @@ def _raw(torque_nm: float) -> bytes:
 def find_load_machine(
     network: CanopenNetwork, node_id: int, source: str, axis: str, wanted: Sequence[Load]
 ) -> ObjectLoadMachine | ShaftLoad | None:
-    """What puts the ``wanted`` loads on a simulated drive's shaft; None if the bench asks for none.
+    """Return the load machine for the ``wanted`` loads on a simulated drive's shaft; None if there are none.
 
     2100h is read and written only on a drive that is :data:`SIMULATED_DRIVE` by its 1018h and 1008h. Where no
     load is wanted, one that an earlier run has left there is taken off at once.
@@ -265,7 +265,7 @@ def _no_load_machine(source: str, axis: str, asked: str) -> BadInput:
 
 
 class LoadMachines:
-    """What puts loads on the shafts of a bench."""
+    """The load machines of a bench."""
 
     def __init__(
         self,
@@ -283,7 +283,8 @@ class LoadMachines:
         self._instrument: InstrumentLoadMachine | None = None
 
     def find(self, drive: ServoDrive, say: Say) -> LoadMachine | None:
-        """What is told the loads of ``drive``, off now; None if there is none, or the shaft has them itself.
+        """Return the load machine of ``drive``, off now; None if there is none, or the shaft has its loads
+        itself.
 
         Raises BadInput if the bench asks for a load that nothing can make, PeerFault if it fails.
         """
@@ -298,7 +299,7 @@ class LoadMachines:
 
     @property
     def chore(self) -> Callable[[Instant], None] | None:
-        """What is to be done in each cycle; None if there is nothing."""
+        """The action of each cycle; None if there is none."""
         return None if self._instrument is None else self._instrument.attend
 
     def begin_with_next_sync(self) -> None:

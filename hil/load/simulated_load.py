@@ -25,12 +25,12 @@ OPTION = "--load"
 
 
 def load_table(signal: Signal) -> LoadTable:
-    """What a simulated shaft bears of it."""
+    """Return the table of a signal for a simulated shaft."""
     return LoadTable(signal.times_s, signal.levels)
 
 
 def load_tables(asked: Sequence[str], nodes: Sequence[int]) -> dict[int, LoadTable]:
-    """By node, of ``asked``, each NODE=FILE. Raises BadInput."""
+    """Return the tables by node, from ``asked``, each NODE=FILE. Raises BadInput."""
     tables: dict[int, LoadTable] = {}
     for text in asked:
         node, _, name = text.partition("=")
@@ -46,7 +46,7 @@ def load_tables(asked: Sequence[str], nodes: Sequence[int]) -> dict[int, LoadTab
 
 @dataclass(frozen=True, slots=True)
 class SimulatedLoadMachine:
-    """What the command line asks for."""
+    """A load machine requested on the command line."""
 
     link: Path
     faults: LineFaults

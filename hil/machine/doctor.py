@@ -1,4 +1,4 @@
-"""``hil doctor``: what this machine can do, and the exact command that mends each lack."""
+"""``hil doctor``: the capabilities of this machine, and the command that cures each lack."""
 
 import logging
 import os
@@ -25,32 +25,32 @@ from servobench.drivers.wire.attached import can_links, link_advice
 
 
 class Look(NamedTuple):
-    """What one check found."""
+    """Result of one check."""
 
     detail: str
-    """In a few words."""
+    """A few words."""
     remedy: str = ""
-    """The command that mends a lack, or what to do instead; empty if nothing is lacking."""
+    """The command that cures a lack, or an alternative; empty if nothing is lacking."""
 
 
 @dataclass(frozen=True, slots=True)
 class Capability:
-    """One thing that the machine can or cannot do."""
+    """One capability of the machine."""
 
     name: str
     status: Literal["ok", "lack"]
     detail: str
     needed_for: str
-    """What of the bench depends on it."""
+    """Part of the bench that depends on it."""
     remedy: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """The files, limits and environment that the checks read; a test hands in its own."""
+    """The files, limits and environment that the checks read; a test passes its own."""
 
     root: Path = Path("/")
-    """Where proc, sys, dev, usr and lib are found."""
+    """Root of proc, sys, dev, usr and lib."""
     environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
     limits: Mapping[int, int] = field(default_factory=lambda: _soft_limits())
     """resource.RLIMIT_* -> soft limit."""
@@ -60,28 +60,28 @@ class Machine:
     """Processors that this process may use."""
 
     is_root: bool = field(default_factory=lambda: os.geteuid() == 0)
-    """Whether commands need no sudo."""
+    """True if commands need no sudo."""
 
     def path(self, *parts: str) -> Path:
-        """A path below the root, e.g. ``path("sys", "class", "net")``."""
+        """Return a path below the root, e.g. ``path("sys", "class", "net")``."""
         return self.root.joinpath(*parts)
 
     def text(self, *parts: str) -> str:
-        """A small file's text without its last line end; empty if it cannot be read."""
+        """Return a small file's text without its last line end; empty if it cannot be read."""
         try:
             return self.path(*parts).read_text(encoding="utf-8", errors="replace").strip()
         except OSError:
             return ""
 
     def has_privilege(self, number: int) -> bool:
-        """Whether this process has the capability ``number`` of capabilities(7) in effect."""
+        """Return True if this process has the capability ``number`` of capabilities(7) in effect."""
         for line in self.text("proc", "self", "status").splitlines():
             if line.startswith("CapEff:"):
                 return bool(int(line.split()[1], 16) >> number & 1)
         return False
 
     def program(self, name: str) -> str | None:
-        """The program ``name`` on the search path, as ``which`` finds it below the root."""
+        """Return the program ``name`` on the search path, as ``which`` finds it below the root."""
         folders = self.environment.get("PATH", "").split(os.pathsep)
         return shutil.which(name, path=os.pathsep.join(str(self.path(each.lstrip("/"))) for each in folders))
 
@@ -106,7 +106,7 @@ INSTEAD = "use --bus hub:NAME, which needs no SocketCAN"
 
 
 def socketcan(machine: Machine) -> Look:
-    """Whether the kernel gives CAN sockets."""
+    """Check that the kernel provides CAN sockets."""
     if kernel_has_can():
         return Look(f"kernel {machine.release}")
     if _module_exists(machine, "can-raw"):
@@ -116,7 +116,7 @@ def socketcan(machine: Machine) -> Look:
 
 
 def kernel_has_can() -> bool:
-    """Whether a CAN_RAW socket can be opened."""
+    """Return True if a CAN_RAW socket can be opened."""
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError:
@@ -125,7 +125,7 @@ def kernel_has_can() -> bool:
 
 
 def vcan_module(machine: Machine) -> Look:
-    """Whether the kernel can make virtual CAN interfaces."""
+    """Check that the kernel can make virtual CAN interfaces."""
     if machine.path("sys", "module", "vcan").exists():
         return Look("loaded")
     if _module_exists(machine, "vcan"):
@@ -134,7 +134,7 @@ def vcan_module(machine: Machine) -> Look:
 
 
 def vcan_interface(machine: Machine) -> Look:
-    """Whether vcan0 is there and up."""
+    """Check that vcan0 exists and is up."""
     interfaces = can_interfaces(machine)
     if interfaces.get("vcan0"):
         return Look("up")
@@ -147,7 +147,7 @@ def vcan_interface(machine: Machine) -> Look:
 
 
 def real_interfaces(machine: Machine) -> Look:
-    """The CAN interfaces of the kernel that are not virtual."""
+    """Check for CAN interfaces of the kernel that are not virtual."""
     interfaces = {
         key: up for key, up in can_interfaces(machine).items() if not key.startswith(("vcan", "vxcan"))
     }
@@ -160,7 +160,7 @@ def real_interfaces(machine: Machine) -> Look:
 
 
 def interface_settings(machine: Machine) -> Look:
-    """Whether the CAN adapters of the kernel are set up as a bench needs them."""
+    """Check that the CAN adapters of the kernel are set up for a bench."""
     links = can_links(machine.path("sys", "class", "net"))
     advice = [text for link in links for text in link_advice(link)]
     if advice:
@@ -172,20 +172,20 @@ def interface_settings(machine: Machine) -> Look:
 
 
 def can_interfaces(machine: Machine) -> dict[str, bool]:
-    """Name -> up, of each CAN interface of the kernel."""
+    """Return name -> up, for each CAN interface of the kernel."""
     links = socketcan_links(machine.path("sys", "class", "net"))
     return {link.spec.removeprefix("socketcan:"): link.usable for link in links}
 
 
 def net_admin(machine: Machine) -> Look:
-    """Whether this process may make and set CAN interfaces; using one needs no privilege."""
+    """Check that this process may create and set CAN interfaces; using one needs no privilege."""
     if machine.has_privilege(CAP_NET_ADMIN):
         return Look("granted")
     return Look("not granted", "put sudo before the ip link commands")
 
 
 def adapters(_machine: Machine) -> Look:
-    """The adapters that python-can finds by itself, through the vendors' libraries."""
+    """Check for adapters that python-can finds by itself, through the vendors' libraries."""
     detected = detected_adapters()
     if detected:
         return Look(", ".join(detected))
@@ -193,7 +193,7 @@ def adapters(_machine: Machine) -> Look:
 
 
 def detected_adapters() -> list[str]:
-    """``interface:channel`` of each adapter found."""
+    """Return ``interface:channel`` of each adapter found."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)  # each vendor library that is not installed is a warning
     try:
@@ -205,7 +205,7 @@ def detected_adapters() -> list[str]:
 
 
 def serial_ports(_machine: Machine) -> Look:
-    """The serial ports with something behind them, for slcan adapters and load machines."""
+    """Check for serial ports with a device, for slcan adapters and load machines."""
     ports = sorted(port.device for port in list_ports.comports() if port.vid is not None)
     closed = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
     if closed:
@@ -218,7 +218,7 @@ def serial_ports(_machine: Machine) -> Look:
 
 
 def user_mode_linux(machine: Machine) -> Look:
-    """Whether a kernel with SocketCAN can be started as a process, for the tests."""
+    """Check that a kernel with SocketCAN can be started as a process, for the tests."""
     if kernel := machine.program("linux.uml"):
         return Look(kernel)
     return Look("not installed", "sudo apt-get install user-mode-linux kmod iproute2 gcc libc6-dev")
@@ -231,7 +231,7 @@ def _module_exists(machine: Machine, module: str) -> bool:
 
 
 RTPRIO_MIN = 50
-"""hil/machine/realtime.py asks for this priority of SCHED_FIFO."""
+"""Priority of SCHED_FIFO used by hil/machine/realtime.py."""
 MEMLOCK_MIN_BYTES = 1 << 30
 """A loop process with numpy and its rings, with room to spare."""
 DISK_MIN_BYTES = 2 << 30
@@ -243,14 +243,14 @@ LIMITS_FILE = "/etc/security/limits.d/servobench.conf"
 
 
 def realtime_scheduling(machine: Machine) -> Look:
-    """Whether the loop's process may run under SCHED_FIFO."""
+    """Check that the loop's process may run under SCHED_FIFO."""
     if machine.has_privilege(CAP_SYS_NICE):
         return Look("CAP_SYS_NICE")
     return _limited(machine.limits[resource.RLIMIT_RTPRIO], RTPRIO_MIN, "", "rtprio", "80")
 
 
 def locked_memory(machine: Machine) -> Look:
-    """Whether the loop's process may lock its memory."""
+    """Check that the loop's process may lock its memory."""
     if machine.has_privilege(CAP_IPC_LOCK):
         return Look("CAP_IPC_LOCK")
     limit = machine.limits[resource.RLIMIT_MEMLOCK]
@@ -258,7 +258,7 @@ def locked_memory(machine: Machine) -> Look:
 
 
 def _limited(limit: int, least: int, unit: str, kind: str, value: str) -> Look:
-    """Whether a limit of this process is at least so much; ``value``: what it is raised to if not."""
+    """Check that a limit of this process is at least ``least``; ``value``: its new value otherwise."""
     unlimited = limit == resource.RLIM_INFINITY
     if unlimited or limit >= least:
         return Look(f"up to {'no limit' if unlimited else limit}{unit}")
@@ -267,7 +267,7 @@ def _limited(limit: int, least: int, unit: str, kind: str, value: str) -> Look:
 
 
 def processors(machine: Machine) -> Look:
-    """Whether the loop, the drive and the logger need not share one processor."""
+    """Check that loop, drive and logger need not share one processor."""
     detail = f"{machine.cpu_count} usable"
     if machine.cpu_count >= CPU_COUNT_MIN:
         return Look(detail)
@@ -275,7 +275,7 @@ def processors(machine: Machine) -> Look:
 
 
 def frequency_governor(machine: Machine) -> Look:
-    """Whether the processor holds its clock frequency."""
+    """Check that the processor holds its clock frequency."""
     cpufreq = ("sys", "devices", "system", "cpu", "cpu0", "cpufreq", "scaling_governor")
     governor = machine.text(*cpufreq)
     if governor in ("", "performance"):
@@ -284,7 +284,7 @@ def frequency_governor(machine: Machine) -> Look:
 
 
 def viewer(_machine: Machine) -> Look:
-    """Whether the Rerun viewer is installed beside the bench."""
+    """Check that the Rerun viewer is installed."""
     beside = Path(sysconfig.get_path("scripts")) / "rerun"
     path = str(beside) if beside.exists() else shutil.which("rerun")
     if path:
@@ -293,7 +293,7 @@ def viewer(_machine: Machine) -> Look:
 
 
 def display(machine: Machine) -> Look:
-    """Whether a window can be opened."""
+    """Check that a window can be opened."""
     for variable in ("WAYLAND_DISPLAY", "DISPLAY"):
         if value := machine.environment.get(variable):
             return Look(f"{variable}={value}")
@@ -301,7 +301,7 @@ def display(machine: Machine) -> Look:
 
 
 def headless_vulkan(machine: Machine) -> Look:
-    """Whether pictures of a recording can be drawn without a screen."""
+    """Check that pictures of a recording can be drawn without a screen."""
     folders = (machine.path("usr", "share", "vulkan", "icd.d"), machine.path("etc", "vulkan", "icd.d"))
     drivers = sorted(file.stem.partition("_icd")[0] for folder in folders for file in folder.glob("*.json"))
     if drivers:
@@ -310,7 +310,7 @@ def headless_vulkan(machine: Machine) -> Look:
 
 
 def disk_space(_machine: Machine) -> Look:
-    """Whether a long recording fits into the present folder."""
+    """Check that a long recording fits into the present folder."""
     free = shutil.disk_usage(Path.cwd()).free
     detail = f"{free / 1e9:.1f} GB free"
     if free >= DISK_MIN_BYTES:
@@ -319,7 +319,7 @@ def disk_space(_machine: Machine) -> Look:
 
 
 def compiled_modules(_machine: Machine) -> Look:
-    """Whether the modules that run in every cycle are compiled."""
+    """Check that the modules run in every cycle are compiled."""
     build = compiled.use_fresh()
     if not build.why:
         return Look(", ".join(build.compiled))
@@ -328,7 +328,7 @@ def compiled_modules(_machine: Machine) -> Look:
 
 
 def native_core(_machine: Machine) -> Look:
-    """Whether each room's core is built from the sources beside it."""
+    """Check that each room's core is built from its present sources."""
     try:
         import servobench.virtual_bus.core  # noqa: F401
 
@@ -359,13 +359,13 @@ CHECKS: Final[tuple[tuple[str, str, Callable[[Machine], Look]], ...]] = (
     ("native core", "everything simulated, and each bus", native_core),
     ("compiled modules", "pace: interpreted, everything works several times slower", compiled_modules),
 )
-"""Name, what of the bench depends on it, and who looks."""
+"""Name, dependent part of the bench, and the check."""
 
-ALWAYS = "Whatever is lacking, --bus simulated (simulated time) and --bus hub:NAME (real time) work."
+ALWAYS = "--bus simulated (simulated time) and --bus hub:NAME (real time) always work."
 
 
 def run_checks(machine: Machine | None = None) -> list[Capability]:
-    """Each check once, in a fixed order. Nothing is changed, nothing is sent."""
+    """Run each check once, in a fixed order. Nothing is changed, nothing is sent."""
     machine = machine or Machine()
     checks = []
     for name, needed_for, look in CHECKS:
@@ -376,14 +376,14 @@ def run_checks(machine: Machine | None = None) -> list[Capability]:
 
 
 def print_checks(checks: Sequence[Capability], console: Console | None = None) -> None:
-    """One line for each check, and below a lack its remedy, unbroken, so that it can be pasted."""
+    """Print one line per check, and below a lack its remedy, unbroken, for pasting."""
     console = console or Console(highlight=False)
     width = max(len(check.name) for check in checks)
     for check in checks:
         for line in _lines(check, width):
             console.print(line, soft_wrap=True)
     lacks = sum(check.status == "lack" for check in checks)
-    console.print(f"\n{len(checks) - lacks} of {len(checks)} there. {ALWAYS}", soft_wrap=True)
+    console.print(f"\n{len(checks) - lacks} of {len(checks)} available. {ALWAYS}", soft_wrap=True)
 
 
 def _lines(check: Capability, width: int) -> list[Text]:

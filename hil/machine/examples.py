@@ -1,4 +1,4 @@
-"""Where the examples are."""
+"""Finds the examples."""
 
 from pathlib import Path
 
@@ -6,6 +6,6 @@ from servobench.drivers.compiled import ROOT
 
 
 def examples_folder() -> Path:
-    """The examples: within an installed package, or at the top of a checkout."""
+    """Return the examples: within an installed package, or at the top of a checkout."""
     installed = ROOT / "hil" / "examples"
     return installed if installed.is_dir() else ROOT / "examples"

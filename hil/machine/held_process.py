@@ -1,8 +1,8 @@
-"""Code of the user's stays inside the call that was made of it, in the process that made the call.
+"""Keeps user code inside the call made to it, in the process that made the call.
 
 ``os._exit(0)`` there would end pytest, a campaign's worker or a run with the status of a success; another
 program in this one's place would, too; and a copy that ``os.fork`` has left would come back a second time and
-command the same drives. Native code is left to the parent process
+command the same drives. Native code is handled by the parent process
 (:mod:`servobench.hil.terminal.supervision`).
 """
 
@@ -14,26 +14,26 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 COPY_STATUS: Final = 70
-"""Of a copy that would have come back; nobody waits for it but the code that forked it."""
+"""Exit status of a forked copy that would have returned; only the code that forked it waits for it."""
 
 OWN_FILES: Final[set[str]] = set()
-"""Of the code of the user's that was called."""
+"""Files of the user code that was called."""
 
 
 _DEPTH: Final = sys.getrecursionlimit()
 
 
 class LeftProcess(BaseException):
-    """The user's code would have ended this process. No Exception: code that catches those goes on."""
+    """User code would have ended this process. Not an Exception: code that catches those goes on."""
 
 
 FAILURES: Final = (Exception, SystemExit, GeneratorExit, LeftProcess)
-"""What code of one's own may raise where Ctrl-C is still an exception: all but that. SystemExit would end the
-process with a status of its own, 0 among them."""
+"""Exceptions that user code may raise while Ctrl-C still is one: all but that. SystemExit would end the
+process with its own status, 0 included."""
 
 
 class _Calls(threading.local):
-    """Of one thread."""
+    """Calls of one thread."""
 
     depth = 0
     process = 0
@@ -43,14 +43,14 @@ _CALLS: Final = _Calls()
 
 
 def enter_call() -> None:
-    """A call of the user's code begins in this thread."""
+    """Note that a call of user code begins in this thread."""
     if not _CALLS.depth:
         _CALLS.process = os.getpid()
     _CALLS.depth += 1
 
 
 def leave_call() -> None:
-    """It has come back; in a copy of the process it does not. The stack may be as deep as before."""
+    """Note its return; in a copy of the process it never returns. The stack may be as deep as before."""
     _CALLS.depth -= 1
     if sys.getrecursionlimit() < _DEPTH:
         sys.setrecursionlimit(_DEPTH)
@@ -60,8 +60,8 @@ def leave_call() -> None:
 
 @contextmanager
 def held_process() -> Iterator[None]:
-    """A call of the user's code. It raises LeftProcess instead of ending the process, and in place of what is
-    neither an Exception nor one of Python's own requests to end."""
+    """Wrap a call of user code. It raises LeftProcess instead of ending the process, and in place of anything
+    that is neither an Exception nor one of Python's own requests to end."""
     enter_call()
     try:
         yield
@@ -74,7 +74,7 @@ def held_process() -> Iterator[None]:
 
 
 def in_words(thing: object, how: Callable[[object], str] = str) -> str:
-    """``thing`` of the user's by its own ``__str__``, or by ``how``, which may end in any way."""
+    """Format ``thing`` of the user's by its own ``__str__``, or by ``how``, which may end in any way."""
     try:
         with held_process():
             return how(thing)
@@ -83,7 +83,7 @@ def in_words(thing: object, how: Callable[[object], str] = str) -> str:
 
 
 def told(error: BaseException) -> str:
-    """Kind of an error and, if it has any, its words."""
+    """Return the kind of an error and, if it has any, its words."""
     return f"{type(error).__name__}: {in_words(error)}".removesuffix(": ")
 
 

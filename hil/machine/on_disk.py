@@ -1,4 +1,4 @@
-"""What is on the disk when a call returns, and not only in the kernel's cache."""
+"""Writes that are on the disk when a call returns, and not only in the kernel's cache."""
 
 import fcntl
 import os
@@ -14,7 +14,7 @@ def write_synced(file: BinaryIO, data: bytes) -> None:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether somebody holds the lock (flock) of a file; not of one that is not there."""
+    """Return True if somebody holds the lock (flock) of a file; False for a missing file."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
@@ -29,7 +29,7 @@ def is_locked(path: Path) -> bool:
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the disk has the folder's entries, as of a new or renamed file. Error: OSError."""
+    """Wait until the disk has the folder's entries, e.g. a new or renamed file. Error: OSError."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -1,9 +1,9 @@
-"""The parent that a command runs under (:mod:`servobench.hil.terminal.supervision`), as the command sees it.
+"""The parent of a command (:mod:`servobench.hil.terminal.supervision`), as the command sees it.
 
-What a command prints does not leave its process by the descriptors 0 to 2: code of the user's may close, fill
-or redirect these. Results are collected, and handed over whole with the exit status. Messages, and what the
-user's code prints, go into pipes of their own that never block: a terminal that is stopped, full or gone
-costs text, and no cycle. Without a parent, as under pytest, all of it is sys.stdout and sys.stderr.
+A command's output does not use the descriptors 0 to 2: user code may close, fill or redirect these. Results
+are collected, and handed over whole with the exit status. Messages, and what the user's code prints, go into
+pipes of their own that never block: a terminal that is stopped, full or gone costs text, and no cycle.
+Without a parent, as under pytest, all of it is sys.stdout and sys.stderr.
 """
 
 import ctypes
@@ -17,40 +17,40 @@ import sys
 from typing import Any, Final, NamedTuple, TextIO
 
 PIPE_BYTES: Final = 1 << 20
-"""As much as a process without privileges may ask for (pipe(7)): a second of a controller that prints a line
-of 1 kB in each cycle of 1 ms, while the parent does not get its turn."""
+"""The limit for a process without privileges (pipe(7)): a second of a controller that prints a line of 1 kB
+in each cycle of 1 ms, while the parent does not run."""
 _PR_SET_PDEATHSIG: Final = 1
 """<linux/prctl.h>"""
 _write: Final = os.write
-"""As it is before code of the user's may put another in its place."""
+"""The function before user code may replace it."""
 
 
 class Pipes(NamedTuple):
     """Descriptors of one end of the three pipes between a command and its parent."""
 
     told: int
-    """Lines of JSON: what the parent must know to end in the command's stead, and at last its result."""
+    """Lines of JSON: data that the parent needs to end in the command's place, and finally its result."""
     messages: int
     """For stderr as it is."""
     printed: int
-    """What the user's code prints."""
+    """Output of user code."""
 
 
 class Terminals(NamedTuple):
-    """Which of the parent's streams a person looks at."""
+    """Which of the parent's streams are terminals."""
 
     stdout: bool
     stderr: bool
 
 
 class StreamEnd(io.RawIOBase):
-    """Takes every write; what finds a pipe full, nobody at its other end, or no room on a disk, is lost."""
+    """Accepts every write; data for a full pipe, a closed one, or a full disk are lost."""
 
     def __init__(self, descriptor: int, on_terminal: bool) -> None:
         self._descriptor = descriptor
         self._on_terminal = on_terminal
         self.trouble: OSError | None = None
-        """Why the first write that was lost was."""
+        """Cause of the first loss."""
 
     def writable(self) -> bool:
         return True
@@ -62,7 +62,7 @@ class StreamEnd(io.RawIOBase):
         return self._descriptor
 
     def close(self) -> None:
-        """Nothing: the process writes to it until its end, whoever closes sys.stderr."""
+        """Do nothing: the process writes to it until its end, even if sys.stderr is closed."""
 
     def write(self, data: Any) -> int:
         left = memoryview(data).cast("B")
@@ -97,7 +97,7 @@ class ParentProcess:
         self.printed = _text(pipes.printed, on_terminal=False)
 
     def tell(self, **what: Any) -> None:
-        """Let the parent know; nothing from a copy of this process that the user's code has forked."""
+        """Notify the parent; do nothing in a copy of this process forked by user code."""
         if os.getpid() != self._owner:
             return
         line = memoryview(json.dumps(what).encode() + b"\n")
@@ -108,17 +108,17 @@ class ParentProcess:
             """The user's code has closed it, which the parent takes for the end of this process."""
 
     def tell_result(self, status: int) -> None:
-        """The command is done: its exit status, and what it has printed."""
+        """Report that the command is done: its exit status, and its output."""
         assert isinstance(self.results, _Collected)
         self.tell(status=status, results=self.results.getvalue())
 
 
 _parent: ParentProcess | None = None
-"""Of the process, as its standard streams are."""
+"""Belongs to the process, like its standard streams."""
 
 
 def live_under(pipes: Pipes, terminals: Terminals, parent: int) -> ParentProcess:
-    """Make this process, a child just forked, one that runs under ``parent``: it dies with it."""
+    """Make this process, a child just forked, run under ``parent``: it dies with it."""
     global _parent
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
@@ -135,31 +135,30 @@ def live_under(pipes: Pipes, terminals: Terminals, parent: int) -> ParentProcess
 
 
 def tell_parent(**what: Any) -> None:
-    """Let the parent know, if there is one.
+    """Notify the parent, if there is one.
 
-    ``bus``, ``bitrate`` and ``nodes``: that this command moves. ``recording`` and ``logger``: its folder, and
-    the process that records. ``concluded``: what the command came to: ``status``, and of a run ``digest`` and
-    ``recording``. ``own_code``: code of the user's runs from now on. ``intact``: an error was looked at, and
-    nothing of what the program is made of is another than before that code ran. ``error``: what ends it
-    early. ``advice``: what mends an early end. ``released``: False if what ended it may have kept it from
-    bringing its drives to rest.
+    ``bus``, ``bitrate`` and ``nodes``: moved by this command. ``recording`` and ``logger``: its folder, and
+    the recording process. ``concluded``: the command's result: ``status``, and for a run ``digest`` and
+    ``recording``. ``own_code``: user code runs from now on. ``intact``: after an error, the program's
+    functions are unchanged since before that code ran. ``error``: cause of an early end. ``advice``: its
+    cure. ``released``: False if the end may have kept it from bringing its drives to rest.
     """
     if _parent is not None:
         _parent.tell(**what)
 
 
 def has_parent() -> bool:
-    """Whether this process, or the one that it was forked from, is that of a command."""
+    """Return True if this process, or the one that it was forked from, is that of a command."""
     return _parent is not None
 
 
 def results() -> TextIO:
-    """Where the results of a command go: stdout holds nothing else."""
+    """Return the stream for the results of a command: stdout holds nothing else."""
     return sys.stdout if _parent is None else _parent.results
 
 
 def messages() -> TextIO:
-    """Where a command says what it does: stderr."""
+    """Return the stream for a command's progress: stderr."""
     return sys.stderr if _parent is None else _parent.messages
 
 

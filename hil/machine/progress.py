@@ -13,15 +13,15 @@ LINE_WIDTH = 72
 
 
 class Progress(Protocol):
-    """Told how far a run is."""
+    """Called with a run's progress."""
 
     def __call__(self, phase: str, elapsed_s: float) -> None:
-        """``phase``: what is being done, e.g. "connecting", "running"; ``elapsed_s``: loop time done, s."""
+        """``phase``: the present action, e.g. "connecting", "running"; ``elapsed_s``: loop time done, s."""
         ...
 
 
 def no_progress(phase: str, elapsed_s: float) -> None:
-    """Says nothing."""
+    """Ignore progress."""
 
 
 class TerminalProgress:
@@ -35,7 +35,7 @@ class TerminalProgress:
         self._percent = -1
 
     def __call__(self, phase: str, elapsed_s: float) -> None:
-        """As :class:`Progress`."""
+        """Show progress; see :class:`Progress`."""
         percent = min(100, int(100.0 * elapsed_s / self._duration_s))
         if phase == self._phase and percent == self._percent:
             return
@@ -46,7 +46,7 @@ class TerminalProgress:
         self._phase, self._percent = phase, percent
 
     def clear(self) -> None:
-        """Leave an empty line for what is printed next."""
+        """Leave an empty line for the next output."""
         if self._on_terminal and self._percent >= 0:
             self._write("\r" + " " * LINE_WIDTH + "\r")
         self._phase, self._percent = "", -1
@@ -57,7 +57,7 @@ class TerminalProgress:
 
 
 def bar_line(phase: str, elapsed_s: float, duration_s: float, percent: int) -> str:
-    """One line of :data:`LINE_WIDTH` characters: phase, bar, percent, seconds."""
+    """Return one line of :data:`LINE_WIDTH` characters: phase, bar, percent, seconds."""
     filled = BAR_WIDTH * percent // 100
     bar = "#" * filled + "." * (BAR_WIDTH - filled)
     return f"{phase[:12]:<12} {bar} {percent:3d} % {elapsed_s:8.2f} of {duration_s:g} s"[:LINE_WIDTH].ljust(

@@ -1,7 +1,7 @@
-"""What a process asks of the kernel before it runs a loop in real time.
+"""Requests of a process to the kernel before it runs a loop in real time.
 
-Each request may be refused (it needs privileges); what was granted and what was not
-is data, since it explains the lateness of the run.
+Each request may be refused (it needs privileges); the refusals are recorded, since they explain the lateness
+of the run.
 """
 
 import ctypes
@@ -11,18 +11,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 FIFO_PRIORITY = 50
-"""That of the kernel's interrupt threads: above every ordinary process, and not before the frames it waits
+"""Priority of the kernel's interrupt threads: above every ordinary process, and not above the frames it waits
 for."""
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-"""<asm-generic/mman.h>. On fault: what was once touched stays, and nothing else is brought in. Without that
-the loop's process has 530 MB instead of 230: libraries of which a part is used, and OpenBLAS's work space."""
+"""<asm-generic/mman.h>. On fault: touched pages stay, and no others are loaded. Without that the loop's
+process has 530 MB instead of 230: partly used libraries, and OpenBLAS's work space."""
 _PR_SET_TIMERSLACK = 29
 """<linux/prctl.h>"""
 
 
 @contextmanager
 def quiet_garbage_collector() -> Iterator[None]:
-    """No collection inside: one takes up to 100 ms, and the loop makes no cyclic garbage."""
+    """Prevent collections inside: one takes up to 100 ms, and the loop makes no cyclic garbage."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -34,7 +34,7 @@ def quiet_garbage_collector() -> Iterator[None]:
 
 @contextmanager
 def realtime_process() -> Iterator[tuple[str, ...]]:
-    """SCHED_FIFO, touched memory locked, exact timers, no garbage collection; yields what was refused."""
+    """Set SCHED_FIFO, lock touched memory, exact timers, no garbage collection; yield refusals."""
     libc = ctypes.CDLL(None, use_errno=True)
     refused: list[str] = []
     if libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0) != 0:
@@ -59,10 +59,10 @@ def realtime_process() -> Iterator[tuple[str, ...]]:
 
 @contextmanager
 def timing_conditions(real_time: bool, privileged: bool = True) -> Iterator[tuple[str, ...]]:
-    """What the kernel refused, if ``privileged``; otherwise, and in simulated time, nothing is asked of it.
+    """Yield the kernel's refusals, if ``privileged``; otherwise, and in simulated time, request nothing.
 
-    To be entered before any drive is told to listen for the host's heartbeat: to lock a large memory, and to
-    collect what garbage there is, takes up to a second.
+    Enter it before any drive begins to watch the host's heartbeat: locking a large memory, and a garbage
+    collection, take up to a second.
     """
     if real_time and privileged:
         with realtime_process() as refused:

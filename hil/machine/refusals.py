@@ -1,5 +1,5 @@
-"""What is no defect of the program: the machine refuses a process files, memory or processes, code of the
-user's raised where nobody had called it, or it has replaced what the program is made of."""
+"""Errors that are no defect of the program: the machine refuses files, memory or processes, user code raised
+outside its calls, or replaced the program's functions."""
 
 import errno
 import traceback
@@ -17,31 +17,31 @@ _WITH_REMEDY: Final = {
     errno.ENOMEM: "end other programs, or raise the limit of ulimit -v",
 }
 _MAKING_PROCESSES: Final = ("_execute_child", "_launch", "_begin")
-"""Functions of subprocess, multiprocessing and the command's parent, in which EAGAIN says that there may be
-no further process; elsewhere it is a defect."""
-_NOT_TOLD: Final = "the process failed, and failed again when it was to tell of what"
+"""Functions of subprocess, multiprocessing and the command's parent, in which EAGAIN means that no further
+process is allowed; elsewhere it is a defect."""
+_NOT_TOLD: Final = "the process failed, and failed again when reporting the cause"
 _MORE_PROCESSES: Final = "raise the limits of ulimit -u and -v"
 
 
 class MachineRefused(BenchError):
-    """The machine does not give the process what it asked for."""
+    """The machine refuses the process a resource."""
 
     exit_status = 6
 
 
 class OwnCodeRaised(BenchError):
-    """A handler of a signal, a trace function or the like of the user's raised in the midst of the bench, or
-    what it put in the place of another function made the bench fail."""
+    """A user's signal handler, trace function or the like raised in the midst of the bench, or a function
+    that it replaced made the bench fail."""
 
 
 def explained(error: BaseException) -> BenchError | None:
-    """``error`` as the machine's or the user's; None: it is a defect of the program, and nothing of what the
-    program is made of is another than it was."""
+    """Return ``error`` as the machine's or the user's; None: it is a defect of the program, whose functions
+    are unchanged."""
     try:
         known = as_refusal(error) or raised_by_own_code(error) or _as_replaced(error)
     except Exception:
         if OWN_FILES:
-            return OwnCodeRaised(f"code of your own has run here, and then {_NOT_TOLD}")
+            return OwnCodeRaised(f"your own code has run here, and afterwards {_NOT_TOLD}")
         raise
     if known is None:
         tell_parent(intact=True)
@@ -53,20 +53,20 @@ def _as_replaced(error: BaseException) -> OwnCodeRaised | None:
         return None
     last = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(last.filename).name}:{last.lineno} in {last.name}"
-    return OwnCodeRaised(f"code of your own has replaced {names}; then {place} failed: {told(error)}")
+    return OwnCodeRaised(f"your own code has replaced {names}; then {place} failed: {told(error)}")
 
 
 def raised_by_own_code(error: BaseException) -> OwnCodeRaised | None:
-    """``error`` as one that a line of the user's raised; None: it did not."""
+    """Return ``error`` if a line of the user's raised it; None: it did not."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         if frame.filename in OWN_FILES:
             place = f"{Path(frame.filename).name}:{frame.lineno} in {frame.name}"
-            return OwnCodeRaised(f"code of your own raised outside of its calls: {place}: {told(error)}")
+            return OwnCodeRaised(f"your own code raised outside of its calls: {place}: {told(error)}")
     return None
 
 
 def as_refusal(error: BaseException) -> MachineRefused | None:
-    """What ``error``, or what it came of, says of the machine; None: nothing."""
+    """Return the refusal by the machine behind ``error``; None: there is none."""
     seen: BaseException | None = error
     while seen is not None:
         if remedy := _remedy(seen):

@@ -1,8 +1,8 @@
-"""What the user's code has put in the place of functions that are not its own.
+"""Functions of other modules that user code has replaced.
 
-Where ``time.monotonic_ns`` is another function the bench fails anywhere, and no call of the user's is on the
-way. So it is looked for once something has failed, by what stood in all modules, and in their classes, before
-code of the user's first ran: nothing of it costs a cycle.
+If ``time.monotonic_ns`` is replaced the bench fails anywhere, and no user call is on the stack. So after a
+failure the modules and their classes are compared with their contents before user code first ran: this costs
+no cycle time.
 """
 
 import sys
@@ -14,23 +14,23 @@ from servobench.hil.machine.held_process import OWN_FILES
 from servobench.hil.machine.parent_process import has_parent, tell_parent
 
 _TO_BE_REPLACED: Final = "hook"
-"""How names end that Python looks up in order to be given others: sys.excepthook."""
+"""Suffix of names meant to be replaced, such as sys.excepthook."""
 _NAMED_MOST: Final = 3
 _IMMUTABLE: Final = 1 << 8
 """Py_TPFLAGS_IMMUTABLETYPE of <object.h>: a class into which nothing can be put."""
 
 
 class _Held(NamedTuple):
-    """What stood in a module or in a class."""
+    """Former contents of a module or a class."""
 
     owner: ModuleType | type
     values: dict[str, Any]
     codes: dict[str, CodeType]
-    """Of the functions among them: one may be given that of another."""
+    """Codes of its functions: one may be given that of another."""
 
 
 class Modules:
-    """What stood in them."""
+    """Former contents of all modules."""
 
     def __init__(self) -> None:
         self._before: dict[str, _Held] = {}
@@ -38,7 +38,7 @@ class Modules:
         self._path: list[str] = []
 
     def remember(self) -> None:
-        """Code of the user's may run next. A module that is remembered already stays as it was then."""
+        """Remember the modules: user code may run next. A module already remembered stays as it was then."""
         self._path = self._path or [*sys.path]
         for name, module in list(sys.modules.items()):
             # a lazy one, of a class of its own, would be loaded by the question
@@ -59,7 +59,7 @@ class Modules:
                 self._classes[each] = f"{each.__module__}.{each.__qualname__}", _held(each)
 
     def replaced(self) -> str:
-        """Names of functions, classes and modules that are others now, or gone; empty if none is."""
+        """Return names of functions, classes and modules that were replaced or removed; empty if none."""
         names = [] if set(self._path) <= set(sys.path) else ["sys.path"]
         for name, held in self._before.items():
             if sys.modules.get(name) is not held.owner:
@@ -79,7 +79,7 @@ def _held(owner: ModuleType | type) -> _Held:
 
 
 def _others(held: _Held) -> Iterator[str]:
-    """Keys under which there is another function or class now, or none."""
+    """Yield keys with another function or class now, or none."""
     now: Mapping[str, Any] = vars(held.owner)
     for key, value in held.values.items():
         if now.get(key) is not value:
@@ -94,19 +94,19 @@ _is_watched = False
 
 
 def watch_for_replacements() -> None:
-    """This process is one of the bench's own: what is replaced here, the user's code has replaced."""
+    """Watch this process, one of the bench's own: every replacement here is the user's."""
     global _is_watched
     _is_watched = True
 
 
 def remember_modules() -> None:
-    """In a command's process, and in one that watches. Elsewhere, as under pytest, others have reasons to
-    replace functions."""
+    """Remember the modules in a command's process, and in one that watches. Elsewhere, as under pytest,
+    others have reasons to replace functions."""
     if has_parent() or _is_watched:
         tell_parent(own_code=True)
         _of_process.remember()
 
 
 def replaced() -> str:
-    """As :meth:`Modules.replaced`; empty in a process that remembers none."""
+    """Return :meth:`Modules.replaced`; empty in a process that remembers none."""
     return _of_process.replaced()

@@ -1,1 +1,1 @@
-"""What was changed in a drive, noted on disk before, and put back byte for byte."""
+"""The journal of changes to a drive, and their restoration byte for byte."""

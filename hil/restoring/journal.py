@@ -1,4 +1,4 @@
-"""What was changed in a drive, on disk before each change: enough to put everything back.
+"""The journal of changes to a drive, on disk before each change: enough to restore everything.
 
 One JSON object a line. The first tells whose drive it is; then, before each write, the object with the bytes
 that it held and those that it gets; a last one tells that all was put back. Each line is on the disk (fsync)
@@ -31,9 +31,9 @@ from servobench.hil.write_lists import RESTORE
 
 _BIT_RATES: Final = range(10_000, 1 << 32)
 VERSION = 1
-"""Of its lines; another one is refused."""
+"""Version of its lines; any other one is refused."""
 COMMANDS: Final = frozenset({Object.CONTROLWORD, Cia301.STORE_PARAMETERS, Cia301.RESTORE_DEFAULTS})
-"""What is written to these is an order, not a setting: there is nothing to put back."""
+"""A write to these is a command, not a setting: there is nothing to restore."""
 SET_POINTS: Final = (
     Object.MODES_OF_OPERATION,
     Object.TARGET_TORQUE,
@@ -63,7 +63,7 @@ class ObjectWrite(NamedTuple):
 
 
 class DriveMark(NamedTuple):
-    """By what a drive is known again."""
+    """Identity of a drive."""
 
     vendor: int
     product: int
@@ -78,16 +78,16 @@ class JournalHead:
     node: int
     mark: DriveMark
     nmt: int | None
-    """NMT state in which the drive was found; None if it told none."""
+    """NMT state in which the drive was found; None if unknown."""
     errors: int | None = None
-    """Entries of its error history 1003h; None if it has none such."""
+    """Entries of its error history 1003h; None if it has none."""
     bitrate_bit_s: int = 1_000_000
-    """Of the bus; journals of earlier versions do not have it."""
+    """Bit rate of the bus; journals of earlier versions lack it."""
 
 
 @dataclass(slots=True)
 class JournalContents:
-    """What a journal says."""
+    """The contents of a journal."""
 
     head: JournalHead
     changes: list[ObjectWrite] = field(default_factory=list)
@@ -95,7 +95,7 @@ class JournalContents:
     """All that is in it was put back, and nothing was changed since."""
 
     def originals(self) -> dict[ObjectKey, bytes]:
-        """What each changed object held at first, in the order of the first changes."""
+        """Return the original value of each changed object, in the order of the first changes."""
         first: dict[ObjectKey, bytes] = {}
         for change in self.changes:
             first.setdefault(change.object, change.old)
@@ -149,7 +149,7 @@ class Journal:
 
 
 def restore_command(journal: Path) -> str:
-    """What puts back all that a journal tells of."""
+    """Return the command that restores everything in a journal."""
     return f"hil restore {shlex.quote(str(journal))}"
 
 
@@ -240,13 +240,13 @@ class JournaledNetwork(CanopenNetwork):
         self.journals: dict[int, Journal] = {}
         """By node."""
         self.taken: dict[int, dict[ObjectKey, bytes]] = {}
-        """By node, what it took last of all that was written to it; a write that it refused is none."""
+        """By node, the last accepted value of each object written."""
         self.putting_back = False
-        """What is written now is in the journals already."""
+        """True if present writes are in the journals already."""
 
     @property
     def journal(self) -> Journal | None:
-        """Of the first node, where there is but one."""
+        """The journal of the first node, if there is only one."""
         return next(iter(self.journals.values()), None)
 
     def begin_journal(self, journal: Journal) -> None:

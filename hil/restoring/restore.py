@@ -42,12 +42,12 @@ _NMT_OF_STATE: Final = {
 
 @dataclass(slots=True)
 class Restoration:
-    """What came of it."""
+    """Result of restoring."""
 
     objects: int = 0
     """How many there were to put back."""
     written: int = 0
-    """Of these, how many held something else."""
+    """Of these, how many held another value."""
     failures: list[str] = field(default_factory=list)
     """Objects that still hold something else, and why."""
 
@@ -69,7 +69,7 @@ def restore(
 
 
 def _writes_back(contents: JournalContents) -> WriteList:
-    """What a journal names, and what a PDO that it names is switched off and on with."""
+    """Return the objects in a journal, and those that switch its PDOs off and on."""
     keys = set(contents.originals())
     for pdo in {pdo for key in keys if (pdo := pdo_of(key.index)) is not None}:
         keys |= {ObjectKey(pdo, 1), ObjectKey(pdo + MAPPING_OFFSET, 0)}
@@ -157,7 +157,7 @@ def pdo_of(index: int) -> int | None:
 
 
 def _clear_history(objects: RemoteObjects) -> None:
-    """1003h was empty: what is in it comes from the proof of the watch, or from the host's end.
+    """Clear 1003h, which was empty: its entries come from the host watch test, or from the host's end.
 
     Writing 0 clears it (CiA 301 7.5.2.3); a drive that does not let it be cleared keeps it.
     """

@@ -1,4 +1,4 @@
-"""The rows of a record: their layout, the plan that they go by, and what they tell of a run."""
+"""The rows of a recording: their layout, the plan behind them, and derived facts about a run."""
 
 from servobench.drivers.compiled import use_fresh
 

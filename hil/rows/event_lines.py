@@ -13,7 +13,7 @@ from servobench.hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 
 
 def event_json(event: TextEvent | StateEvent | BeginEvent, zero: Instant) -> dict[str, object]:
-    """An entry of events.jsonl; ``zero``: the first cycle."""
+    """Return an entry of events.jsonl; ``zero``: the first cycle."""
     at = {"at_ns": event.at - zero}
     if isinstance(event, TextEvent):
         return {**at, "level": event.level, "text": event.text}
@@ -23,8 +23,7 @@ def event_json(event: TextEvent | StateEvent | BeginEvent, zero: Instant) -> dic
 
 
 def read_events(path: Path) -> Iterator[dict[str, Any]]:
-    """The entries of an events.jsonl as they stand; what is none, such as a line that was cut off, is passed
-    over."""
+    """Yield the entries of an events.jsonl; an invalid one, such as a truncated line, is skipped."""
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else ():
         with suppress(BadInput):
             event = parse_json(line, EVENTS_FILE, "an event")

@@ -1,4 +1,4 @@
-"""What an identifier stands for in CANopen's predefined connection set, CiA 301 7.3.5."""
+"""Names of identifiers in CANopen's predefined connection set, CiA 301 7.3.5."""
 
 from servobench.drivers.canopen.cob_ids import BROADCASTS, NODE_BITS, SERVICES
 from servobench.drivers.canopen.error_codes import error_text
@@ -8,7 +8,7 @@ _EMCY_CODE_BYTES = 2
 
 
 def frame_name(can_id: int, data: bytes = b"") -> str:
-    """In words, e.g. ``EMCY of node 1, 4310h excess temperature of the drive``."""
+    """Describe a frame, e.g. ``EMCY of node 1, 4310h excess temperature of the drive``."""
     if can_id in BROADCASTS:
         return BROADCASTS[can_id]
     if can_id & ERROR_FLAG:

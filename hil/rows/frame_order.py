@@ -1,8 +1,8 @@
 """Frames in the order of their instants.
 
-The ring holds them as the host came to them: what it sends bears the instant of sending, what it receives
-that of the bus. A host that was kept away, by its own waiting or by a stop of its process, sends first and
-then fetches what has piled up:
+The ring holds them in the order of the host's actions: sent frames have the instant of sending, received ones
+that of the bus. A host that was held up, by its own waiting or by a stop of its process, sends first and then
+fetches the backlog:
 
     pushed      sent 5.000   received 2.001   received 2.002 ...    on one segment, seconds
     written                  received 2.001   received 2.002 ...   sent 5.000
@@ -21,8 +21,8 @@ from servobench.drivers.wire.identifiers import ERROR_FLAG
 from servobench.hil.rows.side_rows import FRAME_DTYPE
 
 JITTER_NS: Final = 20 * NS_PER_MS
-"""By how much a stamp may be older than the one before it on its segment: twice a frame at 10 kbit/s, whose
-end an adapter may stamp ahead, and what a wall clock that is being set wanders between two looks at it."""
+"""How much older a stamp may be than the previous one on its segment: twice a frame at 10 kbit/s, whose end
+an adapter may stamp ahead, and the drift of a wall clock being set between two looks at it."""
 SILENCE_NS: Final = 200 * NS_PER_MS
 """A segment that brought nothing since the last look is not waited for, once others went on for so long: as
 much as a recording may lack that is cut off."""
@@ -31,18 +31,18 @@ _EARLIEST: Final = -(2**62)
 
 
 class FrameOrder:
-    """Holds frames back until none that is earlier can come."""
+    """Holds frames back until no earlier one can come."""
 
     def __init__(self, segments: int) -> None:
         """``segments``: how many there are."""
         self.late = 0
-        """Frames that came after a later one had been let go."""
+        """Frames that came after a later one had been written."""
         self._held: NDArray[np.void] = np.empty(0, FRAME_DTYPE)
         self._received_until = [_EARLIEST] * segments
         self._newest = self._let_go_until = _EARLIEST
 
     def take(self, frames: NDArray[np.void]) -> NDArray[np.void]:
-        """What may be written now, in order, of all so far; frames of one instant as they came.
+        """Return the frames that may be written now, in order; frames of one instant as they came.
 
         ``frames``: (n,) of FRAME_DTYPE, what came since the last call.
         """
@@ -61,16 +61,16 @@ class FrameOrder:
 
     @property
     def held(self) -> NDArray[np.void]:
-        """What may not be written yet, in order."""
+        """Frames that may not be written yet, in order."""
         return self._held
 
     def rest(self) -> NDArray[np.void]:
-        """All that is held, in order: nothing comes any more."""
+        """Return all held frames, in order: nothing more comes."""
         rest, self._held = self._held, self._held[:0]
         return rest
 
     def _limit(self, segment: int, frames: NDArray[np.void]) -> int:
-        """Until when a segment can bring no frame any more, ns."""
+        """Return the instant until which a segment can bring no further frame, ns."""
         # Simulated error frames are told at their instant, past what waits to be received.
         received = frames[(frames["sent"] == 2 * segment) & (frames["can_id"] & ERROR_FLAG == 0)]
         if received.size:

@@ -1,6 +1,6 @@
-"""Where in frames.log the frames stand that say what others mean, so that a window is read without the rest.
+"""Index of the frames in frames.log on which others depend, to read a window without the rest.
 
-What a frame means rests on the SDO transfers before it, on whether its node was heard before, and on node
+The meaning of a frame depends on earlier SDO transfers, on whether its node was heard before, and on node
 guarding. The file ``frames.index`` holds, in the order of the log, a row of :data:`INDEX_DTYPE` for each such
 line, and one at the end of what was written at once. What lies behind its last row is not in it.
 """
@@ -16,7 +16,7 @@ from servobench.drivers.wire.identifiers import REMOTE_FLAG, STANDARD_ID_MAX
 from servobench.hil.rows.run_files import INDEX_FILE
 
 INDEX_DTYPE: Final = np.dtype([("begin", "<i8"), ("line", "<i8"), ("can_id", "<u4"), ("segment", "<u4")])
-"""``begin``: byte of the log where the line begins; ``line``: its number, from 1 on."""
+"""``begin``: byte of the log at which the line begins; ``line``: its number, from 1 on."""
 BORDER: Final = 0xFFFF_FFFF
 """In place of an identifier: the line is where a block of frames ended, and the next one begins."""
 _NEWLINE: Final = ord("\n")
@@ -27,15 +27,16 @@ for _service in (SDO_ANSWER, SDO_REQUEST):
 
 
 class TellingFrames:
-    """Which frames say what others mean."""
+    """Selects frames on which the meaning of others depends."""
 
     def __init__(self, *, first: bool) -> None:
-        """``first``: the first frame of each identifier does; it tells that there is such a node."""
+        """``first``: include the first frame of each identifier, which shows that the node exists."""
         self._first = ~_SDO if first else np.zeros_like(_SDO)
         self._always = _SDO.copy()
 
     def of(self, ids: NDArray[np.integer], remote: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Places among ``ids``, (n,), of one bus in order; 0 for a frame without a standard identifier."""
+        """Return places among ``ids``, (n,), of one bus in order; 0 for a frame without a standard
+        identifier."""
         guarded = ids[remote]
         self._always[guarded[(guarded & ~NODE_BITS) == ERROR_CONTROL]] = True
         fresh = np.flatnonzero(self._first[ids])
@@ -54,7 +55,8 @@ class FramesIndex:
         self._lines = 0
 
     def rows(self, frames: NDArray[np.void], lines: bytes) -> NDArray[np.void]:
-        """``frames``: (n,) of FRAME_DTYPE, whose n ``lines`` were put behind those before."""
+        """Return index rows. ``frames``: (n,) of FRAME_DTYPE, whose n ``lines`` were appended to the previous
+        ones."""
         begins = np.append(0, np.flatnonzero(np.frombuffer(lines, np.uint8) == _NEWLINE) + 1)
         can_ids, segments = frames["can_id"].astype(np.int64), frames["sent"] >> 1
         remote = (can_ids & REMOTE_FLAG) != 0
@@ -76,7 +78,7 @@ class FramesIndex:
 
 
 def read_index(folder: Path, log_bytes: int) -> NDArray[np.void]:
-    """The index of a recording, as far as it goes and fits its log; empty without one."""
+    """Read the index of a recording, as far as it goes and fits its log; empty without one."""
     path = folder / INDEX_FILE
     if not path.is_file():
         return np.empty(0, INDEX_DTYPE)
@@ -92,7 +94,7 @@ def read_index(folder: Path, log_bytes: int) -> NDArray[np.void]:
 
 
 def needed_before(rows: NDArray[np.void], begin: int) -> NDArray[np.void]:
-    """Rows of lines before byte ``begin`` on which what follows rests.
+    """Return the rows of lines before byte ``begin`` on which later ones depend.
 
     Of node guarding only the last frame of a node counts, and the first one, which tells that it is there.
     """
@@ -106,7 +108,7 @@ def needed_before(rows: NDArray[np.void], begin: int) -> NDArray[np.void]:
 
 
 def needed_behind(rows: NDArray[np.void], end: int) -> NDArray[np.void]:
-    """Rows of lines from byte ``end`` on in which an SDO transfer of before may end."""
+    """Return the rows of lines from byte ``end`` on in which an earlier SDO transfer may end."""
     told = rows[(rows["begin"] >= end) & (rows["can_id"] != BORDER)]
     needed: NDArray[np.void] = told[_SDO[told["can_id"]]]
     return needed

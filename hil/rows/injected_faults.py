@@ -1,5 +1,5 @@
-"""What was injected, as events: each thing that befell a node, and of the faults of frames and the stalls of
-the host from when to when they struck."""
+"""Injected faults as events: each fault of a node, and for faults of frames and stalls of the host the window
+in which they struck."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -15,10 +15,10 @@ from servobench.virtual_bus.faults.node_faults import node_kind
 from servobench.virtual_bus.faults.register import LOG_KINDS
 
 WINDOW_GAP: Final = Duration(NS_PER_S // 2)
-"""Strikes of one fault that are no further apart belong to one window: a loss of 1 % of the readings of one
-axis at 1 kHz has one each 100 ms, and a gap as long as this once in 15 s."""
+"""Strikes of one fault at most this far apart form one window: a loss of 1 % of the readings of one axis at 1
+kHz strikes every 100 ms, and leaves such a gap once in 15 s."""
 INJECTED_TRACK: Final = "injected "
-"""So begins the track of a fault; then come its kind, ": ", and where it strikes."""
+"""Prefix of a fault's track; its kind, ": ", and the place follow."""
 ACTIVE, QUIET = "active", "-"
 """Its states."""
 _IN_WINDOWS: Final = frozenset(code for code, kind in enumerate(LOG_KINDS) if kind.in_windows)
@@ -35,18 +35,18 @@ class _Window:
 
 
 class InjectedFaults:
-    """Tells of entries as they come."""
+    """Turns entries into events as they come."""
 
     def __init__(self) -> None:
         self._windows: dict[tuple[int, int, int], _Window] = {}
-        """Those that are open, by kind, link and, where a kind tells it, what was struck."""
+        """Open windows, by kind, link and, for some kinds, the struck item."""
         self._lasting: list[tuple[Instant, str]] = []
         """Faults of nodes that end by themselves: when, and their tracks."""
         self._until_taken_back: dict[str, int] = {}
-        """Those that do not, by track: the number that an opposite one takes back."""
+        """Faults without an end, by track: the number that an opposite one cancels."""
 
     def take(self, entries: Sequence[FaultEntry], zero: Instant) -> list[TextEvent | StateEvent]:
-        """``entries``: in run time. The events are on the bench clock, in order of time."""
+        """Take ``entries`` in run time. The events are on the bench clock, in order of time."""
         told: list[TextEvent | StateEvent] = []
         windows = self._windows
         for entry in entries:
@@ -87,13 +87,13 @@ class InjectedFaults:
         return StateEvent(at, track, ACTIVE)
 
     def ended(self, until: Instant) -> list[StateEvent]:
-        """The ends of faults of nodes, but those after ``until``, and those told already."""
+        """Return the ends of node faults up to ``until``, except those already reported."""
         over = [(at, track) for at, track in self._lasting if at <= until]
         self._lasting = [(at, track) for at, track in self._lasting if at > until]
         return [StateEvent(at, track, QUIET) for at, track in sorted(over)]
 
     def finish(self) -> list[TextEvent | StateEvent]:
-        """The windows that are still open."""
+        """Return the windows still open."""
         told = [event for window in self._windows.values() for event in _closed(window)]
         self._windows.clear()
         return sorted(told, key=lambda event: event.at)
@@ -113,7 +113,7 @@ def _closed(window: _Window) -> list[TextEvent | StateEvent]:
 
 
 def _struck(entry: FaultEntry) -> str:
-    """The kind and where."""
+    """Return the kind and place."""
     kind = entry.kind
     if kind in HOST_KINDS:
         return kind.replace("_", " ")
@@ -132,7 +132,7 @@ def _first(entry: FaultEntry) -> str:
 
 
 def _in_words(entry: FaultEntry) -> str:
-    """What befell a node."""
+    """Describe a fault of a node."""
     return node_kind(entry.kind).in_words(entry.kind, f"node {entry.link}", _node_event(entry))
 
 

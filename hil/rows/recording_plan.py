@@ -1,4 +1,5 @@
-"""What a recording needs to know before the first cycle; plain values that can be sent to another process."""
+"""The data that a recording needs before the first cycle; plain values that can be sent to another
+process."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -14,13 +15,13 @@ SETTLING = Duration(250_000_000)
 SETTLING_BAND_PERCENT = 2.0
 """Default of ``verdict.settling_band_percent``: the usual one of step responses."""
 SIMULATED_EPOCH = 1_000_000_000 * NS_PER_S
-"""Where the first cycle of a simulated run lies in frames.log, ns since 1970: in September 2001, so that no
-stamp is taken for a real one, and run times can be read off at sight."""
+"""Time of a simulated run's first cycle in frames.log, ns since 1970: in September 2001, so that no stamp is
+mistaken for a real one, and run times can be read directly."""
 
 
 @dataclass(frozen=True, slots=True)
 class CertifiedPlan:
-    """For what an axis' controller is certified; None: its file does not say."""
+    """The certificate of an axis' controller; None: its file does not say."""
 
     period_us: int
     delay_us: float | None = None
@@ -30,22 +31,22 @@ class CertifiedPlan:
     gain: float | None = None
     """From load torque to speed error, rad/s per N m, at most."""
     bandwidths_hz: tuple[float, float] | None = None
-    """Of the drive's current loop, least and largest."""
+    """Range of the drive's current loop."""
     bandwidth_hz: float | None = None
-    """That of the drive; None: not known."""
+    """Bandwidth of the drive; None: unknown."""
     torque_rms_nm_max: float | None = None
-    """About its mean at steady reference and load; None: not asked for."""
+    """About its mean at steady reference and load; None: no limit."""
     age_us: float | None = None
-    """For which a sample acts, losses included, at most."""
+    """Longest action of a sample, losses included."""
     torque_step_max_nm: float | None = None
-    """Limit of a command beside the one before it; None: there is none."""
+    """Limit of a command's change from the previous one; None: there is none."""
     samples_alone: bool = False
     """Certified for lost samples, but neither for lost commands nor for a shorter delay."""
     left: tuple[str, ...] = ()
     """Premises that bench and drive do not keep, in words
     (:mod:`servobench.hil.reviewing.certificate_meter`)."""
     unknown: tuple[str, ...] = ()
-    """Premises of which is not known whether they do."""
+    """Premises for which that is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,40 +55,41 @@ class AxisPlan:
 
     name: str
     acceleration_max_rad_s2: float
-    """What its torque limit and inertia allow; a reference that changes faster opens a settling window."""
+    """Largest acceleration by its torque limit and inertia; a reference that changes faster opens a settling
+    window."""
     rated_torque_nm: float | None = None
-    """Of the motor; None: how much its torque swings is not judged."""
+    """Rated torque of the motor; None: its torque swing is not judged."""
     certified: CertifiedPlan | None = None
     """None: its controller has no certificate."""
     torque_max_nm: float | None = None
-    """Limit of its commands, drawn beside them."""
+    """Limit of its commands, drawn with them."""
     speed_max_rad_s: float | None = None
-    """Beyond it the bench stops the drive; drawn beside its speed."""
+    """Speed at which the bench stops the drive; drawn with its speed."""
     quantity: str = "speed"
-    """Of its reference, by :class:`servobench.hil.loop.scenario.Quantity`."""
+    """Quantity of its reference, by :class:`servobench.hil.loop.scenario.Quantity`."""
     mode: str = "cst"
-    """Of its drive, as in the bench file."""
+    """Mode of its drive, as in the bench file."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReviewPlan:
-    """What the figures and the verdict depend on, beside the records."""
+    """Data for the figures and the verdict, besides the records."""
 
     axes: tuple[AxisPlan, ...]
     """By axis number of the records."""
     limits: VerdictLimits = field(default_factory=VerdictLimits)
     settling: Duration = SETTLING
-    """How long after a reference step speed and position errors are not counted."""
+    """Time after a reference step in which speed and position errors are not counted."""
     band_percent: float = SETTLING_BAND_PERCENT
-    """Of a step: within it the speed has settled."""
+    """Settling band, as a share of a step."""
     period: Duration = Duration(NS_PER_MS)  # noqa: RUF009 - an int
-    """Of the loop."""
+    """Period of the loop."""
     digested: tuple[int, ...] = DIGESTED
     """Places of the columns that the digest covers."""
 
 
 class ObservedSignal(NamedTuple):
-    """An object that a drive tells for the recording alone."""
+    """An object that a drive sends for the recording alone."""
 
     object: tuple[int, int]
     """Index and sub-index."""
@@ -96,11 +98,11 @@ class ObservedSignal(NamedTuple):
     name: str
     unit: str
     factor: float
-    """By which its number is multiplied."""
+    """Factor of its number."""
 
     @property
     def path(self) -> str:
-        """Of its series, below the axis."""
+        """Path of its series, below the axis."""
         index, sub = self.object
         return f"observed/{index:04X}h_{sub}"
 
@@ -111,7 +113,7 @@ class ObservedSignal(NamedTuple):
 
 
 class ObservedDrive(NamedTuple):
-    """Who tells them."""
+    """The drive that sends them."""
 
     node: int
     segment: int
@@ -120,13 +122,13 @@ class ObservedDrive(NamedTuple):
 
 
 class PlannedSetPoint(NamedTuple):
-    """A reference or a load that an axis is to be asked for."""
+    """A planned reference or load of an axis."""
 
     after: Duration
-    """The first cycle."""
+    """Delay after the first cycle."""
     axis: int
     text: str
-    """It, in words."""
+    """Its description."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,14 +138,14 @@ class RecordingPlan:
     folder: Path | None
     """Made by the recorder; holds everything of the run. None: there are to be figures, and no files."""
     name: str
-    """Of the bench, for titles."""
+    """Name of the bench, for titles."""
     seed: int
     bus: str
     """Bus spec; its last part is the interface name of frames.log."""
     real_time: bool
     """True: a full ring loses rows and counts them. False: a full ring makes the writer wait."""
     deadline: Duration
-    """Age at which a reading counts as late; drawn beside the delay."""
+    """Age at which a reading counts as late; drawn with the delay."""
     review: ReviewPlan
     bench_toml: str
     """The resolved bench file."""
@@ -152,32 +154,32 @@ class RecordingPlan:
     wall_offset: Duration | None = None
     """Wall clock minus bench clock, for frames.log; None in simulated time."""
     frames: bool = True
-    """Whether frames.log is kept."""
+    """True if frames.log is kept."""
     segments: tuple[str, ...] = ()
-    """Names of the bus's further segments, in frames.log in the place of the interface."""
+    """Names of the bus's further segments, used as interface names in frames.log."""
     set_points: tuple[PlannedSetPoint, ...] = ()
-    """What the axes are to be asked for; told as it is acted upon."""
+    """Planned set-points of the axes; reported when they act."""
     faults: bool = False
-    """Whether faults.jsonl is kept: what was injected."""
+    """True if faults.jsonl is kept: the injected faults."""
     view: bool = False
-    """Whether a Rerun viewer shows the run while it goes on."""
+    """True if a Rerun viewer shows the run live."""
     period_us: int = 0
-    """Of the loop, for network.toml; 0: none is written."""
+    """Period of the loop, for network.toml; 0: none is written."""
     channels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """By axis, the names of what its controller tells of its own."""
+    """Names of each controller's own channels, by axis."""
     observed: Mapping[str, ObservedDrive] = field(default_factory=dict)
-    """By axis; of those that observe nothing there is none."""
+    """By axis; none for axes that observe nothing."""
     sources: str = "{}"
-    """Which code of the user's own ran, by axis and key: object and digest of its file, JSON."""
+    """User code of the run, by axis and key: object and digest of its file, JSON."""
     notes: Mapping[str, str] = field(default_factory=dict)
-    """Shown beside the verdict, e.g. {"controller": "pid"}."""
+    """Shown with the verdict, e.g. {"controller": "pid"}."""
 
     def stamp_offset(self, zero: Instant) -> Duration:
-        """Epoch stamp minus bench clock, ns; ``zero``: the first cycle on the bench clock."""
+        """Return epoch stamp minus bench clock, ns; ``zero``: the first cycle on the bench clock."""
         return Duration(SIMULATED_EPOCH - zero) if self.wall_offset is None else self.wall_offset
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         plain = asdict(self)
         plain["folder"] = None if self.folder is None else str(self.folder)
         return plain

@@ -1,6 +1,6 @@
 """The packed form of a :class:`CycleRecord`: one row of fixed size, little endian, on every machine.
 
-This is the one place that knows the layout. :data:`COLUMNS` tells each field with its type and meaning; the
+This is the one place that knows the layout. :data:`COLUMNS` lists each field with its type and meaning; the
 rows of the ring, the columns of ``records.arrow`` and the table of docs/recording.md follow from it. A new
 field is a line there, and one at the same place of :func:`row_of`.
 """
@@ -28,7 +28,7 @@ from servobench.hil.loop.samples import (
 )
 
 NOTHING: Final = -(2**63)
-"""Stands for None: no instant of any clock, no delay and no count is that."""
+"""Represents None: no instant of any clock, no delay and no count has this value."""
 
 FATE_SAMPLE: Final = 0
 CAUSES: tuple[DropoutCause, ...] = (
@@ -62,18 +62,18 @@ class Column(NamedTuple):
     """Empty for a plain number."""
     meaning: str
     codes: tuple[str, ...] = ()
-    """What its numbers stand for, from 0 on."""
+    """Meanings of its numbers, from 0 on."""
     none: int = NOTHING
-    """What stands for nothing in a packed row, beside NOTHING."""
+    """A further value for nothing in a packed row, in addition to NOTHING."""
 
     @property
     def is_instant(self) -> bool:
-        """It counts from the first cycle, and in a packed row from the bench clock's origin."""
+        """True if it counts from the first cycle, and in a packed row from the bench clock's origin."""
         return self.unit == RUN_TIME
 
     @property
     def is_real(self) -> bool:
-        """It is a real number, and in a packed row NaN where there is none."""
+        """True for a real number, which is NaN in a packed row if missing."""
         return self.kind == "float64"
 
 
@@ -165,7 +165,7 @@ DIGESTED: Final = tuple(
     [place for place, name in enumerate(NAMES) if name != "compute_ns" and not name.startswith("channel_")]
 )
 """Places of the columns that the digest covers; every one has eight bytes. In simulated time they follow from
-the bench file and the seed; what the host took does not, nor need what a controller of one's own tells."""
+the bench file and the seed, unlike the host's computing time and a user controller's channels."""
 DIGESTED_TO_FORMAT_2: Final = tuple(range(NAMES.index("compute_ns")))
 """The same of recordings of formats 1 and 2: without the last four columns."""
 
@@ -180,7 +180,7 @@ _NOTHINGS: Final = ROW.pack(*[math.nan if column.is_real else NOTHING for column
 
 
 def _nothing(first: str, behind: str) -> bytes:
-    """The fields from ``first`` up to that ``behind`` them, where there is nothing for them."""
+    """Return the fields from ``first`` up to the one before ``behind``, all missing."""
     return _NOTHINGS[8 * NAMES.index(first) : 8 * NAMES.index(behind)]
 
 
@@ -191,7 +191,7 @@ _NO_SENDING: Final = _nothing("command_raw", "clock_offset_ns")
 
 
 def row_of(record: CycleRecord) -> bytes:
-    """``record`` packed, ROW.size bytes."""
+    """Pack ``record`` into ROW.size bytes."""
     row = BytesWriter()
     write_i64_le(row, record.sequence)
     write_i64_le(row, record.axis)
@@ -263,7 +263,7 @@ def _write_command(row: BytesWriter, command: Command | None) -> None:
 
 
 def _write_other_command(row: BytesWriter, command: Command | None) -> None:
-    """Of a speed or of a position."""
+    """Write a speed or position command."""
     write_f64_le(row, command.speed_rad_s if isinstance(command, SpeedCommand) else math.nan)
     write_f64_le(row, command.position_rad if isinstance(command, PositionCommand) else math.nan)
 
@@ -287,12 +287,12 @@ def _write_channels(row: BytesWriter, channels: Sequence[float]) -> None:
 
 
 def _fate_of(cause: DropoutCause) -> int:
-    """In :data:`CAUSES`, counted from 1."""
+    """Return its place in :data:`CAUSES`, counted from 1."""
     return 1 + CAUSES.index(cause)
 
 
 def _place_of(fate: CommandFate) -> int:
-    """In :data:`COMMAND_FATES`; the hash of an enum's member is interpreted."""
+    """Return its place in :data:`COMMAND_FATES`; hashing an enum member is interpreted."""
     if fate is CommandFate.ACTING:
         return 1
     if fate is CommandFate.NOT_IDENTIFIABLE:

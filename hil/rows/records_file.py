@@ -1,10 +1,10 @@
 """The cycle records on disk, by column: an Arrow IPC file (Feather version 2) with zstd.
 
-Every program that knows Arrow opens it as it is. Its batches are written as they come, one about each second,
-and what names their places, the footer, at the end: what lies before that is an IPC stream behind the file's
-first eight bytes, by which a file that was cut off is read, and finished (:func:`finish_records`).
+Every program that knows Arrow opens it as it is. Its batches are written as they come, about one a second,
+and the footer with their places at the end: before it the file is an IPC stream after the first eight bytes,
+by which a truncated file is read, and finished (:func:`finish_records`).
 
-Instants are in run time, ns since the first cycle; what is not known is null.
+Instants are in run time, ns since the first cycle; unknown values are null.
 """
 
 import json
@@ -43,7 +43,7 @@ PHASE_COLUMN: Final = Column("phase", "string", "", "in which phase of the bench
 
 
 def refuse_later_format(metadata: Mapping[str, str], source: Path) -> None:
-    """Raises BadInput for a recording whose format counts higher than FORMAT; earlier ones are read."""
+    """Raise BadInput for a recording of a later format than FORMAT; earlier ones are read."""
     told = metadata.get("format", FORMAT)
     if not told.isdecimal() or int(told) > int(FORMAT):
         expected = f"a recording of format {FORMAT} or earlier"
@@ -54,7 +54,7 @@ def refuse_later_format(metadata: Mapping[str, str], source: Path) -> None:
 
 @contextmanager
 def damage_told(path: Path) -> Iterator[None]:
-    """Raises BadInput for a file whose content is no cycle records, as Arrow and numpy find it out."""
+    """Raise BadInput for a file that holds no cycle records, as Arrow and numpy detect it."""
     try:
         yield
     except (pa.ArrowException, ValueError, TypeError, LookupError, ArithmeticError, MemoryError) as error:
@@ -84,7 +84,7 @@ class RecordsWriter:
         self._writer.write_batch(_batch(rows, self._schema, self._zero))
 
     def copy(self, path: Path) -> None:
-        """Append the whole batches of a file to the byte, behind a head with its metadata. Error: OSError."""
+        """Append the whole batches of a file to the byte, after a head with its metadata. Error: OSError."""
         assert self._writer is not None
         for batch in _batches(path):
             if batch.num_rows:  # the head has the empty one
@@ -102,7 +102,7 @@ class RecordsWriter:
 
 
 def records_schema(metadata: Mapping[str, str]) -> pa.Schema:
-    """Columns with their units and codes; ``metadata``: of the run."""
+    """Return the columns with their units and codes; ``metadata``: of the run."""
     fields = [
         *[_field(column, pa.type_for_alias(column.kind)) for column in COLUMNS],
         _field(PHASE_COLUMN, pa.dictionary(pa.int8(), pa.string())),
@@ -111,7 +111,7 @@ def records_schema(metadata: Mapping[str, str]) -> pa.Schema:
 
 
 def _field(column: Column, kind: pa.DataType) -> pa.Field:
-    """With what is said of the column."""
+    """Return a field with the column's description."""
     told = {"meaning": column.meaning}
     if column.unit:
         told["unit"] = column.unit
@@ -121,7 +121,7 @@ def _field(column: Column, kind: pa.DataType) -> pa.Field:
 
 
 def column_of(field: pa.Field) -> Column:
-    """What the field of a file tells of its column."""
+    """Return the column described by a file's field."""
     told = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
     codes: dict[str, str] = json.loads(told.get("codes", "{}"))
     in_order = tuple(codes[number] for number in sorted(codes, key=int))
@@ -129,22 +129,22 @@ def column_of(field: pa.Field) -> Column:
 
 
 def records_table(rows: Rows, metadata: Mapping[str, str], zero: Instant) -> pa.Table:
-    """The content of a file: (n,) of ROW_DTYPE on the bench clock; ``metadata``: of the run."""
+    """Return the content of a file: (n,) of ROW_DTYPE on the bench clock; ``metadata``: of the run."""
     return pa.Table.from_batches([_batch(rows, records_schema(metadata), zero)])
 
 
 def rows_of_table(table: pa.Table) -> Rows:
-    """(n,) of ROW_DTYPE in run time."""
+    """Return (n,) of ROW_DTYPE in run time."""
     return np.concatenate([np.empty(0, ROW_DTYPE), *(_rows_of(batch, 0) for batch in table.to_batches())])
 
 
 def read_table(path: Path) -> pa.Table:
-    """The batches of a file that are whole, with units and metadata; of a file without a head: none."""
+    """Read the whole batches of a file, with units and metadata; none from a file without a head."""
     return pa.Table.from_batches(_batches(path), schema=_schema_of(path) or records_schema({}))
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """What the file says of the run; empty if it was cut off before its head."""
+    """Read the file's data about the run; empty if it was truncated before its head."""
     schema = _schema_of(path)
     metadata = {} if schema is None else schema.metadata or {}
     with damage_told(path):
@@ -152,9 +152,9 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def read_records(path: Path, first_cycle: int = 0) -> Iterator[Rows]:
-    """The batches of a file in order, each (n,) of ROW_DTYPE. A batch that was cut off ends it.
+    """Yield the batches of a file in order, each (n,) of ROW_DTYPE. A truncated batch ends it.
 
-    ``first_cycle``: what their instants are to count it as; the metadata have it on the bench clock, too.
+    ``first_cycle``: its instant on their scale; the metadata have it on the bench clock, too.
     """
     for batch in _batches(path):
         with damage_told(path):
@@ -171,9 +171,9 @@ def read_some(path: Path, numbers: Iterable[int]) -> Iterator[Rows]:
 
 
 def finish_records(path: Path) -> int:
-    """Give a file that was cut off its footer, and return its number of rows; a whole one is left as it is.
+    """Give a truncated file its footer, and return its number of rows; a whole one is left alone.
 
-    What was not written whole is left out. It needs room for the footer alone. Error: OSError.
+    Incomplete batches are dropped. It needs room for the footer only. Error: OSError.
     """
     count: int = sum(batch.num_rows for batch in _batches(path))
     if is_whole(path):
@@ -193,7 +193,7 @@ def finish_records(path: Path) -> int:
 
 
 def _schema_of(path: Path) -> pa.Schema | None:
-    """None if the file was cut off before its head."""
+    """Return the schema; None if the file was truncated before its head."""
     with pa.OSFile(str(path), "rb") as source:
         try:
             return _stream(source).schema
@@ -202,7 +202,7 @@ def _schema_of(path: Path) -> pa.Schema | None:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether the file has its end."""
+    """Return True if the file has its end."""
     with path.open("rb") as file:
         file.seek(max(0, file.seek(0, os.SEEK_END) - len(_MAGIC_END)))
         return file.read() == _MAGIC_END
@@ -211,13 +211,13 @@ def is_whole(path: Path) -> bool:
 def _stream(
     source: pa.NativeFile, options: pa.ipc.IpcReadOptions | None = None
 ) -> pa.RecordBatchStreamReader:
-    """What lies between the file's first bytes and its footer."""
+    """Return the stream between the file's first bytes and its footer."""
     source.seek(len(MAGIC))
     return pa.ipc.open_stream(source, options=options)
 
 
 def _batches(path: Path, options: pa.ipc.IpcReadOptions | None = None) -> Iterator[pa.RecordBatch]:
-    """Those that are whole. Raises BadInput for one that holds what no recording has."""
+    """Yield the whole batches. Raises BadInput for one that holds what no recording has."""
     number = 0
     with pa.OSFile(str(path), "rb") as source, pa.OSFile(str(path), "rb") as ahead:
         try:
@@ -322,7 +322,7 @@ def _batch(rows: Rows, schema: pa.Schema, zero: Instant) -> pa.RecordBatch:
 
 
 def _column(values: NDArray[Any], column: Column, zero: Instant) -> pa.Array:
-    """Of one batch, with nulls and in run time."""
+    """Convert a column of one batch, with nulls and in run time."""
     if column.is_real:
         return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
     nothing = (values == NOTHING) | (values == column.none)

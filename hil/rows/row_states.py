@@ -18,14 +18,14 @@ HOST_IN_TIME, HOST_MISSED = "In time", "MISSED"
 
 
 class LabelChange(NamedTuple):
-    """From an instant on, ``label`` holds."""
+    """``label`` holds from an instant on."""
 
     at: int
     label: str
 
 
 class _Codes:
-    """Codes of rows, from one call to the next: told is where one differs from that before it."""
+    """Codes of rows, from one call to the next: a change is reported."""
 
     def __init__(self) -> None:
         self._last = -1
@@ -41,10 +41,10 @@ class _Codes:
 
 
 class DriveStates(_Codes):
-    """Changes of one axis' CiA 402 state, as its readings tell them."""
+    """Changes of one axis' CiA 402 state, by its readings."""
 
     def changes(self, rows: Rows) -> list[LabelChange]:
-        """In rows of one axis, in order."""
+        """Return the changes in rows of one axis, in order."""
         read = rows[rows["fate"] == FATE_SAMPLE]
         words = (read["statusword"] & STATE_BITS).astype(np.int64)
         told_at = np.where(read["status_told_at"] == NEVER_TOLD, read["due_at"], read["status_told_at"])
@@ -54,7 +54,7 @@ class DriveStates(_Codes):
 class LinkStates(_Codes):
     """Quality of one axis' link: DOWN when a whole window was dropped, DEGRADED when a quarter of it was.
 
-    A cycle without SYNC says nothing of the link.
+    A cycle without SYNC says nothing about the link.
     """
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class LinkStates(_Codes):
         self._window: NDArray[np.int64] = np.zeros(LINK_WINDOW_CYCLES, np.int64)
 
     def changes(self, rows: Rows) -> list[LabelChange]:
-        """In rows of one axis, in order."""
+        """Return the changes in rows of one axis, in order."""
         rows = rows[rows["fate"] != FATE_MISSED]
         dropped = np.concatenate((self._window, rows["fate"] != FATE_SAMPLE)).astype(np.int64)
         self._window = dropped[-LINK_WINDOW_CYCLES:]
@@ -73,15 +73,15 @@ class LinkStates(_Codes):
 
 
 class HostStates(_Codes):
-    """Whether the host sent its SYNCs: changes from one cycle to the next."""
+    """State of the host, by its SYNCs: changes from one cycle to the next."""
 
     def changes(self, rows: Rows) -> list[LabelChange]:
-        """In rows of one axis, in order."""
+        """Return the changes in rows of one axis, in order."""
         missed = (rows["fate"] == FATE_MISSED).astype(np.int64)
         return self._changes(missed, rows["due_at"], (HOST_IN_TIME, HOST_MISSED).__getitem__)
 
 
 def drive_label(statusword: int) -> str:
-    """The state's name for a reader."""
+    """Return the state's name for a reader."""
     state = state_of(statusword)
     return state.value.capitalize() if state is not None else f"undefined 0x{statusword:02X}"

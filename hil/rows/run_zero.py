@@ -1,4 +1,4 @@
-"""The run's time zero as a reader of events comes to know it."""
+"""Finds the run's time zero from its events."""
 
 from collections.abc import Sequence
 
@@ -7,15 +7,15 @@ from servobench.hil.rows.side_rows import BeginEvent, RunEvent
 
 
 class RunZero:
-    """The instant of the first cycle on the bench clock: all times of a recording count from it."""
+    """The instant of the first cycle on the bench clock: origin of all times of a recording."""
 
     def __init__(self, started_at: Instant) -> None:
-        """``started_at``: of the recording; it stands in for a first cycle that never came."""
+        """``started_at``: of the recording; used if no first cycle ever came."""
         self.at = started_at
         self.told = False
 
     def look(self, events: Sequence[RunEvent]) -> bool:
-        """Whether one of ``events`` is the first cycle."""
+        """Return True if one of ``events`` is the first cycle."""
         for event in events:
             if isinstance(event, BeginEvent):
                 self.at, self.told = event.at, True

@@ -1,7 +1,8 @@
-"""The seal of a recording: digests of its files, piece by piece as they grew, each chained to the one before.
+"""The seal of a recording: digests of its files, piece by piece as they grew, each chained to the previous
+one.
 
-A line of the file ``seal`` is a piece of a file, or says that the recording has ended, or that what follows
-was sealed by ``hil recover``, and not by who recorded it:
+A line of the file ``seal`` is a piece of a file, or says that the recording has ended, or that the rest was
+sealed by ``hil recover``, not by the recorder:
 
     {"file": "records.arrow", "begin": 0, "end": 41008, "rows": 1000, "digest": "...", "chain": "..."}
     {"ended": true, "chain": "..."}
@@ -9,7 +10,7 @@ was sealed by ``hil recover``, and not by who recorded it:
 
 ``digest``: BLAKE2b, 128 bit, of the bytes from ``begin`` to ``end``. ``chain``: of the chain of the line
 before and this line up to its chain. ``rows``: cycle records from the begin of the file to there. It proves
-that files are those that were recorded together; who makes all of them anew can make a seal for them.
+that the files were recorded together; somebody who forges all of them can forge a seal too.
 """
 
 import json
@@ -41,31 +42,31 @@ FIRST_CHAIN: Final = "servobench"
 """In place of a chain before the first line."""
 OLDER: Final = "unsealed: recorded by an older version"
 SEALED: Final = "sealed"
-NOT_CHECKED: Final = "unsealed: asked for by --unsealed"
+NOT_CHECKED: Final = "unsealed: requested by --unsealed"
 READ: Final = frozenset(
     {
         BENCH_FILE, RECORDS_FILE, EVENTS_FILE, FRAMES_FILE, DIRECTIONS_FILE, INDEX_FILE, FAULTS_FILE,
         LOAD_FILE, RERUN_FILE, SUMMARY_FILE,
     }
 )  # fmt: skip
-"""What is read of a recording: none of them is there without a piece of the seal."""
+"""Files read from a recording: none of them may exist without a piece of the seal."""
 ENDED: Final = "ended"
 RECOVERED: Final = "recovered"
 _DIGEST_BYTES: Final = 16
 _BLOCK_BYTES: Final = 1 << 20
 _SMALL_BYTES: Final = 1 << 22
-"""Of a file that costs nothing to check: 5 ms."""
+"""Size of a file that costs nothing to check: 5 ms."""
 _LINE: Final = re.compile(r'(\{.*), "chain": "([0-9a-f]{32})"\}\n')
 _SHOWN: Final = "--unsealed shows what can be read of it"
 
 
 def doubt(seal: str) -> str:
-    """What is put behind a line that rests on a recording; empty if that is sealed."""
+    """Return a suffix for a line based on a recording; empty if that is sealed."""
     return "" if seal == SEALED else f"; {seal}"
 
 
 class Piece(NamedTuple):
-    """Of a file."""
+    """A piece of a file."""
 
     file: str
     begin: int
@@ -75,7 +76,7 @@ class Piece(NamedTuple):
 
 
 def sealed_line(plain: dict[str, Any], before: str) -> tuple[str, str]:
-    """A line, and its chain; ``before``: that of the line before it."""
+    """Return a line, and its chain; ``before``: that of the previous line."""
     text = json.dumps(plain)[:-1]
     chain = _chained(text, before)
     return f'{text}, "chain": "{chain}"}}\n', chain
@@ -86,7 +87,7 @@ def _chained(text: str, before: str) -> str:
 
 
 def digest_of(file: BinaryIO, begin: int, end: int) -> str:
-    """Of its bytes from ``begin`` to ``end``, or to its end if that comes first."""
+    """Return the digest of a file's bytes from ``begin`` to ``end``, or to its end if that comes first."""
     digest = blake2b(digest_size=_DIGEST_BYTES)
     file.seek(begin)
     while begin < end and (block := file.read(min(_BLOCK_BYTES, end - begin))):
@@ -96,7 +97,7 @@ def digest_of(file: BinaryIO, begin: int, end: int) -> str:
 
 
 def read_seal(folder: Path, remedy: str = _SHOWN) -> Iterator[tuple[Piece | str, str]]:
-    """Its pieces, :data:`ENDED` and :data:`RECOVERED`, each with its chain.
+    """Yield its pieces, :data:`ENDED` and :data:`RECOVERED`, each with its chain.
 
     Raises BadInput for a line outside the chain, or of no known form, with ``remedy``.
     """
@@ -112,7 +113,7 @@ def read_seal(folder: Path, remedy: str = _SHOWN) -> Iterator[tuple[Piece | str,
 
 
 def _meaning(text: str) -> Piece | str:
-    """Of a line without its chain; empty: none, the chain alone says nothing of who made it."""
+    """Parse a line without its chain; empty: invalid, as the chain alone does not prove its origin."""
     try:
         plain = json.loads(text)
     except (ValueError, RecursionError):
@@ -130,7 +131,7 @@ def _meaning(text: str) -> Piece | str:
 
 
 def seal_of(folder: Path, *, unsealed: bool) -> str:
-    """What a reader of any folder has to ask first: as :func:`check_seal`; ``unsealed``: not to be asked.
+    """Check the seal of any folder first; see :func:`check_seal`; ``unsealed``: skip the check.
 
     Empty for a folder that holds no recording of a run. Raises BadInput.
     """
@@ -140,14 +141,14 @@ def seal_of(folder: Path, *, unsealed: bool) -> str:
 
 
 def is_recording(folder: Path) -> bool:
-    """Whether the folder holds the recording of a run, so that it has to have a seal."""
+    """Return True if the folder holds the recording of a run, which must have a seal."""
     return any((folder / name).exists() for name in (BENCH_FILE, RECORDS_FILE, SEAL_FILE))
 
 
 def check_seal(folder: Path) -> str:
-    """Hold the files of a recording against its seal; :data:`SEALED`, up to where, or :data:`OLDER`.
+    """Check the files of a recording against its seal; return :data:`SEALED`, up to where, or :data:`OLDER`.
 
-    Raises BadInput, naming file and place, for what is not as it was recorded.
+    Raises BadInput, naming file and place, for any change since the recording.
     """
     sealed = SealedFiles(folder)
     sealed.check_all()
@@ -155,18 +156,18 @@ def check_seal(folder: Path) -> str:
 
 
 class SealedFiles:
-    """The files of a recording, held against its seal piece by piece: all, or what is read of them.
+    """The files of a recording, checked against its seal piece by piece: all, or only those read.
 
-    Every method raises BadInput, naming file and place, for what is not as it was recorded.
+    Every method raises BadInput, naming file and place, for any change since the recording.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Check the seal itself, and that each file is there."""
+        """Check the seal itself, and that each file exists."""
         self._folder = folder
         self._pieces: dict[str, list[Piece]] = {}
         self._checked: set[Piece] = set()
         self.told = SEALED
-        """Or up to where, or :data:`OLDER`, which has nothing that could be held against it."""
+        """SEALED, or up to where, or :data:`OLDER`, which has no seal to check."""
         if not (folder / SEAL_FILE).is_file():
             from servobench.hil.rows.records_file import read_metadata  # pyarrow, which no loop needs
 
@@ -194,26 +195,27 @@ class SealedFiles:
                 raise BadInput(str(folder / name), "", "no file", "one as it was recorded", _SHOWN)
 
     def check_all(self) -> None:
-        """Each file to its end."""
+        """Check each file to its end."""
         for name, pieces in self._pieces.items():
             self._check(name, pieces)
             self._check_length(name)
 
     def check_small(self) -> None:
-        """The small files; of each longer one its length, as the rest of it is checked where it is read."""
+        """Check the small files; of each longer one its length, as the rest is checked where it is read."""
         for name, pieces in self._pieces.items():
             if pieces[-1].end <= _SMALL_BYTES:
                 self.check(name)
             self._check_length(name)
 
     def check_ends(self, name: str) -> None:
-        """The first piece of a file and the last, in which an Arrow file says what it is."""
+        """Check the first and the last piece of a file, which describe an Arrow file."""
         if pieces := self._pieces.get(name):
             self.check(name, 0, 1)
             self.check(name, pieces[-1].begin)
 
     def check(self, name: str, begin: int = 0, end: int | None = None) -> None:
-        """The pieces of a file in which bytes ``begin`` to ``end`` lie; to its end if ``end`` is None."""
+        """Check the pieces of a file that contain bytes ``begin`` to ``end``; to its end if ``end`` is
+        None."""
         pieces = self._pieces.get(name, [])
         first = bisect_right(pieces, begin, key=lambda piece: piece.end)
         last = len(pieces) if end is None else bisect_left(pieces, end, key=lambda piece: piece.begin)

@@ -1,4 +1,4 @@
-"""References and loads as they are acted upon, told by the rows of the cycles that did."""
+"""References and loads as they take effect, by the rows of the cycles."""
 
 import numpy as np
 
@@ -9,9 +9,9 @@ from servobench.hil.rows.side_rows import TextEvent
 
 
 class SetPointTeller:
-    """A set-point is told with the first command that was sent at its time or later.
+    """Reports a set-point with the first command sent at its time or later.
 
-    Never, in a run that ended before.
+    A run that ended before never reports it.
     """
 
     def __init__(self, planned: tuple[PlannedSetPoint, ...]) -> None:
@@ -19,7 +19,7 @@ class SetPointTeller:
         self._planned = planned
 
     def take(self, rows: Rows, zero: Instant) -> list[TextEvent]:
-        """What ``rows``, (n,) of ROW_DTYPE, acted upon; ``zero``: the first cycle."""
+        """Return the set-points that ``rows``, (n,) of ROW_DTYPE, acted upon; ``zero``: the first cycle."""
         if not self._planned or not rows.size:
             return []
         sent = rows[rows["command_handed_at"] != NOTHING]

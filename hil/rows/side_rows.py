@@ -35,7 +35,7 @@ _SEPARATOR: Final = "\x1f"
 
 
 class TextEvent(NamedTuple):
-    """Something worth reading."""
+    """A noteworthy event."""
 
     at: Instant
     level: str
@@ -66,7 +66,7 @@ class LoadEvent(NamedTuple):
 
 
 class IdentityEvent(NamedTuple):
-    """The drive of an axis has told who it is."""
+    """The identity reported by the drive of an axis."""
 
     at: Instant
     axis: str
@@ -79,12 +79,12 @@ EVENTS: tuple[type[RunEvent], ...] = (TextEvent, StateEvent, BeginEvent, LoadEve
 
 
 def drives_of(events: Sequence[RunEvent]) -> dict[str, str]:
-    """By axis, who its drive says it is."""
+    """Return the identity of each axis' drive."""
     return {event.axis: event.text for event in events if isinstance(event, IdentityEvent)}
 
 
 def event_row(event: RunEvent) -> bytes:
-    """A row of EVENT. A text beyond TEXT_BYTES is cut at a whole character."""
+    """Return a row of EVENT. A text beyond TEXT_BYTES is cut at a whole character."""
     if isinstance(event, TextEvent):
         level, text = LEVELS.index(event.level), event.text
     else:
@@ -94,7 +94,7 @@ def event_row(event: RunEvent) -> bytes:
 
 
 def events_of(rows: NDArray[np.void]) -> list[RunEvent]:
-    """The events in rows of EVENT_DTYPE: inverse of :func:`event_row`."""
+    """Return the events in rows of EVENT_DTYPE: inverse of :func:`event_row`."""
     return [_event_of(row) for row in rows]
 
 

@@ -1,1 +1,1 @@
-"""What a user computes beside the bench: current loops, speed loops, and the papers' figures."""
+"""Computations beside the bench: current loops, speed loops, and the papers' figures."""

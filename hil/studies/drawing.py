@@ -1,4 +1,4 @@
-"""How the pictures of the studies are begun and saved."""
+"""Begins and saves the pictures of the studies."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -23,7 +23,8 @@ def picture(
     asked_by: str = "--figures",
     **options: Any,
 ) -> Iterator[Any]:
-    """The axes, one or (rows, columns) of them without an axis of length 1, with a grid; saved when left.
+    """Yield the axes, one or (rows, columns) of them without an axis of length 1, with a grid; saved
+    afterwards.
 
     ``asked_by``: the option. Raises BadInput for a path that cannot be written to.
     """
@@ -42,7 +43,8 @@ def picture(
 
 
 def draw_all(folder: Path, files: Mapping[str, Callable[[Path], None]]) -> list[Path]:
-    """Every picture by its name into ``folder``; the files. Raises BadInput for what can be no folder."""
+    """Draw every picture by its name into ``folder``; return the files. Raises BadInput for an impossible
+    folder."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -11,17 +11,17 @@ _DIGITS = 6
 
 
 def finite(value: float | None) -> float | None:
-    """``value``; None if it is not finite, which JSON has no word for."""
+    """Return ``value``; None if it is not finite, which JSON cannot express."""
     return value if value is not None and math.isfinite(value) else None
 
 
 def short(value: float) -> float:
-    """With six digits, for a file."""
+    """Round to six digits, for a file."""
     return float(f"{value:.{_DIGITS}g}")
 
 
 def margin_figures(margins: "Margins") -> dict[str, float | None]:
-    """Those that are told of every loop."""
+    """Return the margins reported for every loop."""
     return {
         name: finite(getattr(margins, name))
         for name in ("gain_margin_db", "phase_margin_deg", "modulus_margin")

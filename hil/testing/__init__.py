@@ -1,1 +1,1 @@
-"""What the pytest plugin hands to tests: drives, benches, and assertions on what they did."""
+"""The pytest plugin's tools for tests: drives, benches, and assertions about them."""

@@ -1,4 +1,4 @@
-"""Runs of whole benches for tests: a bench file, what the test changes in it, and the bus of the test."""
+"""Runs of whole benches for tests: a bench file, the test's changes, and the bus of the test."""
 
 import itertools
 from collections.abc import Mapping
@@ -25,9 +25,9 @@ class BenchRunner:
     """The fixture ``servo_bench``: call it with a bench to run it."""
 
     def __init__(self, bus: str, host: DriveHost, scratch: Path, folder: Path) -> None:
-        """``folder``: where paths of a bench start that is no file."""
+        """``folder``: start of paths in a bench that is no file."""
         self.bus = bus
-        """SPEC of the bus that the runs are on."""
+        """SPEC of the bus for the runs."""
         self._host = host
         self._scratch = scratch
         self._folder = folder
@@ -41,7 +41,8 @@ class BenchRunner:
         faults: PathLike | Mapping[str, Any] | None = None,
         motor: PathLike | MotorFile | None = None,
     ) -> BenchConfig:
-        """A checked bench: a file, or its tables; see :meth:`__call__`. Raises BadInput or BadInputs."""
+        """Load and check a bench: a file, or its tables; see :meth:`__call__`. Raises BadInput or
+        BadInputs."""
         read = Bench(bench, folder=self._folder) if isinstance(bench, Mapping) else Bench.load(bench)
         changed = read.changed(changes or {})
         parts: dict[str, Any] = {}
@@ -71,10 +72,10 @@ class BenchRunner:
         """Run a bench on the bus of this test, and return its recording.
 
         ``bench``: the path of a bench file, or its tables. ``changes``: values for dotted keys of it, e.g.
-        ``{"loop.deadline_us": 1500}``; what is not there yet is added. ``faults``: a plan in place of the
-        bench's, as the path of a plan or of a recorded faults.jsonl, or as tables; ``{}``: none. ``motor``:
-        for every drive. ``time``: "real" paces a simulated bus. ``controllers``: by axis, an object of the
-        test in place of the controller that the bench describes.
+        ``{"loop.deadline_us": 1500}``; missing keys are added. ``faults``: a plan in place of the bench's, as
+        the path of a plan or of a recorded faults.jsonl, or as tables; ``{}``: none. ``motor``: for every
+        drive. ``time``: "real" paces a simulated bus. ``controllers``: by axis, an object of the test in
+        place of the controller that the bench describes.
 
         On a bus in real time the drives that no fixture has put there are started as processes. An error
         that ends the run is raised, unless it is of the kind ``ends_in``; then the run is returned with it,

@@ -15,7 +15,7 @@ class CampaignRunner:
     """The fixture ``servo_campaign``: call it with a sweep to run it."""
 
     def __init__(self, scratch: Path, folder: Path) -> None:
-        """``folder``: where the bench of a sweep starts that is no file."""
+        """``folder``: start of the bench path in a sweep that is no file."""
         self._scratch = scratch
         self._folder = folder
         self._numbers = itertools.count(1)
@@ -23,7 +23,7 @@ class CampaignRunner:
     def __call__(self, sweep: PathLike | Mapping[str, Any], *, workers: int = 1) -> Campaign:
         """Run a sweep file, or its tables, in simulated time; ``workers``: processes, 1: this one.
 
-        Raises BadInput or BadInputs; what becomes of the runs the campaign tells.
+        Raises BadInput or BadInputs; the campaign holds the results of the runs.
         """
         number = next(self._numbers)
         if isinstance(sweep, Mapping):

@@ -28,11 +28,11 @@ from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
 
 __tracebackhide__ = True
-"""Of this file, for pytest: a claim that does not hold is shown where the test makes it."""
+"""Hides this file from pytest's tracebacks: a failed assertion is shown where the test makes it."""
 ENABLE_LIMIT_S = 5.0
 _PERIOD_NS = NS_PER_MS
 _PERIOD_LIVE_NS = 10 * NS_PER_MS
-"""A test process is no controller: on a bus in real time it is asked for little."""
+"""A test process is no controller: on a bus in real time its cycle is slow."""
 _POLL_NS = 5 * NS_PER_MS
 
 
@@ -60,21 +60,21 @@ class DriveRig:
         self.process = process
         self.clock = world.clock
         self.wire = Wire(self.clock.now())
-        """Every frame that the master's adapter saw; times count from the making of the rig."""
+        """Every frame seen by the master's adapter; times count from the making of the rig."""
         world.link.tap(self.wire.take)
         self.network = CanopenNetwork(world.link, world.clock, writes=RIG)
         self.client = ServoDrive(self.network, wish.node)
-        """The drive as the bench talks to it: states, modes, moves, objects."""
+        """The drive as the bench sees it: states, modes, moves, objects."""
         self._live = world.real_time
 
     @property
     def period(self) -> Duration:
-        """Of :meth:`run`, ns: 1 ms, on a bus in real time 10 ms."""
+        """Period of :meth:`run`, ns: 1 ms, on a bus in real time 10 ms."""
         return Duration(_PERIOD_LIVE_NS if self._live else _PERIOD_NS)
 
     @property
     def settings(self) -> DriveSettings:
-        """What :meth:`configure` writes: rated torque and speed as limits, and patient heartbeats."""
+        """Settings written by :meth:`configure`: rated torque and speed as limits, and patient heartbeats."""
         motor = self.motor.parameters
         return DriveSettings(
             self.period,
@@ -87,7 +87,7 @@ class DriveRig:
         )
 
     def deadline(self, seconds: float) -> Instant:
-        """So long from now, for the methods of :attr:`client`."""
+        """Return the instant ``seconds`` from now, for the methods of :attr:`client`."""
         return self.network.deadline_after(duration_s(seconds))
 
     def wait(self, seconds: float) -> None:
@@ -97,7 +97,7 @@ class DriveRig:
     def configure(self, **changes: Any) -> list[str]:
         """Connect and set the drive up; ``changes``: fields of :class:`.drive_setup.DriveSettings`.
 
-        Returns what the drive does not have or did not take, in words.
+        Returns objects that the drive lacks or did not take, in words.
         """
         self.client.connect(self.deadline(ENABLE_LIMIT_S))
         return self.client.configure(replace(self.settings, **changes))
@@ -113,13 +113,13 @@ class DriveRig:
         self.network.writes.allowed |= WriteList("the test", (write,))
 
     def enable(self, **changes: Any) -> None:
-        """:meth:`configure` if that was not done, then walk to OPERATION ENABLED."""
+        """Call :meth:`configure` if necessary, then go to OPERATION ENABLED."""
         if self.client.plan is None or changes:
             self.configure(**changes)
         self.client.enable(self.deadline(ENABLE_LIMIT_S))
 
     def run(self, seconds: float, torque_nm: float | Callable[[Reading], float] = 0.0) -> list[Reading]:
-        """Cycles of SYNC, readings, and a torque set-point in answer to each; returns the readings.
+        """Run cycles of SYNC, readings, and a torque set-point in response to each; return the readings.
 
         ``torque_nm``: one for all, or a function of the reading. Raises DriveInFault or NoAnswer if the drive
         falls out of OPERATION ENABLED or is lost.
@@ -138,12 +138,12 @@ class DriveRig:
         return taken
 
     def state(self) -> State | None:
-        """The drive's state now, read by SDO."""
+        """Read the drive's state now by SDO."""
         return self.client.control.read_state()
 
     @claim
     def assert_reaches(self, state: State, *, within_s: float) -> float:
-        """The drive comes into ``state``; returns after how long it was seen there, s."""
+        """Assert that the drive comes into ``state``; return after how long it was seen there, s."""
         began, seen = self.clock.now(), list[str]()
         while True:
             now = self.state()
@@ -162,7 +162,7 @@ class DriveRig:
 
     @claim
     def assert_stays(self, state: State, *, for_s: float) -> None:
-        """The drive is in ``state`` now and does not leave it."""
+        """Assert that the drive is in ``state`` now and does not leave it."""
         began = self.clock.now()
         while (held_s := (self.clock.now() - began) / NS_PER_S) < for_s:
             now = self.state()
@@ -175,15 +175,16 @@ class DriveRig:
             self.network.pump(Instant(self.clock.now() + _POLL_NS))
 
     def assert_no_unintended_frame(self, *, allow: tuple[str, ...] = ()) -> None:
-        """Only what master and drive have to say to each other was on the wire since :meth:`Wire.clear`.
+        """Assert that only regular frames of master and drive were on the wire since :meth:`Wire.clear`.
 
         NMT, SYNC, heartbeats, SDO, and the PDOs of the plan in their lengths. ``allow``: patterns of
-        :mod:`servobench.hil.testing.wire` of what else may be there, e.g. ``"081#*"`` for the EMCY of node 1.
+        :mod:`servobench.hil.testing.wire` for further allowed frames, e.g. ``"081#*"`` for the EMCY of node
+        1.
         """
         self.wire.assert_only(intended_frames(self.network.node_id, self.node, self._plan_written()), allow)
 
     def assert_controlwords(self, *words: int) -> None:
-        """The host sent these controlwords and no others since :meth:`Wire.clear`.
+        """Assert that the host sent these controlwords and no others since :meth:`Wire.clear`.
 
         By every RPDO that carries one, and by SDO; a word that is repeated in a row counts once.
         """
@@ -213,7 +214,7 @@ class DriveRig:
 
 @contextmanager
 def drive_rig(bus: str, host: DriveHost, wish: DriveWish) -> Iterator[DriveRig]:
-    """A drive on ``bus`` with its master; the drive is left at rest and the bus is closed afterwards."""
+    """Make a drive on ``bus`` with its master; afterwards the drive is at rest and the bus closed."""
     spec = parse_bus_spec(bus, "servo_bus")
     process, devices, plan = None, list[SimulatedServo](), None
     if spec.simulated:

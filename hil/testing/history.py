@@ -1,4 +1,4 @@
-"""One axis of a recorded run, cycle by cycle, as the assertions look at it."""
+"""One axis of a recorded run, cycle by cycle, for the assertions."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -21,19 +21,19 @@ class Stretch(NamedTuple):
 
     first: int
     end: int
-    """One behind the last cycle."""
+    """One beyond the last cycle."""
     at_s: float
     """When the change was complete."""
     what: str
-    """It, in words."""
+    """The change in words."""
 
 
 class AxisHistory:
     """Columns of (n,) values, one for each cycle; velocity and error are NaN where no reading was used."""
 
     def __init__(self, name: str, rows: Rows, channels: Callable[[], Sequence[str]] = tuple) -> None:
-        """``rows``: (n,) of ROW_DTYPE in run time, of this axis, in order of sequence; ``channels``: what its
-        controller tells of its own."""
+        """``rows``: (n,) of ROW_DTYPE in run time, of this axis, in order of sequence; ``channels``: names of
+        the controller's own channels."""
         self.name = name
         self.time_s: Floats = rows["due_at"] / NS_PER_S
         self.reference_rad_s: Floats = rows["reference_rad_s"]
@@ -47,13 +47,13 @@ class AxisHistory:
         self.compute_us: Floats = np.where(
             rows["compute_ns"] == NOTHING, np.nan, rows["compute_ns"] / NS_PER_US
         )
-        """What compensator and controller took."""
+        """Computing time of compensator and controller."""
         self._fate = rows["fate"]
         self._rows = rows
         self._channels = channels
 
     def channel(self, name: str) -> Floats:
-        """What the controller told under this name, (n,). Raises ValueError: it has no such channel."""
+        """Return the controller's values under this name, (n,). Raises ValueError: it has no such channel."""
         names = self._channels()
         if name not in names:
             raise ValueError(f"channel {name!r}: {self.name} has {', '.join(names) or 'none'}")
@@ -62,16 +62,16 @@ class AxisHistory:
 
     @property
     def scale_rad_s(self) -> float:
-        """The largest |reference|: what percent of speed refer to, as in the summary of a run."""
+        """The largest |reference|: 100 % of speed percentages, as in the summary of a run."""
         return float(np.abs(self.reference_rad_s).max(initial=0.0))
 
     def window(self, from_s: float, until_s: float) -> Flags:
-        """The cycles with a usable reading in [from_s, until_s)."""
+        """Return the cycles with a usable reading in [from_s, until_s)."""
         inside: Flags = self.sampled & (self.time_s >= from_s) & (self.time_s < until_s)
         return inside
 
     def stretches(self) -> list[Stretch]:
-        """The run between its changes of reference and load. Both start from 0."""
+        """Split the run at its changes of reference and load. Both start from 0."""
         reference = np.diff(self.reference_rad_s, prepend=0.0)
         load = np.diff(self.load_nm, prepend=0.0)
         changed = np.flatnonzero((reference != 0.0) | (load != 0.0))
@@ -83,17 +83,17 @@ class AxisHistory:
         ]
 
     def readings_lost(self) -> LossRuns:
-        """Losses of readings in a row; ``at`` is in run time."""
+        """Return consecutive losses of readings; ``at`` is in run time."""
         losses = LossRuns()
         losses.add(~self.sampled, self._rows["due_at"])
         return losses
 
     def dropouts(self) -> dict[str, int]:
-        """How many cycles were dropped, by cause."""
+        """Count the dropped cycles, by cause."""
         return {cause.value: int((self._fate == place).sum()) for place, cause in enumerate(CAUSES, start=1)}
 
     def states(self) -> list[tuple[float, State | None]]:
-        """When the drive's statusword began to tell another state, and which."""
+        """Return when the drive's statusword began to show another state, and which."""
         changes: list[tuple[float, State | None]] = []
         for place in np.flatnonzero(self.sampled):
             word = int(self.statusword[place])

@@ -1,4 +1,4 @@
-"""Simulated drives as processes of their own, for tests on a bus in real time."""
+"""Simulated drives as separate processes, for tests on a bus in real time."""
 
 import itertools
 import os
@@ -28,16 +28,16 @@ _POLL_NS = 10 * NS_PER_MS
 
 @dataclass(frozen=True, slots=True)
 class DriveWish:
-    """The drive that a test asks for."""
+    """The drive that a test requests."""
 
     node: int = 1
     motor: MotorFile | PathLike = LING2012
     faults: PathLike | Mapping[str, Any] | None = None
     """A fault plan; its times count from the moment that the drive is on the bus."""
     eds: PathLike | None = None
-    """EDS, DCF, XDD or XDC of the device to rehearse."""
+    """EDS, DCF, XDD or XDC of the device to simulate."""
     store: PathLike | None = None
-    """File that keeps what 1010h and LSS store."""
+    """File for the stores of 1010h and LSS."""
     seed: int = 0
     bitrate_bit_s: int = 1_000_000
 
@@ -74,34 +74,35 @@ class DriveProcess:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id."""
         return self._process.pid
 
     @property
     def said(self) -> str:
-        """What it has printed so far."""
+        """Its output so far."""
         return self._log.read_text(encoding="utf-8", errors="replace")
 
     def kill(self) -> None:
-        """End it as a pulled plug would: no word to anybody (SIGKILL)."""
+        """End it as a pulled plug would: without notice (SIGKILL)."""
         self._forgiven = True
         self._process.kill()
         self._process.wait(END_LIMIT_S)
 
     def stop(self) -> int:
-        """End it by Ctrl-C; its exit status."""
+        """End it by Ctrl-C; return its exit status."""
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
         return self.wait()
 
     def wait(self, limit_s: float = END_LIMIT_S) -> int:
-        """Its exit status, once it ends by itself."""
+        """Wait until it ends by itself; return its exit status."""
         status = self._process.wait(limit_s)
         self._forgiven = True
         return status
 
     def finish(self) -> str:
-        """End it if need be; what it said if it ended by an error that no test has asked for, else ''."""
+        """End it if necessary; return its output if it ended by an error that no test has requested, else
+        ''."""
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
             try:
@@ -129,25 +130,25 @@ class DriveHost:
     """The drive processes of one test."""
 
     def __init__(self, spec: str, scratch: Path, present: bool = False) -> None:
-        """``scratch``: a folder of the test's own, for the files that the processes are given. ``present``:
-        the drives of the tests are on the bus already, and are not of this host's making."""
+        """``scratch``: a folder of the test, for the processes' files. ``present``: the drives of the tests
+        are on the bus already, and do not belong to this host."""
         self.spec = spec
         self.present = present
         self.nodes: set[int] = set()
-        """On the bus, or they have been."""
+        """Nodes that are or were on the bus."""
         self._scratch = scratch
         self._processes: list[DriveProcess] = []
         self._numbers = itertools.count(1)
 
     def missing(self, nodes: Sequence[int]) -> list[int]:
-        """Those of ``nodes`` that have to be started."""
+        """Return those of ``nodes`` that have to be started."""
         return [] if self.present else [node for node in nodes if node not in self.nodes]
 
     def start(
         self, nodes: Sequence[int], wish: DriveWish, loads: Mapping[int, str] = MappingProxyType({})
     ) -> DriveProcess:
         """Start drives of one kind, whatever the node of the wish; ``loads``: by node, the file of a load
-        over time. Raises PeerFault with what it said if it fails."""
+        over time. Raises PeerFault with its output if it fails."""
         number = next(self._numbers)
         options = ["--bus", self.spec, "--node", ",".join(map(str, nodes))]
         options += ["--motor", str(self._file(f"motor-{number}.toml", wish.motor))]
@@ -165,14 +166,14 @@ class DriveHost:
         return process
 
     def end(self) -> None:
-        """End them all. Raises PeerFault if one had ended by an error of its own."""
+        """End them all. Raises PeerFault if one had ended by its own error."""
         complaints = [complaint for process in self._processes if (complaint := process.finish())]
         self._processes.clear()
         if complaints:
             raise PeerFault(f"a simulated drive on {self.spec} failed", "\n".join(complaints))
 
     def _file(self, name: str, content: MotorFile | Mapping[str, Any] | PathLike) -> Path:
-        """A file that holds ``content``; a path names one that is there."""
+        """Return a file that holds ``content``; a path names an existing one."""
         if isinstance(content, str | os.PathLike):
             return Path(content)
         tables = content.tables if isinstance(content, MotorFile) else content

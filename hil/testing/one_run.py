@@ -1,4 +1,4 @@
-"""A bench, run from Python; what it needs is imported when it is called."""
+"""Runs a bench from Python; imports happen at the call."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -28,19 +28,19 @@ def run(
     stop: "StopRequest | None" = None,
     progress: "Progress | None" = None,
 ) -> "Run":
-    """Run a bench to its end, and return what came of it: also of one that did not pass.
+    """Run a bench to its end, and return the run, even if it did not pass.
 
     ``bench``: the path of a bench file, its tables, or a :class:`hil.Bench`. ``changes``: values for dotted
     keys of it, see :meth:`hil.Bench.changed`. ``record``: the folder of the recording, new or empty; True:
-    one below ``runs``; False: nothing is written, and all is kept in memory. ``seed``,
-    ``bus``, ``time`` ("real" paces a simulated bus), ``network``, ``allow_uncertified``: as for ``hil run``.
-    ``controllers``: by axis, an object in place of the bench's own. ``signals``: functions of the time in s
-    in place of references and loads, e.g. ``{"load.axis1.torque_nm": f}``; they are asked for each cycle
-    before anything moves, and what they said is kept. ``stop``: by which another thread ends the run; in the
-    main thread Ctrl-C does, too. ``progress``: called with the phase, and how many seconds are done.
+    one below ``runs``; False: nothing is written, and all is kept in memory. ``seed``, ``bus``, ``time``
+    ("real" paces a simulated bus), ``network``, ``allow_uncertified``: as for ``hil run``. ``controllers``:
+    by axis, an object in place of the bench's own. ``signals``: functions of the time in s in place of
+    references and loads, e.g. ``{"load.axis1.torque_nm": f}``; they are evaluated for each cycle before
+    anything moves, and their values are kept. ``stop``: another thread ends the run by it; in the main thread
+    Ctrl-C does, too. ``progress``: called with the phase, and how many seconds are done.
 
     From any thread; two at once in simulated time alone. Raises BadInput or BadInputs before anything moves,
-    PeerFault or RecordingFailed with the drives at rest again and all kept that was recorded.
+    PeerFault or RecordingFailed with the drives at rest again and the recording kept.
     """
     from servobench.drivers.errors import BadInput
     from servobench.drivers.wire.adapters import parse_bus_spec

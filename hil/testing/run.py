@@ -1,6 +1,7 @@
-"""A run of a bench that has ended, and what a test may claim about it.
+"""A finished run of a bench, and assertions about it.
 
-Every claim raises AssertionError with the figures that it rests on. One about a run that was cut short fails.
+Every claim raises AssertionError with the figures that it rests on. An assertion about a run that was cut
+short fails.
 """
 
 import json
@@ -33,13 +34,13 @@ from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import RunVerdict, VerdictKind
 
 __tracebackhide__ = True
-"""Of this file, for pytest: a claim that does not hold is shown where the test makes it."""
+"""Hides this file from pytest's tracebacks: a failed assertion is shown where the test makes it."""
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 def _claim(method: Callable[Concatenate["Run", P], R]) -> Callable[Concatenate["Run", P], R]:
-    """A claim that does not hold names the recording in which to look."""
+    """Wrap an assertion so that a failure names the recording."""
     checked = claim(method)
 
     @wraps(method)
@@ -54,7 +55,7 @@ def _claim(method: Callable[Concatenate["Run", P], R]) -> Callable[Concatenate["
 
 
 class Run:
-    """One run, as its recording or the memory of this process has it."""
+    """One run, from its recording or from the memory of this process."""
 
     def __init__(
         self,
@@ -67,7 +68,7 @@ class Run:
         ``summary``."""
         self.config = config
         self.error = error
-        """What ended it, for a run that was to end so."""
+        """The error that ended it, for a run that was meant to end so."""
         self._kept = kept
         self._summary = summary
 
@@ -75,37 +76,37 @@ class Run:
 
     @property
     def folder(self) -> Path:
-        """Its recording. Raises ValueError where none was asked for."""
+        """Its recording. Raises ValueError if none was requested."""
         if isinstance(self._kept, Path):
             return self._kept
         raise ValueError("this run was not recorded; run it with record=DIR")
 
     @cached_property
     def _sealed(self) -> Path:
-        """The folder of its recording, held against the seal once; warns of one that is not sealed, or not up
-        to its end. Raises BadInput."""
+        """The folder of its recording, checked against the seal once; warns if it is not sealed, or not up to
+        its end. Raises BadInput."""
         if (seal := check_seal(self.folder)) != SEALED:
             warnings.warn(f"{self.folder}: {seal}", stacklevel=2)
         return self.folder
 
     @property
     def place(self) -> str:
-        """For a message: where to look."""
+        """Place to look, for a message."""
         return f"\nrecording: {self._kept if isinstance(self._kept, Path) else 'none was asked for'}"
 
     @cached_property
     def summary(self) -> Summary:
-        """Figures and verdict: what ``hil run --json`` prints."""
+        """Figures and verdict, as printed by ``hil run --json``."""
         return self._summary or read_summary(self._sealed)
 
     @property
     def verdict(self) -> RunVerdict:
-        """What it came to, see docs/verdict.md."""
+        """Its verdict; see docs/verdict.md."""
         return self.summary.verdict
 
     @property
     def digest(self) -> str:
-        """Of every field of every record; in simulated time the same for the same seed."""
+        """Digest of every field of every record; in simulated time the same for the same seed."""
         return self.summary.digest
 
     @cached_property
@@ -118,11 +119,11 @@ class Run:
 
     @cached_property
     def rows(self) -> Rows:
-        """(n,) of ROW_DTYPE: the same for numpy, NaN or -2**63 for what is not known."""
+        """(n,) of ROW_DTYPE: the same for numpy, NaN or -2**63 for unknown values."""
         return rows_of_table(self.table)
 
     def column(self, name: str, axis: str | None = None) -> NDArray[Any]:
-        """(n,) values of a column of docs/recording.md, one for each cycle of an axis.
+        """Return the (n,) values of a column of docs/recording.md, one for each cycle of an axis.
 
         Whole numbers are float64 with NaN where some are not known. Raises ValueError.
         """
@@ -152,14 +153,14 @@ class Run:
         return frames
 
     def axis(self, name: str | None = None) -> AxisHistory:
-        """One axis, cycle by cycle; ``name`` may be left out if there is only one."""
+        """Return one axis, cycle by cycle; ``name`` may be omitted if there is only one."""
         name = self._axis_name(name)
         mine = self.rows[self.rows["axis"] == self.config.axes.index(name)]
         return AxisHistory(name, mine, lambda: self._channels.get(name, ()))
 
     @cached_property
     def _channels(self) -> dict[str, list[str]]:
-        """By axis, what its controller tells of its own."""
+        """Names of each controller's own channels, by axis."""
         channels: dict[str, list[str]] = json.loads(self.table.schema.metadata[b"channels"])
         return channels
 
@@ -167,7 +168,8 @@ class Run:
 
     @_claim
     def assert_passed(self) -> None:
-        """The run passed, by every condition of docs/verdict.md: something was asked, and all was kept."""
+        """Assert that the run passed, by every condition of docs/verdict.md: there were limits, and all were
+        kept."""
         verdict = self.summary.verdict
         if verdict.outcome is VerdictKind.NOTHING_ASKED:
             raise AssertionError(f"{self.config.source or 'the bench'} has no limit in [verdict] to keep")
@@ -183,7 +185,8 @@ class Run:
         axis: str | None = None,
         after_s: float | None = None,
     ) -> list[float]:
-        """After every change of reference or load the speed is in the band after ``within_s``, and stays.
+        """Assert that after every change of reference or load the speed is in the band after ``within_s``,
+        and stays.
 
         The band is +-``band_percent`` of the largest |reference|. ``after_s``: only the change at that time.
         A stretch between two changes that is shorter than ``within_s`` is not judged. Returns how long each
@@ -212,7 +215,7 @@ class Run:
         until_s: float = float("inf"),
         axis: str | None = None,
     ) -> None:
-        """|reference - speed| in every cycle of [from_s, until_s) that has a reading.
+        """Assert a bound of |reference - speed| in every cycle of [from_s, until_s) that has a reading.
 
         ``percent``: of the largest |reference|. ``rms_rad_s``: the root of its mean square instead.
         """
@@ -246,7 +249,7 @@ class Run:
     def assert_dropouts_handled(
         self, *, at_least: int = 1, in_a_row_max: int | None = None, axis: str | None = None
     ) -> None:
-        """Readings were lost, late or stale, and the loop lived with it.
+        """Assert that readings were lost, late or stale, and that the loop handled it.
 
         That is: the run was completed, a set-point went out in every cycle, and the drive stayed in OPERATION
         ENABLED. With fewer than ``at_least`` dropouts nothing was shown, which fails too.
@@ -275,7 +278,8 @@ class Run:
 
     @_claim
     def assert_reached(self, state: State, *, by_s: float | None = None, axis: str | None = None) -> None:
-        """The drive was seen in ``state``, from enabling it to its release; ``by_s``: no later than then."""
+        """Assert that the drive was seen in ``state``, from enabling it to its release; ``by_s``: no later
+        than then."""
         name = self.axis(axis).name
         seen = self._states(name)
         times = [at_s for at_s, label in seen if label == state.value]
@@ -289,15 +293,15 @@ class Run:
 
     @_claim
     def assert_stayed(self, state: State, *, axis: str | None = None) -> None:
-        """Every reading of the loop tells ``state``."""
+        """Assert that every reading of the loop shows ``state``."""
         _stayed(self.axis(axis), state)
 
     @_claim
     def assert_no_unintended_frame(self, *, allow: tuple[str, ...] = ()) -> None:
-        """Only frames that the bench and its drives have to say to each other were on the wire.
+        """Assert that only regular frames of the bench and its drives were on the wire.
 
-        NMT, SYNC, heartbeats, SDO, and the PDOs of the bench in their lengths: an EMCY, a PDO that nobody
-        asked for or another node's frame fails. ``allow``: patterns of :mod:`servobench.hil.testing.wire`.
+        NMT, SYNC, heartbeats, SDO, and the PDOs of the bench in their lengths: an EMCY, an unsolicited PDO or
+        another node's frame fails. ``allow``: patterns of :mod:`servobench.hil.testing.wire`.
         """
         rules: list[Intended] = []
         if self.config.loop.sync != "own":
@@ -328,7 +332,7 @@ class Run:
         return scale
 
     def _states(self, axis: str) -> list[tuple[float, str]]:
-        """When the drive was seen in another state, by the events before and after the loop too."""
+        """Return when the drive was seen in another state, including events before and after the loop."""
         track = f"{axis} drive"
         states = [
             (event["at_ns"] / NS_PER_S, str(event["state"]).lower())

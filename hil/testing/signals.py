@@ -1,4 +1,4 @@
-"""References and loads that a caller has as functions of the time: asked for each cycle, before a run."""
+"""References and loads given as functions of time: evaluated for each cycle, before a run."""
 
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -20,11 +20,11 @@ _numbers: Final = count(1)
 
 
 def with_signals(bench: Bench, signals: Mapping[str, Callable[[float], float]]) -> Bench:
-    """``bench`` with files in place of the references and loads that ``signals`` names.
+    """Return ``bench`` with files in place of the references and loads that ``signals`` names.
 
     A key is ``reference.AXIS.COLUMN`` or ``load.AXIS.COLUMN``, its columns those of a signal file; a function
     is given the time since the run began, s. Between two cycles the values lie on a straight line. Raises
-    BadInput; what a function raises passes.
+    BadInput; exceptions of a function pass through.
     """
     config = bench.config
     period_s = config.loop.period / NS_PER_S
@@ -44,5 +44,5 @@ def with_signals(bench: Bench, signals: Mapping[str, Callable[[float], float]]) 
 
 @cache
 def _scratch() -> "TemporaryDirectory[str]":
-    """Gone with the process."""
+    """Make a folder that vanishes with the process."""
     return TemporaryDirectory(prefix="servobench-")

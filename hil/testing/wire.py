@@ -1,8 +1,8 @@
 """The frames that a host's adapter sent and received, and expectations about them.
 
-Frames are compared as candump writes them, ``201#0F00F401``. In a pattern a dot stands for any hexadecimal
-digit and a star at the end for any rest: ``201#0F00*`` is an RPDO1 of node 1 with controlword 000Fh,
-``7..#05`` a heartbeat of any node that is operational, ``.*`` everything.
+Frames are compared in candump's form, ``201#0F00F401``. In a pattern a dot stands for any hexadecimal digit
+and a star at the end for any rest: ``201#0F00*`` is an RPDO1 of node 1 with controlword 000Fh, ``7..#05`` a
+heartbeat of any node that is operational, ``.*`` everything.
 """
 
 import re
@@ -32,7 +32,7 @@ from servobench.hil.rows.run_files import FRAMES_FILE
 from servobench.hil.verdict.claim import claim
 
 __tracebackhide__ = True
-"""Of this file, for pytest: a claim that does not hold is shown where the test makes it."""
+"""Hides this file from pytest's tracebacks: a failed assertion is shown where the test makes it."""
 ORIGIN = Instant(0)
 SHOWN_MAX = 5
 """Frames that a message lists."""
@@ -47,7 +47,7 @@ class SeenFrame(NamedTuple):
 
     at: Instant
     sent: bool
-    """By the host; else it was received."""
+    """True: sent by the host; False: received."""
     can_id: int
     data: bytes
     extended: bool = False
@@ -55,12 +55,12 @@ class SeenFrame(NamedTuple):
 
     @property
     def text(self) -> str:
-        """As candump writes it."""
+        """The frame in candump's form."""
         digits = 8 if self.extended else _STANDARD_DIGITS
         return f"{self.can_id:0{digits}X}#{'R' if self.remote else self.data.hex().upper()}"
 
     def described(self, zero: Instant) -> str:
-        """For a message: when, whose, what."""
+        """Describe it for a message: when, whose, what."""
         whose = "sent" if self.sent else "received"
         return (
             f"{(self.at - zero) / NS_PER_S:.6f} s {whose} {self.text} ({frame_name(self.can_id, self.data)})"
@@ -68,7 +68,7 @@ class SeenFrame(NamedTuple):
 
 
 class Controlword(NamedTuple):
-    """A controlword that went out, by PDO or SDO."""
+    """A controlword sent by PDO or SDO."""
 
     at: Instant
     word: int
@@ -76,7 +76,7 @@ class Controlword(NamedTuple):
 
 @cache
 def _compiled(pattern: str) -> re.Pattern[str]:
-    """Raises ValueError for what is no pattern of a frame."""
+    """Compile a frame pattern. Raises ValueError for an invalid one."""
     if pattern == ".*":
         return re.compile(r".*", re.DOTALL)
     match = _PATTERN.fullmatch(pattern)
@@ -89,8 +89,8 @@ def _compiled(pattern: str) -> re.Pattern[str]:
 class Wire:
     """Every frame since :meth:`clear`, in the order in which the host's adapter saw it.
 
-    What fault injection takes away before it reaches the host is not among them; what it takes away of the
-    host's own frames is.
+    Frames removed by fault injection before they reach the host are not included; removed frames of the host
+    are.
     """
 
     def __init__(
@@ -108,24 +108,24 @@ class Wire:
         self.frames.append(SeenFrame(at, direction == "tx", can_id, bytes(data), extended, remote))
 
     def clear(self) -> None:
-        """Forget what was seen so far."""
+        """Discard the frames seen so far."""
         self.frames.clear()
 
     def find(self, pattern: str, *, sent: bool | None = None) -> list[SeenFrame]:
-        """The frames that match; ``sent``: only the host's (True) or only the others' (False)."""
+        """Return the frames that match; ``sent``: only the host's (True) or only the others' (False)."""
         matches = _compiled(pattern).fullmatch
         return [
             frame for frame in self.frames if (sent is None or frame.sent is sent) and matches(frame.text)
         ]
 
     def between(self, from_s: float, until_s: float) -> "Wire":
-        """The part of [from_s, until_s), counted from ``zero``."""
+        """Return the part of [from_s, until_s), counted from ``zero``."""
         first, end = (self.zero + round(limit * NS_PER_S) for limit in (from_s, until_s))
         return Wire(self.zero, [frame for frame in self.frames if first <= frame.at < end], self.recording)
 
     @claim
     def assert_seen(self, pattern: str, *, times: int | None = None, sent: bool | None = None) -> None:
-        """A frame matches; ``times``: exactly so many do."""
+        """Assert that a frame matches; ``times``: exactly this many do."""
         frames = self.find(pattern, sent=sent)
         if times is None and not frames:
             raise AssertionError(f"no frame {pattern} among {len(self.frames)}{self._list(self.frames)}")
@@ -134,14 +134,14 @@ class Wire:
 
     @claim
     def assert_none(self, pattern: str, *, sent: bool | None = None) -> None:
-        """No frame matches."""
+        """Assert that no frame matches."""
         frames = self.find(pattern, sent=sent)
         if frames:
             raise AssertionError(f"{len(frames)} frames {pattern}, none expected{self._list(frames)}")
 
     @claim
     def assert_sequence(self, *patterns: str, sent: bool | None = None) -> None:
-        """Frames that match come in this order; others may be between them."""
+        """Assert that matching frames come in this order; others may be between them."""
         place = 0
         for number, pattern in enumerate(patterns):
             matches = _compiled(pattern).fullmatch
@@ -156,7 +156,7 @@ class Wire:
                 raise AssertionError(f"no frame {pattern}{before}{seen}")
 
     def assert_only(self, intended: Sequence["Intended"], allow: Sequence[str] = ()) -> None:
-        """Every frame is one of those ``intended``, or matches a pattern of ``allow``."""
+        """Assert that every frame is one of ``intended``, or matches a pattern of ``allow``."""
         sent = _accepts([rule.pattern for rule in intended if rule.sent is not False] + [*allow])
         received = _accepts([rule.pattern for rule in intended if rule.sent is not True] + [*allow])
         frames = [frame for frame in self.frames if not (sent if frame.sent else received)(frame.text)]
@@ -164,7 +164,8 @@ class Wire:
             raise AssertionError(f"{len(frames)} unintended of {len(self.frames)} frames{self._list(frames)}")
 
     def controlwords(self, node: int, plan: PdoPlan) -> list[Controlword]:
-        """Every controlword to a node, by the RPDOs of its plan or by SDO, those repeated in a row once."""
+        """Return every controlword to a node, by the RPDOs of its plan or by SDO; consecutive repetitions
+        count once."""
         codecs = {
             pdo.cob_id: (pdo.codec(), place)
             for pdo in plan.rpdos
@@ -192,11 +193,11 @@ class Intended(NamedTuple):
 
     pattern: str
     sent: bool | None
-    """By the host (True), by others (False), or by either."""
+    """Sent by the host (True), by others (False), or by either."""
 
 
 def intended_frames(host_node: int, node: int, plan: PdoPlan) -> list[Intended]:
-    """What a host and one drive have to say to each other when nothing is wrong.
+    """Return the regular frames between a host and one drive.
 
     NMT, SYNC, the host's heartbeat, SDO both ways, the PDOs of the plan in their lengths, the drive's boot-up
     and heartbeat; no EMCY.
@@ -216,7 +217,7 @@ def intended_frames(host_node: int, node: int, plan: PdoPlan) -> list[Intended]:
 
 
 def read_wire(folder: Path) -> Wire:
-    """The wire as a run's folder keeps it, in run time. Raises BadInput where it keeps none."""
+    """Read the wire from a run's folder, in run time. Raises BadInput if it has none."""
     bus = RecordedBus(folder)
     frames = [
         SeenFrame(
@@ -241,7 +242,8 @@ def _accepts(patterns: Sequence[str]) -> Callable[[str], bool]:
 
 
 def _controlword_in(frame: SeenFrame, node: int, codecs: dict[int, tuple[Struct, int]]) -> int | None:
-    """A frame of another length than its mapping carries nothing (CiA 301 7.2.2.2.1: error 8210h)."""
+    """Return the controlword; None for a frame of another length than its mapping (CiA 301 7.2.2.2.1: error
+    8210h)."""
     codec = codecs.get(frame.can_id)
     if codec is not None and len(frame.data) == codec[0].size:
         word: int = codec[0].unpack(frame.data)[codec[1]]
@@ -253,7 +255,7 @@ def _controlword_in(frame: SeenFrame, node: int, codecs: dict[int, tuple[Struct,
 
 
 def pdo_plans(config: BenchConfig) -> dict[str, PdoPlan]:
-    """The PDO plan of each axis: by its data sheet if it has one, else the standard one."""
+    """Return the PDO plan of each axis: by its data sheet if it has one, else the standard one."""
     sheets = data_sheets(config)
     return {
         axis: _plan_by_sheet(config, axis, sheets[axis]) if axis in sheets else standard_plan(config, axis)

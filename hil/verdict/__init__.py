@@ -1,1 +1,1 @@
-"""What a run came to: verdict, exit status, summary, and both in lines for a reader."""
+"""The result of a run: verdict, exit status, summary, and both in lines for a reader."""

@@ -1,6 +1,6 @@
-"""The arguments of a claim: what no outcome could break is refused before anything is looked at.
+"""Checks the arguments of a claim: one that no outcome could break is refused at once.
 
-Every comparison with NaN is false: a limit that is NaN would hold for any run, as no limit would.
+Every comparison with NaN is false: a NaN limit would hold for any run, like no limit.
 """
 
 import math
@@ -14,7 +14,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 RATES: Final = frozenset({"assert_pass_rate"})
-"""Claims whose numbers are shares, of (0, 1]: a rate of at least 0 is none, and none is above 1."""
+"""Claims whose numbers are shares, of (0, 1]: a rate of at least 0 says nothing, and none is above 1."""
 ENDLESS: Final = frozenset({"until_s"})
 """Numbers that may be infinite: to the end."""
 _hints = cache(get_type_hints)
@@ -22,7 +22,7 @@ _signature = cache(signature)
 
 
 def claim(method: Callable[P, R]) -> Callable[P, R]:
-    """``method``, a claim, behind a check of its arguments by their annotations.
+    """Wrap ``method``, a claim, in a check of its arguments by their annotations.
 
     Numbers are finite and not negative (:data:`RATES`, :data:`ENDLESS`), counts are whole, ``from_s`` is
     before ``until_s``, and of texts there is at least one. Raises ValueError or TypeError, which name the
@@ -55,7 +55,7 @@ def _check(name: str, asked: Signature, arguments: dict[str, Any], hints: dict[s
 
 
 def _kinds(hint: Any) -> set[Any]:
-    """The types of a union, or the one type."""
+    """Return the types of a union, or the one type."""
     return set(getattr(hint, "__args__", (hint,)))
 
 

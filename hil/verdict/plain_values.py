@@ -1,4 +1,4 @@
-"""Dataclasses out of plain values: what a process hands to another, and what is in files."""
+"""Makes dataclasses from plain values: between processes, and from files."""
 
 from typing import Any, TypeVar
 
@@ -6,7 +6,7 @@ T = TypeVar("T")
 
 
 def from_plain(kind: type[T], plain: Any) -> T:
-    """A ``kind`` out of what ``asdict`` and JSON made of one. Raises ValueError for anything else."""
+    """Make a ``kind`` from the result of ``asdict`` and JSON. Raises ValueError for anything else."""
     from pydantic import TypeAdapter  # hil --help does without
 
     return TypeAdapter(kind).validate_python(plain)

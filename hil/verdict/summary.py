@@ -1,4 +1,4 @@
-"""The whole of a run: its figures, its verdict, and what it rests on.
+"""The summary of a run: its figures, its verdict, and its basis.
 
 The figures rest on the cycle records alone (see :mod:`servobench.hil.reviewing.review`), never on the
 telemetry.
@@ -25,7 +25,7 @@ from servobench.hil.verdict.verdict import (
 
 @dataclass(frozen=True, slots=True)
 class Percentiles:
-    """Of a time, us; None where nothing was measured. The resolution is 0.1 %, ``max`` is exact."""
+    """Percentiles of a time, us; None if nothing was measured. The resolution is 0.1 %, ``max`` is exact."""
 
     p50: float | None
     p99: float | None
@@ -71,17 +71,18 @@ class StepResponse:
     settling_time_ms: float | None = None
     overshoot_percent: float | None = None
     recovery_time_ms: float | None = None
-    """After a step of the load."""
+    """Recovery after a step of the load."""
 
 
 @dataclass(frozen=True, slots=True)
 class PositionError:
-    """Of the worst axis; None: not measured. What each is: :mod:`servobench.hil.reviewing.position_error`."""
+    """Position errors of the worst axis; None: not measured. Definitions:
+    :mod:`servobench.hil.reviewing.position_error`."""
 
     peak_rad: float | None
     rms_rad: float | None
     following_peak_rad: float | None
-    """Of a drive in csp."""
+    """Following error of a drive in csp."""
 
 
 NO_POSITIONS = PositionError(None, None, None)
@@ -89,26 +90,26 @@ NO_POSITIONS = PositionError(None, None, None)
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What the records alone tell."""
+    """Figures from the records alone."""
 
     cycles: int
-    """Control cycles: the rows of the axis that has most."""
+    """Control cycles: the rows of the axis with most."""
     rows: int
     """Records over all axes; the base of ``dropouts_percent``."""
     dense: int
-    """Cycles up to the first that is missing or double in an axis."""
+    """Cycles up to the first missing or double one in an axis."""
     dropouts: DropoutCounts
     reading_delay_us: Percentiles
-    """Sampled to received, of every reading that came, late ones included."""
+    """Sampled to received, for every reading received, late ones included."""
     action_delay_us: Percentiles
-    """Sampled to the actuation that can first rest on it: the most that it may be."""
+    """Sampled to the first actuation that can depend on it: upper limit."""
     action_delay_least_us: Percentiles
-    """The same: the least."""
+    """The same: lower limit."""
     speed_error: SpeedError
     lateness_us: Percentiles
-    """Woke minus due, of every cycle."""
+    """Woke minus due, for every cycle."""
     compute_us: Percentiles
-    """What compensator and controller took in a cycle, by the host's clock, over all axes."""
+    """Computing time of compensator and controller in a cycle, by the host's clock, over all axes."""
     digest: str
     """BLAKE2b, 128 bit, hex, over the packed rows in order of recording
     (:mod:`servobench.hil.rows.records`)."""
@@ -123,11 +124,11 @@ class Figures:
     reading_losses_in_a_row: int = 0
     """Cycles in a row without a usable reading, worst axis."""
     command_losses_in_a_row: int | None = None
-    """Commands in a row that were lost or passed over, worst axis; None: the fate of none is known."""
+    """Consecutive commands lost or passed over, worst axis; None: no fate is known."""
     command_losses_in_a_row_least: int | None = None
-    """Of the same: lost for certain."""
+    """The same: certain losses."""
     worst: Mapping[str, WorstPlace] = field(default_factory=dict)
-    """By the names of :class:`VerdictLimits`: where the worst value comes from, as far as it has a place."""
+    """Place of the worst value, by the names of :class:`VerdictLimits`, if it has one."""
 
     @property
     def dropouts_percent(self) -> float | None:
@@ -169,7 +170,7 @@ _LIMITED: dict[str, tuple[str, Callable[[Figures, RunOutcome], float | None]]] =
         lambda run, _: run.position_error.following_peak_rad,
     ),
 }
-"""By the names of the limits: title with unit, and the value that is held against it; None: not measured."""
+"""By the names of the limits: title with unit, and the value to compare; None: not measured."""
 _TITLES = {key: title for key, (title, _) in _LIMITED.items()} | {
     "certified_action_delay_us": "certified: delay to actuation [us]",
     "certified_losses_together": "certified: lost in a row, together",
@@ -179,13 +180,13 @@ _TITLES = {key: title for key, (title, _) in _LIMITED.items()} | {
 
 
 def metric_title(key: str) -> str:
-    """A limit's key in the words of a reader, with its unit."""
+    """Return a limit's key in a reader's words, with its unit."""
     return _TITLES[key]
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """``as_json`` is what ``hil run --json`` prints, at every exit."""
+    """``as_json`` is the output of ``hil run --json``, at every exit."""
 
     cycles: int
     dropouts: DropoutCounts
@@ -201,7 +202,7 @@ class Summary:
     seed: int | None
     digest: str
     drives: tuple[DriveEnd, ...] = ()
-    """How each was found when the cycles were over."""
+    """State of each drive after the cycles."""
     torque_rms_nm: float | None = None
     step_response: StepResponse = StepResponse()
     action_delay_us: Percentiles = NO_TIMES
@@ -212,21 +213,21 @@ class Summary:
     position_error: PositionError = NO_POSITIONS
     certificates: Mapping[str, Any] = field(default_factory=dict)
     recording_faults: tuple[str, ...] = ()
-    """What the recording lacks, e.g. rows that found the ring full or a file on a full disk."""
+    """Gaps in the recording, e.g. rows that found the ring full or a file on a full disk."""
     network_notes: tuple[str, ...] = ()
-    """In what the network was worse than a controller was made for."""
+    """Aspects in which the network was worse than a controller was made for."""
     load_machine: Mapping[str, Any] | None = None
-    """Identity, tally, torque asked for and measured at each load step
+    """Identity, tally, requested and measured torque at each load step
     (:mod:`servobench.hil.load.load_machines`)."""
     timing: Mapping[str, Any] | None = None
-    """What the timing rests on (:mod:`servobench.hil.execution.timing_report`)."""
+    """Basis of the timing (:mod:`servobench.hil.execution.timing_report`)."""
 
     def also(self, finding: Finding) -> "Summary":
-        """With something that was found after the end."""
+        """Return the summary with a later finding."""
         return replace(self, verdict=self.verdict.also(finding))
 
     def as_json(self) -> dict[str, Any]:
-        """Plain dicts, lists, numbers, strings and None; what there is none of at the end is left out."""
+        """Return plain dicts, lists, numbers, strings and None; missing parts at the end are left out."""
         plain = asdict(self)
         for name in ("certificates", "recording_faults", "network_notes", "load_machine", "timing"):
             if not plain[name]:
@@ -243,7 +244,7 @@ def summarise(
     recording_faults: tuple[str, ...] = (),
     certified: Sequence[Demand] = (),
 ) -> Summary:
-    """Figures, outcome and verdict in one; ``certified``: what is asked beside the limits."""
+    """Join figures, outcome and verdict; ``certified``: demands besides the limits."""
     shared = {each.name for each in fields(Figures)} & {each.name for each in fields(Summary)}
     count = CycleCount(figures.dense, figures.rows, figures.dropouts.missed)
     values = {key: value(figures, outcome) for key, (_, value) in _LIMITED.items()}
@@ -263,7 +264,7 @@ def summarise(
 
 
 def summary_without_run(outcome: VerdictKind, reason: str) -> Summary:
-    """Of what ended before there was a run: no cycle, and nothing measured."""
+    """Return the summary of a run that ended before it began: no cycle, and nothing measured."""
     return Summary(
         cycles=0,
         dropouts=DropoutCounts(0, 0, 0, 0),

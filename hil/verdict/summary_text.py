@@ -1,4 +1,4 @@
-"""A run's timing and what it rests on, and its certificates beside what was seen: lines for a reader."""
+"""A run's timing with its basis, and its certificates with the observations: lines for a reader."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
@@ -29,7 +29,7 @@ _CERTIFIED: Final = {
 
 
 def loss_text(run: Figures | Summary) -> str:
-    """Losses in a row of readings and of commands, apart."""
+    """Format consecutive losses of readings and of commands separately."""
     least, most = run.command_losses_in_a_row_least, run.command_losses_in_a_row
     if most is None:
         return f"{run.reading_losses_in_a_row} readings, commands not measured"
@@ -38,7 +38,8 @@ def loss_text(run: Figures | Summary) -> str:
 
 
 def computing_note(run: Summary, period_us: float) -> str | None:
-    """Of controllers whose computing (p99) fills the period: in simulated time the loop waits for them."""
+    """Return a note on controllers whose computing time (p99) fills the period: in simulated time the loop
+    waits for them."""
     taken = run.compute_us.p99
     if taken is None or taken < period_us:
         return None
@@ -49,7 +50,8 @@ def computing_note(run: Summary, period_us: float) -> str | None:
 
 
 def timing_lines(timing: Mapping[str, Any] | None) -> dict[str, str]:
-    """By title: a line for the SYNC of each segment and one for each axis; empty for a run without them."""
+    """Return by title a line for the SYNC of each segment and one for each axis; empty for a run without
+    them."""
     if timing is None:
         return {}
     segments, axes = timing["sync"], timing["axes"]
@@ -58,7 +60,7 @@ def timing_lines(timing: Mapping[str, Any] | None) -> dict[str, str]:
 
 
 def _title(word: str, name: str, among: Mapping[str, Any]) -> str:
-    """The name is told where there are several."""
+    """Return a title, with the name if there are several."""
     return word if len(among) == 1 else f"{word} of {name}"
 
 
@@ -67,7 +69,7 @@ def _sync_line(told: Mapping[str, Any]) -> str:
 
 
 def _axis_line(told: Mapping[str, Any]) -> str:
-    """Accuracy of its samples, clock, and what was not plain."""
+    """Describe accuracy of its samples, clock, and irregularities."""
     clock = told.get("clock")
     error_us = told["error_us_max"]
     bound = f"{error_us:.0f}" if error_us >= 100 else f"{error_us:.3g}"
@@ -82,12 +84,12 @@ def _axis_line(told: Mapping[str, Any]) -> str:
 
 
 def _counts(told: Mapping[str, Any], words: Mapping[str, str]) -> list[str]:
-    """Those that are not 0, nor unknown to the recording's version."""
+    """Format counts that are neither 0 nor unknown to the recording's version."""
     return [f"{told[key]} {text}" for key, text in words.items() if told.get(key)]
 
 
 def certificate_lines(certificates: Mapping[str, Any] | None) -> dict[str, str]:
-    """By title a line for each axis; empty for a run without certified controllers.
+    """Return by title a line for each axis; empty for a run without certified controllers.
 
     ``certificates``: figures of :class:`servobench.hil.reviewing.certificate_meter.CertificateMeter` by axis.
     """
@@ -105,7 +107,8 @@ def _certificate_line(figures: Mapping[str, Any]) -> str:
 
 
 def certificate_rows(certificates: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
-    """What is certified, for how much, and what was seen, as :func:`certificate_lines` tells it."""
+    """Return the certified item, its certified value, and the observed one, as in
+    :func:`certificate_lines`."""
     by_axis = certificates or {}
     rows = []
     for axis, figures in by_axis.items():
@@ -118,7 +121,7 @@ def certificate_rows(certificates: Mapping[str, Any] | None) -> list[tuple[str, 
 
 
 def _certified(figures: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """What is certified, for how much, and what was seen."""
+    """Yield the certified item, its certified value, and the observed one."""
     for name, words in _CERTIFIED.items():
         seen, most = figures[name]["seen"], figures[name].get("seen_at_most")
         text = _number(seen) if most in (seen, None) else f"{_number(seen)} to {_number(most)}"
@@ -126,7 +129,7 @@ def _certified(figures: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def _current_loop(figures: Mapping[str, Any]) -> tuple[str, str, str] | None:
-    """The same of the drive's current loop; None: nothing is certified of it."""
+    """Return the same for the drive's current loop; None: there is no certificate for it."""
     loop = figures["current_bandwidth_hz"]
     if loop["certified"] is None:
         return None

@@ -1,8 +1,7 @@
-"""What a run came to: the one definition of a valid run, and the exit status that tells it.
+"""The verdict on a run: the one definition of a valid run, and its exit status.
 
-docs/verdict.md says the same to a reader. The figures that limits speak of come from the cycle records
-(:mod:`servobench.hil.reviewing.review`); what those cannot tell is handed over when the run ends
-(:class:`RunOutcome`).
+docs/verdict.md explains it to a reader. The figures for the limits come from the cycle records
+(:mod:`servobench.hil.reviewing.review`); other facts are handed over when the run ends (:class:`RunOutcome`).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,30 +15,30 @@ class ExitStatus(IntEnum):
 
     PASSED = 0
     FAILED = 1
-    """A limit was not kept."""
+    """A limit was exceeded."""
     BAD_INPUT = 2
     """A file or an option cannot be used; nothing was moved."""
     PEER_FAULT = 3
     """The bus or a drive failed, or a safety limit stopped the run."""
     NOT_TRUSTWORTHY = 4
-    """What the run says of its timing cannot be, or another had a hand in it."""
+    """The run's timing contradicts itself, or others disturbed it."""
     NOT_RECORDED = 5
-    """The recording is not whole."""
+    """The recording is incomplete."""
     INCOMPLETE = 6
-    """Not all that was planned was run, or not all that was asked was measured."""
+    """Not all planned cycles were run, or not all limits were measured."""
     COUNTER_EXAMPLE = 7
-    """A run within the premises of a certificate did not keep what is certified."""
+    """A run within the premises of a certificate violated it."""
     DEFECT = 70
-    """An error of this program (EX_SOFTWARE of sysexits.h): never to be taken for a verdict."""
+    """An error of this program (EX_SOFTWARE of sysexits.h): never a verdict."""
     INTERRUPTED = 130
-    """Ctrl-C, SIGTERM, SIGHUP or the caller: whatever was found until then is no verdict (128 + SIGINT)."""
+    """Ctrl-C, SIGTERM, SIGHUP or the caller: findings until then are no verdict (128 + SIGINT)."""
 
 
 class VerdictKind(StrEnum):
-    """What a run came to. Where several hold, the first of this list is told."""
+    """Outcome of a run. If several apply, the first of this list is reported."""
 
     exit_status: ExitStatus
-    """How a process tells it."""
+    """Exit status of a process."""
 
     def __new__(cls, text: str, status: ExitStatus) -> "VerdictKind":
         kind = str.__new__(cls, text)
@@ -56,11 +55,11 @@ class VerdictKind(StrEnum):
     NOT_MEASURED = "not measured", ExitStatus.INCOMPLETE
     NOT_PASSED = "not passed", ExitStatus.FAILED
     DISTURBED = "disturbed", ExitStatus.NOT_TRUSTWORTHY
-    """Of a finding. A run of which nothing else was found comes to one of the next two."""
+    """Kind of a finding. A run without other findings has one of the next two outcomes."""
     PASSED_DISTURBED = "passed, disturbed", ExitStatus.NOT_TRUSTWORTHY
     COMPLETED_DISTURBED = "completed, disturbed", ExitStatus.NOT_TRUSTWORTHY
-    """And nothing was asked."""
-    NOTHING_ASKED = "completed, nothing was asked", ExitStatus.PASSED
+    """Without limits."""
+    NOTHING_ASKED = "completed, no limits set", ExitStatus.PASSED
     PASSED = "passed", ExitStatus.PASSED
 
 
@@ -68,7 +67,8 @@ _GRAVITY = list(VerdictKind)
 
 
 def outcome_of_status(status: int) -> VerdictKind:
-    """What an error comes to that leaves with ``status``; a defect for a status that no error has."""
+    """Return the outcome for an error that leaves with ``status``; a defect for a status that no error
+    has."""
     for outcome in (
         VerdictKind.PEER_FAULT,
         VerdictKind.INTERRUPTED,
@@ -83,7 +83,7 @@ def outcome_of_status(status: int) -> VerdictKind:
 
 @dataclass(frozen=True, slots=True)
 class VerdictLimits:
-    """Upper limits that a run must keep; None: not asked for. The names are those of the bench file."""
+    """Upper limits for a run; None: not set. The names are those of the bench file."""
 
     speed_error_peak_percent_max: float | None = None
     after_load_percent_max: float | None = None
@@ -105,7 +105,7 @@ class VerdictLimits:
 
 
 class Demand(NamedTuple):
-    """A limit that no file of limits names."""
+    """A limit that no limits file names."""
 
     metric: str
     axis: str
@@ -116,28 +116,28 @@ class Demand(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DriveEnd:
-    """How one drive was found when the cycles were over, by what it answered then."""
+    """State of one drive after the cycles, by its answers."""
 
     name: str
     after_last_cycle: str | None = None
-    """Its state by SDO after the last cycle, before it was told to stop; None: not asked."""
+    """Its state by SDO after the last cycle, before it was stopped; None: not read."""
     at_the_end: str | None = None
-    """Its state when it was let go."""
+    """Its state when it was released."""
     at_rest: bool | None = None
-    """Whether its shaft was read to be at rest then (606Ch); None: not asked."""
+    """True if its shaft was at rest then (606Ch); None: not read."""
     evidence: str = ""
-    """What went wrong while it was stopped."""
+    """Problems while it was stopped."""
     unwatched: str = ""
-    """If its 1016h held something else at the end than was written into it, what."""
+    """Difference, if its 1016h held another value at the end than was written."""
     mode_watch: str = ""
-    """By what it was noticed whether it follows its commands; empty if it was not enabled."""
+    """How it was monitored for following its commands; empty if it was not enabled."""
     lapses: tuple[str, ...] = ()
-    """When it did not follow them, each in words."""
+    """Times when it did not follow them, each in words."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunOutcome:
-    """What the records cannot tell; handed over when the run ends. Plain values, for another process."""
+    """Facts beyond the records; handed over when the run ends. Plain values, for another process."""
 
     bus_load_percent: float | None = None
     """None: not measured."""
@@ -148,74 +148,75 @@ class RunOutcome:
     reason: str = ""
     """Why it did not."""
     cause: VerdictKind = VerdictKind.CUT_SHORT
-    """What that comes to; of no meaning where it did."""
+    """Outcome in that case; meaningless otherwise."""
     cycles_planned: int | None = None
-    """Of each axis."""
+    """Cycles of each axis."""
     drives: tuple[DriveEnd, ...] = ()
     """One for each axis."""
     emergencies: tuple[str, ...] = ()
     """EMCYs of the drives that no drive fault of the plan names."""
     disturbances: tuple[str, ...] = ()
-    """What others sent on the bus that ``[guard] allow`` does not name: first frame, its time, how often."""
+    """Frames of others not named by ``[guard] allow``: first frame, its time, count."""
     network_notes: tuple[str, ...] = ()
-    """In what the network was worse than a controller was made for; only where the run was to go on."""
+    """Aspects in which the network was worse than a controller was made for; only if the run was to
+    continue."""
     load_machine: Mapping[str, Any] | None = None
-    """What the instrument that made the load came to, if there was one."""
+    """Result of the load instrument, if there was one."""
     timing: Mapping[str, Any] | None = None
-    """What the timing rests on (:mod:`servobench.hil.execution.timing_report`)."""
+    """Basis of the timing (:mod:`servobench.hil.execution.timing_report`)."""
     distrust: tuple[str, ...] = ()
-    """Why what the run says of its timing is not to be trusted."""
+    """Reasons why the run's timing is not trustworthy."""
 
 
 @dataclass(frozen=True, slots=True)
 class CycleCount:
-    """What became of the planned cycles, by the rows that were recorded."""
+    """The planned cycles, by the recorded rows."""
 
     dense: int
-    """So many cycles have their row in each axis, in order from 1 on, none missing and none double."""
+    """Cycles with a row in each axis, in order from 1 on, none missing and none double."""
     rows: int
-    """Over all axes."""
+    """Rows over all axes."""
     missed: int
-    """Of these, cycles without SYNC."""
+    """Cycles among them without SYNC."""
 
 
 class LimitResult(StrEnum):
-    """What became of a limit."""
+    """Result of a limit."""
 
     KEPT = "kept"
     BROKEN = "broken"
     NOT_MEASURED = "not measured"
-    """There is no value, or it is not one of the whole run."""
+    """There is no value, or it does not cover the whole run."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorstPlace:
-    """Where a value of a run comes from."""
+    """Origin of a value of a run."""
 
     axis: str = ""
-    """Empty: of no axis."""
+    """Empty: no single axis."""
     at_ns: int | None = None
-    """When its cycle was due, run time; None: it is of no one instant."""
+    """When its cycle was due, run time; None: no single instant."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One limit and what was found."""
+    """One limit and its value."""
 
     metric: str
     value: float | None
-    """In a run that was cut short, of the part that was run."""
+    """In a run that was cut short, for the completed part."""
     limit: float
     result: LimitResult
     axis: str = ""
-    """Whose value is the worst; empty: it is of no one axis."""
+    """Axis of the worst value; empty: no single axis."""
     at_ns: int | None = None
-    """When it was, run time; None: at no one instant."""
+    """When it occurred, run time; None: no single instant."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that keeps a run from being passed."""
+    """Something that prevents a run from passing."""
 
     outcome: VerdictKind
     text: str
@@ -223,26 +224,26 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class RunVerdict:
-    """The gravest of what was found, and all of it."""
+    """The gravest finding, and all others."""
 
     outcome: VerdictKind
     exit_status: int
     passed: bool
-    """Something was asked, and all of it was kept in a valid run."""
+    """True if there were limits, and all were kept in a valid run."""
     completed: bool
-    """Each planned cycle has its row, and after the last one each drive was still enabled."""
+    """True if each planned cycle has its row, and after the last one each drive was still enabled."""
     reason: str
-    """The findings of ``outcome`` in words; empty where there are none."""
+    """The findings of ``outcome`` in words; empty if there are none."""
     limits: tuple[Check, ...]
     findings: tuple[Finding, ...]
     """The gravest first."""
 
     def also(self, finding: Finding) -> "RunVerdict":
-        """With something that was found afterwards; such a run is not passed."""
+        """Return the verdict with a later finding; such a run has not passed."""
         return _conclude(self.completed, self.limits, [*self.findings, finding])
 
     def of(self, outcome: VerdictKind) -> tuple[str, ...]:
-        """The findings of one kind, in words."""
+        """Return the findings of one kind, in words."""
         return tuple(finding.text for finding in self.findings if finding.outcome is outcome)
 
 
@@ -255,11 +256,11 @@ def judge(
     places: Mapping[str, WorstPlace] | None = None,
     demands: Sequence[Demand] = (),
 ) -> RunVerdict:
-    """The verdict on a run.
+    """Judge a run.
 
-    ``values``: by the names of :class:`VerdictLimits`; None, or left out, if not measured.
-    ``recording_lacks``: why the recording is not whole; empty if it is. ``places``: where the values come
-    from, by the same names, as far as that is known. ``demands``: what else is asked.
+    ``values``: by the names of :class:`VerdictLimits`; None, or missing, if not measured.
+    ``recording_lacks``: why the recording is incomplete; empty if it is not. ``places``: origin of the
+    values, by the same names, as far as known. ``demands``: further limits.
     """
     nowhere = WorstPlace()
     undone = _undone(outcome, count)
@@ -281,12 +282,12 @@ def judge(
 
 
 def not_run(outcome: VerdictKind, reason: str) -> RunVerdict:
-    """Of what ended before there was a run."""
+    """Return the verdict of a run that ended before it began."""
     return _conclude(False, (), [Finding(outcome, reason)])
 
 
 def _undone(outcome: RunOutcome, count: CycleCount) -> list[Finding]:
-    """Why not everything that was planned was run."""
+    """Say why not everything planned was run."""
     if not outcome.completed:
         return [Finding(outcome.cause, outcome.reason)]
     return [Finding(VerdictKind.CUT_SHORT, text) for text in _gaps(outcome, count)]
@@ -309,7 +310,7 @@ def _gaps(outcome: RunOutcome, count: CycleCount) -> Iterator[str]:
 
 
 def _doubted(outcome: RunOutcome, recording_lacks: str) -> Iterator[Finding]:
-    """What speaks against a run whatever its figures are."""
+    """Yield findings against a run, whatever its figures are."""
     for drive in outcome.drives:
         if drive.at_rest is False or (drive.at_rest is None and outcome.completed):
             text = f"{drive.name} is not confirmed at rest: {drive.evidence}".removesuffix(": ")
@@ -358,5 +359,5 @@ def _conclude(completed: bool, checks: tuple[Check, ...], in_any_order: Sequence
 
 
 def verdict_title(verdict: RunVerdict) -> str:
-    """The verdict in capitals, as a reader sees it first."""
+    """Return the verdict in capitals, for the first line."""
     return verdict.outcome.upper()

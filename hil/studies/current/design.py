@@ -24,14 +24,14 @@ from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.studies.current.figures import CurrentRequest, OtherAxis, robust_figures, sampled_design
 
 GAMMA = 1.0
-"""The demand (40), if nothing else is asked for."""
+"""The default demand (40)."""
 FACTOR_MIN = 1.0005
-"""How far gamma must be above gamma_min for a controller that can be run."""
+"""Least factor of gamma above gamma_min for a usable controller."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurrentResult:
-    """What came of it: the designs, the controller to run, and the figures for ``--json``."""
+    """Result: the designs, the controller to run, and the figures for ``--json``."""
 
     full: AxisDesign
     chosen: AxisDesign
@@ -40,7 +40,7 @@ class CurrentResult:
 
 
 def design_current(request: CurrentRequest) -> CurrentResult:
-    """Synthesis, reduction, discretisation and the figures of all. Raises DesignError and BadInput."""
+    """Synthesise, reduce, discretise, with the figures of all. Raises DesignError and BadInput."""
     motor, axis = request.motor, request.axis
     weights = request.weights or rule_weights(motor, axis)
     plant = axis_plant(motor.resistance_ohm, axis_inductance_h(motor, axis))
@@ -66,7 +66,8 @@ def design_current(request: CurrentRequest) -> CurrentResult:
 
 
 def _gamma(request: CurrentRequest, least: float) -> float:
-    """The norm to stay below. Raises BadInput next to gamma_min, where one pole runs to infinity."""
+    """Return the upper bound of the norm. Raises BadInput next to gamma_min, where one pole runs to
+    infinity."""
     gamma, option = GAMMA, "--gamma"
     if request.gamma_factor is not None:
         gamma, option = request.gamma_factor * least, "--gamma-factor"
@@ -93,13 +94,14 @@ def _reduced(design: AxisDesign, request: CurrentRequest) -> AxisDesign | None:
 
 
 def _by_rules(motor: PmsmParameters, axis: str) -> OtherAxis:
-    """The other axis with the rules' weights, in the paper's third order."""
+    """Return the other axis with the rules' weights, in the paper's third order."""
     design = reduced_design(design_axis(motor, axis, rule_weights(motor, axis), GAMMA), 3, Method.PAPER)
     return OtherAxis(design.controller, design.margins.phase_margin_rad_s)
 
 
 def controller_text(result: CurrentResult, axis: str) -> str:
-    """The controller as a file for ``current_control`` of a bench: sampled if it was, else continuous."""
+    """Return the controller as a file for ``current_control`` of a bench: sampled if it was, else
+    continuous."""
     if result.sampled is not None and result.sampled.period_s is not None:
         form = zpk(result.sampled)
         table: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""What ``hil design current`` says about a controller beyond its own axis: sampled, coupled, over a box."""
+"""Figures for ``hil design current`` beyond the controller's own axis: sampled, coupled, over a box."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -32,30 +32,30 @@ from servobench.drivers.errors import BadInput
 from servobench.hil.studies.numbers import finite
 
 FACTOR = 1.05
-"""Of gamma_min of the sampled plant, if nothing else is asked for and 1 is out of reach."""
+"""Multiple of the sampled plant's gamma_min, by default if 1 is out of reach."""
 RATE_FACTORS = (4.0, 2.0, 1.0, 0.5, 0.25)
-"""Times the rate: where gamma_min is told."""
+"""Multiples of the rate at which gamma_min is computed."""
 SPEEDS = 11
 """Standstill, and every tenth of the largest."""
 MARGIN_KEPT = 0.9
-"""Of the continuous modulus margin: what the lowest rate is to hold, if nothing else is asked for."""
+"""Share of the continuous modulus margin that the lowest rate is to keep by default."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OtherAxis:
-    """The continuous controller of the axis that is not designed, and its crossover."""
+    """The continuous controller of the other axis, and its crossover."""
 
     controller: StateSpace
     crossover_rad_s: float
 
     def pair(self, axis: str, own: StateSpace) -> tuple[StateSpace, StateSpace]:
-        """(K_d, K_q), ``own`` being that of ``axis``."""
+        """Return (K_d, K_q), ``own`` being that of ``axis``."""
         return (own, self.controller) if axis == "d" else (self.controller, own)
 
 
 @dataclass(frozen=True, slots=True)
 class CurrentRequest:
-    """What was asked for."""
+    """The request."""
 
     motor: PmsmParameters
     axis: str
@@ -68,22 +68,22 @@ class CurrentRequest:
     rate_hz: float | None
     delay_samples: int
     discrete: bool
-    """Whether the controller is made for the sampled plant itself."""
+    """True: the controller is designed for the sampled plant itself."""
     modulus_margin: float | None
     other: OtherAxis | None
-    """The other axis' continuous controller; by the rules if absent."""
+    """The other axis' continuous controller; default: by the rules."""
     speed_max_rad_s: float | None
-    """Up to which the coupled axes are looked at; the rated speed if absent."""
+    """Speed up to which the coupled axes are analysed; default: the rated speed."""
     decoupling_factor: float
-    """The inductances that the drive decouples with, beside the motor's."""
+    """Ratio of the inductances used by the drive's decoupling to the motor's."""
     advance_periods: float | None
-    """Angle advance of the drive; the right one if absent."""
+    """Angle advance of the drive; default: the correct one."""
 
 
 def robust_figures(
     motor: PmsmParameters, axis: str, design: AxisDesign, other: OtherAxis, speed_rad_s: float
 ) -> dict[str, Any]:
-    """Over +-50 % of r and L: one axis exactly, both axes at a speed."""
+    """Return figures over +-50 % of r and L: one axis exactly, both axes at a speed."""
     robustness = axis_robustness(
         motor.resistance_ohm, axis_inductance_h(motor, axis), design.controller, design.weights
     )
@@ -116,7 +116,7 @@ def robust_figures(
 def sampled_design(
     request: CurrentRequest, gamma: float, design: AxisDesign, other: OtherAxis, speed_rad_s: float
 ) -> tuple[StateSpace, dict[str, Any]]:
-    """The sampled controller and its figures. Raises BadInput for a rate that is too low."""
+    """Return the sampled controller and its figures. Raises BadInput for a rate that is too low."""
     assert request.rate_hz is not None
     try:
         beside = OtherAxis(tustin(other.controller, request.rate_hz, other.crossover_rad_s), 0.0)
@@ -152,7 +152,8 @@ def _tustin(request: CurrentRequest, design: AxisDesign) -> StateSpace:
 
 
 def _discrete(request: CurrentRequest, gamma: float, design: AxisDesign) -> tuple[StateSpace, dict[str, Any]]:
-    """The controller for the sampled plant, and its figures beside those of the sampled continuous one."""
+    """Return the controller for the sampled plant, and its figures with those of the sampled continuous
+    one."""
     assert request.rate_hz is not None
     plant, weights, delay = design.plant, design.weights, request.delay_samples
     kept = request.gamma if request.gamma is not None else (0.0 if request.gamma_factor else gamma)
@@ -177,7 +178,7 @@ def _discrete(request: CurrentRequest, gamma: float, design: AxisDesign) -> tupl
 
 
 def _beside(request: CurrentRequest, design: AxisDesign) -> dict[str, Any]:
-    """The continuous controller by Tustin's rule at the same rate."""
+    """Return the figures of the continuous controller by Tustin's rule at the same rate."""
     assert request.rate_hz is not None
     delay = request.delay_samples
     try:
@@ -204,7 +205,8 @@ def _loop_figures(sampled: SampledFigures) -> dict[str, float | None]:
 def _lowest_rate(
     request: CurrentRequest, design: AxisDesign, other: OtherAxis, speed_rad_s: float
 ) -> dict[str, float | None]:
-    """The inner rates that hold the margin of this axis, and both axes stable at speed, by Tustin's rule."""
+    """Return the inner rates that hold the margin of this axis, and both axes stable at speed, by Tustin's
+    rule."""
     margin = request.modulus_margin or MARGIN_KEPT * design.margins.modulus_margin
     crossover, delay = design.margins.phase_margin_rad_s, request.delay_samples
     for_margin = lowest_rate_hz(design.plant, design.controller, crossover, margin, delay)
@@ -227,7 +229,7 @@ def _lowest_rate(
 def _coupled(
     request: CurrentRequest, pair: tuple[StateSpace, StateSpace], speed_rad_s: float
 ) -> dict[str, Any]:
-    """Spectral radius of both axes together over speed, with right and wrong decoupling."""
+    """Return the spectral radius of both axes together over speed, with right and wrong decoupling."""
     motor, delay = request.motor, request.delay_samples
     speeds = np.linspace(0.0, speed_rad_s, SPEEDS)
     right = nominal_decoupling(motor, delay)

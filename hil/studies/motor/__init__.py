@@ -1,1 +1,1 @@
-"""Motor files out of data sheets: ``hil motor new``."""
+"""Motor files from data sheets: ``hil motor new``."""

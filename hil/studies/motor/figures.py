@@ -1,4 +1,4 @@
-"""Which figures a data sheet may give of a motor, each in its convention."""
+"""Possible figures of a motor's data sheet, each in its convention."""
 
 import re
 from collections.abc import Mapping
@@ -14,18 +14,18 @@ _MH: Mapping[str, float] = {"mh": 1.0, "uh": 1e-3}
 
 
 class SheetFigure(NamedTuple):
-    """One figure that a sheet may give."""
+    """One possible figure of a sheet."""
 
     key: str
     """Also the option, with hyphens: ``--resistance-line-ohm``."""
     group: str
-    """Figures of one group stand for each other."""
+    """Figures of one group replace each other."""
     text: str
     units: Mapping[str, float] = {}
     """Units that a number may come with -> that unit in the figure's own."""
 
     def number(self, entered: str) -> float:
-        """What was entered, ``16.74 oz-in`` or a bare number, in the figure's own unit. Raises ValueError."""
+        """Convert an entry, ``16.74 oz-in`` or a bare number, to the figure's own unit. Raises ValueError."""
         parts = re.fullmatch(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)(.*)", entered)
         unit = re.sub(r"[\s*^·-]|/A\w*$", "", parts[2]).lower() if parts else ""
         if parts is None or (unit and unit not in self.units):
@@ -35,7 +35,7 @@ class SheetFigure(NamedTuple):
 
 
 class SheetGroup(NamedTuple):
-    """What has to be known, in one way or another."""
+    """A required quantity, given in one way or another."""
 
     question: str
     needed: bool = True
@@ -91,20 +91,20 @@ FIGURES = (
     SheetFigure("tau_mechanical_ms", "mechanical", "ms"),
 )
 SEVERAL = ("flux", "peak")
-"""Groups of which a sheet may give several figures, that are held against each other."""
+"""Groups for which a sheet may give several figures, which are compared."""
 
 
 def option(key: str) -> str:
-    """The option of a figure."""
+    """Return the option of a figure."""
     return "--" + key.replace("_", "-")
 
 
 def missing(values: Mapping[str, float]) -> list[str]:
-    """Groups of which nothing was given, though something is needed."""
+    """Return required groups without any figure."""
     given = {figure.group for figure in FIGURES if figure.key in values}
     return [name for name, group in GROUPS.items() if group.needed and name not in given]
 
 
 def ways(group: str) -> list[SheetFigure]:
-    """The figures of a group."""
+    """Return the figures of a group."""
     return [figure for figure in FIGURES if figure.group == group]

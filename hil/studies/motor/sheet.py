@@ -1,4 +1,4 @@
-"""A motor file out of a data sheet's figures."""
+"""Makes a motor file from a data sheet's figures."""
 
 import math
 from collections.abc import Mapping
@@ -20,18 +20,18 @@ WINDING_C = 20.0
 
 
 class Sheet(NamedTuple):
-    """What was entered. ``values``: figures by ``SheetFigure.key``."""
+    """The entries. ``values``: figures by ``SheetFigure.key``."""
 
     name: str
     values: Mapping[str, float]
     delta: bool = False
     resistance_at_c: float = WINDING_C
     winding_c: float | None = None
-    """degrees C at which the motor shall be simulated; as on the sheet if None."""
+    """degrees C to simulate the motor at; None: as on the sheet."""
 
 
 def data_sheet(sheet: Sheet) -> DataSheet:
-    """The sheet in one convention. Raises BadInputs: what is missing, not positive or given twice."""
+    """Return the sheet in one convention. Raises BadInputs: missing, not positive or given twice."""
     values = sheet.values
     errors = list(_errors(values))
     if errors:
@@ -72,7 +72,7 @@ def data_sheet(sheet: Sheet) -> DataSheet:
 
 
 def motor_text(sheet: Sheet) -> str:
-    """The motor file. Raises BadInput or BadInputs, and InconsistentSheet."""
+    """Return the motor file. Raises BadInput or BadInputs, and InconsistentSheet."""
     contradictions = list(data_sheet(sheet._replace(winding_c=None)).contradictions())
     if contradictions:
         raise InconsistentSheet(contradictions)

@@ -45,7 +45,7 @@ def draw_table(table: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> 
 
 
 def draw_motor(figures: Mapping[str, Any], path: Path) -> None:
-    """Table 2 for a motor of one's own."""
+    """Draw Table 2 for a user's motor."""
     with picture(path) as axis:
         _plot_delays(axis, [row for row in figures["rows"] if "impossible" not in row], figures["speed_rpm"])
         axis.set_title(f"{figures['motor']}: load step of {figures['load_nm']:.4g} N m")

@@ -1,4 +1,4 @@
-"""[Ling2012] as ``hil reproduce ling2012`` gives it: Table 2, the printed design, and Cases 1 to 3.
+"""[Ling2012] for ``hil reproduce ling2012``: Table 2, the printed design, and Cases 1 to 3.
 
 The cases run on the simulated bench, with real sampling, delay and loss through the bus. A sample takes 4 ms
 to the host; five of every six set-points are lost on the way to the drive. As the feedback is static, a lost
@@ -63,11 +63,11 @@ VARIANTS = (
     ("case3", "arrival"),
     ("case3", "history"),
 )
-"""Case, and what is done with samples, or which PI: each a bench of examples/ling2012_cases."""
+"""Case, and use of samples, or the PI: each a bench of examples/ling2012_cases."""
 LOAD_AT_S = 3.0
-"""Of Case 3, when the start is over; 0.5 s in the paper, where it is not (Case 1)."""
+"""Instant of Case 3's load, after the start; 0.5 s in the paper, where the start is not over (Case 1)."""
 _END_S = 0.2
-"""So long, at its end, a run must stay within 5 % to count as settled."""
+"""At its end a run must stay within 5 % for this time to count as settled."""
 _PROCESSES = 2
 
 
@@ -83,7 +83,7 @@ class PaperRun:
 
 
 def reproduce(runs: Path, tell: Callable[[str], None]) -> tuple[dict[str, Any], list[PaperRun]]:
-    """The figures, and the recorded runs, which go into folders below ``runs``."""
+    """Return the figures, and the recorded runs, which go into folders below ``runs``."""
     tell("Table 2: 11 rows by 4 methods in 2 conventions of units")
     figures: dict[str, Any] = {"table2": table2(), "published_design": published_design()}
     tell("the three strategies: certificates for every sequence")
@@ -96,7 +96,7 @@ def reproduce(runs: Path, tell: Callable[[str], None]) -> tuple[dict[str, Any], 
 
 
 def for_motor(motor: PmsmParameters) -> dict[str, Any]:
-    """Table 2 for another motor: the largest delay for each error of the paper, at its own rating."""
+    """Return Table 2 for another motor: the largest delay for each error of the paper, at its own rating."""
     errors = [error for error, _ in TABLE_2]
     with _pool() as pool:
         rows = list(pool.map(motor_row, [motor] * len(errors), errors))
@@ -110,7 +110,7 @@ def for_motor(motor: PmsmParameters) -> dict[str, Any]:
 
 
 def table2() -> dict[str, list[dict[str, Any]]]:
-    """Every row in both conventions, on two processes."""
+    """Return every row in both conventions, on two processes."""
     asked = [(error, delay_s, units) for units in (Units.PUBLISHED, Units.SI) for error, delay_s in TABLE_2]
     with _pool() as pool:
         rows = list(pool.map(table2_row, *zip(*asked, strict=True)))
@@ -123,7 +123,7 @@ def _pool() -> ProcessPoolExecutor:
 
 
 def strategies() -> dict[str, dict[str, Any]]:
-    """The printed gain in the sampled loop of Case 3, by what is done with a sample."""
+    """Return the figures of the printed gain in the sampled loop of Case 3, by strategy."""
     request = LoopRequest(MOTOR, PUBLISHED_GAIN, DELAY_S, None, LOAD_NM, SPEED_RAD_S)
     agreed_s = {Strategy.ARRIVAL: 0.0, Strategy.STAMP: DELAY_S, Strategy.HISTORY: DELAY_S}
     return {
@@ -135,12 +135,12 @@ def strategies() -> dict[str, dict[str, Any]]:
 
 
 def bench_of(case: str, name: str) -> Path:
-    """The bench file of a variant."""
+    """Return the bench file of a variant."""
     return examples_folder() / "ling2012_cases" / f"{case}-{name.replace('_', '-')}.toml"
 
 
 def _run(case: str, name: str, folder: Path, tell: Callable[[str], None]) -> PaperRun:
-    """Recorded in a folder of its own below ``folder``."""
+    """Run a variant, recorded in its own folder below ``folder``."""
     config = load_bench(bench_of(case, name))
     tell(f"{case}, {name}: on the simulated bench")
     record = folder / config.bench.name
@@ -184,7 +184,7 @@ def _figures(
 
 
 def _settling(time_s: NDArray[np.float64], share: NDArray[np.float64], name: str) -> dict[str, float | None]:
-    """When |share| stays within each band from then on; None if it is outside at the end."""
+    """Return when |share| finally stays within each band; None if it is outside at the end."""
     times_s: dict[str, float | None] = {}
     for band in BANDS:
         outside = np.flatnonzero(np.abs(share) > band)

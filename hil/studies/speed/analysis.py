@@ -1,4 +1,5 @@
-"""What ``hil analyse speed`` answers: figures of a speed loop with delay, exact, certified and by chance."""
+"""The analysis behind ``hil analyse speed``: figures of a speed loop with delay, exact, certified and by
+chance."""
 
 import math
 from collections.abc import Mapping
@@ -40,21 +41,22 @@ class LoopRequest:
     """Two gains, or three with the integral of the speed error."""
     delay_s: float
     order: int | None
-    """Of the certificate; None: the lowest that comes close to the exact gain."""
+    """Order of the certificate; None: the lowest that comes close to the exact gain."""
     load_nm: float
     speed_rad_s: float
     """Load and speed for the figures in percent."""
     current_bandwidth_hz: float | None = None
-    """Of the drive's current loop; None: the winding's own, R/L, as in [Ling2012]."""
+    """Bandwidth of the drive's current loop; None: the winding's own, R/L, as in [Ling2012]."""
 
     @property
     def model(self) -> SpeedModel:
-        """Of the plant."""
+        """Model of the plant."""
         return speed_model(self.motor, len(self.K) == 3, self.current_bandwidth_hz)
 
 
 def continuous_figures(request: LoopRequest) -> dict[str, Any]:
-    """The loop with the constant delay, [Ling2012] (2.15). No value is infinite; None stands for that."""
+    """Return figures of the loop with the constant delay, [Ling2012] (2.15). None replaces infinite
+    values."""
     model = request.model
     loop = model.loop(request.K, request.delay_s)
     exact = hinf_peak(loop)
@@ -89,7 +91,8 @@ def continuous_figures(request: LoopRequest) -> dict[str, Any]:
 
 
 def figures_as_printed(request: LoopRequest) -> dict[str, Any]:
-    """[Ling2012] Theorems 3.1 and 3.3 with every matrix of theirs, in cvxpy; order 0 is the same, faster."""
+    """Return [Ling2012] Theorems 3.1 and 3.3 with all their matrices, in cvxpy; order 0 is the same,
+    faster."""
     model = request.model
     loop = model.loop(request.K, request.delay_s)
     stable = theorem_3_1(loop, model.state_scale)
@@ -127,7 +130,7 @@ def _certified(
 def _certified_delay(
     model: SpeedModel, loop: DelayLoop, order: int | None, exact_s: float
 ) -> tuple[float, int]:
-    """The largest delay that is certified stable, and by which order."""
+    """Return the largest delay certified stable, and the order."""
     if order is not None:
         return certified_delay_s(model, loop, order), order
     best_s, best_order = 0.0, 0
@@ -156,7 +159,7 @@ def _percent(
 
 
 def sampled_figures(request: LoopRequest, network: SampledNetwork) -> dict[str, Any]:
-    """The loop that really runs, over ``network``."""
+    """Return figures of the loop as it runs, over ``network``."""
     analysis = with_peak(analyse_sampled(request.model, request.K, network))
     return {
         **network_figures(network),
@@ -170,7 +173,7 @@ def sampled_figures(request: LoopRequest, network: SampledNetwork) -> dict[str, 
 
 
 def network_figures(network: SampledNetwork) -> dict[str, Any]:
-    """What a loop runs over."""
+    """Return the figures of a loop's network."""
     return {
         "strategy": network.strategy.value,
         "period_s": network.period_s,
@@ -181,9 +184,9 @@ def network_figures(network: SampledNetwork) -> dict[str, Any]:
 
 
 def sequence_figures(analysis: SampledAnalysis, percent: float) -> dict[str, Any]:
-    """What holds under every sequence beside what was found under one.
+    """Return the guarantees under every sequence, with the worst case found.
 
-    ``percent``: of the speed, for a gain of 1 rad/s per N m.
+    ``percent``: share of the speed, for a gain of 1 rad/s per N m.
     """
     gain, proofs = analysis.gain_certified, [analysis.gain_proof, analysis.decay_proof]
     margins = [proof.min_margin for proof in proofs if proof is not None]
@@ -209,7 +212,7 @@ def sequence_figures(analysis: SampledAnalysis, percent: float) -> dict[str, Any
 
 
 def _bounds(certified: float | None, found: float) -> dict[str, float | None]:
-    """A figure from both sides, and the gap in percent of the one that was found."""
+    """Return a figure from both sides, and the gap in percent of the one found."""
     gap = None
     if certified is not None and math.isfinite(found):
         gap = 100.0 * abs(certified - found) / abs(found)
@@ -224,7 +227,8 @@ def _pattern(network: SampledNetwork, pattern: Pattern) -> list[dict[str, Any]]:
 
 
 def chance_figures(request: LoopRequest, network: SampledNetwork, chance: Chance) -> dict[str, Any]:
-    """Many random runs of the sampled loop under a step of the load; limits are those of 95 % confidence."""
+    """Return figures of many random runs of the sampled loop under a step of the load; limits at 95 %
+    confidence."""
     peaks_rad_s = run_many(request.motor, request.K, network, chance, request.current_bandwidth_hz)
     share = 100.0 / request.speed_rad_s
     quantiles = {f"p{100 * q:g}": quantile(peaks_rad_s, q) for q in (0.5, 0.9, 0.99)}

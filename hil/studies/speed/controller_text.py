@@ -1,4 +1,4 @@
-"""The file of a speed controller: its gain, what it was made for, and what is proved of it."""
+"""The file of a speed controller: its gain, its design conditions, and its proofs."""
 
 import math
 from typing import Any
@@ -26,22 +26,22 @@ from servobench.hil.studies.speed.synthesis import DesignResult
 
 
 def whole_us(time_s: float) -> int:
-    """Up to the next whole microsecond; what is one up to rounding stays."""
+    """Round up to the next whole microsecond, except for rounding errors."""
     return math.ceil(time_s * US_PER_S - 1e-6)
 
 
 def begun_us(time_s: float) -> int:
-    """Down to a whole microsecond; what is one up to rounding stays."""
+    """Round down to a whole microsecond, except for rounding errors."""
     return math.floor(time_s * US_PER_S + 1e-6)
 
 
 def plant_of(motor: PmsmParameters) -> DesignPlant:
-    """What a design depends on."""
+    """Return the plant data of a design."""
     return DesignPlant.model_validate(motor, from_attributes=True)
 
 
 def controller_of(result: DesignResult) -> StateFeedbackController:
-    """The table [controller] of a design."""
+    """Return the table [controller] of a design."""
     return StateFeedbackController(
         kind="state_feedback",
         gain=tuple(result.design.K.tolist()),
@@ -59,7 +59,7 @@ def controller_of(result: DesignResult) -> StateFeedbackController:
 
 
 def _constant(result: DesignResult) -> dict[str, object]:
-    """What is certified of the loop with the constant delay."""
+    """Return the certificate of the loop with the constant delay."""
     if result.certified is None:
         return {"solver": SOLVER, "status": "see sequences"}
     covered = result.bandwidths if result.sampled is None else None
@@ -67,7 +67,7 @@ def _constant(result: DesignResult) -> dict[str, object]:
 
 
 def controller_text(controller: Section) -> str:
-    """The file that a bench names as ``controller``."""
+    """Return the file that a bench names as ``controller``."""
     return toml_text({"controller": controller.model_dump(mode="json", exclude_none=True)})
 
 
@@ -95,7 +95,8 @@ def _network(network: SampledNetwork) -> dict[str, Any]:
 def sequence_proof(
     sampled: SampledAnalysis | None, bandwidths: BandwidthRange | None = None
 ) -> SequenceProof | None:
-    """What is certified over every sequence, and of all ``bandwidths``; None: not both gain and decay."""
+    """Return the certificate over every sequence, and for all ``bandwidths``; None: not both gain and
+    decay."""
     if sampled is None or sampled.gain_proof is None or sampled.decay_proof is None:
         return None
     gain, decay = sampled.gain_proof, sampled.decay_proof

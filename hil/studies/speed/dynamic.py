@@ -1,4 +1,4 @@
-"""``hil design speed --structure predictor`` and ``hinf``: controllers with states of their own."""
+"""``hil design speed --structure predictor`` and ``hinf``: controllers with their own states."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -37,13 +37,14 @@ from servobench.hil.studies.speed.controller_text import begun_us, plant_of, seq
 
 ENCODER_COUNTS = 65_536
 SPEED_FILTER_HZ = 500.0
-"""Both of the simulated drive, for drives of which nothing is said."""
+"""Both belong to the simulated drive, the default for unknown drives."""
 DEAD_TIME_US = 100.0
-"""Of the simulated drive: one and a half ticks of 62.5 us from a command to its voltage."""
+"""Dead time of the simulated drive: one and a half ticks of 62.5 us from a command to its voltage."""
 _INNER_RATE_HZ = 16_000.0
 """At which a drive takes the difference of its encoder's counts."""
 _TORQUE_NOISE = 0.005
-"""Of the rated torque: what a drive's torque differs from its demand within a period, ripple and offsets."""
+"""Share of the rated torque: difference between a drive's torque and its demand within a period, ripple and
+offsets."""
 _COVERS = "samples lost, at the delay and with the plant of the design, every command arriving"
 
 
@@ -59,7 +60,7 @@ def request_of(
     speed_filter_hz: float = SPEED_FILTER_HZ,
     dead_time_us: float = DEAD_TIME_US,
 ) -> PredictorRequest:
-    """What a design goes by, the noise of the encoder and of the torque worked out."""
+    """Return the request of a design, with the noise of the encoder and of the torque worked out."""
     noise_rad_s = encoder_noise_rad_s(encoder_counts, speed_filter_hz, _INNER_RATE_HZ)
     return PredictorRequest(
         motor,
@@ -76,12 +77,12 @@ def request_of(
 
 
 def certified_of(attempts: Sequence[SampledAnalysis]) -> SampledAnalysis | None:
-    """That of most losses in a row; ``attempts``: of ever fewer, up to the first that is certified."""
+    """Return the one with most consecutive losses; ``attempts``: of ever fewer, up to the first certified."""
     return attempts[-1] if attempts and attempts[-1].certified else None
 
 
 def loss_figures(attempts: Sequence[SampledAnalysis]) -> dict[str, Any]:
-    """For JSON."""
+    """Return figures for JSON."""
     certified = certified_of(attempts)
     missed = {
         f"{each.network.losses_max}_in_a_row": each.without_certificate
@@ -101,7 +102,7 @@ def loss_figures(attempts: Sequence[SampledAnalysis]) -> dict[str, Any]:
 
 
 def loss_certificate(attempts: Sequence[SampledAnalysis]) -> LossCertificate | None:
-    """The table of a controller file."""
+    """Return the table of a controller file."""
     certified = certified_of(attempts)
     sequences = None if certified is None else sequence_proof(certified)
     if certified is None or sequences is None:
@@ -113,39 +114,39 @@ def loss_certificate(attempts: Sequence[SampledAnalysis]) -> LossCertificate | N
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DynamicResult(ABC):
-    """A controller and what is known of it; a structure is a subclass, which has its design."""
+    """A controller and its figures; each structure is a subclass, with its design."""
 
     structure: ClassVar[str]
     proved: ClassVar[dict[str, str]]
-    """In words: what ``gamma`` and other figures of its own are worth."""
+    """Meaning of ``gamma`` and other own figures, in words."""
 
     design: PredictorDesign | HinfDesign
     loop: LoopRobustness
     losses_max: int
     """Samples lost in a row."""
     measured: bool = False
-    """Whether somebody measured the network: then a run is held against it."""
+    """True if the network was measured: a run is then compared with it."""
     losses: Sequence[SampledAnalysis] = field(default=(), kw_only=True)
-    """With ever fewer in a row, up to the most that are certified; empty: not looked at."""
+    """Analyses with ever fewer consecutive losses, up to the most that are certified; empty: not done."""
 
     @abstractmethod
     def own_figures(self) -> dict[str, Any]:
-        """For JSON: of the controller alone."""
+        """Return the controller's own figures for JSON."""
 
     @abstractmethod
     def own_robustness(self) -> dict[str, Any]:
-        """For JSON: beside what every structure tells."""
+        """Return figures for JSON, in addition to those of every structure."""
 
     @abstractmethod
     def analysed(self, losses_max: int) -> SampledAnalysis:
-        """Over every sequence with at most so many samples lost in a row. Raises NoSolution."""
+        """Analyse every sequence with at most so many samples lost in a row. Raises NoSolution."""
 
     @abstractmethod
     def controller(self) -> Section:
-        """The table [controller]."""
+        """Return the table [controller]."""
 
     def certified(self) -> Self:
-        """The same with what is certified over lost samples. Raises NoSolution."""
+        """Add the certificate over lost samples. Raises NoSolution."""
         return replace(self, losses=with_losses(self.analysed, self.losses_max))
 
     @property
@@ -176,7 +177,7 @@ class DynamicResult(ABC):
         }
 
     def told(self, norm: float | None = None) -> dict[str, Any]:
-        """What the table [controller] of every structure says of how it was made and what it is worth."""
+        """Return the part of the table [controller] about design and quality, common to every structure."""
         request, loop = self.design.request, self.loop
         peaks = {
             name: short(peak)
@@ -199,7 +200,7 @@ class DynamicResult(ABC):
         }
 
     def _made_for(self) -> MadeFor:
-        """With a certificate, for as many losses in a row as that covers."""
+        """Return made_for; with a certificate, for as many consecutive losses as that covers."""
         request, (least, most) = self.design.request, self.loop.bandwidths
         hz = request.current_bandwidth_hz
         certified = certified_of(self.losses)
@@ -253,7 +254,7 @@ class HinfResult(DynamicResult):
         return hinf_losses(self.design, losses_max)
 
     def controller(self) -> HinfSection:
-        """The matrices keep all their digits: they integrate exactly."""
+        """Return the controller; the matrices keep all their digits, as they integrate exactly."""
         request, c = self.design.request, self.design.controller
         lags_s = 1.0 / request.current_rate_rad_s + 1.0 / request.plant.filter_rate_rad_s
         return HinfSection(
@@ -270,7 +271,7 @@ class HinfResult(DynamicResult):
 
 
 def design_speed_hinf(request: PredictorRequest, losses_max: int, measured: bool = False) -> HinfResult:
-    """The design. Raises InfeasibleDesign."""
+    """Design it. Raises InfeasibleDesign."""
     design = design_hinf(request)
     return HinfResult(design, hinf_robustness(design), losses_max, measured)
 
@@ -316,7 +317,7 @@ class PredictorResult(DynamicResult):
 def design_speed_predictor(
     request: PredictorRequest, losses_max: int, measured: bool = False
 ) -> PredictorResult:
-    """The design, with the digits of its file: what is proved of it is proved of the controller that runs.
+    """Design it with the digits of its file: the proofs hold for the controller that runs.
 
     Raises InfeasibleDesign.
     """

@@ -1,4 +1,4 @@
-"""``hil design pid``: what :mod:`servobench.design.speed.speed_pid` goes by, its figures and its file."""
+"""``hil design pid``: inputs of :mod:`servobench.design.speed.speed_pid`, its figures and its file."""
 
 import math
 from dataclasses import asdict
@@ -17,7 +17,8 @@ from servobench.hil.studies.numbers import finite, short
 def current_loop_of(
     motor: PmsmParameters, controller: CurrentController | None, bandwidth_hz: float
 ) -> tuple[StateSpace, float]:
-    """The closed loop of i_q and its crossover, rad/s; without a ``controller`` that of PI current loops."""
+    """Return the closed loop of i_q and its crossover, rad/s; without a ``controller`` that of PI current
+    loops."""
     if controller is not None:
         return closed_loop(motor, controller)
     bandwidth = math.tau * bandwidth_hz
@@ -25,14 +26,15 @@ def current_loop_of(
 
 
 def pid_figures(pid: SpeedPid) -> dict[str, Any]:
-    """What ``--json`` prints."""
+    """Return the figures for ``--json``."""
     figures = asdict(pid)
     figures |= figures.pop("margins")
     return {key: finite(value) for key, value in figures.items()}
 
 
 def controller_of(motor: PmsmParameters, order: int, crossover_rad_s: float, pid: SpeedPid) -> PidController:
-    """The table [controller]; the friction is fed forward. ``order``, crossover: of the current loop."""
+    """Return the table [controller]; the friction is fed forward. ``order``, crossover: of the current
+    loop."""
     return PidController(
         kind="pid",
         proportional_nm_s_rad=short(pid.proportional_nm_s_rad),

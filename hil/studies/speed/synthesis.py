@@ -1,4 +1,5 @@
-"""What ``hil design speed`` answers: the best speed feedback for a delay, a network, or a wanted gain."""
+"""The design behind ``hil design speed``: the best speed feedback for a delay, a network, or a required
+gain."""
 
 import math
 from collections.abc import Callable
@@ -36,16 +37,16 @@ from servobench.hil.studies.speed.analysis import network_figures, sequence_figu
 _CCL_BISECTIONS = 12
 """The first is at the upper end; eleven halvings leave 1/4096 of the least certified gain."""
 _CCL_SPAN = 1.5
-"""Over the least certified gain: where the bisection for Algorithm 4.2 begins."""
+"""Multiple of the least certified gain at which the bisection for Algorithm 4.2 begins."""
 _NO_DELAY_S = 1e-6
-"""As good as none for a loop that is sampled; without any the least gain is not attained."""
+"""Practically none for a sampled loop; without any the least gain is not attained."""
 _KEPT = 1.0 + 1e-6
 """Share of the wanted gain that still counts as keeping it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How a feedback is found."""
+    """Method of finding a feedback."""
 
     method: str
     """exact, lmi or ccl."""
@@ -54,12 +55,12 @@ class Way:
     integral_time_s: float | None
     """K2/K3; None: in proportion to the delay."""
     for_sampled: bool
-    """Whether the loop over the network itself is made best, and not the one with the constant delay."""
+    """True: the loop over the network itself is optimised, not the one with the constant delay."""
 
 
 @dataclass(frozen=True, slots=True)
 class DesignRequest:
-    """What is known, and what is wanted; ``gamma`` or the delay may be open, not both."""
+    """Given and wanted values; ``gamma`` or the delay may be open, not both."""
 
     motor: PmsmParameters
     gamma: float | None
@@ -73,28 +74,28 @@ class DesignRequest:
     speed_rad_s: float
     """For figures in percent."""
     current_bandwidth_hz: float | None
-    """Of the drive's current loop; None: the winding's own, R/L, as in [Ling2012]."""
+    """Bandwidth of the drive's current loop; None: the winding's own, R/L, as in [Ling2012]."""
 
     def percent(self, gain: float) -> float:
-        """Of the speed, that a gain in rad/s per N m makes of the load."""
+        """Return the share of the speed, %, for a gain in rad/s per N m under the load."""
         return percent_of_speed(gain, self.load_nm, self.speed_rad_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DesignResult:
-    """A feedback and what is proved of it."""
+    """A feedback and its proofs."""
 
     request: DesignRequest
     design: SpeedDesign
-    """With the gain that the method vouches for at the delay; of the sampled loop, if that was made best."""
+    """With the gain that the method guarantees at the delay; of the sampled loop, if that was optimised."""
     gamma_exact: float
-    """Of the loop with the constant delay; inf: unstable, though the sampled loop may not be."""
+    """Gain of the loop with the constant delay; inf: unstable, though the sampled loop may not be."""
     certified: CertifiedGain | None
-    """Of the loop with the constant delay; None if the sampled loop was made best."""
+    """Certificate of the loop with the constant delay; None if the sampled loop was optimised."""
     sampled: SampledAnalysis | None
     bandwidths: BandwidthRange | None = None
-    """Of the current loop, for which the certificates hold: those of the sampled loop, if there is one; None:
-    not looked at."""
+    """Bandwidths of the current loop covered by the certificates: those of the sampled loop, if there is one;
+    None: not computed."""
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -127,7 +128,7 @@ class DesignResult:
         return figures
 
     def certificate(self) -> dict[str, Any]:
-        """Of the loop with the constant delay, for JSON and file."""
+        """Return the certificate of the loop with the constant delay, for JSON and file."""
         if self.certified is None:
             assert self.sampled is not None
             return {"solver": SOLVER, "status": "see sampled"}
@@ -141,7 +142,7 @@ class DesignResult:
 
 
 def _robustness(result: DesignResult) -> dict[str, Any]:
-    """For JSON."""
+    """Return the robustness for JSON."""
     request, design, sampled = result.request, result.design, result.sampled
 
     def plant(motor: PmsmParameters, share: float) -> SpeedModel:
@@ -166,7 +167,7 @@ def _robustness(result: DesignResult) -> dict[str, Any]:
 
 
 def with_bandwidths(result: DesignResult) -> DesignResult:
-    """The same with the range of current bandwidths that its certificates cover."""
+    """Add the range of current bandwidths that its certificates cover."""
     request, design, sampled = result.request, result.design, result.sampled
     bandwidth_hz = request.current_bandwidth_hz
     if bandwidth_hz is None:
@@ -191,16 +192,16 @@ def with_bandwidths(result: DesignResult) -> DesignResult:
 
 @dataclass(eq=False)
 class Unreachable(DesignError):
-    """The wanted gain is beyond reach at the delay of the best; what would bring it within reach."""
+    """The required gain is beyond the best one's reach at the delay; with the changes that would help."""
 
     request: DesignRequest
     best: SpeedDesign
     delay_needed_s: float | None
-    """At which the wanted gain could just be kept; None if at none that was found."""
+    """Delay at which the required gain could just be kept; None if none was found."""
 
     @property
     def figures(self) -> dict[str, Any]:
-        """For JSON: what was asked, the best there is, and each single change that would do."""
+        """Return for JSON: the demand, the best possible, and each single change that would suffice."""
         request, best = self.request, self.best
         gamma = request.gamma or math.nan
         return {
@@ -259,7 +260,7 @@ def _amount(figures: dict[str, Any]) -> str:
 
 
 def design_speed(request: DesignRequest, tell: Callable[[str], None] = lambda _: None) -> DesignResult:
-    """The design; ``tell`` is given a line before each step that may take long.
+    """Design the feedback; ``tell`` is called with a line before each step that may take long.
 
     Raises Unreachable, or NoSolution if the method ends without an answer.
     """
@@ -304,14 +305,14 @@ def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
 
 
 def _certified(sampled: SampledAnalysis) -> float:
-    """The gain of the loop that runs, under every sequence. Raises NoSolution."""
+    """Return the gain of the loop as it runs, under every sequence. Raises NoSolution."""
     if sampled.gain_certified is None:
         raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
     return sampled.gain_certified
 
 
 def _demand_sampled(request: DesignRequest, design: SpeedDesign) -> None:
-    """The loop that runs must keep the gain too, under every sequence. Raises Unreachable."""
+    """Require the loop as it runs to keep the gain too, under every sequence. Raises Unreachable."""
     if request.gamma is not None and design.gain > request.gamma * _KEPT:
         raise Unreachable(request, design, None)
 
@@ -332,7 +333,7 @@ def _least(model: SpeedModel, request: DesignRequest, delay_s: float) -> SpeedDe
 
 
 def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> SpeedDesign:
-    """Algorithm 4.2 asked for the delay: bisection over gamma, which lies above the least ``certified``."""
+    """Apply Algorithm 4.2 to the delay: bisection over gamma, which lies above the least ``certified``."""
     low, high = certified, certified * _CCL_SPAN
     best: SpeedDesign | None = None
     for _ in range(_CCL_BISECTIONS):
