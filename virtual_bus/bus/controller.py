@@ -12,12 +12,12 @@ PASSIVE_FROM = 128
 BUS_OFF_FROM = 256
 """The transmit error counter at this value takes it off the bus (rule 11)."""
 PASSIVE_RECEIVER_AFTER_SUCCESS = 119
-"""What a good frame leaves of a receive error counter above 127: rule 8 allows 119 to 127."""
+"""Value of a receive error counter above 127 after a good frame: rule 8 allows 119 to 127."""
 RECOVERY_SEQUENCES = 128
 """How often 11 consecutive recessive bits must have been seen to come back (rule 12)."""
 RECOVERY_SEQUENCE_BITS = 11
 SUSPEND_BITS = 8
-"""What an error passive transmitter adds to the intermission (Bosch CAN 2.0, part B, 3.2.5)."""
+"""Addition of an error passive transmitter to the intermission (Bosch CAN 2.0, part B, 3.2.5)."""
 
 
 class ErrorState(Enum):
@@ -49,7 +49,7 @@ RECEIVE_ERRORS_MAX = 255
 
 
 class CanController:
-    """What the fault confinement of ISO 11898-1 knows about one node."""
+    """Fault confinement of one node (ISO 11898-1)."""
 
     def __init__(self, bitrate_bit_s: int) -> None:
         self.bitrate_bit_s = bitrate_bit_s
@@ -72,16 +72,16 @@ class CanController:
 
     @property
     def on_bus(self) -> bool:
-        """Whether it takes part at all."""
+        """True if it takes part in the bus at all."""
         return self.plugged and self.state is not ErrorState.BUS_OFF
 
     @property
     def can_send(self) -> bool:
-        """Whether it may compete for the bus."""
+        """True if it may compete for the bus."""
         return self.on_bus and not self.listen_only
 
     def hears(self, bitrate_bit_s: int) -> bool:
-        """Whether it understands a frame at that rate."""
+        """Return True if it understands a frame at that rate."""
         return self.on_bus and self.bitrate_bit_s == bitrate_bit_s
 
     def sent_well(self) -> None:

@@ -1,4 +1,4 @@
-"""What goes wrong on the wire, and what a bystander sees of it."""
+"""Disturbances on the wire, as a bystander sees them."""
 
 from collections.abc import Callable
 from enum import Enum
@@ -22,7 +22,7 @@ Disturb = Callable[[str, Frame, Instant], Disturbance | None]
 
 
 class ErrorKind(Enum):
-    """What was detected first (Bosch CAN 2.0, part B, 7.1)."""
+    """The error detected first (Bosch CAN 2.0, part B, 7.1)."""
 
     BIT = "bit error"
     STUFF = "stuff error"

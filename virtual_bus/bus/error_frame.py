@@ -46,9 +46,9 @@ class Node:
         self.listen_only = listen_only
         self.rate = rate
         self.transmit_errors = 0
-        """What the attempt adds to the transmit error counter."""
+        """Increase of the transmit error counter by the attempt."""
         self.receive_errors = 0
-        """What it adds to the receive error counter."""
+        """Increase of the receive error counter."""
         self.accepted = False
         """A receiver that holds the frame to be good: no error up to the last but one bit (5)."""
         self.completed = False
@@ -67,17 +67,17 @@ class Node:
 
     @property
     def in_frame(self) -> bool:
-        """Whether it still follows the frame."""
+        """True while it still follows the frame."""
         return self._phase is _Phase.FRAME
 
     @property
     def done(self) -> bool:
-        """Whether the node waits for the next frame."""
+        """True once the node waits for the next frame."""
         return self._phase is _Phase.DONE
 
     @property
     def busy(self) -> bool:
-        """Whether it still handles an error or an overload."""
+        """True while it handles an error or an overload."""
         return self._phase in (_Phase.FLAG, _Phase.WAIT, _Phase.DELIMITER)
 
     def drive(self, bit: int, image: FrameImage, cut_at: int) -> int:

@@ -21,7 +21,7 @@ _STATES = {ErrorState.ACTIVE: can.BusState.ACTIVE, ErrorState.PASSIVE: can.BusSt
 
 
 def told_bus_off(identifier: int) -> bool | None:
-    """Whether an error frame of that identifier tells that its controller went bus-off, or came back; None if
+    """Return True if an error frame of that identifier reports bus-off, False for a recovery; None if
     neither."""
     if identifier & _BUS_OFF:
         return True

@@ -19,7 +19,7 @@ _TAIL = bytes([RECESSIVE, RECESSIVE, RECESSIVE, *([RECESSIVE] * 7)])
 
 
 class FrameImage(NamedTuple):
-    """What a sender drives from start of frame to end of frame, and where the fields lie."""
+    """The bits driven by a sender from start of frame to end of frame, and the places of the fields."""
 
     levels: bytes
     """One level a bit: 0 dominant, 1 recessive."""

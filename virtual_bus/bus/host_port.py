@@ -23,7 +23,7 @@ class HostPort(FramePort):
         super().__init__()
         self.timeline = segment.timeline
         self.received = HostPlace(segment.timeline)
-        """What waits to be fetched."""
+        """Frames to be fetched."""
         self.held_in = self.received.held_in
         self.held_out = self.received.held_out
         self.port: Port = segment.attach(name, self.received)

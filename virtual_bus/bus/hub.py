@@ -101,7 +101,7 @@ class HubBus(can.BusABC):
 
     @property
     def state(self) -> can.BusState:
-        """As far as it is known from what was received: ERROR is bus-off. See :meth:`status`."""
+        """State known from received packets: ERROR is bus-off. See :meth:`status`."""
         return bus_state(self.frame_port.error_state)
 
     @state.setter

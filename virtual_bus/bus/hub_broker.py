@@ -1,4 +1,4 @@
-"""What a hub does: one segment in real time, with a port for each client.
+"""A hub's process: one segment in real time, with a port for each client.
 
 It runs the same segment as a simulation, on a timeline that follows CLOCK_MONOTONIC: an
 event due is run as soon as the clock has passed it, and stamps are the computed instants,
@@ -61,9 +61,9 @@ _HELLO_PATIENCE_NS: Final = 5 * NS_PER_S
 _RETRY_LEAVING_NS: Final = 100 * NS_PER_MS
 """Somebody holds the lock of the place, who is about to join: a moment."""
 _WAIT_MAX_NS: Final = 60 * NS_PER_S
-"""Of one wait; nothing is due, and a longer one brings nothing."""
+"""Limit of one wait; nothing is due, and a longer one has no use."""
 _PACKETS_PER_TURN: Final = 64
-"""Of one client in a row, so that one that floods does not keep the others from the bus."""
+"""Consecutive packets of one client, so that a flood does not keep the others from the bus."""
 
 
 class Broker:

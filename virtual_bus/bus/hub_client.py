@@ -41,14 +41,14 @@ class Client(Listener):
         """Its end is closed or it was too slow: it gets nothing more, and what it sent is still read."""
         self.hello_deadline: Event | None = None
         self._older: list[bytes] = []
-        """What is no frame of those that :meth:`thin_out` has taken away."""
+        """Packets that are no frames, from those removed by :meth:`thin_out`."""
 
     def __str__(self) -> str:
         return f"client {self.number}"
 
     @property
     def readable(self) -> bool:
-        """Whether there is room for what it sends."""
+        """True if there is room for its packets."""
         return self.port is None or self.port.pending < TRANSMIT_QUEUE_MAX
 
     def on_frame(self, frame: Frame, now: Instant) -> None:  # noqa: ARG002

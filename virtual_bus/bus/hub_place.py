@@ -66,7 +66,7 @@ def try_lock(path: Path) -> int | None:
 
 
 def _is_at(path: Path, descriptor: int) -> bool:
-    """Whether the open file is the one that ``path`` names now."""
+    """Return True if the open file is the one that ``path`` names now."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.stat())
     except FileNotFoundError:
@@ -101,7 +101,7 @@ class HubPlace:
 
     @property
     def serving(self) -> bool:
-        """Whether a broker is there: one that was killed leaves its files, but not the lock that it held."""
+        """True if a broker is running: a killed one leaves its files, but not its lock."""
         if not self.alive.exists():
             return False
         descriptor = try_lock(self.alive)

@@ -28,7 +28,7 @@ from servobench.virtual_bus.bus.hub_protocol import (
 from servobench.virtual_bus.frame import Frame
 
 _WAIT_MAX_S: Final = 3_600.0
-"""Of one ``poll``, whose milliseconds are a C int; the wait goes on after it."""
+"""Limit of one ``poll``, whose milliseconds are a C int; the wait continues after it."""
 _SELECT_MAX: Final = 1024
 """FD_SETSIZE of <sys/select.h>; beyond it poll waits by the millisecond, and asks through the last one."""
 _ANSWER_MAX_S: Final = 5.0
@@ -49,7 +49,7 @@ class HubPort(FramePort):
             self.echoes = EchoBasis.BUS
         self.filters: CanFilters | None = None
         self.error_state = ErrorState.ACTIVE
-        """As told last."""
+        """The last state reported."""
         self._name = name
         self._socket = connection
         self._open = True
@@ -110,7 +110,7 @@ class HubPort(FramePort):
         self._socket.close()
 
     def _wait(self, until: Instant) -> bool:
-        """Whether a packet is there by ``until``."""
+        """Wait; return True if a packet arrives by ``until``."""
         if not self._open:
             self._lost(None)
         remaining_ns = until - self._now()

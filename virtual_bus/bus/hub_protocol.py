@@ -1,4 +1,4 @@
-"""What a hub's broker and its clients say to each other, in packets.
+"""Packets between a hub's broker and its clients.
 
 The client opens with a hello; the broker answers with a welcome, or with a refusal in words and closes.
 From then on a packet of the client is one frame, or a request to its controller; a packet of the broker is
@@ -51,9 +51,9 @@ class Hello(NamedTuple):
     bitrate_bit_s: int
     """The bit rate it counts on; 0: whatever the hub runs at."""
     receive_own: bool
-    """Whether it wants its own frames back at their end of frame."""
+    """True: it wants its own frames back at their end of frame."""
     batches: bool = True
-    """Whether it takes several frames in one packet, its own frames then up to ``ECHO_HELD_NS`` late."""
+    """True: it takes several frames in one packet, its own frames then up to ``ECHO_HELD_NS`` late."""
 
 
 Record = tuple[int, int, int, int, int, bytes]
@@ -141,7 +141,7 @@ def split_batch(packet: bytes) -> Iterator[Record]:
 
 
 def is_own(flags: int) -> bool:
-    """Whether a frame with these flags was sent by the client that gets it."""
+    """Return True if a frame with these flags was sent by the receiving client."""
     return bool(flags & _OWN)
 
 
@@ -164,7 +164,7 @@ _STATES = tuple(ErrorState)
 
 
 class Request(IntEnum):
-    """What is asked; each is answered with a status."""
+    """A request; each is answered with a status."""
 
     STATUS = 0
     GO_BUS_OFF = 1
@@ -184,7 +184,7 @@ class HubStatus(NamedTuple):
     plugged: bool
     listen_only: bool
     load_percent: int
-    """Of the last second, rounded."""
+    """Load in the last second, rounded."""
     frames: int
     """On the bus since the hub was started, modulo 2**32."""
     alone: bool
@@ -215,7 +215,7 @@ ACTIONS: Final[dict[Request, Callable[[Port], None]]] = {
     Request.LISTEN_ONLY: lambda port: port.set_listen_only(True),
     Request.LISTEN_AND_SPEAK: lambda port: port.set_listen_only(False),
 }
-"""What is done at the port of whoever asks, before the answer."""
+"""Action at the requester's port, before the answer."""
 
 
 def encode_status(port: Port, load_percent: float, frames: int, *, asked: bool, alone: bool) -> bytes:

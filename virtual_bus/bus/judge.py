@@ -19,7 +19,7 @@ class Direction(IntEnum):
 
     @property
     def label(self) -> str:
-        """As written in a plan: ``host_to_drive``."""
+        """Name in a plan: ``host_to_drive``."""
         return self.name.lower()
 
 
@@ -34,11 +34,12 @@ class Judge:
         raise NotImplementedError
 
     def replacements(self, frame: Frame) -> Sequence[tuple[Frame, Duration]]:
-        """What goes on in place of ``frame``, which ``hold`` has just lost: copies or damaged ones, each with
-        its delay; empty if it is lost."""
+        """Return the replacements of ``frame``, which ``hold`` has just lost: copies or damaged ones, each
+        with its delay; empty if it is lost."""
         raise NotImplementedError
 
     def goes_on(self, way: int, frame: Frame, now: Instant) -> Sequence[tuple[Frame, Duration]]:
-        """What goes on of ``frame``, which is there at ``now``, each with its delay; empty if it is lost."""
+        """Return the results of ``frame``, which is present at ``now``, each with its delay; empty if it is
+        lost."""
         held = self.hold(way, frame.can_id, now, frame.extended)
         return self.replacements(frame) if held == LOST else [(frame, Duration(held))]

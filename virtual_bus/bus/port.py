@@ -20,7 +20,7 @@ once, 127 segments (CiA 301, 7.2.4.3), and PDOs go on beside it."""
 
 
 class Handling(Protocol):
-    """What a port asks of the error handling of its segment."""
+    """The error handling of a segment, as a port sees it."""
 
     def choose(self) -> None:
         """Let the port begin that can do so first and, among several, wins the arbitration."""

@@ -38,7 +38,7 @@ def undisturbed(frame: Frame, sender: int, controllers: Mapping[int, CanControll
 
 
 def is_plain(sender: int, controllers: Mapping[int, CanController], bitrate: int, acknowledged: bool) -> bool:
-    """Whether an attempt that nothing disturbs succeeds for certain."""
+    """Return True if an undisturbed attempt is certain to succeed."""
     if not controllers[sender].hears(bitrate):
         return False
     for rank, one in controllers.items():
@@ -51,7 +51,7 @@ def is_plain(sender: int, controllers: Mapping[int, CanController], bitrate: int
 
 
 class Conditions(NamedTuple):
-    """What an attempt meets."""
+    """Conditions of an attempt."""
 
     bitrate_bit_s: int
     acknowledged: bool

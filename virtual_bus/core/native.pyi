@@ -1,4 +1,4 @@
-"""What the core, written in C, shows to Python; the sources beside this file say how it is computed."""
+"""The core, written in C, as seen from Python; the sources beside this file document it."""
 
 from collections.abc import Callable, Sequence, Sized
 from typing import Any, Protocol, Self
@@ -7,7 +7,7 @@ from servobench.drivers.timebase import Duration, Instant
 from servobench.drivers.wire.frame_port import WireFrame
 
 SOURCES_DIGEST: str
-"""Of the C that the core was built from (servobench.design.core.build)."""
+"""Digest of the C sources of the core (servobench.design.core.build)."""
 
 def sine_cosine(angle_rad: float, /) -> tuple[float, float]:
     """Sine and cosine, error below 4e-16 for magnitudes up to 1000 rad."""
@@ -77,7 +77,7 @@ class InnerLoops:
 
     # ---- loops: parameters ----
     counts: float
-    """Of the encoder, per turn."""
+    """Counts of the encoder per turn."""
     counts_per_rad: float
     rad_per_count: float
     gain_d: float
@@ -116,7 +116,7 @@ class InnerLoops:
     next_voltage_d_v: float
     next_voltage_q_v: float
     count: float
-    """Of the encoder, without end."""
+    """Count of the encoder, unlimited."""
     speed_measured_rad_s: float
     current_d_measured_a: float
     current_q_measured_a: float
@@ -131,7 +131,7 @@ class InnerLoops:
     """1: the holding brake is closed."""
     @property
     def control(self) -> int:
-        """What the loops followed: ``InnerControl``."""
+        """Control mode of the loops: ``InnerControl``."""
 
     # ---- demand ----
     wanted_control: int
@@ -222,7 +222,7 @@ class Event:
 
     @property
     def pending(self) -> bool:
-        """Whether the event is still to run."""
+        """True while the event has not run."""
 
     def cancel(self) -> None:
         """Take the event back; no effect once it has run."""

@@ -29,7 +29,7 @@ from servobench.virtual_bus.device.object_dictionary import ObjectDictionary
 
 
 class CommunicationLoss(Enum):
-    """What told the device that it is no longer supervised by its master."""
+    """Reason why the device is no longer supervised by its master."""
 
     HEARTBEAT = "heartbeat"
     """A consumer heartbeat time of 1016h ran out."""
@@ -41,7 +41,7 @@ class CommunicationLoss(Enum):
 
 
 class DeviceServices(Protocol):
-    """What the engine offers to its application.
+    """The engine's services to its application.
 
     ``raise_error`` and ``clear_error`` belong into the engine's calls to the application; from elsewhere,
     let the device ``wake`` at the present instant first and again afterwards. So it is with a value that
@@ -77,7 +77,7 @@ class DeviceServices(Protocol):
         ...
 
     def repeat_error(self, code: int, register: ErrorRegister) -> None:
-        """As ``raise_error``, and an EMCY once more if the code is active already."""
+        """Raise an error like ``raise_error``, and send an EMCY again if the code is active already."""
         ...
 
     def clear_error(self, code: int) -> None:

@@ -110,7 +110,7 @@ class CanopenDevice:
 
     @property
     def application(self) -> Application:
-        """What the device does."""
+        """The device's application."""
         return self._application
 
     @property

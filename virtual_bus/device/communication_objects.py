@@ -19,13 +19,13 @@ U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
 UNCOMPRESSED = 0
 """1022h: the EDS as it is (CiA 301, 7.5.2.24)."""
 _VERSION = "1"
-"""Of hardware and software."""
+"""Version of hardware and software."""
 _ERRORS_KEPT = 8
 """Chosen here; CiA 301, 7.5.2.4, leaves 1 to 254 to the device."""
 _HEARTBEAT_CONSUMERS = 4
 """Chosen here; CiA 301, 7.5.2.19, leaves 1 to 127 to the device."""
 _MAPPING_ENTRIES = 8
-"""As many as a PDO of octets holds."""
+"""The most entries of a PDO of octets."""
 RO, RW, CONST = Access.READ_ONLY, Access.READ_WRITE, Access.CONST
 
 

@@ -61,7 +61,7 @@ class DeviceClock:
         self._sync_at = at
 
     def local_ns(self, now: Instant) -> int:
-        """What the clock shows at ``now``, ns, not wrapped."""
+        """Return the clock's time at ``now``, ns, not wrapped."""
         elapsed = now - self._started_at
         return self._offset_ns + elapsed + elapsed * self._drift_ppb // NS_PER_S
 

@@ -1,4 +1,4 @@
-"""What a simulated CANopen device is built from: identity, PDO defaults, communication defaults."""
+"""Options of a simulated CANopen device: identity, PDO defaults, communication defaults."""
 
 from dataclasses import dataclass, field
 from typing import Final, Literal
@@ -58,7 +58,7 @@ class StampOptions:
     """How 1013h tells of the device's clock."""
 
     unit_ns: int = NS_PER_US
-    """Of one count."""
+    """Duration of one count."""
     resolution_ns: int = NS_PER_US
     """By how much the counter advances at a time."""
     bits: int = 32
@@ -88,11 +88,11 @@ class SyncOptions:
     phase_ns: int | None = None
     """So long behind the SYNC as a phase-locked loop filters it; None: there is no such loop."""
     seed: int = 0
-    """Of the jitter; each node has a stream of its own."""
+    """Seed of the jitter; each node has its own stream."""
 
     @property
     def at_once(self) -> bool:
-        """Whether every SYNC is acted on at the end of its frame."""
+        """True if every SYNC acts at the end of its frame."""
         return not self.jitter_ns and self.phase_ns is None
 
 

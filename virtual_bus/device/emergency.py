@@ -67,7 +67,7 @@ class EmergencyProducer:
         self._post(code, information)
 
     def repeat_error(self, code: int, register: ErrorRegister) -> None:
-        """As :meth:`raise_error`; an error that is active already is reported once more."""
+        """Raise an error; report one that is active already again. See :meth:`raise_error`."""
         if (code, 0) in self._active:
             self._history.appendleft(code)
             self._post(code, b"")
@@ -100,7 +100,7 @@ class EmergencyProducer:
         self._free_at = self._station.now
 
     def on_state(self, state: NmtState, now: Instant) -> None:
-        """What waited for a state in which EMCY is allowed can go."""
+        """Send EMCYs that waited for a state in which they are allowed."""
         if state in _MAY_SEND:
             self._send_queued(now)
 

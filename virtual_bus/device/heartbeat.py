@@ -28,7 +28,7 @@ class HeartbeatProducer:
 
     @property
     def running(self) -> bool:
-        """Whether heartbeats are sent, so that node guarding is not served."""
+        """True while heartbeats are sent, so that node guarding is not served."""
         return self._period_ns > 0
 
     def on_state(self, state: NmtState, _now: Instant) -> None:

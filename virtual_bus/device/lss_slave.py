@@ -73,7 +73,7 @@ class LssSlave:
         """Takes effect with the next reset of the communication."""
         self._pending_bit_rate: int | None = None
         self._set_bit_rate: Callable[[int], None] = lambda _bit_rate: None
-        """Of the host's controller, if it has one whose rate can be set."""
+        """Sets the bit rate of the host's controller, if possible."""
         self._switch_delay_ns = 0
         self._timer = station.timers.create(self._on_switch_delay)
         self._selected = 0

@@ -109,22 +109,22 @@ class Variable:
 
     @property
     def writable(self) -> bool:
-        """Whether the bus may write it."""
+        """True if the bus may write it."""
         return self.access in _WRITABLE
 
     @property
     def readable(self) -> bool:
-        """Whether the bus may read it."""
+        """True if the bus may read it."""
         return self.access is not Access.WRITE_ONLY
 
     @property
     def mappable_in_tpdo(self) -> bool:
-        """Whether a TPDO may carry it."""
+        """True if a TPDO may carry it."""
         return self.mappable and self.access in _TPDO and self.bits is not None
 
     @property
     def mappable_in_rpdo(self) -> bool:
-        """Whether an RPDO may carry it."""
+        """True if an RPDO may carry it."""
         return self.mappable and self.access in _RPDO and self.bits is not None
 
     def read(self) -> Any:
@@ -132,7 +132,7 @@ class Variable:
         return self.value if self.provider is None else self.provider()
 
     def in_range(self, value: Any) -> bool:
-        """Whether ``low`` and ``high`` allow ``value``."""
+        """Return True if ``low`` and ``high`` allow ``value``."""
         return (self.high is None or value <= self.high) and (self.low is None or value >= self.low)
 
     def refusal(self, value: Any) -> AbortCode | None:
@@ -144,7 +144,8 @@ class Variable:
         return None if self.check is None else self.check(value)
 
     def show_instead(self, shown: int) -> None:
-        """What the bus reads; what rules in the device stays. A write from the bus ends the difference."""
+        """Show another value to the bus than the one used in the device. A write from the bus ends the
+        difference."""
         held, on_write = self.default, self.on_write
 
         def read() -> int:
@@ -275,7 +276,7 @@ class ObjectDictionary:
         return (self._concealed.get(index) or self._objects[index]).members[subindex]
 
     def known(self, index: int, subindex: int = 0) -> Variable | None:
-        """As :meth:`variable`, or None."""
+        """Return :meth:`variable`, or None."""
         entry = self._concealed.get(index) or self._objects.get(index)
         return None if entry is None else entry.members.get(subindex)
 
@@ -305,7 +306,7 @@ class ObjectDictionary:
         return variable
 
     def upload(self, index: int, subindex: int) -> bytes:
-        """What an SDO upload returns. Error: SdoAbort 06010001h beside those of ``find``."""
+        """Return the value of an SDO upload. Error: SdoAbort 06010001h in addition to those of ``find``."""
         variable = self.find(index, subindex)
         if not variable.readable:
             raise SdoAbort(AbortCode.WRITE_ONLY)

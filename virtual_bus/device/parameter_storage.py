@@ -28,7 +28,7 @@ from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 SAVE = int.from_bytes(b"save", "little")
 LOAD = int.from_bytes(b"load", "little")
 ON_COMMAND = 1
-"""What 1010h and 1011h read: stores on command; restores."""
+"""Value of 1010h and 1011h: stores on command; restores."""
 
 GROUPS = {
     1: range(FIRST_OBJECT, 0x10000),
@@ -60,7 +60,7 @@ class ParameterStore(Protocol):
     """Non-volatile memory."""
 
     def load(self) -> Parameters:
-        """What was saved last; empty if nothing was."""
+        """Return the last saved values; empty if there are none."""
         ...
 
     def save(self, parameters: Parameters) -> None:

@@ -56,7 +56,7 @@ class PdoEngine:
                 rpdo.leave_operational()
 
     def on_sync(self, counter: int) -> None:
-        """What changed before goes out first; then sample, then actuate."""
+        """Send earlier changes first; then sample, then actuate."""
         if self._station.state is not _OPERATIONAL:
             return
         if self.watching:

@@ -1,4 +1,4 @@
-"""What RPDO and TPDO have in common: communication and mapping parameters and the rules of changing them.
+"""Common part of RPDO and TPDO: communication and mapping parameters and the rules of changing them.
 
 CiA 301, 7.5.2.33..7.5.2.38. A PDO is remapped by: COB-ID bit 31 = 1; mapping count = 0; the mapping
 words; mapping count = n; COB-ID bit 31 = 0. Any other order is refused and changes nothing.
@@ -55,7 +55,7 @@ class PdoParameters:
         return self.parameter(1) & cob_ids.CAN_ID
 
     def fields(self) -> list[Field]:
-        """What is mapped now; the words were checked when they were written.
+        """Return the present mapping; its words were checked when written.
 
         A stored mapping of objects that are no longer there maps nothing.
         """

@@ -35,7 +35,7 @@ class ReceivePdo(PdoParameters):
         self._number = number
         self._listening: int | None = None
         self.waiting: bytes | None = None
-        """What a synchronous RPDO brought since the last SYNC."""
+        """Data of a synchronous RPDO since the last SYNC."""
         self._variables: list[Variable] = []
         self._unpack = compile_unpacker([])
         self._length = 0

@@ -106,7 +106,7 @@ BLOCK_SIZE_MAX = 127
 LAST_SEGMENT = 0x80
 ABORT_COMMAND = 0x80
 _START, _RECEIVED, _END = 0xA3, 0xA2, 0xA1
-"""What the client of a block upload says."""
+"""Commands of the client of a block upload."""
 
 
 def block_crc(data: bytes) -> int:

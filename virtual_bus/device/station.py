@@ -1,4 +1,4 @@
-"""What the parts of one CANopen device share: time, NMT state, timers, frames in and out."""
+"""Shared services of the parts of one CANopen device: time, NMT state, timers, frames in and out."""
 
 from collections.abc import Callable
 

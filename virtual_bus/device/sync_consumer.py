@@ -80,7 +80,8 @@ class SyncConsumer:
             station.listen(self._listening, self._on_sync)
 
     def _cob_id(self) -> int:
-        """Of 1005h; a vendor's data sheet may lack the object, and the drive knows 080h all the same."""
+        """Return the COB-ID of 1005h; a vendor's data sheet may lack the object, and the drive uses 080h
+        anyway."""
         try:
             return int(self._station.dictionary.variable(Cia301.SYNC_COB_ID).read())
         except KeyError:

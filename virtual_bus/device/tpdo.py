@@ -51,7 +51,7 @@ class TransmitPdo(PdoParameters):
         """It exists and maps something."""
         self._active = False
         self.follows_sync = False
-        """Whether a SYNC does anything to it; read at each SYNC, so a plain attribute."""
+        """True if a SYNC affects it; read at each SYNC, so a plain attribute."""
         self._event = False
         self._latched = b""
         self._left = 0

@@ -43,7 +43,7 @@ STIFFEST_RAD_S2: Final = 1e9
 
 
 class WindowTimer:
-    """Whether something has been so for long enough: 6068h, 606Eh, 6070h, 6066h."""
+    """Timer of a condition: 6068h, 606Eh, 6070h, 6066h."""
 
     def __init__(self) -> None:
         self._inside_s = 0.0
@@ -62,7 +62,7 @@ class WindowTimer:
 
 
 class SimulatedAxis:
-    """What all modes share."""
+    """State and services shared by all modes."""
 
     def __init__(
         self,
@@ -175,7 +175,7 @@ class SimulatedAxis:
         self.firmware.control(InnerControl.TORQUE)
 
     def rests(self) -> bool:
-        """Whether the shaft has come to rest at the end of a ramp."""
+        """Return True if the shaft has come to rest at the end of a ramp."""
         return self.firmware.rested_for_s() >= REST_S
 
     # ---- ends of the axis -----------------------------------------------------------------------------
@@ -189,9 +189,9 @@ class SimulatedAxis:
         self.guarded = self.machine.has_limits or self._range() is not None
 
     def _bars(self, way: float, free: bool) -> bool:
-        """Whether the axis ends on the way that a speed or torque of that sign goes: at a limit switch, or
-        for a ``free`` motion where it could come to rest inside 607Dh no more. So it stays until the other
-        way is asked for, or rest."""
+        """Return True if the axis is blocked in the direction of a speed or torque of that sign: at a limit
+        switch, or for a ``free`` motion if it could no longer stop inside 607Dh. It stays blocked until the
+        other direction, or rest, is commanded."""
         if way * self._barred_way <= 0.0:
             self._barred_way = 0.0
             if way != 0.0 and (self.machine.blocked(way) or (free and self._leaves_range(way))):
@@ -270,7 +270,7 @@ class SimulatedAxis:
         return math.copysign(rpm * RAD_S_PER_RPM, self.units.rad_s_per_velocity)
 
     def ramp_rad_s2(self, ramp: VelocityRamp) -> float:
-        """Of the velocity mode."""
+        """Return a ramp of the velocity mode."""
         return min(ramp.units_s * abs(self.rad_s_per_vl), STIFFEST_RAD_S2)
 
     def interpolation_ticks(self) -> int:
@@ -323,7 +323,8 @@ class SimulatedAxis:
         return 0 if demand is None else self.units.length_of(demand - self.count)
 
     def watch_following(self) -> bool:
-        """Whether 60F4h has left 6065h for 6066h: the mode's bit 13; the drive is told to fail."""
+        """Return True if 60F4h has exceeded 6065h for 6066h: the mode's bit 13; the drive is then made to
+        fail."""
         window = self.motion.following_window.value
         outside = window != NO_WINDOW and abs(self.following_error) > window
         failed = self._following.held(outside, self.period_s, self.motion.following_ms.value)

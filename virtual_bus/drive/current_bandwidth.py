@@ -8,5 +8,5 @@ margin of 90 - 360 * 1.5 / 20 = 63 degrees."""
 
 
 def current_bandwidth_hz(asked_hz: float | None, inner_rate_hz: int) -> float:
-    """Of the PI current loops, Hz; ``asked_hz`` None: as ``inner_rate_hz`` allows."""
+    """Return the bandwidth of the PI current loops, Hz; ``asked_hz`` None: default for ``inner_rate_hz``."""
     return inner_rate_hz / INNER_RATE_OVER_BANDWIDTH if asked_hz is None else asked_hz

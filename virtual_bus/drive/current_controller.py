@@ -9,7 +9,7 @@ from servobench.design.statespace import StateSpace
 from servobench.virtual_bus.core.native import InnerLoops
 
 CONTROLLER_ORDER_MAX: Final = 8
-"""Of core/inner_loops.h."""
+"""Limit in core/inner_loops.h."""
 
 
 def check_controller(controller: StateSpace | None, inner_rate_hz: int) -> None:

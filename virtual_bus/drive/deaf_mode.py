@@ -14,7 +14,7 @@ _OTHERS: Final = ((0x6042, 0), (0x6071, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0
 """Targets of velocity and torque, and the offsets of all targets: at 0 the shaft is asked for nothing."""
 _ACTUAL_POSITION: Final = 0x6064
 _OWN_BITS: Final = 0x70
-"""Of the controlword, bits 4 to 6: they belong to the mode (CiA 402-2, object 6040h)."""
+"""Bits 4 to 6 of the controlword: they belong to the mode (CiA 402-2, object 6040h)."""
 
 SetPoints = list[tuple[Variable, int]]
 

@@ -23,7 +23,7 @@ FOLLOWING_ERROR: Final = 0x8611
 
 
 class Failures:
-    """What has failed since the last fault reset. 603Fh keeps the first."""
+    """Failures since the last fault reset. 603Fh keeps the first."""
 
     def __init__(self, services: DeviceServices, error_code: Variable) -> None:
         self._services = services
@@ -40,7 +40,7 @@ class Failures:
         self._services.raise_error(code, register)
 
     def repeat(self, code: int, register: ErrorRegister) -> None:
-        """As :meth:`add`, and it is reported again if it was there."""
+        """Add a failure; report it again if it was active. See :meth:`add`."""
         self._codes.add(code)
         self._services.repeat_error(code, register)
 

@@ -1,4 +1,4 @@
-"""What runs inside the simulated drive: field-oriented current control on a fixed grid, and its set-points.
+"""The firmware of the simulated drive: field-oriented current control on a fixed grid, and its set-points.
 
 The inner grid starts at power-on: tick k is at ``k / inner_rate_hz``. At a tick the firmware samples the
 currents and the encoder, computes the next voltage, and the inverter applies it from the next tick on:
@@ -77,7 +77,7 @@ _MOTION_RATE_HZ: Final = 1000
 
 
 class InnerControl(Enum):
-    """What the inner loops follow."""
+    """Quantity followed by the inner loops."""
 
     OFF = 0
     """Inverter off; the holding brake closes once the shaft is slow."""
@@ -101,7 +101,7 @@ class FirmwareParameters:
     brake_torque_nm: float | None = None
     """Holding brake; None: twice the motor's rated torque, 0: no brake."""
     controller_d: StateSpace | None = None
-    """What takes the place of the PI on i_d: from its error, A, to the voltage, V, at the inner rate."""
+    """Replaces the PI on i_d: from its error, A, to the voltage, V, at the inner rate."""
     controller_q: StateSpace | None = None
     resistance_factor: float = 1.0
     """The turning motor's resistance beside the one that the drive was set for."""
@@ -234,7 +234,7 @@ class Firmware:
         return self.inner.torque_in_force()
 
     def brake_shaft(self, torque_nm: float) -> None:
-        """What an outside brake holds against the shaft's motion from the next tick on, N m."""
+        """Set the torque of an outside brake against the shaft's motion from the next tick on, N m."""
         self.inner.coulomb_friction_nm = self.motor.coulomb_friction_nm + torque_nm
 
     def bear(self, load: LoadTable | None, held: bool = False, begins_at: Instant | None = None) -> None:

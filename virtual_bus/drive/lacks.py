@@ -1,4 +1,4 @@
-"""What a simulated drive does without, so that a master's way around it can be tried.
+"""Features that a simulated drive can lack, to test a master's way around them.
 
 "1013"          an object
 "1400:5"        a sub-index of an object

@@ -14,7 +14,7 @@ LOAD_ACTUAL_SUB: Final = 2
 LOAD_COURSE_SUB: Final = 3
 """A :class:`LoadCourse`."""
 LOAD_NUMBER_SUB: Final = 4
-"""Of the load over time that the drive has; 0: none."""
+"""Number of the load over time that the drive has; 0: none."""
 LOAD_DELAY_SUB: Final = 5
 """us."""
 
@@ -27,4 +27,4 @@ class LoadCourse(IntEnum):
     STRAIGHT = 1
     """Straight between two points."""
     HELD = 2
-    """As at the point before."""
+    """Hold the value of the previous point."""

@@ -1,4 +1,4 @@
-"""What stands around the simulated shaft: limit switches, home switch, index pulse, and the STO input.
+"""Surroundings of the simulated shaft: limit switches, home switch, index pulse, and the STO input.
 
     2110h:1   inputs held active, bits as in 60FDh, beside what the switches say
     2110h:2   switches fitted: bit 0 negative limit, bit 1 positive limit, bit 2 home
@@ -61,7 +61,7 @@ class SimulatedMachine:
         return bits
 
     def active(self, sensor: Sensor) -> bool:
-        """Whether a switch is active where the encoder stands."""
+        """Return True if a switch is active at the encoder's position."""
         bit = 1 << sensor.value
         if self.held & bit:
             return True
@@ -72,11 +72,11 @@ class SimulatedMachine:
 
     @property
     def has_limits(self) -> bool:
-        """Whether a limit switch is fitted, or held active."""
+        """True if a limit switch is fitted, or held active."""
         return (self.fitted | self.held) & _LIMIT_BITS != 0
 
     def blocked(self, direction: float) -> bool:
-        """Whether the limit switch at that end of the axis is active."""
+        """Return True if the limit switch at that end of the axis is active."""
         return self.active(Sensor.POSITIVE_LIMIT if direction > 0.0 else Sensor.NEGATIVE_LIMIT)
 
     def edge_between(self, sensor: Sensor, edge: SwitchEdge, before: float, after: float) -> float:

@@ -36,7 +36,7 @@ _SETTLED_MS: Final = 10
 _POSITION_WINDOW_TURNS: Final = 0.002
 _VELOCITY_WINDOW_MRPM: Final = 20_000
 _VELOCITY_THRESHOLD_MRPM: Final = 10_000
-"""Of a drive as it is delivered: 0.7 degrees, and 20 and 10 rpm, above what an encoder's counts make."""
+"""Defaults of a delivered drive: 0.7 degrees, and 20 and 10 rpm, above the steps of an encoder's counts."""
 
 
 class VelocityRamp:

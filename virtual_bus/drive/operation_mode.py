@@ -1,4 +1,4 @@
-"""What a mode of operation is to the drive, and halt: bit 8 of the controlword and 605Dh."""
+"""A mode of operation of the drive, and halt: bit 8 of the controlword and 605Dh."""
 
 from mypy_extensions import mypyc_attr
 
@@ -8,14 +8,14 @@ from servobench.virtual_bus.drive.axis import SimulatedAxis
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class OperationMode:
-    """What the drive does in OPERATION_ENABLED while nothing stops it. Override what is needed."""
+    """Actions of the drive in OPERATION_ENABLED while nothing stops it. Override as needed."""
 
     def __init__(self, axis: SimulatedAxis) -> None:
         self.axis = axis
         self.periodic = True
-        """Whether the mode runs once per motion period; the others act on their set-points alone."""
+        """True: the mode runs once per motion period; the others act on their set-points alone."""
         self.has_following_error = False
-        """Whether bit 13 of the statusword is the following error."""
+        """True: bit 13 of the statusword is the following error."""
 
     def begin(self, controlword: int) -> None:
         """OPERATION_ENABLED begins, or the mode was changed in it; edges count from ``controlword`` on."""

@@ -37,7 +37,7 @@ _FAULT_RESET: Final = int(Control.FAULT_RESET)
 
 
 class MotorAction(Enum):
-    """What the inner loops are to do with the motor."""
+    """Action of the inner loops on the motor."""
 
     OFF = "off"
     """No torque; a turning shaft coasts."""

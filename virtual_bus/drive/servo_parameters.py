@@ -30,7 +30,7 @@ from servobench.virtual_bus.drive.load_table import LoadTable
 SERVO_DRIVE: Final = 0x0002_0192
 """Device type 1000h: device profile 402, servo drive (CiA 402-1)."""
 _CLOCK_RANGE_US: Final = 1 << 32
-"""Of 1013h, an UNSIGNED32."""
+"""Range of 1013h, an UNSIGNED32."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +72,12 @@ class DriveParameters(FirmwareParameters):
     sync_phase_us: float | None = None
     """It acts so long behind the SYNC as a phase-locked loop filters it; None: it has no such loop."""
     lacks: tuple[str, ...] = ()
-    """What it does without, see :mod:`servobench.virtual_bus.drive.lacks`."""
+    """Features that it lacks; see :mod:`servobench.virtual_bus.drive.lacks`."""
     makers_units: tuple[tuple[str, Quirk], ...] = ()
     """Meanings of its maker's objects beside CiA 402-2, by
     :func:`servobench.drivers.vendors.families.quirks_for`."""
     load: LoadTable | None = None
-    """What the shaft can be made to bear by 2100h:3; None: nothing over time."""
+    """Load over time available by 2100h:3; None: none."""
 
     def quick_stop_rad_s2(self, motor: PmsmParameters) -> float:
         """The quick stop's default deceleration for ``motor``."""
@@ -108,7 +108,7 @@ def _ns(value_us: float) -> int:
 
 
 def device_options(node_id: int, drive: DriveParameters, seed: int) -> DeviceOptions:
-    """What the communication of a drive starts with. The clock's offset is a stream of its own by node."""
+    """Return the communication options of a drive. The clock's offset has its own stream by node."""
     offset_us = drive.clock_offset_us
     if offset_us is None:
         offset_us = int(np.random.Generator(np.random.PCG64([seed, node_id])).integers(_CLOCK_RANGE_US))

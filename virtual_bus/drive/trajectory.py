@@ -13,7 +13,7 @@ import math
 
 
 class TrajectoryPoint:
-    """What a profile asks for at one instant."""
+    """Point of a profile at one instant."""
 
     __slots__ = ("position", "speed")
 

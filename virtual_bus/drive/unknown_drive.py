@@ -33,7 +33,7 @@ _GEARS: Final = ((1, 1), (3, 1), (5, 1), (10, 1), (25, 2), (100, 7))
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What was drawn; SI units at the motor's shaft."""
+    """The drawn values; SI units at the motor's shaft."""
 
     motor: PmsmParameters
     counts_per_revolution: int
@@ -50,12 +50,12 @@ class Truth:
 
     @property
     def nameplate(self) -> dict[str, Any]:
-        """What is printed on motor and drive, as tables of a nameplate file."""
+        """Data printed on motor and drive, as tables of a nameplate file."""
         return nameplate_of(self.motor)
 
 
 def nameplate_of(motor: PmsmParameters) -> dict[str, Any]:
-    """What is printed on a motor, as tables of a nameplate file."""
+    """Return the data printed on a motor, as tables of a nameplate file."""
     return {
         "motor": {
             "name": motor.name,

@@ -192,7 +192,7 @@ class UserUnits:
 
 
 def wrapped(value: int) -> int:
-    """As INTEGER32."""
+    """Wrap to INTEGER32."""
     return (value + _HALF) % _WRAP - _HALF
 
 

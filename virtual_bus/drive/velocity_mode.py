@@ -72,7 +72,7 @@ class VelocityMode(HaltedMode):
         self._planned = planned
 
     def _input(self) -> int:
-        """What the ramp leads to, units of the mode; 0 while the controlword keeps the target from it."""
+        """Return the ramp's target, units of the mode; 0 while the controlword blocks it."""
         asked = int(self.axis.motion.vl_target.value)
         if not asked or not self._word & Control.MODE_4 or not self._word & Control.MODE_6:
             return 0

@@ -1,4 +1,4 @@
-"""What becomes of the value of a signal: pure, with a stream of its own.
+"""Alterations of a signal's value: pure, each with its own random stream.
 
 Every alteration draws the same number of times for every frame that carries its signal, in its window or not,
 so that none of its draws depends on its own settings or on another fault. ``elapsed``: ns since the plan's
@@ -37,7 +37,7 @@ class Alteration:
         self._stream = stream
 
     def altered(self, raw: int, elapsed: int) -> float | None:
-        """What takes the place of ``raw`` in the frame that is there now; None: it stays."""
+        """Return the replacement of ``raw`` in the present frame; None: unchanged."""
         draw = self._stream.draw
         struck = draw() < self._probability
         radius, angle = draw(), draw()

@@ -94,7 +94,7 @@ class Disturber:
         self._zero = None
 
     def disturb(self, sender: str, frame: Frame, at: Instant) -> Disturbance | None:
-        """What ``CanSegment.set_disturb`` of the bus asks: every node sees the disturbed bit."""
+        """Decide for ``CanSegment.set_disturb`` of the bus: every node sees the disturbed bit."""
         if self._zero is None:
             return None
         direction = Direction.HOST_TO_DRIVE if self._is_host(sender) else Direction.DRIVE_TO_HOST
@@ -114,6 +114,6 @@ class Disturber:
 def disturber(
     faults: FaultPlan | RecordedFaults, seed: int, log: FaultLog | None, is_host: Callable[[str], bool]
 ) -> Disturber | None:
-    """What disturbs a segment by ``faults``; None if nothing does."""
+    """Return the disturber of a segment by ``faults``; None if nothing disturbs it."""
     bit_of = _drawn_bits(faults, seed) if isinstance(faults, FaultPlan) else _recorded_bits(faults)
     return None if bit_of is None else Disturber(bit_of, log, is_host)

@@ -1,7 +1,7 @@
-"""What becomes of a frame: the one place where frames are struck, kept in order, counted and logged.
+"""The fates of frames: the one place where frames are struck, kept in order, counted and logged.
 
-Who decides is a route, one for each COB-ID in each direction: drawn from a plan (:mod:`.fault_injector`), or
-out of a recorded run (:mod:`.replay`).
+The decision is made by a route, one for each COB-ID in each direction: drawn from a plan
+(:mod:`.fault_injector`), or out of a recorded run (:mod:`.replay`).
 """
 
 from collections.abc import Sequence

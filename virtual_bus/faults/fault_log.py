@@ -1,4 +1,5 @@
-"""What was injected: one entry for each frame that a fault touched, and for each event that struck a node.
+"""The log of injected faults: one entry for each frame that a fault touched, and for each event that struck a
+node.
 
 An entry says which frame: the ``n``-th (from 0, since the plan's time zero) of its identifier in its
 direction, so a run that is repeated with these entries meets the same faults, whatever its seed. As a
@@ -52,7 +53,7 @@ FRAME_KINDS, NODE_KINDS, HOST_KINDS = (
 _DELAY: Final = KIND_CODES["delay"]
 _LABELS: Final = tuple(direction.label for direction in Direction)
 _DELAY_LINE: Final = '{"kind":"delay","at_ns":%d,"direction":"%s","can_id":%d,"n":%d,"delay_ns":%d}'
-"""What nearly all entries of a run are, without the detour through a dictionary."""
+"""Format of nearly all entries of a run, without a dictionary."""
 _COMPACT: Final = (",", ":")
 AT_NODE: Final = len(Direction)
 """A frame's link at a drive's own connection is its direction plus so many times the drive's node id."""
@@ -84,12 +85,12 @@ class FaultEntry(NamedTuple):
 
     @property
     def direction(self) -> Direction:
-        """Of a frame."""
+        """Direction of a frame."""
         return Direction(self.link % AT_NODE)
 
     @property
     def at_drive(self) -> int:
-        """Of a frame: the node at whose connection it was struck; 0 at the host's."""
+        """The node at whose connection a frame was struck; 0 at the host's."""
         return self.link // AT_NODE
 
 

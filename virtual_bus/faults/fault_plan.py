@@ -1,4 +1,4 @@
-"""What a bad day on the bus looks like: the faults of one bus and of the nodes on it, out of a TOML file.
+"""A fault plan: the faults of one bus and of the nodes on it, from a TOML file.
 
     [[loss]]            probability
     [[burst]]           p_good_to_bad, p_bad_to_good, loss_bad = 1, loss_good = 0
@@ -73,7 +73,7 @@ _EXPECTED = {
     "bool_type": "true or false",
     "string_type": "text in quotes",
 }
-"""What a field takes, by the validator's word for a value that it does not take."""
+"""Accepted values of a field, by the validator's code of the error."""
 _MISSING: dict[Any, str] = {float: "float_type", int: "int_type"}
 """That word, by the type of a field that has no value."""
 
@@ -98,11 +98,11 @@ class FaultPlan:
         return [(fault.kind, fault.side) for fault in self._on_links if fault.side is not None]
 
     def at(self, side: Side) -> "FaultPlan":
-        """What befalls frames at the connection of the program that is given the plan: ``side``'s."""
+        """Return the faults of frames at the connection of the program with the plan: ``side``'s."""
         return _of_links(fault for fault in self._on_links if fault.side in (None, side))
 
     def at_drive(self, node: int) -> "FaultPlan":
-        """What befalls frames at the connection of that one drive."""
+        """Return the faults of frames at the connection of that one drive."""
         return _of_links(
             fault.model_copy(update={"nodes": (node,)})
             for fault in self._on_links
@@ -144,7 +144,8 @@ def load_fault_plan(mapping: Mapping[str, Any], source: str, prefix: str = "") -
 def read_fault_plan(
     mapping: Mapping[str, Any], source: str, prefix: str = ""
 ) -> tuple[FaultPlan, list[BadInput]]:
-    """As :func:`load_fault_plan`, but with all errors; the plan then holds the faults that could be read."""
+    """Read a plan like :func:`load_fault_plan`, but return all errors; the plan then holds the readable
+    faults."""
     faults: list[FaultTable] = []
     errors: list[BadInput] = []
     for kind, tables in mapping.items():
@@ -183,7 +184,7 @@ def _of_links(faults: Iterable[LinkFault]) -> FaultPlan:
 def _bad_inputs(
     error: ValidationError, model: type[FaultTable], source: str, path: str
 ) -> Iterator[BadInput]:
-    """What is wrong with a table; of one with unknown keys only those, as they may be misspelt known ones."""
+    """Return the faults of a table; for unknown keys only those, as they may be misspelt known ones."""
     details = error.errors(include_url=False)
     # Its own keys before the shared ones: they are likelier to be meant.
     known = [key for base in model.__mro__ for key in vars(base).get("__annotations__", ())]

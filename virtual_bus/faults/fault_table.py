@@ -1,4 +1,4 @@
-"""What every table of a fault plan is: a pydantic model with the keys of the file, used as it is.
+"""Base of every table of a fault plan: a pydantic model with the keys of the file, used directly.
 
 A field of a wrong type or beyond its bounds is pydantic's to find; what does not fit together raises BadInput
 about its key (:func:`require`). :mod:`.fault_plan` gives both the file and the place in it.
@@ -131,7 +131,7 @@ class FaultTable(BaseModel):
         return limits
 
     def as_table(self) -> dict[str, Any]:
-        """As a plan holds it, every default written out."""
+        """Return it as in a plan, every default written out."""
         return self.model_dump(mode="json", exclude_none=True)
 
 

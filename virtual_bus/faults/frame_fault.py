@@ -1,4 +1,4 @@
-"""What all faults of frames have in common: the frames that they may strike, and when."""
+"""Base of all faults of frames: the affected frames, and the time."""
 
 import difflib
 from typing import Annotated, Any, ClassVar, Final, Literal
@@ -88,7 +88,7 @@ class FrameFault(LinkFault):
     delays: ClassVar[bool] = False
     """It makes a :class:`Hold`."""
     rank: ClassVar[int] = 0
-    """Of all strikes of a frame that with the lowest rank counts; losses have 0."""
+    """Among all strikes of a frame the lowest rank counts; losses have 0."""
     of_each_cob_id: ClassVar[bool] = False
     """It counts the frames of each COB-ID, so that all PDOs of a cycle fare alike; chance is the link's."""
 
@@ -103,11 +103,11 @@ class FrameFault(LinkFault):
         return False
 
     def at_work(self, stream: UniformStream) -> Strike | Hold:
-        """What it does to the frames of one link (or COB-ID), with the random stream of that link."""
+        """Return its action on the frames of one link (or COB-ID), with the random stream of that link."""
         raise NotImplementedError
 
     def selects(self, direction: Direction, can_id: int, extended: bool = False) -> bool:
-        """Whether a frame is among those meant, at any time."""
+        """Return True if a frame is among the affected ones, at any time."""
         return self.direction in ("both", direction.label) and any(
             self._names(item, can_id, extended) for item in self.frames
         )

@@ -1,4 +1,4 @@
-"""What the log of injected faults keeps of one kind, and what goes on in place of a frame that it struck."""
+"""Log format of one fault kind, and the replacements of a struck frame."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ NONE: Final = -1
 """A number that an entry does without: the bit of a frame that was lost, the recovery that never comes."""
 UNDAMAGED: Final = -1
 Copies = tuple[tuple[int, int], ...]
-"""What goes on in a frame's place: for each copy which bit of its data is inverted (UNDAMAGED: none), and how
-many ns after the frame's own turn it goes."""
+"""Replacements of a frame: for each copy the inverted bit of its data (UNDAMAGED: none), and its delay, ns,
+after the frame's own turn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,11 +21,11 @@ class LogNumber:
     optional: bool = False
     """May be NONE. Only for the first number; the others are then left out with it."""
     words: tuple[bool | str, ...] = ()
-    """What is written for 0, 1, 2 ... instead."""
+    """Words written for 0, 1, 2 ... instead."""
     usual: int | None = None
     """The value that is left out."""
     unsaid: int | None = None
-    """What a log means that does not have it, though it is always written."""
+    """Value in logs that lack it, though it is always written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class LogKind:
     tells: Literal["frame", "count", "nothing"] = "frame"
     """Which it was beside: the n-th frame of an identifier, the n-th of all, or nothing."""
     copies: Callable[[int], Copies] | None = None
-    """What goes on in place of a struck frame by the entry's first number; None: nothing, it is lost."""
+    """Replacements of a struck frame by the entry's first number; None: it is lost."""
     in_order: bool = True
     """The frames behind it wait for what goes on."""
     alters: bool = False

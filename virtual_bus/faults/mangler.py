@@ -37,13 +37,13 @@ class Note(NamedTuple):
 
 
 class SignalSource(Protocol):
-    """What decides about the signals of one connection."""
+    """Decides about the signals of one connection."""
 
     def needs(self, way: int, can_id: int) -> bool:
-        """Whether the data of frames with that identifier must be looked at."""
+        """Return True if the data of frames with that identifier must be inspected."""
 
     def meet(self, way: int, frame: Frame, n: int, elapsed: int | None) -> tuple[bytes, list[Note]]:
-        """What the data of the ``n``-th frame become; ``elapsed`` None: before time zero or after the end."""
+        """Return the new data of the ``n``-th frame; ``elapsed`` None: before time zero or after the end."""
 
     def restart(self) -> None:
         """Time zero."""
@@ -62,7 +62,7 @@ class Mangler(FateSource):
         self._started: Instant | None = None
         self._looked_at = False
         self._met = (0, Instant(0), 0)
-        """Of the frame that is looked at: its direction, now, and what ``inner`` said about it."""
+        """The present frame: its direction, now, and the answer of ``inner``."""
 
     def start(self, now: Instant) -> None:
         """See :class:`FateSource`."""

@@ -1,7 +1,7 @@
-"""What all faults of a node itself, or of the host, have in common: when they strike, and what they then do.
+"""Base of all faults of a node itself, or of the host: their time, and their action.
 
 They act where the drive is simulated, those of the host in simulated time. Times count from the plan's time
-zero, except for what is so from the drive's power-on (a slow drive, a refused mapping).
+zero, except for faults from the drive's power-on (a slow drive, a refused mapping).
 """
 
 import math
@@ -43,7 +43,7 @@ class NodeEvent(NamedTuple):
 
 
 class StruckNode(Protocol):
-    """What a fault can do to a node."""
+    """Possible actions of a fault on a node."""
 
     def silence(self, until: int) -> None:
         """Neither hear nor send."""
@@ -112,11 +112,11 @@ class NodeFault(FaultTable):
         return self.kind
 
     def events(self, streams: Streams) -> Iterator[NodeEvent]:  # noqa: ARG002
-        """What strikes one node, in order of time."""
+        """Return the events of one node, in order of time."""
         return iter(())
 
     def from_power_on(self) -> "NodeEvent | None":
-        """What is so from power-on; its time counts from there."""
+        """Return the fault from power-on; its time counts from there."""
         return None
 
     def slowness(self, streams: Streams) -> Slowness | None:  # noqa: ARG002
@@ -135,7 +135,7 @@ class NodeFault(FaultTable):
 
     @staticmethod
     def in_words(kind: str, node: str, event: NodeEvent) -> str:
-        """What a reader of the run's events is told; ``kind``: of the entry in the log."""
+        """Describe the event for a reader; ``kind``: of the entry in the log."""
         return f"{kind.replace('_', ' ')} of {event.a / NS_PER_MS:g} ms, {node}"
 
 

@@ -48,7 +48,7 @@ class DrawnNode(Events):
         super().__init__(merge(*events, key=lambda event: event.at_ns))
         self._slow = [one for one in slow if one is not None]
         self.from_power_on = [each for fault in mine if (each := fault.from_power_on()) is not None]
-        """What is so from power-on."""
+        """Faults from power-on."""
         self.needs_drive = next((fault.kind for fault in mine if fault.needs_drive), "")
         """A kind that may strike and needs a device with a motor inside; empty: none."""
 
@@ -67,7 +67,7 @@ class DrawnNode(Events):
 
 
 class ReplayedNode(Events):
-    """What befell ``node`` in a recorded run."""
+    """Faults of ``node`` in a recorded run."""
 
     def __init__(self, recorded: RecordedFaults, node: int) -> None:
         mine = [entry for entry in recorded.entries if entry.link == node and entry.kind not in FRAME_KINDS]
@@ -84,11 +84,11 @@ class ReplayedNode(Events):
             for entry in mine
             if LOG_KINDS[entry.code].since_power_on and entry.kind not in ("late", "boot")
         ]
-        """As of :class:`DrawnNode`."""
+        """Faults from power-on; see :class:`DrawnNode`."""
         self._frames: dict[int, int] = {}
         self._booted = 0
         self.needs_drive = next((each.kind for each in events if node_kind(each.kind).needs_drive), "")
-        """As of :class:`DrawnNode`."""
+        """The first kind that needs a drive; see :class:`DrawnNode`."""
 
     @property
     def idle(self) -> bool:
@@ -96,13 +96,13 @@ class ReplayedNode(Events):
         return self._next is None and not (self._late or self._boots or self.from_power_on)
 
     def lateness(self, can_id: int) -> Duration:
-        """As of :class:`DrawnNode`."""
+        """Return the lateness; see :class:`DrawnNode`."""
         n = self._frames.get(can_id, 0)
         self._frames[can_id] = n + 1
         return Duration(self._late.get((can_id, n), 0))
 
     def boot_time(self) -> Duration:
-        """As of :class:`DrawnNode`."""
+        """Return the boot time; see :class:`DrawnNode`."""
         self._booted += 1
         return Duration(self._boots.get(self._booted - 1, 0))
 
@@ -112,13 +112,13 @@ NodeSource = DrawnNode | ReplayedNode
 
 
 def node_source(faults: FaultPlan | RecordedFaults, node: int, seed: int) -> NodeSource | None:
-    """What befalls ``node``; None if nothing ever does."""
+    """Return the fault source of ``node``; None if it has none."""
     source = DrawnNode(faults, node, seed) if isinstance(faults, FaultPlan) else ReplayedNode(faults, node)
     return None if source.idle else source
 
 
 def node_kind(kind: str) -> type[NodeFault]:
-    """What made the events of that kind."""
+    """Return the fault class with events of that kind."""
     table = TABLE_OF[kind]
     assert issubclass(table, NodeFault)
     return table

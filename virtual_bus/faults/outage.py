@@ -1,4 +1,4 @@
-"""What the outages of the host's own CAN adapter, and of its kernel, have in common."""
+"""Base of outages of the host's own CAN adapter, and of its kernel."""
 
 from typing import ClassVar
 
@@ -10,11 +10,11 @@ class AdapterOutage(Occasion):
     """For a while the host's adapter takes no frames, or gives none."""
 
     code: ClassVar[int | None] = None
-    """What a sender is told, from errno; None: it takes frames."""
+    """Error code for a sender, from errno; None: it takes frames."""
     hears: ClassVar[bool] = True
-    """Whether it goes on receiving."""
+    """True if it continues to receive."""
     begins: ClassVar[str] = ""
-    """What is told when it begins; empty: nothing."""
+    """Message at the begin; empty: none."""
     ends: ClassVar[str] = ""
     """The same when it ends; ``{unheard}``: how many frames came meanwhile."""
     duration_s: Lasting

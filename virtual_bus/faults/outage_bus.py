@@ -30,14 +30,14 @@ KINDS: dict[str, type[AdapterOutage]] = {kind.kind: kind for kind in (FullQueue,
 
 
 class Deafness:
-    """What came to the host from one instant to another is gone."""
+    """Interval in which frames to the host are lost."""
 
     def __init__(self, kind: type[AdapterOutage], since: Instant, until: Instant) -> None:
         self.kind = kind
         self.since = since
         self.until = until
         self.begun = False
-        """Whether its begin was told."""
+        """True once its begin was reported."""
         self.unheard = 0
         """Frames."""
 
@@ -149,7 +149,7 @@ class OutagePort(FramePort):
         return outage
 
     def _gone(self, came_at: Instant) -> bool:
-        """Whether what came then was not heard."""
+        """Return True if a frame of that instant was not received."""
         self._end_deafnesses(came_at)
         deafnesses = self._outages.deafnesses
         if not deafnesses or came_at < deafnesses[0].since:
@@ -158,7 +158,8 @@ class OutagePort(FramePort):
         return True
 
     def _end_deafnesses(self, at: Instant) -> None:
-        """What comes from ``at`` on comes after some of them, and nothing from within them any more."""
+        """End deafnesses: frames from ``at`` on come after some of them, and none from within them any
+        more."""
         deafnesses = self._outages.deafnesses
         while deafnesses and deafnesses[0].until <= at:
             deafness = deafnesses.popleft()

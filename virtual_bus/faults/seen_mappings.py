@@ -52,18 +52,18 @@ class SeenMappings:
         self.revision = 0
         """Counts every change of what is known."""
         self._values: dict[int, dict[int, int]] = {}
-        """Of each node its PDO parameters, by index and sub-index."""
+        """PDO parameters of each node, by index and sub-index."""
         self._asked: dict[int, tuple[int, int]] = {}
         """By node what it has been asked to store and has not confirmed yet."""
         self._pdos: dict[tuple[int, int], list[SeenObject]] = {}
 
     @staticmethod
     def teaches(can_id: int) -> bool:
-        """Whether frames with that identifier may say something about mappings."""
+        """Return True if frames with that identifier may show mappings."""
         return SDO_ANSWER < can_id <= SDO_REQUEST + NODE_BITS or ERROR_CONTROL < can_id <= CAN_ID
 
     def objects(self, way: int, can_id: int) -> list[SeenObject]:
-        """What the PDO of that direction and identifier carries; empty if no such PDO is known."""
+        """Return the objects in the PDO of that direction and identifier; empty if no such PDO is known."""
         return self._pdos.get((way, can_id), [])
 
     @property
@@ -72,7 +72,7 @@ class SeenMappings:
         return frozenset(self._values)
 
     def carries(self, node: int, place: int, ways: tuple[int, ...]) -> bool:
-        """Whether a known PDO of ``node`` carries an object, in one of those directions."""
+        """Return True if a known PDO of ``node`` carries an object, in one of those directions."""
         return any(
             each.node == node and each.place == place
             for (way, _), objects in self._pdos.items()
@@ -145,6 +145,6 @@ class SeenMappings:
 
 
 def _value(data: bytes) -> int:
-    """Of an expedited transfer."""
+    """Return the value of an expedited transfer."""
     length = 4 - (data[0] >> 2 & 3) if data[0] & _SIZED else 4
     return int.from_bytes(data[4 : 4 + length], "little")

@@ -74,7 +74,7 @@ class FaultyDevice:
         device.follow_boot_time(self._boot_time)
         self._off = False
         self._out: list[Frame] = []
-        """What strikes make the device send."""
+        """Frames that strikes make the device send."""
         self._timers: list[tuple[int, int, Callable[[Instant], None]]] = []
         self._queues = Queue(), Queue()
         """That of the PDOs and that of the SDO answers: each keeps its order."""
@@ -95,7 +95,7 @@ class FaultyDevice:
 
     @property
     def node_id(self) -> int:
-        """Of the device inside."""
+        """Node-ID of the device inside."""
         return self.device.node_id
 
     @property
@@ -150,7 +150,7 @@ class FaultyDevice:
         return out
 
     def _let_go(self, stage: _Stage, frame: Frame, now: Instant, out: list[Frame]) -> None:
-        """What was held in ``stage`` goes on."""
+        """Release a frame held in ``stage``."""
         if stage is _Stage.COMING:
             out += self._hear(frame, now)
         elif self._deaf(now):

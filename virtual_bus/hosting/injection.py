@@ -54,7 +54,7 @@ def drawn_stalls(stalls: Sequence[HostStall], seed: int, link: str) -> LateBy:
 
 
 def recorded_stalls(recorded: RecordedFaults) -> LateBy:
-    """As they were in a recorded run, action by action."""
+    """Return the stalls of a recorded run, action by action."""
     late = {entry.n: entry.a for entry in recorded.entries if entry.code == _STALL}
     return lambda n, _elapsed_ns: late.get(n, 0)
 
@@ -83,9 +83,9 @@ class Injection:
         connection the bus is."""
         self.log = log
         self.fates = _fates(faults, seed, log, error_frames, link, side)
-        """What befalls frames at the bus; None if nothing does."""
+        """Fates of frames at the bus; None if there are no faults."""
         self.outages = Outages.of(faults, seed, link, log) if side == "host" else None
-        """What befalls the host's adapter; None if nothing does."""
+        """Outages of the host's adapter; None if there are none."""
         self._late_by = _late_by(faults, seed, link)
         self._zero: Instant | None = None
         """Since when the host may be late."""
@@ -119,7 +119,8 @@ class Injection:
         return made
 
     def _fates_at(self, node: int) -> FateSource | None:
-        """What befalls frames at the connection of that drive; at a drive's own bus they are its already."""
+        """Return the fates of frames at the connection of that drive; at a drive's own bus they are the bus's
+        already."""
         faults = self._faults
         if self._side == "drive":
             return None
@@ -132,7 +133,7 @@ class Injection:
 
     @property
     def stalls_host(self) -> bool:
-        """Whether the plan says when the host is late."""
+        """True if the plan has stalls of the host."""
         return self._late_by is not None
 
     def host_stall(self, now: Instant) -> Duration:

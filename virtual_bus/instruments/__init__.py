@@ -1,1 +1,1 @@
-"""What hangs on a serial line in the simulated world: a dynamometer, CAN adapters."""
+"""Instruments on a serial line in the simulated world: a dynamometer, CAN adapters."""

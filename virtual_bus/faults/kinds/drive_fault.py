@@ -24,7 +24,7 @@ class DriveFailure(Enum):
 
     @property
     def label(self) -> str:
-        """As written in a plan: ``over_current``."""
+        """Name in a plan: ``over_current``."""
         return self.name.lower()
 
     @property
@@ -61,9 +61,9 @@ class DriveFault(NodeOccasion):
     needs_drive = True
     fault: Literal["over_current", "over_temperature", "following_error", "encoder_loss", "under_voltage"]
     detected_after_ms: Number = 0.0
-    """Of an encoder; 2 if left out."""
+    """For an encoder; default 2."""
     duration_s: Seconds = 0.0
-    """Of an encoder; 0.1 if left out."""
+    """For an encoder; default 0.1."""
 
     @model_validator(mode="before")
     @classmethod

@@ -17,7 +17,7 @@ from servobench.virtual_bus.faults.frame_fault import FrameFault
 from servobench.virtual_bus.faults.strikes import Hold, MeasuredHold
 
 COUNT_MAX = 1 << 53
-"""Of a bar: as far as a float counts."""
+"""Limit of a bar's count: the exact range of a float."""
 
 
 class MeasuredDelay(FrameFault):

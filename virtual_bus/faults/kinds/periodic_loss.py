@@ -8,7 +8,7 @@ from servobench.virtual_bus.faults.strikes import PeriodicStrike, Strike
 
 
 class PeriodicLoss(FrameFault):
-    """Of every ``lost`` + 1 frames of a COB-ID the first passes and the others are lost."""
+    """Passes the first of every ``lost`` + 1 frames of a COB-ID and loses the others."""
 
     kind = "periodic_loss"
     logs = (LogKind("periodic_loss"),)

@@ -35,7 +35,7 @@ _UNSIGNED: Final = frozenset(
         Object.DIGITAL_INPUTS,
     }
 )
-"""Of the objects of CiA 402-2 that drives map. Those of CiA 301 (1013h) are unsigned too."""
+"""Unsigned objects of CiA 402-2 that drives map. Those of CiA 301 (1013h) are unsigned too."""
 Mask = Annotated[int, within(0, 2**64 - 1, "a mask of bits, such as 0x1000")]
 _WHERE: Final = (LogNumber("object"), LogNumber("bits_at"), LogNumber("raw"))
 """``bits_at``: the length of the field in bits times 64, plus its first bit; ``raw``: what it has now."""
@@ -103,7 +103,7 @@ class SignalFault(LinkFault):
 
     @property
     def is_signed(self) -> bool:
-        """Whether the value has a sign."""
+        """True if the value has a sign."""
         if self.how == "bits":
             return False
         index = self.place >> 8
@@ -115,7 +115,7 @@ class SignalFault(LinkFault):
         return f"signal_{self.how}"
 
     def at_work(self, stream: UniformStream) -> Alteration:
-        """What it does on one link, with the random stream of that link."""
+        """Return its action on one link, with the random stream of that link."""
         return Alteration(self.window, self.probability, self._change(), stream)
 
     def _change(self) -> Change:

@@ -34,7 +34,7 @@ class TimelineLine:
         self._stepping = False
 
     def read(self) -> bytes:
-        """What the instrument has said."""
+        """Return the instrument's output."""
         data = b"".join(self._come)
         self._come.clear()
         return data

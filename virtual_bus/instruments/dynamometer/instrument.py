@@ -47,7 +47,7 @@ class Brake:
 
     def __init__(self, shaft: Shaft, torque_max_nm: float, response_s: float = RESPONSE_S) -> None:
         self.torque_nm = 0.0
-        """What it holds now."""
+        """Torque held now."""
         self.shaft = shaft
         self._torque_max_nm = torque_max_nm
         self._set_point_nm = 0.0

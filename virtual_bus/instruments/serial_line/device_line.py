@@ -92,12 +92,12 @@ class LineSpoiler:
         }
 
     def strikes(self, name: str) -> bool:
-        """Whether the fault ``name`` happens this time."""
+        """Return True if the fault ``name`` occurs this time."""
         probability: float = getattr(self.faults, name)
         return probability > 0.0 and bool(self._streams[name].random() < probability)
 
     def lose(self, data: bytes) -> bytes:
-        """What of ``data``, sent by the host, gets to the device."""
+        """Return the part of ``data``, sent by the host, that reaches the device."""
         if not data or not self.strikes("lose"):
             return data
         self.spoilt += 1
@@ -105,7 +105,7 @@ class LineSpoiler:
         return data[:place] + data[place + 1 :]
 
     def spoil(self, line: bytes) -> bytes:
-        """What of ``line``, which ends with its terminator, gets to the host."""
+        """Return the part of ``line``, with its terminator, that reaches the host."""
         spoilt = line
         if self.strikes("terminator"):
             spoilt = spoilt.rstrip(b"\r\n") + b"\n"
@@ -124,7 +124,7 @@ class LineSpoiler:
 
 
 OUTPUT_BYTES_MAX = 1 << 16
-"""What waits for a host that does not read; a line beyond it is lost."""
+"""Output waiting for a host that does not read; a line beyond it is lost."""
 _PACED_BYTES = 16
 """Read at a time from a line that has a speed, as from the FIFO of a UART."""
 
@@ -149,7 +149,7 @@ class DeviceLine:
         self._unplug_at = self._faults.goes_at(now)
 
     def read(self, now: Instant) -> bytes:
-        """What the host sent and the line has carried by ``now``."""
+        """Return the host's data that the line has carried by ``now``."""
         if now < self._readable_at:
             return b""
         self._readable_at = Instant(0)

@@ -35,7 +35,7 @@ class PseudoTerminal:
 
     @property
     def name(self) -> str:
-        """What to open: the link if there is one."""
+        """The name to open: the link if there is one."""
         return str(self._link) if self._link is not None else self.path
 
     def fileno(self) -> int:
@@ -43,7 +43,8 @@ class PseudoTerminal:
         return self._master
 
     def read(self, limit: int = READ_BYTES) -> bytes:
-        """What the other end wrote, at most ``limit`` bytes; empty if nothing, or if unplugged."""
+        """Return data from the other end, at most ``limit`` bytes; empty if there is none, or if
+        unplugged."""
         if not self.plugged:
             return b""
         try:

@@ -48,7 +48,7 @@ class AcceptanceFilter:
     single: bool = False
 
     def passes(self, frame: Frame) -> bool:
-        """Whether the controller takes ``frame``."""
+        """Return True if the controller takes ``frame``."""
         if self.mask == _ALL:
             return True
         if self.single:
@@ -92,7 +92,7 @@ class CanSide(Protocol):
         ...
 
     def flags(self) -> SlcanStatus:
-        """What has happened since the last call."""
+        """Return the flags since the last call."""
         ...
 
 
