@@ -13,10 +13,11 @@ import stat
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, NoReturn
 
-from servobench.drivers.errors import MISSING, BadInput
+from servobench.drivers.errors import BadInput
 from servobench.drivers.printable import printable
 
 SIZE_MAX_BYTES = 1_000_000
@@ -57,8 +58,18 @@ class NamedBy(NamedTuple):
     """The text found there."""
 
 
+@dataclass(eq=False)
 class NoSuchFile(BadInput):
-    """The named file does not exist."""
+    """The named file does not exist: ``value`` is the path as written."""
+
+    what: str = "file"
+    """Its kind."""
+
+    def __str__(self) -> str:
+        kind = self.what[:1].upper() + self.what[1:]
+        place = ": ".join(part for part in (self.source, self.key) if part and part != self.value)
+        text = f"{place + ': ' if place else ''}{kind} not found: {self.value}"
+        return printable(f"{text}; {self.remedy}" if self.remedy else text)
 
 
 def read_bytes(
@@ -175,26 +186,21 @@ def _decoded(data: bytes, source: str, what: str, place: str) -> str:
         raise BadInput(source, at, error.reason, f"a {what} in UTF-8") from None
 
 
-def _with_article(what: str) -> str:
-    """Put the right article before ``what``: a bench file, an EDS file."""
-    return f"{'an' if what[:1].lower() in 'aeiou' else 'a'} {what}"
-
-
 def _no_such_file(path: Path, what: str, named_by: NamedBy) -> NoSuchFile:
     folder = path.parent
     siblings = (
         [item.name for item in folder.glob(f"*{path.suffix or '.toml'}")] if os.path.isdir(folder) else []
     )
     near = difflib.get_close_matches(path.name, siblings, n=1, cutoff=0.5)
-    remedy = f"no file {path}"
+    remedy = ""
     if near:
-        remedy += f"; did you mean {folder / near[0]}?"
+        remedy = f"did you mean {folder / near[0]}?"
     elif siblings:
-        remedy += f"; that folder holds {', '.join(sorted(siblings)[:6])}"
+        remedy = f"that folder holds {', '.join(sorted(siblings)[:6])}"
     elif not os.path.isdir(folder):
-        remedy += "; there is no such folder"
+        remedy = f"there is no folder {folder}"
     return NoSuchFile(
-        named_by.source, named_by.key, named_by.text or MISSING, f"the path of {_with_article(what)}", remedy
+        named_by.source, named_by.key, named_by.text or str(path), f"an existing {what}", remedy, what
     )
 
 

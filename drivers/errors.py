@@ -42,7 +42,8 @@ class BadInput(BenchError):
     def __str__(self) -> str:
         key, value = _shortened(self.key), _shortened(repr(self.value))
         place = f"{self.source}: {key}" if key else self.source
-        text = f"{place}: found {value}, expected {_shortened(self.expected)}"
+        found = "missing" if self.value is MISSING else f"found {value}"
+        text = f"{place}: {found}, expected {_shortened(self.expected)}"
         return printable(f"{text}; {_shortened(self.remedy)}" if self.remedy else text)
 
 
@@ -54,7 +55,7 @@ class Missing:
     """Marks an absent value in a :class:`BadInput`."""
 
     def __repr__(self) -> str:
-        return "nothing"
+        return "missing"
 
 
 MISSING = Missing()

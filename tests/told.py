@@ -92,7 +92,7 @@ def struck(tables: Mapping[str, Any], load: Callable[[dict[str, Any]], object]) 
             try:
                 load(changed)
             except BenchError as error:
-                answer = re.sub(r"found .*?, expected", "expected", str(error))
+                answer = re.sub(r"(found .*?|missing), expected", "expected", str(error))
             else:
                 answer = "accepted"
             answers.setdefault(answer, []).append(f"{value!r}")

@@ -181,9 +181,9 @@ class ErrorControl:
     def _refused(self) -> SettingRefused:
         lacks, why = _NOT_WATCHED[bool(self._host_watch)]
         return SettingRefused(
-            f"node {self._node_id} has no {lacks}, and is not to be guarded by 100Ch and 100Dh",
+            f"node {self._node_id} has no {lacks}, and cannot be guarded by 100Ch and 100Dh",
             why,
-            "if somebody can stop it by hand, say so: unwatched = true, or --unwatched",
+            "if somebody can stop it by hand, set unwatched = true, or --unwatched",
         )
 
     def _notes(self, *, guarded: bool) -> list[str]:

@@ -366,7 +366,7 @@ class CanopenNetwork(canopen.Network):
         others = client.foreign_requests
         others_text = f"; another master sent {others} requests on its channel" if others else ""
         return AnswersTwice(
-            f"node {node_id} on {self.link.name} answers more often than it is asked",
+            f"node {node_id} on {self.link.name} sends more answers than requested",
             f"{client.answers.surplus} SDO answers too many{others_text}",
             f"two devices are likely to have the node id {node_id}: switch one of them off, "
             "give it another id, and see with hil scan who is there",

@@ -110,7 +110,7 @@ class DriveWatch:
         follow = self._follow
         way = f"in {self._mode_pdo.name}" if self._mode_pdo else f"by SDO every {MODE_EVERY // NS_PER_MS} ms"
         if self._mode_pdo is None and self._poll is None:
-            mode = "nothing, as it has no 6061h that can be read"
+            mode = "nothing, as its 6061h cannot be read"
         elif self._mode_pdo is not None and not follow.mode_shown:
             mode = f"nothing, as 6061h {way} does not show it"
         elif self._unanswered:
@@ -186,7 +186,7 @@ class DriveWatch:
         """Return the error for a drive that ignores its commands; it is stopped before it is asked."""
         self._end_and_stop()
         control = self._control
-        return DriveInFault(f"{control.title} follows no command any more", control.evidence())
+        return DriveInFault(f"{control.title} no longer follows its commands", control.evidence())
 
     def _end_and_stop(self) -> None:
         self.active = False
@@ -202,7 +202,7 @@ class DriveWatch:
         return DriveInFault(
             f"{control.title} {lapse}",
             f"{lapse.evidence}, {control.evidence()}",
-            "find who or what changed its mode, or bars its way",
+            "find what changed its mode, or blocks it",
             lapse.began_at,
         )
 
@@ -233,7 +233,7 @@ class DriveWatch:
         return PowerLost(
             f"{control.title} lost the power of its stage while it was enabled",
             f"the bit 'voltage enabled' of the statusword is gone; {cause}; {control.evidence()}",
-            "look after the safety circuit and the supply of the power stage",
+            "check the safety circuit and the supply of the power stage",
             seen_at,
         )
 

@@ -254,7 +254,7 @@ class StateControl:
         """Return the error for a drive that reports a fault."""
         seen_at = self.fault_seen_at
         return DriveInFault(
-            f"{self.title} is in fault", self.evidence(), "mend the cause, then reset the fault", seen_at
+            f"{self.title} is in fault", self.evidence(), "remove the cause, then reset the fault", seen_at
         )
 
     def stuck(self, action: str) -> DriveInFault:

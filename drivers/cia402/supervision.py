@@ -103,9 +103,9 @@ class CommandSupervision:
         host = f"the host by {demand}, after {cycles} cycles"
         if timed:
             drive = f"the drive itself ({index:04X}h:05), after {timeout_ms} ms{_rest_text(settings)}"
-            return f"{drive}; {host}" if demand else f"{drive}; nobody compares what it follows"
+            return f"{drive}; {host}" if demand else f"{drive}; what it follows is not compared"
         if not demand:
-            drive = "the drive does not look after its RPDO (1400h:05), nor tell" if own_timer else (
+            drive = "the drive does not supervise its RPDO (1400h:05), nor report" if own_timer else (
                 "the drive does not tell"
             )  # fmt: skip
             return f"nobody: {drive} what to compare with"

@@ -59,7 +59,7 @@ class VerdictKind(StrEnum):
     PASSED_DISTURBED = "passed, disturbed", ExitStatus.NOT_TRUSTWORTHY
     COMPLETED_DISTURBED = "completed, disturbed", ExitStatus.NOT_TRUSTWORTHY
     """Without limits."""
-    NOTHING_ASKED = "completed, no limits set", ExitStatus.PASSED
+    NOTHING_ASKED = "completed, nothing was asked", ExitStatus.PASSED
     PASSED = "passed", ExitStatus.PASSED
 
 

@@ -67,7 +67,7 @@ def test_no_check_makes_a_campaign_leave_with_0(tmp_path: Path, check: str, stat
     if status == 1:
         assert told["runs"] == 2
     else:
-        assert str(told["error"]).startswith("code of your own raised outside of its calls: own.py:")
+        assert str(told["error"]).startswith("your own code raised outside of its calls: own.py:")
         assert told["exit_status"] == status
 
 
@@ -98,5 +98,5 @@ def test_what_a_controller_has_replaced_is_named_wherever_it_ran(tmp_path: Path,
     assert done.returncode == 3, done.stderr
     said = json.loads(done.stdout)["error"]
     assert said.startswith(
-        "code of your own has replaced servobench.drivers.canopen.sdo.PumpedSdoClient.upload; then"
+        "your own code has replaced servobench.drivers.canopen.sdo.PumpedSdoClient.upload; then"
     )

@@ -75,7 +75,7 @@ def test_a_function_replaced_by_the_user_s_code_is_named_and_the_drive_is_stoppe
         out, said = process.communicate(timeout=60)
         assert watching.time_to_rest(watching.now(), 1.0) >= 0
     assert process.returncode == 3, said
-    assert "hil: error: code of your own has replaced math.isfinite; then own_code.py:" in said
+    assert "hil: error: your own code has replaced math.isfinite; then own_code.py:" in said
     assert "hil: node 1: at rest" in said
     assert json.loads(out)["verdict"] == summary_of(tmp_path / "run")["verdict"]
 
@@ -199,24 +199,24 @@ def test_a_standard_stream_that_is_closed_in_pytest_ends_no_test(
         (
             "channels",
             "put('servobench.drivers.canopen.sdo:PumpedSdoClient.upload')",
-            "code of your own has replaced servobench.drivers.canopen.sdo.PumpedSdoClient.upload; then ",
+            "your own code has replaced servobench.drivers.canopen.sdo.PumpedSdoClient.upload; then ",
         ),
         (
             "channels",
             "put('servobench.drivers.canopen.sdo:PumpedSdoClient.upload'); put('traceback:extract_tb')",
-            "code of your own has run here, and then the process failed, and failed again",
+            "your own code has run here, and afterwards the process failed, and failed again",
         ),
         (
             "channels",
             "put('servobench.hil.terminal.exit_status:explained'); "
             "put('servobench.drivers.canopen.sdo:PumpedSdoClient.upload'); "
             "put('servobench.hil.execution.conclusion:explained')",
-            "code of your own has run, and then the process could not tell any more what failed",
+            "your own code has run, and afterwards the process could not report what failed",
         ),
         (
             "output",
             "put('servobench.hil.verdict.summary:Summary.as_json', lambda _: {})",
-            "code of your own has run, and then the process told a result that is none",
+            "your own code has run, and afterwards the process reported an invalid result",
         ),
     ],
 )

@@ -38,7 +38,7 @@ FOREIGN = {
     "SDO write of 607Eh:00 to node 1 (601h) that the bench did not send": Frame(
         0x601, bytes.fromhex("2F7E600000000000")
     ),
-    "1016h of node 1 changed by another: it may watch the bench no more": Frame(
+    "1016h of node 1 changed by another: it may no longer watch the bench": Frame(
         0x601, bytes.fromhex("2316100100000000")
     ),
 }
@@ -158,7 +158,7 @@ def test_readings_beyond_the_syncs_are_told(servo_bench: BenchRunner) -> None:
 
 def test_answers_that_nobody_asked_for_are_told_or_end_the_run(servo_bench: BenchRunner) -> None:
     answer = Frame(0x581, bytes.fromhex("4300100092010200"))
-    what = "node 1 answers more often than it is asked: two nodes are likely to have its id"
+    what = "node 1 sends more answers than requested: two nodes are likely to have its id"
     assert others(run(servo_bench, ForeignNode(answer, AT_S, times=5))) == {what: 5}
     ended = run(
         servo_bench, ForeignNode(answer, AT_S, times=5), guard={"on_foreign": "stop"}, ends_in=ForeignTraffic

@@ -18,7 +18,7 @@ from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, EVENTS_FILE, 
 from tests.commissioning import Spy, unknown_world
 
 SEED = 3
-DEAF = "follows no command any more"
+DEAF = "no longer follows its commands"
 LEFT_AWAY = ["turn", "stop_proof", "mechanics", "torque_constant", "voltage_constant", "response"]
 """They take their time, and the delays do not rest on them."""
 TICK_US = 62.5

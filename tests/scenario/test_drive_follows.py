@@ -160,7 +160,7 @@ def test_set_points_that_a_drive_ignores_without_a_word_end_a_run(
     """A drive whose RPDO timer is content, as the commands come."""
     faults = deaf(holds=holds, bit_12_cleared=False)
     ended, shaft = run(servo_bench, faults, {"load": {}}, ends=True, file=file)
-    assert "follows no command any more" in str(ended.error)
+    assert "no longer follows its commands" in str(ended.error)
     period_ns = ended.config.loop.period
     watched_s = STAY_AWAY * period_ns / NS_PER_S
     lasted_s = len(ended.rows) * period_ns / NS_PER_S - AT_S

@@ -37,8 +37,8 @@ ENDS = [
     (LEAVES, f"{LEFT}; 6061h is 3, 10 was commanded"),
     (COMES_BACK, f"{LEFT}; 6061h is 3, 10 was commanded"),
     (IGNORES, "ignores the commands of cyclic synchronous torque; bit 12 of its statusword is 0"),
-    (SILENT, "follows no command any more"),
-    (STUCK, "follows no command any more"),
+    (SILENT, "no longer follows its commands"),
+    (STUCK, "no longer follows its commands"),
 ]
 
 

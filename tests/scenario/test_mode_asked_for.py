@@ -60,6 +60,6 @@ def test_a_drive_that_does_not_answer_any_more_is_said_to_be_unwatched(servo_ben
 
 def test_a_drive_without_the_object_is_said_to_be_unwatched(servo_bench: BenchRunner) -> None:
     ended, _ = run(servo_bench, {}, {"drive.axis1.simulation.lacks": ["6061"]}, ends=False)
-    assert watch_of(ended) == "nothing, as it has no 6061h that can be read; bit 12 of 6041h"
+    assert watch_of(ended) == "nothing, as its 6061h cannot be read; bit 12 of 6041h"
     (said,) = (event for event in ended.events if "its mode" in event.get("text", ""))
     assert said["level"] == "WARN"

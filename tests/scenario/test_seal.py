@@ -216,16 +216,16 @@ def test_what_rests_on_a_recording_says_whether_that_is_sealed(run: Path, tmp_pa
     for more, mark in ((), False), (("--unsealed",), True):
         page = tmp_path / "page.md"
         assert read("review", run, "--report", str(page), *more)[0] == 0
-        assert ("| seal | unsealed: asked for by --unsealed |" in page.read_text()) == mark
+        assert ("| seal | unsealed: requested by --unsealed |" in page.read_text()) == mark
         status, told = read("compare", run, "--json", *more)
         seals = {each["seal"] for each in json.loads(told.splitlines()[-1])["runs"]}
-        assert (status, seals) == (0, {"unsealed: asked for by --unsealed" if mark else "sealed"})
+        assert (status, seals) == (0, {"unsealed: requested by --unsealed" if mark else "sealed"})
         status, told = read("export", run, *more)
-        assert (status, told.endswith("rows; unsealed: asked for by --unsealed\n")) == (0, mark)
+        assert (status, told.endswith("rows; unsealed: requested by --unsealed\n")) == (0, mark)
 
 
 def test_the_verdict_says_whether_it_rests_on_a_seal(run: Path) -> None:
-    for more, seal in ((), "sealed"), (("--unsealed",), "unsealed: asked for by --unsealed"):
+    for more, seal in ((), "sealed"), (("--unsealed",), "unsealed: requested by --unsealed"):
         ended = CliRunner().invoke(app, [*READERS["review"](run), "--json", *more])
         assert (ended.exit_code, json.loads(ended.stdout)["seal"]) == (0, seal)
 

@@ -63,10 +63,14 @@ def test_who_names_a_missing_file_is_blamed(tmp_path: Path) -> None:
     assert (caught.value.source, caught.value.key) == ("bench.toml", "drive.a.motor")
 
 
-@pytest.mark.parametrize("what", ["a bench file", "an EDS or DCF file"])
-def test_a_missing_file_is_told_with_the_right_article(what: str, tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match=f"expected the path of {what};"):
-        read_text(tmp_path / "none.toml", what.partition(" ")[2])
+def test_a_missing_file_is_named_with_its_kind_and_who_names_it(tmp_path: Path) -> None:
+    missing = tmp_path / "none" / "bench.toml"
+    with pytest.raises(BadInput) as caught:
+        read_text(missing, "bench file")
+    assert str(caught.value) == f"Bench file not found: {missing}; there is no folder {missing.parent}"
+    with pytest.raises(BadInput) as caught:
+        read_text(missing, "EDS or DCF file", NamedBy("bench.toml", "drive.a.eds", "none/x.eds"))
+    assert str(caught.value).startswith("bench.toml: drive.a.eds: EDS or DCF file not found: none/x.eds;")
 
 
 def test_size_length_and_encoding_are_bounded(tmp_path: Path) -> None:

@@ -74,7 +74,7 @@ def test_a_drive_with_an_event_timer_looks_after_its_commands_itself_and_the_hos
     rig.run(100)
     rig.deaf = True
     rig.run(15)
-    with pytest.raises(DriveInFault, match="follows no command any more"):
+    with pytest.raises(DriveInFault, match="no longer follows its commands"):
         rig.run(8)
 
 
@@ -106,7 +106,7 @@ def test_in_place_of_a_drive_that_does_not_the_host_does(rig: Rig, timer: str) -
     rig.run(100)
     rig.deaf = True
     rig.run(15)
-    with pytest.raises(DriveInFault, match="follows no command any more"):
+    with pytest.raises(DriveInFault, match="no longer follows its commands"):
         rig.run(6)
     assert not rig.drive.enabled
 
@@ -121,7 +121,7 @@ def test_without_torque_demand_the_host_looks_at_the_torque(rig: Rig) -> None:
     rig.servo.mode_status = 1 << 11
     rig.run(50)
     rig.servo.mode_status = 0
-    with pytest.raises(DriveInFault, match="follows no command any more"):
+    with pytest.raises(DriveInFault, match="no longer follows its commands"):
         rig.run(20)
 
 

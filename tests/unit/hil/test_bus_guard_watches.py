@@ -118,7 +118,7 @@ ALL_TOLD: Final = {"on_foreign": "tell", "on_boot": "tell", "on_bus_errors": "te
         (
             0x603,
             "23 16 10 01 00 00 00 00",
-            "1016h of node 3 changed by another: it may watch the bench no more",
+            "1016h of node 3 changed by another: it may no longer watch the bench",
             "data 23 16 10 01 00 00 00 00",
         ),
         # a read of 1016h, and a frame that is too short to write anything
@@ -269,7 +269,7 @@ def test_an_answer_that_nobody_asked_for_has_two_nodes() -> None:
     bus.arm()
     assert bus.network.on_surplus_answer is not None
     bus.network.on_surplus_answer(3, b"C", AT)
-    what = "node 3 answers more often than it is asked: two nodes are likely to have its id"
+    what = "node 3 sends more answers than requested: two nodes are likely to have its id"
     assert bus.told == [(AT, "WARN", f"{what}: an SDO answer too many (583h), data 43")]
 
 

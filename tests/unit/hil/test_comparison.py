@@ -302,7 +302,7 @@ def three() -> list[Against]:
 
 def test_a_comparison_is_told_in_lines() -> None:
     lines = comparison_lines(three())
-    unsealed = "; unsealed: asked for by --unsealed"
+    unsealed = "; unsealed: requested by --unsealed"
     titles = [f"{n}  ling2012 ({name}){unsealed}" for n, name in enumerate(("one", "two", "three"))]
     assert lines[:5] == [*titles, "", lines[4]]
     assert lines[4] == " " * 28 + "           0           1           2"
@@ -354,7 +354,7 @@ def test_a_comparison_is_plain_values() -> None:
     first, second, third = told["runs"]
     assert first == {
         "run": "one",
-        "seal": "unsealed: asked for by --unsealed",
+        "seal": "unsealed: requested by --unsealed",
         "figures": compared[0].figures,
         "cycles_of_both": 0,
         "differences": {},

@@ -61,7 +61,7 @@ def drive_file(folder: Path, text: str) -> Path:
 def test_a_commissioned_drive_has_been_measured(tmp_path: Path) -> None:
     measured = drive_file(tmp_path, "[current_loop]\norder = 1\nbandwidth_hz = 634.4\n")
     assert current_loop(None, None, measured, None).bandwidth_hz == 634.4
-    with pytest.raises(BadInput, match=r"current_loop: found nothing.*hil commission"):
+    with pytest.raises(BadInput, match=r"current_loop: missing.*hil commission"):
         current_loop(None, None, drive_file(tmp_path, ""), None)
 
 
@@ -71,7 +71,7 @@ def test_a_bench_on_a_real_bus_goes_by_the_measurement(tmp_path: Path) -> None:
     text = (EXAMPLES / "any_bus.toml").read_text()
     text = text.replace('"motors/', f'"{EXAMPLES}/motors/')
     bench.write_text(text.replace('spec = "simulated"', 'spec = "hub:somewhere"'))
-    with pytest.raises(BadInput, match=r"drive\.axis1\.commissioned\.current_loop: found nothing"):
+    with pytest.raises(BadInput, match=r"drive\.axis1\.commissioned\.current_loop: missing"):
         current_loop(bench, None, None, None)
     bench.write_text(bench.read_text().replace("node = 1\n", f'node = 1\ncommissioned = "{measured}"\n', 1))
     assert current_loop(bench, None, None, None).bandwidth_hz == 634.4

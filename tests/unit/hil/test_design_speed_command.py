@@ -193,7 +193,7 @@ TARGET = "--target: found 'sampled', expected --network and --method exact with 
         ("--delay-ms 2 --structure predictor --error-percent 1", f"--error-percent: found 1.0, {NOTHING}"),
         ("--delay-ms 2 --structure hinf --integral", f"--integral: found True, {NOTHING}"),
         ("--delay-ms 2 --structure hinf --integral-time-ms 5", f"--integral-time-ms: found 5.0, {NOTHING}"),
-        ("--structure hinf", "--delay-ms: found nothing, expected at least a period of 1 ms, or --network"),
+        ("--structure hinf", "--delay-ms: missing, expected at least a period of 1 ms, or --network"),
         ("--structure hinf --period-ms 2 --delay-ms 1.5",
          "--delay-ms: found 1.5, expected at least a period of 2 ms, or --network"),
     ],

@@ -248,7 +248,7 @@ def test_a_report_in_markdown_is_whole(tmp_path: Path) -> None:
     assert parts[7::2] == ["## Figures", "## Run", "## Warnings and errors"]
     assert parts[10].splitlines()[2:] == [
         f"| folder | {tmp_path} |",
-        "| seal | unsealed: asked for by --unsealed |",
+        "| seal | unsealed: requested by --unsealed |",
         "| judged by | asked.toml |",
         "| bench | ling2012 |",
         "| bus | - |",

@@ -150,7 +150,7 @@ def test_recording_is_named_with_the_command_that_opens_it(
     expected = ["Recording  runs/x/run.rrd", f"Open with  {viewer_command()} runs/x/run.rrd"]
     assert recording_lines("runs/x") == expected
     assert recording_lines(str(tmp_path / "runs" / "x")) == expected
-    assert recording_lines("") == ["Recording  none was asked for"]
+    assert recording_lines("") == ["Recording  none requested"]
 
 
 class Terminal(io.StringIO):

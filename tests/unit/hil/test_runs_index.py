@@ -210,7 +210,7 @@ def test_a_run_that_was_altered_has_no_verdict_unless_it_is_asked_for(lab: Path)
     assert (run["verdict"], run["reason"], run["cycles"]) == ("", "", None)
     assert run["note"].startswith(f"{lab / 'c' / 'summary.json'}: bytes 0 to ")
     (run,) = listed(str(lab), "--verdict", "passed", "--unsealed")
-    assert (run["state"], run["seal"]) == ("whole", "unsealed: asked for by --unsealed")
+    assert (run["state"], run["seal"]) == ("whole", "unsealed: requested by --unsealed")
 
 
 def test_no_folder_is_refused_and_an_empty_one_is_not(tmp_path: Path) -> None:

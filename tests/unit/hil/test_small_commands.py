@@ -171,7 +171,7 @@ def test_what_is_no_run_is_not_recovered(tmp_path: Path) -> None:
 FIRST = {"bench.toml", "motor.toml", "controller.py", "test_controller.py"}
 NEXT = [
     "  hil run bench.toml    the closed loop in simulated time, recorded, with its verdict",
-    "  pytest                the controller under lost readings and a silent drive",
+    "  pytest                test the controller with lost readings and a silent drive",
 ]
 
 

@@ -210,7 +210,7 @@ def test_out_of_reach_names_the_best_and_what_would_do(tmp_path: Path) -> None:
         (("--gamma", "1", "--error-percent", "1"), "--error-percent"),
         (("--delay-ms", "1", "--network", "n.toml"), "--network"),
         (("--gamma", "125", "--method", "ccl", "--feedback", "speed"), "Algorithm 4.2 knows no other"),
-        (("--network", "none.toml"), "no file none.toml"),
+        (("--network", "none.toml"), "Network file not found: none.toml"),
         (("--gamma", "125", "--integral-time-ms", "5"), "--integral"),
         (("--delay-ms", "5", "--target", "sampled"), "--network and --method exact"),
     ],

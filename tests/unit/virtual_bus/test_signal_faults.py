@@ -344,7 +344,7 @@ def test_at_the_drives_connection_the_drive_itself_hears_another_torque() -> Non
         ('object = 0x606C\nhow = "stuck"', 'an object, such as "606C"'),
         (
             'object = "606C"\nhow = "offset"',
-            'offset_raw: found nothing, expected a number, for how = "offset"',
+            'offset_raw: missing, expected a number, for how = "offset"',
         ),
         ('object = "606C"\nhow = "bits"', "set_bits or cleared_bits"),
         (
