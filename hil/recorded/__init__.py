@@ -1,1 +1,1 @@
-"""What is done with a recorded run: judged anew, compared, drawn, shown."""
+"""Judge, compare, draw and show a recorded run."""

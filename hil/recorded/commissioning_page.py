@@ -91,7 +91,7 @@ class _Quantity:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """What figures.json says of a step, as far as the page tells it."""
+    """Figures of a step in figures.json, as far as the page shows them."""
 
     name: str
     title: str
@@ -117,7 +117,7 @@ _PLOTS: Final = {"speed": "Speed [r/min]", "position": "Position [turns]", "torq
 
 
 def is_commissioning(folder: Path) -> bool:
-    """Whether ``hil commission`` has left it."""
+    """Return True if ``hil commission`` wrote the folder."""
     return (folder / COMMISSIONING_RECORDING / FRAMES_FILE).is_file()
 
 
@@ -150,7 +150,7 @@ def _write(folder: Path, page: Path) -> None:
 
 
 def _figures(folder: Path) -> _Figures:
-    """Of figures.json; a commissioning that was killed has none."""
+    """Read figures.json; a commissioning that was killed has none."""
     path, what = folder / COMMISSIONING_FIGURES, "what hil commission wrote"
     try:
         plain = parse_json(read_text(path, "commissioning"), str(path), what)
@@ -177,7 +177,7 @@ def _zero_ns(event: Mapping[str, Any]) -> int | None:
 
 
 class _Bus:
-    """What the frames tell: signals, and the drive's states."""
+    """Signals of the frames, and the drive's states."""
 
     def __init__(self, recorded: RecordedBus, known: KnownNodes, zero_ns: int | None) -> None:
         self.signals: dict[Object, Envelope] = {}
@@ -268,7 +268,7 @@ def _path(index: Object) -> str:
 
 
 def _markdown(folder: Path, figures: _Figures) -> str:
-    """What came of each step, as report.md has it, in short."""
+    """Summarize the result of each step, as report.md has it."""
     parts = [f"# Commissioning · {folder.name}"]
     origin = [str(told) for key in ("date", "tool", "adapter") if (told := figures.header.get(key))]
     parts += [", ".join(origin)] if origin else []

@@ -30,7 +30,7 @@ _COMPARED: Final = [
 ]
 """Places of the columns; every one has eight bytes."""
 _COLUMNS_MAX: Final = 8
-"""Of a divergence: more columns say no more."""
+"""Columns shown of a divergence: more say nothing new."""
 
 
 Tolerance = Annotated[float | None, Field(ge=0)]
@@ -53,7 +53,7 @@ class Tolerances(Section):
     action_delay_p99_us: Tolerance = None
     lateness_p99_us: Tolerance = None
     speed_difference_rms_rad_s: Tolerance = None
-    """Of the measured speeds, cycle by cycle."""
+    """RMS difference of the measured speeds, cycle by cycle."""
     speed_difference_max_rad_s: Tolerance = None
 
 
@@ -63,7 +63,7 @@ def load_tolerances(path: Path) -> Tolerances:
 
 
 class Difference:
-    """Of one signal of one axis."""
+    """Differences in one signal of one axis."""
 
     def __init__(self) -> None:
         self.largest = Largest()
@@ -118,11 +118,11 @@ class Against:
     """None: every cycle that both have is the same."""
     cycles_of_both: int = 0
     regressions: list[Regression] = field(default_factory=list)
-    """What the tolerances ask for, if there are any."""
+    """Violations of the tolerances, if there are tolerances."""
 
     @cached_property
     def figures(self) -> dict[str, float | None]:
-        """What is compared, by the names of :class:`Tolerances`."""
+        """Compared figures, by the names of :class:`Tolerances`."""
         figures = self.signals.review.figures()
         error, steps = figures.speed_error, figures.step_response
         return {

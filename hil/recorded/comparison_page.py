@@ -75,7 +75,8 @@ def _layout(compared: Sequence[Against], names: Sequence[str]) -> rrb.Blueprint:
 
 
 def _ranges(compared: Sequence[Against], axis: str) -> list[Range | None]:
-    """Of the plots, the same for all runs; of the error by what counts: a step does not flatten it."""
+    """Return the ranges of the plots, the same for all runs; that of the error covers what counts: a step
+    does not flatten it."""
     values: dict[str, list[float]] = {}
     for each in compared:
         for name, signal, (_, drawn) in _signals(compared, each):

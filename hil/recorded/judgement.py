@@ -20,7 +20,7 @@ from servobench.hil.verdict.summary import Figures, Summary, summarise
 from servobench.hil.verdict.verdict import Demand, RunOutcome, VerdictKind, VerdictLimits
 
 _OF_LIMITS: Final = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
-"""What is found by limits, and so anew."""
+"""Outcomes decided by limits, and so found anew."""
 
 
 class Requirements(Section):
@@ -31,13 +31,13 @@ class Requirements(Section):
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What a review came to."""
+    """Result of a review."""
 
     run: RecordedRun
     against: str
     """Whose limits: a file, or the bench's own."""
     summary: Summary
-    """As ``hil run`` has it, by these limits."""
+    """Summary by these limits, in the form ``hil run`` writes."""
     signals: RunSignals
 
 
@@ -111,7 +111,7 @@ def _other_rows(recorded: Summary, figures: Figures) -> Iterator[str]:
 
 
 def _certified(figures: Figures) -> Iterator[Demand]:
-    """What the certificates of the controllers presume and allow, and what was seen.
+    """Yield what the controllers' certificates presume and allow, with the values seen.
 
     Where a premise was left its own line says so; the certified figure is not asked for then.
     """

@@ -29,16 +29,16 @@ from servobench.hil.verdict.summary import Summary
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """What the files of a run say, but for its rows."""
+    """Contents of a run's files, except for its rows."""
 
     folder: Path
     config: BenchConfig
     metadata: Mapping[str, str]
     summary: Summary
     review: ReviewPlan
-    """What its figures and its verdict depended on."""
+    """Settings on which its figures and its verdict depended."""
     seal: str = field(default=NOT_CHECKED, kw_only=True)
-    """Whether the files were held against it."""
+    """Result of checking the files against the seal."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -47,7 +47,7 @@ class RecordedRun:
 
     @property
     def cycles_planned(self) -> int:
-        """Of each axis."""
+        """Planned cycles of each axis."""
         return planned_cycles(duration_s(self.config.bench.duration_s), self.config.loop.period)
 
     @property

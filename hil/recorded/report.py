@@ -96,7 +96,7 @@ def _origin(judged: Judged) -> Iterator[tuple[str, str]]:
 
 
 def _events(path: Path) -> Iterator[tuple[str, str, str]]:
-    """What was worth more than a note, the last ones."""
+    """Return the last events graver than a note."""
     rows = [
         (f"{event['at_ns'] / NS_PER_S:.6f}", str(event["level"]), printable(str(event["text"])))
         for event in read_events(path)

@@ -118,7 +118,7 @@ class HeadlessViewer:
                 raise PeerFault(f"the view {view.name!r} reports: {report.summary}", report.details or "")
 
     def _ends(self) -> list[int]:
-        """Of the run time of each recording."""
+        """Return the end of each recording, in run time."""
         return [
             timeline.end
             for recording in self._client.get_state().recordings
@@ -135,8 +135,8 @@ def _untold(_seal: str) -> None:
 
 
 def page_file(run: Path, *, unsealed: bool = False, tell_seal: Callable[[str], None] = _untold) -> Path:
-    """What the viewer opens of a folder: a run's run.rrd, a campaign's, a commissioning's,
-    made now; a file is itself.
+    """Return the file the viewer opens for a folder: run.rrd of a run or of a campaign, or that of a
+    commissioning, made now; a file is returned unchanged.
 
     ``unsealed``: whether or not the files of a run are as they were recorded. ``tell_seal`` is told how they
     are sealed. Raises BadInput.
@@ -266,7 +266,7 @@ def _connect(process: "subprocess.Popen[bytes]", port: int) -> ViewerClient:
 
 
 def _gone(process: "subprocess.Popen[bytes]") -> PeerFault:
-    """What a viewer that does not run said."""
+    """Return the error for a viewer that has ended, with its last words."""
     subprocess.run(["kill", "--", f"-{process.pid}"], check=False, stderr=subprocess.DEVNULL)
     said = (process.communicate()[1] or b"").decode(errors="replace").strip().splitlines()
     complaint = next((line for line in said if "adapter" in line or "panicked" in line), "".join(said[-1:]))

@@ -22,30 +22,31 @@ SUMMARY = "/summary"
 """The object of summary.json, as text; in no view."""
 OVERVIEW_PAGE, TIMING_PAGE, CONTROLLER_PAGE, ZOOM_PAGE = "Overview", "Timing", "Controller", "Zoom"
 OBSERVED_PAGE: Final = "Observed"
-"""What the drives tell for the recording alone."""
+"""Page of the objects the drives report for the recording alone."""
 SPEED_PAGE = "Speed"
-"""Of axes whose reference is one of the position, which is seen first."""
+"""Page of the speeds of axes under position reference; the position is seen first."""
 LIVE_WINDOW_S: Final = 20.0
-"""What is seen of a run that goes on: a step and what follows, and single cycles still."""
+"""Seconds shown of a run in progress: enough for a step with its response, and single cycles remain
+visible."""
 MARKS_MAX: Final = 30
 """More dropouts would bury the line; their lane shows all of them."""
 GUTTER: Final = 31 / 988
-"""Of the width of a plot, for the labels at its left, which the lanes do not have."""
+"""Share of a plot's width taken by the labels at its left, which the lanes do not have."""
 
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """What the pages of a run that has ended are laid out by."""
+    """Layout data for the pages of a run that has ended."""
 
     begin_s: float
     end_s: float
-    """What is shown, run time."""
+    """End of the shown run time."""
     tracks: Mapping[str, str] = field(default_factory=dict)
     """Entities of all lanes, and of which axis each is; empty: of none."""
     enveloped: bool = False
     """There are envelopes; a short run has no more rows than they would have."""
     ranges: Mapping[str, Range] = field(default_factory=dict)
-    """Of the values, by axis and plot: "axis1/speed"."""
+    """Ranges of the values, by axis and plot: "axis1/speed"."""
     remarks: Mapping[str, str] = field(default_factory=dict)
     """By axis and plot, what its title says beside."""
     few_marks: frozenset[str] = frozenset()
@@ -126,7 +127,7 @@ class Pages:
         )
 
     def _all_axes(self) -> rrb.Vertical:
-        """Of each plot one with all axes in it."""
+        """Lay out one view per plot, each with all axes."""
         plots = [
             self._together("speed/measured", "Speed of all axes [r/min]", "speed/reference"),
             self._together("error/error", "Speed errors [r/min]"),

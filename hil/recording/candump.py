@@ -19,7 +19,7 @@ _HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
 _IDENTIFIER_MASK = (1 << 30) - 1
 """The highest of these bits marks an error frame (CAN_ERR_FLAG)."""
 _SECONDS_DIGITS = 10
-"""Of Unix time, until the year 2286."""
+"""Digits of Unix time in seconds, until the year 2286."""
 _DIGIT_WEIGHTS = 10 ** np.arange(_SECONDS_DIGITS + 6 - 1, -1, -1, dtype=np.int64)
 
 

@@ -30,13 +30,13 @@ STATE_ROOT: Final = "/state"
 _VERDICT, _ERROR, _DRIVE, _PHASE, _LINK, _DROPOUTS, _HOST, _INJECTED, _OTHER = range(9)
 """The order of the lanes: Rerun lays them out by their paths."""
 VERDICT_TRACK: Final = "verdict"
-"""Of the whole run; that of an axis tells of its speed error alone."""
+"""Track of the whole run's verdict; an axis' track shows its speed error alone."""
 SETTLING, KEPT, BEYOND, NOT_JUDGED = "Settling", "Kept", "BEYOND", "Not judged"
 _WINDOWS_MAX: Final = 100
-"""Of more settling windows nothing is seen: the viewer writes the number of states into the lane."""
+"""Settling windows shown at most; the viewer writes the mere number of states into a lane with more."""
 FEW_SHARE: Final = 0.1
-"""Of the cycles of a stretch: less of them that dropped out make no dropout of it all. A stretch of an hour
-has 8 s, in which one of a hundred cycles would paint the lane from end to end."""
+"""Share of a stretch's cycles that must drop out before the stretch is shown as a dropout. A stretch of an
+hour has 8 s, in which one cycle of a hundred would paint the lane from end to end."""
 _WIDTH_LEAST: Final = 400
 """A fault is drawn at least such a part of the run wide, to be seen."""
 
@@ -166,7 +166,7 @@ def error_limit_rpm(meter: SpeedErrorMeter, limits: VerdictLimits) -> float | No
 
 
 def _breaches(limited: Iterable[tuple[Envelope, float | None]]) -> CodeLane:
-    """Of values and how large they may be: 1 where one is judged, 2 where one is larger, else 0."""
+    """Code values against their limits: 1 where a value is judged, 2 where it exceeds its limit, else 0."""
     points = [(*values.points(), limit) for values, limit in limited]
     times = np.concatenate([at for at, _, _ in points])
     codes = [np.zeros(len(at), np.int64) if most is None else 1 + (size > most) for at, size, most in points]

@@ -1,4 +1,4 @@
-"""What keeps a part of a run: the files of its folder."""
+"""Keepers of a run's parts: the files of its folder."""
 
 import json
 from collections.abc import Sequence
@@ -36,8 +36,8 @@ from servobench.hil.verdict.summary import Summary
 from servobench.virtual_bus.faults.fault_log import FAULTS_FILE, entry_line
 
 BLOCK_ROWS = 8_192
-"""Of 30 bytes a row, where half as many take 52; twice as many take 17, and are written in 27 ms, not 18. In
-real time the flush of each second comes first."""
+"""Rows of a block, at 30 bytes each. Half as many take 52 bytes a row; twice as many take 17, and are written
+in 27 ms, not 18. In real time the flush of each second comes first."""
 LIVE_VIEW = "live view"
 
 
@@ -49,7 +49,8 @@ class Keeper:
     """Cycle records that are in its file."""
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
-        """What came since the last call: (n,) of ROW_DTYPE, (m,) of FRAME_DTYPE, and the events."""
+        """Take what came since the last call: rows (n,) of ROW_DTYPE, frames (m,) of FRAME_DTYPE, and the
+        events."""
         raise NotImplementedError
 
     def flush(self) -> None:

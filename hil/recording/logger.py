@@ -94,7 +94,7 @@ class Logger:
         self._set_points = SetPointTeller(plan.set_points)
         self._injected = InjectedFaults()
         self._until = plan.started_at
-        """What happened up to here is known, on the bench's clock."""
+        """End of the known past, on the bench's clock."""
         self._fault_blocks = RingReader(faults, BLOCK_DTYPE)
         self._fault_entries = FaultEntries(plan.started_at)
         if plan.faults and plan.folder is not None:
@@ -138,7 +138,7 @@ class Logger:
         return rows.size
 
     def _told_by(self, rows: Rows, at_end: bool) -> list[RunEvent]:
-        """What nobody says, but the rows of the cycles and the entries of the fault log show."""
+        """Return the events that only the rows of the cycles and the entries of the fault log show."""
         told: list[RunEvent] = [*self._set_points.take(rows, self._zero.at)]
         entries = self._fault_entries.take(self._fault_blocks.drain(), self._zero, at_end)
         told += self._injected.take(entries, self._zero.at)

@@ -92,13 +92,13 @@ class LoggerProcess:
         return self._process.pid
 
     def trouble(self) -> str:
-        """What has gone wrong so far, in words; empty if nothing has. One call of the kernel, no waiting."""
+        """Describe what has gone wrong so far; empty if nothing has. One system call, no waiting."""
         self._listen(0.0)
         return self._trouble
 
     @property
     def gone(self) -> bool:
-        """Whether nobody drains the rings any more."""
+        """True if no process drains the rings any longer."""
         self._listen(0.0)
         return self._told.ended
 
@@ -208,7 +208,7 @@ def start_python(module: str, descriptors: Sequence[int], log: Path | None) -> s
 
 
 def last_line(log: Path | None) -> str:
-    """Of what a process of ours said on its standard error."""
+    """Return the last line that a process of ours wrote to its standard error."""
     if log is None or not log.exists():
         return ""
     lines = log.read_text(errors="replace").strip().splitlines()

@@ -30,7 +30,7 @@ _REVIEWED_BYTES = 1024 * ROW.size
 
 
 class KeptFrame(NamedTuple):
-    """As a tap sees it."""
+    """A frame as a tap sees it."""
 
     direction: str
     can_id: int
@@ -123,7 +123,7 @@ class MemoryRecorder(RunRecorder):
         return sorted([*self.events, *self._shown()], key=lambda event: event.at), self._zero.at
 
     def _shown(self) -> Iterator[RunEvent]:
-        """What nobody says, but rows and entries of the fault log show."""
+        """Return the events that only rows and entries of the fault log show."""
         yield from SetPointTeller(self._plan.set_points).take(self.rows(), self._zero.at)
         injected = InjectedFaults()
         blocks = np.frombuffer(bytes(self._blocks), BLOCK_DTYPE)

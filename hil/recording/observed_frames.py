@@ -1,4 +1,4 @@
-"""What drives tell for the recording alone, out of the frames of their TPDOs.
+"""Signals that drives report for the recording alone, from the frames of their TPDOs.
 
 In which TPDO of a drive an object travels is read off the answers that it gave as its mapping was read back.
 """
@@ -22,7 +22,7 @@ _FOUR_BYTES: Final = 0x43
 
 
 class ObservedFrames:
-    """Of all drives of a run."""
+    """Observed frames of all drives of a run."""
 
     def __init__(self, observed: Mapping[str, ObservedDrive]) -> None:
         self._drives = [_Drive(f"/{axis}/", drive) for axis, drive in observed.items()]
@@ -35,7 +35,7 @@ class ObservedFrames:
                 self._held.setdefault(path, []).append((times, values))
 
     def drain(self) -> Iterator[Signal]:
-        """What was taken since."""
+        """Yield the signals taken since the last call."""
         held, self._held = self._held, {}
         for path, parts in held.items():
             times, values = zip(*parts, strict=True)

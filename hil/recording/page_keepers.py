@@ -25,7 +25,7 @@ _LOOPBACK = "127.0.0.1"
 
 
 class PageKeeper(Keeper):
-    """What shows the run in Rerun."""
+    """Keeper that shows the run in Rerun."""
 
     def __init__(self, telemetry: Telemetry, review: Review, block_rows: int = BLOCK_ROWS) -> None:
         self._telemetry = telemetry

@@ -1,4 +1,4 @@
-"""What is drawn of an axis: entity, name, colour and unit of each series."""
+"""Series drawn for an axis: entity, name, colour and unit of each."""
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -12,7 +12,7 @@ GREY, BLUE, RED, ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 
 GREEN, VIOLET, YELLOW, CORAL = (112, 224, 128), (200, 160, 255), (255, 214, 92), (255, 122, 66)
 CHANNEL_COLORS: Final = (BLUE, GREEN, VIOLET, YELLOW, CORAL, GREY)
 AXIS_COLORS: Final = (BLUE, GREEN, ORANGE, VIOLET, YELLOW, CORAL)
-"""Of the axes, where all are drawn in one plot."""
+"""Colours of the axes, where one plot shows all."""
 
 TIMELINE: Final = "run_time"
 OVERVIEW: Final = "/overview"
@@ -36,7 +36,7 @@ class Series(NamedTuple):
     """It holds from one point to the next."""
 
     def styled(self, color: Color | None = None, name: str = "") -> "rr.SeriesLines":
-        """As Rerun is told; ``color``, ``name``: in place of its own."""
+        """Return the series in Rerun's form; ``color``, ``name`` replace its own."""
         import rerun as rr
 
         modes = rr.components.InterpolationMode
@@ -60,7 +60,7 @@ class Marks(NamedTuple):
     color: Color = RED
 
     def styled(self) -> "rr.SeriesPoints":
-        """As Rerun is told."""
+        """Return the points in Rerun's form."""
         import rerun as rr
 
         shape = rr.components.MarkerShape.auto(self.marker)
@@ -107,7 +107,7 @@ LIMIT_SERIES: Final = (
 
 
 def own_series(plan: RecordingPlan, axis: str) -> tuple[Series, ...]:
-    """Of what the controller of an axis tells, and of what is observed of its drive."""
+    """Return the series of an axis' controller signals and of its drive's observed objects."""
     names = [(f"controller/{name}", name) for name in plan.channels.get(axis, ())]
     drive = plan.observed.get(axis)
     names += [(signal.path, signal.name) for signal in (drive.signals if drive else ())]

@@ -23,11 +23,11 @@ _TICKS_MAX: Final = 8.0
 _MANTISSA_MAX: Final = 3.0
 """More ticks of the smaller power of ten would take the room of the other plots."""
 _MARGIN: Final = 0.15
-"""Of the range, on each side: a curve does not lie upon the frame."""
+"""Margin on each side, as a share of the range: a curve does not lie upon the frame."""
 
 
 def lanes_px(lanes: int) -> float:
-    """What the view of so many lanes needs."""
+    """Return the height that so many lanes need."""
     return min(_STATES_PX + _LANE_PX * lanes, _STATES_PX_MAX)
 
 
@@ -50,7 +50,8 @@ def around_zero(reach: float) -> Range:
 
 
 def plot_heights(ranges: Sequence[Range | None], room_px: float, spare: Sequence[float]) -> list[float]:
-    """Of plots one below the other, px; ``spare``: to which parts they share what none of them needs."""
+    """Return the heights of plots one below the other, px; ``spare``: the shares in which they divide the
+    room that none of them needs."""
     needed: list[float] = []
     for most in (math.inf, _TICKS_MAX):
         needed = [_PLOT_PX + _TICK_PX * min(_ticks(each), most) for each in ranges]

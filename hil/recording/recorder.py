@@ -38,7 +38,7 @@ _DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 
 
 class Recorder(RunRecorder):
-    """What a loop may do with a recording: four rings, and the process that drains them into files.
+    """A loop's access to its recording: four rings, and the process that drains them into files.
 
     No call waits in real time, except ``close``.
     """
@@ -77,7 +77,7 @@ class Recorder(RunRecorder):
 
     @property
     def logger_process_id(self) -> int:
-        """Of the process that drains the rings."""
+        """Process id of the logger, which drains the rings."""
         return self._logger.process_id
 
     def wait_ready(self) -> None:

@@ -139,7 +139,7 @@ def _keep_events(plan: RecordingPlan, folder: Path, rings: Rings | None) -> list
 
 
 def _keep_faults(plan: RecordingPlan, folder: Path, rings: Rings) -> list[str]:
-    """What was injected and the logger had not taken; why some of it is missing."""
+    """Keep the injected faults that the logger had not taken; return the reasons for missing ones."""
     told = [f"{rings.refused} rows lost after the logger had ended"] if rings.refused else []
     entries = FaultEntries(plan.started_at)
     entries.take(rings.fault_blocks, first_cycle(plan, folder / RECORDS_FILE, rings), at_end=True)

@@ -49,7 +49,7 @@ def write_rerun_anew(plan: RecordingPlan, summary: Summary, review: Review) -> N
 
 
 def _send(plan: RecordingPlan, folder: Path, telemetry: Telemetry, summary: Summary, review: Review) -> None:
-    """As a logger sends it: what was before the first cycle, the cycles, what came after."""
+    """Send in a logger's order: what precedes the first cycle, the cycles, what follows them."""
     telemetry.metadata = read_metadata(folder / RECORDS_FILE)
     told = [*_events(folder / EVENTS_FILE), *_loads(folder / LOAD_FILE)]
     telemetry.take_events([event for event in told if event.at <= 0])

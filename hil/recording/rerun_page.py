@@ -1,4 +1,4 @@
-"""What every page of Rerun is framed by, and the file that it goes into."""
+"""Frame of every Rerun page, and the file it is written to."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

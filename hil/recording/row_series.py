@@ -1,4 +1,4 @@
-"""What is drawn of the rows of one axis: instants and values by the path of the series."""
+"""Series drawn from the rows of one axis: instants and values by the path of the series."""
 
 from collections.abc import Iterator
 
@@ -74,7 +74,7 @@ def marks_of(rows: Rows) -> Iterator[Drawn]:
 
 
 def first_offset_ns(rows: Rows) -> int | None:
-    """Of the drive's clock, in the first row that has one."""
+    """Return the drive's clock offset in the first row that has one."""
     told = rows["clock_offset_ns"][rows["clock_offset_ns"] != NOTHING]
     return int(told[0]) if told.size else None
 

@@ -1,4 +1,4 @@
-"""What a loop writes in every cycle: rows of cycles and of raw frames, each into its ring."""
+"""Writer for a loop's rows of cycles and of raw frames, each into its ring."""
 
 from servobench.drivers.timebase import Instant
 from servobench.drivers.wire.frame_port import FrameTap

@@ -61,7 +61,7 @@ def write_summary(folder: Path, summary: Summary) -> None:
 
 
 def read_summary(folder: Path) -> Summary:
-    """Of the run in ``folder``. Raises BadInput, and of it NoSuchFile."""
+    """Read the summary of the run in ``folder``. Raises BadInput, and of it NoSuchFile."""
     path = folder / SUMMARY_FILE
     plain = parse_json(read_text(path, "summary"), str(path), _WHOLE)
     if isinstance(plain, dict):

@@ -1,4 +1,4 @@
-"""What a recording says of its run: in records.arrow and as properties of run.rrd."""
+"""Metadata of a run, stored in records.arrow and as properties of run.rrd."""
 
 import json
 import os
@@ -62,7 +62,8 @@ def _version() -> str:
 
 @cache
 def source_commit() -> str:
-    """Of the source tree that runs, with "-dirty" if it was changed since; empty if it is none of git's."""
+    """Return the commit of the running source tree, with "-dirty" if it was changed since; empty outside
+    git."""
     if not (_ROOT / ".git").exists():
         return ""
     # status without its optional lock: a git that is killed in between must leave none in the user's tree

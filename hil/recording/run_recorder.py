@@ -1,4 +1,4 @@
-"""What a run asks of whatever records it."""
+"""Interface between a run and its recorder."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -26,7 +26,7 @@ class RunRecorder(ABC):
 
     @abstractmethod
     def tap(self, segment: int = 0) -> FrameTap:
-        """What takes the raw frames of the link to a segment, the first or another one."""
+        """Return the tap for raw frames of the link to a segment, the first or another one."""
 
     @abstractmethod
     def tell(self, event: RunEvent) -> None:
@@ -53,7 +53,7 @@ class RunRecorder(ABC):
         self.tell(IdentityEvent(at, axis, text))
 
     def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
-        """What the load machine of an axis measured; a few dozen times a second at most."""
+        """Record a measurement of an axis' load machine; a few dozen times a second at most."""
         self.tell(LoadEvent(at, axis, torque_nm, speed_rad_s))
 
     @abstractmethod

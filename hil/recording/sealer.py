@@ -10,7 +10,7 @@ from servobench.hil.rows.run_files import LOGGER_LOG, PRINTED_FILE, RECORDS_FILE
 from servobench.hil.rows.seal import ENDED, FIRST_CHAIN, Piece, digest_of, read_seal, sealed_line
 
 _LEFT_OUT: Final = frozenset({SEAL_FILE, RESERVE_FILE, LOGGER_LOG, PRINTED_FILE})
-"""What is written beside the recording, as long as the processes live."""
+"""Files written beside the recording, as long as the processes live."""
 _PASSING: Final = (".tail", ".part")
 """Endings of files that are gone when a recording has ended."""
 

@@ -66,7 +66,7 @@ _FLUSH_MAX_S = 10.0
 _EVENT_COLUMNS = 64
 """A longer text goes on in the next line: so much a list at the right of a screen of 1920 shows."""
 _BEFORE_MAX, _AFTER_MAX = 0.1, 0.5
-"""Of the cycles: more of what was before the first one, and after the last one while a drive coasts, is not
+"""Shares of the cycles shown before the first one, and after the last one while a drive coasts; more is not
 shown on opening."""
 _APPLICATION = "servobench"
 _PROPERTIES = "run"
@@ -94,7 +94,7 @@ class Telemetry:
         self._stream.send_recording_name(f"{plan.name} seed {plan.seed}")
         self._stream.send_blueprint(layout(plan))
         self.metadata: Mapping[str, str] = {}
-        """What is said of the run in place of what the plan and this machine say of it, if anything is."""
+        """Metadata shown in place of the plan's and this machine's, if any."""
         self._told: Mapping[str, str] = {}
         self._origin: int | None = None
         self._held: list[RunEvent] = []
@@ -109,9 +109,10 @@ class Telemetry:
         self._missed = False
         self._faults = FaultWindows()
         self._offset_origin_ns: list[int | None] = [None] * len(self._axes)
-        """Of each axis' clock: its offset in the first row that has one."""
+        """Offset of each axis' clock in the first row that has one."""
         self._shown: dict[str, list[LabelChange]] = {}
-        """Of each track, in order of time: rows and events tell a state twice, and either may come first."""
+        """Changes of each track, in order of time: rows and events report a state twice, and either may come
+        first."""
         self._styled: set[str] = set()
         self._envelopes: dict[str, Envelope] = {}
         self.observed = ObservedFrames(plan.observed)
@@ -178,7 +179,7 @@ class Telemetry:
         self._stream.log(f"{HISTOGRAM}/{name}/deadline", line, static=True)
 
     def show_running(self, review: Review) -> None:
-        """What the run has come to so far."""
+        """Show the run's result so far."""
         self.show_histograms(review.delays)
         text = running_markdown(self._plan, review.figures(), self._told)
         self._stream.log(VERDICT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
@@ -233,7 +234,8 @@ class Telemetry:
         )
 
     def _show_envelopes(self) -> bool:
-        """Whether there are any: a run with fewer rows than they would have is shown as it is."""
+        """Show the envelopes. Returns False if there are none: a run with fewer rows than envelopes is shown
+        as it is."""
         if self._live or self._rows <= 2 * BUCKETS:
             return False
         for path, envelope in self._envelopes.items():
@@ -241,7 +243,8 @@ class Telemetry:
         return True
 
     def _show_end_lanes(self, summary: Summary, review: Review) -> None:
-        """What is known at the end only: verdict, dropouts by cause, what was judged, and injected faults."""
+        """Show what is known at the end only: verdict, dropouts by cause, what was judged, and injected
+        faults."""
         first = self._origin or 0
         outcome = LabelChange(first, summary.verdict.outcome.value)
         self._show_changes(VERDICT_TRACK, [outcome, LabelChange(max(self._last_cycle, first), QUIET)])

@@ -20,7 +20,7 @@ _CELL_COLUMNS: Final = 52
 def verdict_markdown(
     plan: RecordingPlan, summary: Summary | None, metadata: Mapping[str, str] | None = None
 ) -> str:
-    """What the reader of a recording sees first; without a summary the run still goes on.
+    """Return the text that the reader of a recording sees first; without a summary the run still goes on.
 
     ``metadata``: of the run, as far as it is known (:mod:`servobench.hil.recording.run_metadata`).
     """
@@ -123,7 +123,7 @@ def _swing(summary: Summary) -> list[str]:
 
 
 def _load(summary: Summary) -> list[str]:
-    """What the load machine was asked for and measured, step by step."""
+    """List the load machine's commands and measurements, step by step."""
     machine = summary.load_machine
     if machine is None:
         return []

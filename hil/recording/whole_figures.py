@@ -17,7 +17,8 @@ from servobench.hil.rows.recording_plan import RecordingPlan
 _WORTH_SHOWING: Final = 4.0
 """A limit so many times the signal, or farther, would flatten it: the title names it then."""
 COUNTED_SHARE: Final = 0.98
-"""Of the error that counts: what a fault of a few cycles does beyond it does not flatten the rest."""
+"""Share of the counted error that is shown: what a fault of a few cycles does beyond it does not flatten the
+rest."""
 _NEARLY_REACHED: Final = 1.2
 """A limit of the drive that is farther from its signal is said in the title alone."""
 _DRAWN: Final = {
@@ -30,12 +31,12 @@ _MARGIN: Final = 1.15
 
 
 def in_view(limit: float, signal: float) -> bool:
-    """Whether a limit is shown beside a signal that reaches to ``signal``."""
+    """Return True if a limit is shown beside a signal that reaches to ``signal``."""
     return limit <= _WORTH_SHOWING * signal
 
 
 class _Limit(NamedTuple):
-    """What a plot is held against, up and down, in the plot's unit."""
+    """Limits of a plot, up and down, in the plot's unit."""
 
     plot: str
     size: float | None
@@ -50,7 +51,7 @@ class _Limit(NamedTuple):
 
 
 class WholeFigures:
-    """Of one run."""
+    """Figures of one run."""
 
     def __init__(self, plan: RecordingPlan, envelopes: Mapping[str, Envelope], review: Review) -> None:
         """``envelopes``: by the path of the series."""
@@ -61,7 +62,7 @@ class WholeFigures:
         }
 
     def ranges(self) -> dict[str, Range]:
-        """Of the values, by axis and plot; what is not here is as wide as its data."""
+        """Return the ranges of the values, by axis and plot; a plot without one is as wide as its data."""
         ranges: dict[str, Range] = {}
         for name, limits in self._limits.items():
             plots = {plot: about(self._ends(name, *paths)) for plot, paths in _DRAWN.items()}
@@ -73,7 +74,7 @@ class WholeFigures:
         return ranges
 
     def remarks(self) -> dict[str, str]:
-        """What the titles of plots say of limits that are not in the picture, by axis and plot."""
+        """Return remarks for the plots' titles on limits outside the picture, by axis and plot."""
         remarks: dict[str, str] = {}
         for name, limits in self._limits.items():
             remarks |= {f"{name}/{each.plot}": f" · limit ±{each.title}" for each in limits if each.title}
@@ -140,7 +141,8 @@ class WholeFigures:
 
 
 def _error_range(error: _Limit) -> Range | None:
-    """As wide as the error that counts, not as a step's first instant; with a limit that is near."""
+    """Return a range as wide as the error that counts, not as a step's first instant; with a limit that is
+    near."""
     reach = max(error.reach, error.size or 0.0) if error.drawn else error.reach
     return around_zero(reach) if reach else None
 

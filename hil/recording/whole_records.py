@@ -20,7 +20,7 @@ from servobench.hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, drives_of, e
 
 
 class Rings:
-    """What a dead logger had not taken."""
+    """Rings' contents that a dead logger had not taken."""
 
     def __init__(self, rows: int, frames: int, events: int, faults: int) -> None:
         """Descriptors."""

@@ -1,4 +1,4 @@
-"""What a run did to the loop of a certified controller, beside what its certificate allows.
+"""Measure what a run did to the loop of a certified controller, beside what its certificate allows.
 
 The certificate is of the gain from load torque to speed error. The energy of the error up to any instant is
 then at most gain^2 times that of the load: for a load step in a steady run, the rms of the error since the
@@ -39,7 +39,7 @@ _EXACT_US = 10.0
 
 
 class PremisesMeter:
-    """Whether a run stayed within its certificate's premises.
+    """Checks whether a run stayed within its certificate's premises.
 
     Feed it rows of its axis in order of sequence; any division into chunks gives the same.
     """
@@ -122,7 +122,7 @@ class PremisesMeter:
             yield f"saturation: {self.saturated} commands at a limit after a load step"
 
     def _left_by_commands(self, delay_us: float | None) -> Iterator[str]:
-        """What a certificate for lost samples presumes of the commands."""
+        """Yield the premises on commands, in a certificate for lost samples, that the run left."""
         if lost := int(self._network.command_fates[LOST]):
             yield f"commands: {lost} lost, certified where every one arrives"
         if delay_us is not None and self._shortest_us < delay_us - _EXACT_US:
@@ -166,15 +166,15 @@ def _largest_us(times: TimeHistogram) -> float | None:
 
 
 _STEP_MIN: Final = 0.01
-"""Of the rated torque: below it, as where a load from a file sets in, the noise of the speed is larger than
-the answer, and their ratio says nothing of the gain."""
+"""Smallest step of load, as a share of the rated torque. Below it, as where a load from a file sets in, the
+noise of the speed is larger than the answer, and their ratio says nothing of the gain."""
 _BEFORE: Final = 20
 """Readings of a steady run of which the mean before a load step is taken, at least: it is the speed error
 that friction or the load of before leaves to a controller that does not integrate."""
 
 
 class CertificateState(StrEnum):
-    """What a run says of a certificate. Of several axes the first of this list is told."""
+    """State of a certificate after a run. For several axes the first in this list is reported."""
 
     EXCEEDED = "exceeded"
     """A counter-example: all premises were kept, and the certified figure was not."""

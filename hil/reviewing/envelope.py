@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 BUCKETS: Final = 4_000
 """Two for each pixel of the widest plot on a screen of 1920."""
 LANE_BUCKETS: Final = 800
-"""Of a lane of states: one is two pixels wide there, and so seen."""
+"""Buckets of a lane of states: one is two pixels wide there, and so seen."""
 _NARROWEST_NS: Final = 1 << 16
 """65 us, shorter than any cycle: a short run keeps every row."""
 _SLACK: Final = 8
@@ -27,7 +27,8 @@ Points = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
 def bucket_width_ns(first: int, last: int, buckets: int = BUCKETS) -> int:
-    """Of buckets of which at most ``buckets`` + 1 hold the instants from ``first`` to ``last``."""
+    """Return the width of buckets of which at most ``buckets`` + 1 hold the instants from ``first`` to
+    ``last``."""
     width = _NARROWEST_NS
     while (last - first) // width >= buckets:
         width *= 2
@@ -35,7 +36,7 @@ def bucket_width_ns(first: int, last: int, buckets: int = BUCKETS) -> int:
 
 
 class Envelope:
-    """Of one signal; rows in order of time."""
+    """Envelope of one signal; rows in order of time."""
 
     def __init__(self) -> None:
         self._times: list[NDArray[np.int64]] = []
@@ -62,7 +63,8 @@ class Envelope:
         return self._times[0], self._values[0]
 
     def largest(self, share: float = 1.0) -> float | None:
-        """What a ``share`` of the kept rows does not exceed, by size; None: there is no row."""
+        """Return the value that a ``share`` of the kept rows does not exceed, by size; None: there is no
+        row."""
         values = np.abs(self.points()[1])
         return float(np.quantile(values, share, method="inverted_cdf")) if values.size else None
 

@@ -90,7 +90,7 @@ class RecordedRows:
 
 
 class Exported(NamedTuple):
-    """What was written."""
+    """Description of the written file."""
 
     file: str
     rows: int
@@ -247,7 +247,7 @@ def _begin(asammdf: Any, sink: Any, axis: str, mine: pa.Table, columns: list[Col
 
 
 def _pieces(mine: pa.Table, columns: list[Column]) -> list[tuple[NDArray[Any], NDArray[np.bool_] | None]]:
-    """What a group is extended by: its time first; numbers, 0 for null, and where they are null."""
+    """Return the pieces that extend a group: its time first; numbers, 0 for null, and where they are null."""
     pieces: list[tuple[NDArray[Any], NDArray[np.bool_] | None]] = [(mine[_TIME].to_numpy() / NS_PER_S, None)]
     for column in columns:
         values = _numbers(mine[column.name], pa.uint8())

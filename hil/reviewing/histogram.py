@@ -62,7 +62,7 @@ class TimeHistogram:
         return heights
 
     def take_in(self, other: "TimeHistogram") -> None:
-        """What another one has counted."""
+        """Add the counts of another histogram."""
         self._counts += other._counts
         self.total += other.total
         self._smallest_ns = min(self._smallest_ns, other._smallest_ns)

@@ -27,5 +27,5 @@ class Largest:
 
 
 def largest(values: Iterable[float | None]) -> float | None:
-    """Of those that were measured; None: none was."""
+    """Return the largest of the measured values; None if none was measured."""
     return max((value for value in values if value is not None), default=None)

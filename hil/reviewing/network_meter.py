@@ -1,4 +1,4 @@
-"""What the network did to the readings and commands of a run, from its records."""
+"""Effects of the network on a run's readings and commands, from its records."""
 
 import math
 from typing import Final
@@ -54,7 +54,8 @@ class LossRuns:
         self._open = int(lengths[-1])
 
     def counts(self) -> NDArray[np.int64]:
-        """Of runs of 0, 1, 2, ... 1000, with the one that has not ended; of 0 there is none."""
+        """Return the counts of runs of 0, 1, 2, ... 1000, with the one that has not ended; there are none of
+        0."""
         counts = self._ended.copy()
         if self._open:
             counts[min(self._open, _RUN_MAX)] += 1
@@ -62,7 +63,7 @@ class LossRuns:
 
 
 class AxisNetworkMeter:
-    """What the network did to one axis: the one count of its delays and losses.
+    """Meter of the network's effects on one axis: the one count of its delays and losses.
 
     Summary, network.toml, certificate, comparison and warnings take theirs from here (docs/timing.md, "Delay
     and losses"). Feed it rows of the axis in order of sequence; any division into chunks gives the same.
@@ -82,9 +83,9 @@ class AxisNetworkMeter:
         self.uncertain = 0
         self.readings_lost = LossRuns()
         self.commands_lost = LossRuns()
-        """Of those whose fate is known: lost or passed over."""
+        """Losses among the commands with known fate: lost or passed over."""
         self.commands_lost_least = LossRuns()
-        """Of the same: lost for certain."""
+        """Losses among the same commands: lost for certain."""
         self._action_least, self._action = TimeHistogram(), TimeHistogram()
         self._stamped_least, self._stamped = TimeHistogram(), TimeHistogram()
         """The same of the commands whose acting the drive has stamped."""
@@ -122,7 +123,7 @@ class AxisNetworkMeter:
 
     @property
     def commands_known(self) -> bool:
-        """Whether the fate of any command is known."""
+        """True if the fate of any command is known."""
         return self.passed + int(self.command_fates[[ACTING, LOST, _NOT_SENT]].sum()) > 0
 
     @property
@@ -132,7 +133,7 @@ class AxisNetworkMeter:
         return readings + self.commands_lost_least.most, readings + self.commands_lost.most
 
     def stamped(self) -> bool:
-        """Whether the drive has stamped the acting of most commands."""
+        """Return True if the drive has stamped the acting of most commands."""
         return self._unstamped <= 0
 
     def actions(self, stamped: bool) -> tuple[TimeHistogram, TimeHistogram]:
@@ -254,7 +255,7 @@ def action_delays_ns(came: Rows, period_ns: int) -> tuple[NDArray[np.int64], NDA
 
 
 def clocks_of(summary: Summary) -> dict[str, ClockHealth]:
-    """Of each axis, from what the timing of the run rests on."""
+    """Return the clock of each axis, from what the timing of the run rests on."""
     clocks = {}
     for name, told in (summary.timing or {}).get("axes", {}).items():
         clock = told.get("clock", {})

@@ -53,7 +53,7 @@ class PositionErrorMeter:
             self._take_following(rows)
 
     def figures(self) -> PositionError:
-        """Of all rows so far."""
+        """Return the figures of all rows so far."""
         return PositionError(
             peak_rad=self.counted.peak.value,
             rms_rad=self.counted.rms,

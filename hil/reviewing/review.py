@@ -25,7 +25,7 @@ DIGEST_BYTES = 16
 
 
 class _AxisMeters:
-    """Of one axis."""
+    """Meters of one axis."""
 
     def __init__(self, axis: AxisPlan, plan: ReviewPlan, network: AxisNetworkMeter) -> None:
         self.axis = axis
@@ -55,7 +55,7 @@ class _AxisMeters:
             self.certificate.add(rows)
 
     def events(self) -> Iterator[tuple[int, str]]:
-        """What the rows since the last call tell that is worth reading."""
+        """Yield the notable events in the rows since the last call."""
         for swing in self.swing.take_swings():
             yield swing.at, swing.describe()
         if self.certificate is not None and (exceeded := self.certificate.take_exceeded()) is not None:
@@ -95,7 +95,7 @@ class Review:
             for axis, network in zip(plan.axes, self.network.axes, strict=True)
         ]
         self.delays = [network.reading for network in self.network.axes]
-        """Of the readings of each axis."""
+        """Delays of the readings of each axis."""
         self.errors = [axis.error for axis in self._axes]
         self.positions = [axis.position for axis in self._axes]
         self._lateness, self._compute = TimeHistogram(), TimeHistogram()
@@ -135,7 +135,7 @@ class Review:
         self._longest.look(due_at[computed], compute[computed])
 
     def take_events(self) -> list[TextEvent]:
-        """What the rows since the last call tell that is worth reading."""
+        """Return the notable events in the rows since the last call."""
         told = [(at, axis.axis.name, text) for axis in self._axes for at, text in axis.events()]
         return [TextEvent(Instant(at), "WARN", f"{axis}: {text}") for at, axis, text in sorted(told)]
 

@@ -32,7 +32,7 @@ _VERDICTS: Final = frozenset(kind.value for kind in VerdictKind)
 
 
 class RunState(StrEnum):
-    """What is there of a recording."""
+    """State of a recording."""
 
     WHOLE = "whole"
     RECORDING = "being recorded"
@@ -54,17 +54,17 @@ class ListedRun:
     controllers: tuple[str, ...] = ()
     """Kind, or class of one's own, by axis."""
     verdict: str = ""
-    """Of summary.json, a value of VerdictKind; empty for a run that is damaged."""
+    """Outcome in summary.json, a value of VerdictKind; empty for a run that is damaged."""
     reason: str = ""
-    """Of the verdict."""
+    """Reason for the verdict."""
     cycles: int | None = None
     commit: str = ""
     servobench: str = ""
     bus: str = ""
     note: str = ""
-    """What is wrong with it, and what to do."""
+    """Defect of the recording, and the cure."""
     seal: str = ""
-    """Whether its files were held against it; empty for a run that is not whole."""
+    """Result of checking the files against the seal; empty for a run that is not whole."""
 
     def as_json(self) -> dict[str, Any]:
         """Plain values; ``at`` as ISO 8601."""
@@ -79,7 +79,7 @@ class RunFilter:
     drive: str = ""
     controller: str = ""
     verdict: str = ""
-    """Of the verdict, or of the state of one that has none."""
+    """Verdict, or the state of a run that has none."""
     commit: str = ""
     """How it begins."""
     since: datetime | None = None
@@ -184,7 +184,8 @@ def _at(folder: Path, metadata: Mapping[str, str]) -> datetime:
 
 
 def _table(told: Callable[[], Any]) -> dict[str, Any]:
-    """What is told, if that is a table: files may be damaged, or those of another version."""
+    """Return the result if it is a table, else an empty one: files may be damaged, or those of another
+    version."""
     try:
         table = told()
     except (BadInput, OSError, ValueError):

@@ -79,7 +79,7 @@ class CountedErrors(PeakEnvelope):
         self._count, self._square_sum = 0, 0.0
 
     def add(self, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """As of an envelope."""
+        """Add values, as to an envelope."""
         if not values.size:
             return
         super().add(times, values)
@@ -109,7 +109,7 @@ class SpeedErrorMeter:
         self.counted = CountedErrors()
         """rad/s."""
         self.after_load = PeakEnvelope()
-        """Of the errors after a change of load, as a share of the reference."""
+        """Errors after a change of load, as a share of the reference."""
 
     def add(self, rows: Rows) -> None:
         """Take in rows of this axis: (n,) of ROW_DTYPE, in order of sequence."""
@@ -124,7 +124,7 @@ class SpeedErrorMeter:
         self.after_load.add(rows["due_at"][relative], error[relative] / np.abs(reference[relative]))
 
     def figures(self) -> SpeedError:
-        """Of all rows so far."""
+        """Return the figures of all rows so far."""
         peak, share = self.counted.peak.value, self.after_load.peak.value
         return SpeedError(
             peak_rad_s=peak,

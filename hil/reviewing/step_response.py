@@ -32,7 +32,7 @@ class _Step(NamedTuple):
     of_load: bool
     target: float
     size: float
-    """Of the reference's step, with its sign; for a load that of the reference."""
+    """Size of the reference's step, with its sign; for a load that of the reference."""
 
 
 class StepMeter:
@@ -77,7 +77,7 @@ class StepMeter:
                 self._close()
 
     def figures(self) -> StepResponse:
-        """Of all steps so far, with the one that goes on."""
+        """Return the figures of all steps so far, with the one that goes on."""
         if self._open is not None:
             self._look(self._open)
         return StepResponse(
@@ -88,7 +88,7 @@ class StepMeter:
 
     @property
     def unsettled(self) -> list[bool]:
-        """Whether a step of the reference, and one of the load, did not come into its band."""
+        """Tell whether a step of the reference, and one of the load, did not come into its band."""
         counts = list(self._unsettled)
         if self._open is not None:
             counts[self._open.of_load] |= self._outside_at == self._seen_at

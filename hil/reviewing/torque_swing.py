@@ -30,14 +30,15 @@ WINDOW: Final = 4 * BLOCK
 PERIODS_MIN: Final = 16
 """In a window, of a line that can be told from noise: at 1 kHz from 31 Hz up, at 500 Hz from 16 Hz."""
 LINE_SHARE: Final = 0.75
-"""Of a window's power in its strongest line and the two beside it. A sine has 1. The noise of a loop with a
-damping of 0.2 had 0.72 at most in 4000 windows, of a line with 16 periods or more; white noise has 0.1."""
+"""Share of a window's power in its strongest line and the two beside it. A sine has 1. The noise of a loop
+with a damping of 0.2 had 0.72 at most in 4000 windows, of a line with 16 periods or more; white noise has
+0.1."""
 SWING_SHARE: Final = 0.05
-"""Of the rated torque, rms: below it a limit cycle of one step of the speed's or the torque's resolution is
-no harm, and any coarse encoder makes one."""
+"""Smallest swing, as a share of the rated torque, rms: below it a limit cycle of one step of the speed's or
+the torque's resolution is no harm, and any coarse encoder makes one."""
 NOISE_SHARE_MAX: Final = 0.25
-"""Of the rated torque: more is no noise, whatever its spectrum; a limit cycle whose periods lost readings
-break has no line."""
+"""Largest noise, as a share of the rated torque: more is no noise, whatever its spectrum; a limit cycle whose
+periods lost readings break has no line."""
 
 
 class Swing(NamedTuple):
@@ -48,7 +49,7 @@ class Swing(NamedTuple):
     rms_nm: float
     frequency_hz: float
     share: float
-    """Of its power in one line."""
+    """Share of its power in one line."""
 
     def describe(self) -> str:
         """In words, for the events of a run."""

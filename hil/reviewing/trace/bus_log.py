@@ -30,12 +30,12 @@ from servobench.hil.reviewing.trace.other_logs import SUFFIXES, BrokenLog, kind_
 
 STDIN: Final = Path("-")
 KINDS: Final = f"a log of candump, a pcap or pcapng, or one of {', '.join(SUFFIXES)}"
-"""What can be read, for an error."""
+"""Readable formats, for an error."""
 _GZIP_MAGIC: Final = b"\x1f\x8b"
 _LINE_MAX: Final = 1024
 """A line of candump -x -a with 64 bytes has 330."""
 _SHOWN_MAX: Final = 60
-"""Of a line that is no frame: enough to know it by, on a line of the terminal."""
+"""Characters shown of a line that is no frame: enough to recognize it, on one line of the terminal."""
 
 
 class BusLog:
@@ -86,7 +86,7 @@ class BusLog:
                 yield frame
 
     def notes(self) -> list[str]:
-        """What the reader of the frames has to know of the log, in words."""
+        """Return remarks on the log for the reader of the frames."""
         told = []
         if self.malformed:
             one = self.malformed == 1

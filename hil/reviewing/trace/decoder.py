@@ -62,7 +62,7 @@ def decode(
 
 
 class BusDecoder:
-    """Of one bus: it remembers what the nodes have told."""
+    """Decoder of one bus: it remembers what the nodes have reported."""
 
     def __init__(self, known: KnownNodes, channel: str) -> None:
         self._known = known
@@ -74,7 +74,8 @@ class BusDecoder:
         """Nodes that were asked by node guarding, and have not answered."""
 
     def take(self, frame: LogFrame) -> list[TraceEntry]:
-        """What ends with this frame: one entry, none inside of an SDO transfer, two where one was cut off."""
+        """Return the entries that end with this frame: one, none inside of an SDO transfer, two where one was
+        cut off."""
         if frame.error:
             return [_entry(frame, "error", None, error_frame_text(frame.can_id, frame.data))]
         if frame.extended or frame.fd:
@@ -108,7 +109,7 @@ class BusDecoder:
         ]
 
     def has_open_transfer(self, begun_by_ns: int) -> bool:
-        """Whether an SDO transfer that began by then has not ended."""
+        """Return True if an SDO transfer that began by then has not ended."""
         pending = [channel.pending for channel in self._sdo.values()]
         return any(one is not None and (one.first.at_ns or 0) <= begun_by_ns for one in pending)
 

@@ -51,7 +51,7 @@ class KnownNodes:
                 self._candidates.append(_Candidate(file.path, device.vendor_number, device.product_number))
 
     def objects(self, channel: str, node: int) -> NodeObjects:
-        """Of a node that was not seen before."""
+        """Return the objects of a node; one not seen before is added."""
         override = self._overrides.get((channel, node)) or self._overrides.get(("", node))
         objects = NodeObjects(override)
         path = self._assigned.get((channel, node)) or self._assigned.get(("", node))
@@ -62,7 +62,7 @@ class KnownNodes:
         return objects
 
     def identified(self, objects: NodeObjects, node: int) -> bool:
-        """Whether the node, which has told its identity 1018h, has a sheet now and had none before."""
+        """Return True if the node, which has sent its identity 1018h, has a sheet now and had none before."""
         if objects.sheet is not None:
             return False
         identity = objects.held(Cia301.IDENTITY, _VENDOR), objects.held(Cia301.IDENTITY, _PRODUCT)

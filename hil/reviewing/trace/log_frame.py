@@ -12,7 +12,7 @@ class LogFrame(NamedTuple):
     number: int
     """Line or packet of the log, from 1 on."""
     at_ns: int | None
-    """As the log counts; None where it has no times."""
+    """Time as the log counts; None where it has no times."""
     channel: str
     """Name of the interface; empty if the log does not tell it."""
     can_id: int

@@ -44,7 +44,7 @@ Hold = Callable[[str, int, int], None]
 
 
 class LogWindow(NamedTuple):
-    """As a log counts; both ends belong to it."""
+    """Window of a log's times; both ends belong to it."""
 
     begin_ns: int
     end_ns: int
@@ -131,7 +131,8 @@ def _of_text(telling: TellingFrames, text: NDArray[np.uint8], starts: NDArray[np
 def _telling(
     log: mmap, begin: int, end: int, number: int, telling: TellingFrames
 ) -> Generator[tuple[int, bytes], None, int]:
-    """Of the lines from ``begin`` to ``end``, behind line ``number``, those that tell; the last number."""
+    """Yield number and text of the telling lines from ``begin`` to ``end``, which follow line ``number``;
+    return the last number."""
     while begin < end:
         stop = end if end - begin <= _CHUNK else log.find(b"\n", begin + _CHUNK) + 1 or end
         chunk = log[begin:stop]

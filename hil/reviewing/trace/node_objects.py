@@ -1,4 +1,4 @@
-"""What is known of a node's objects: its data sheet, and what was told of them on the bus meanwhile."""
+"""Knowledge of a node's objects: its data sheet, and what the bus has shown of them."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -45,7 +45,7 @@ _FIXED: Final = {
 }
 """Units that the standard fixes: mA, mV, r/min."""
 _RATED_UNIT_NM: Final = 1e-3
-"""Of 6076h by the standard; makers have others."""
+"""Unit of 6076h by the standard; makers have others."""
 _MODES: Final = frozenset({Object.MODES_OF_OPERATION, Object.MODES_OF_OPERATION_DISPLAY})
 _UNSURE_VELOCITY: Final = "position unit per second"
 """How the scaling's source begins where the drive has no velocity unit, or was not asked for it."""
@@ -76,7 +76,7 @@ class _Units(NamedTuple):
     velocity: bool
     torque: bool
     rated_unit_nm: float
-    """Of 6076h."""
+    """Unit of 6076h."""
 
 
 class NodeObjects:
@@ -227,7 +227,7 @@ class NodeObjects:
         return self._units
 
     def _find_units(self) -> _Units:
-        """What can be said of the units; a part that is not told does not hide the other."""
+        """Return the units found so far; a part that is unknown does not hide the other."""
         values = {key: self.held(*key) for key in FACTOR_OBJECTS}
         vendor, name = self.make
         quirks = quirks_for(vendor, self.held(Cia301.IDENTITY, 2) or 0, name) if vendor else ()

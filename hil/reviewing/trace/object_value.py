@@ -24,14 +24,14 @@ class ObjectValue:
     index: int
     sub: int
     name: str
-    """Of the data sheet, else of the standard; empty if neither has it."""
+    """Name in the data sheet, else in the standard; empty if neither has it."""
     raw: Number | str | None
     """None if no data came."""
     si: float | None = None
     """In ``unit``; None where nobody has told how the drive counts."""
     unit: str = ""
     words: str = ""
-    """What the number means, for states, modes and errors."""
+    """Meaning of the number, for states, modes and errors."""
     hexadecimal: bool = False
     """It is a word of bits, or an identifier."""
 

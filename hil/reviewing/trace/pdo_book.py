@@ -43,7 +43,7 @@ class PdoLayout(NamedTuple):
         return 0 if not self.objects else self.objects[-1].shift + self.objects[-1].bits
 
     def values(self, data: bytes, objects: NodeObjects) -> tuple[ObjectValue, ...]:
-        """What the data hold; what does not reach into them is left out."""
+        """Return the values in the data; objects that reach beyond the data are left out."""
         word, numbers = int.from_bytes(data, "little"), []
         for one in self.objects or ():
             if one.index >= FIRST_OBJECT and one.shift + one.bits <= 8 * len(data):
@@ -60,7 +60,7 @@ class PdoBook:
         """A PDO parameter was told, or there is a new node."""
 
     def layout(self, can_id: int, nodes: dict[int, NodeObjects]) -> PdoLayout | None:
-        """Of an identifier; None if it is that of no PDO."""
+        """Return the layout for an identifier; None if it is that of no PDO."""
         if self.stale:
             self._layouts, self.stale = _layouts(nodes), False
         known = self._layouts.get(can_id)

@@ -44,7 +44,7 @@ class RecordedBus:
             raise BadInput(str(folder), "", "no frames", expected)
         self.log = BusLog(folder / FRAMES_FILE)
         self.notes: list[str] = []
-        """What the bench file did not tell, and why."""
+        """Remarks on what the bench file lacks, and why."""
         self._folder = folder
         records = folder / RECORDS_FILE
         metadata = read_metadata(records) if records.exists() else {}

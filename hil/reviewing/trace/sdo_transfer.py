@@ -15,7 +15,7 @@ KEPT_MAX: Final = 1 << 20
 _SEGMENT: Final = 7
 _ABORT: Final = 0x80
 _LAST: Final = 0x80
-"""Of a block's segment; 1 to 127 in the other bits are its number."""
+"""Flag of a block's last segment; 1 to 127 in the other bits are its number."""
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class SdoTransfer:
     asked: int = 1
     """How often it was asked for."""
     notes: list[str] = field(default_factory=list)
-    """What was odd with it."""
+    """Irregularities of the transfer."""
 
     def add(self, piece: bytes) -> None:
         """Bytes that came, in their order."""
@@ -71,10 +71,10 @@ class SdoChannel:
         self._block: dict[int, bytes] | None = None
         """Segments of the sub-block that is under way, by number; None: none is."""
         self._last_number = 0
-        """Of the block's last segment, in its sub-block; 0 while it has not come."""
+        """Number of the block's last segment, in its sub-block; 0 while it has not come."""
         self._seen_last = False
         self._crc = [False, False]
-        """Whether client and server reckon one."""
+        """Flags: the client, the server computes a CRC."""
         self._complete = True
         """No segment of the transfer is missing in the log."""
 
@@ -87,7 +87,7 @@ class SdoChannel:
         """A frame of the client, or of the server if it is an answer; the transfers that end with it."""
         data, transfer = frame.data, self._open
         sends = transfer is not None and transfer.download != answered
-        """Whether it comes from the side that has the value."""
+        """True if the frame comes from the side that has the value."""
         if self._block is not None and sends and data and data[0] != _ABORT:
             return self._block_segment(frame)
         if len(data) < 8:
@@ -188,7 +188,7 @@ class SdoChannel:
         return []
 
     def _received(self, transfer: SdoTransfer, data: bytes) -> list[SdoTransfer]:
-        """Of a block: it may begin, a sub-block has come, or all of it."""
+        """Handle a frame of a block transfer: it may begin, a sub-block has come, or all of it."""
         command, step = data[0] >> 5, data[0] & 3
         if command != 5:
             return []
@@ -201,7 +201,7 @@ class SdoChannel:
         return self._end(transfer) if step == 1 else []
 
     def _segment(self, transfer: SdoTransfer, data: bytes) -> list[SdoTransfer]:
-        """Of a segmented transfer, from whichever side.
+        """Handle a segment of a segmented transfer, from whichever side.
 
         The toggle bit alternates from 0 on: the same frame is sent again, another one with the same bit
         follows one that is missing.
@@ -216,7 +216,7 @@ class SdoChannel:
         return self._end(transfer) if self._seen_last and not transfer.download else []
 
     def _block_segment(self, frame: LogFrame) -> list[SdoTransfer]:
-        """Of the sub-block under way; it counts once it is acknowledged."""
+        """Handle a segment of the sub-block under way; it counts once it is acknowledged."""
         self._count(frame)
         assert self._block is not None
         number = frame.data[0] & 0x7F

@@ -12,12 +12,12 @@ KINDS: Final = ("nmt", "sync", "emcy", "time", "heartbeat", "guarding", "sdo", "
 
 
 class TraceEntry(NamedTuple):
-    """What a frame said, or the frames of one SDO transfer."""
+    """Content of a frame, or of the frames of one SDO transfer."""
 
     at_ns: int | None
-    """Of its last frame, as the log counts; None where the log has no times."""
+    """Time of its last frame, as the log counts; None where the log has no times."""
     began_ns: int | None
-    """Of its first frame."""
+    """Time of its first frame."""
     first: int
     """Line or packet of the first frame."""
     last: int
@@ -25,7 +25,7 @@ class TraceEntry(NamedTuple):
     """More than one for an SDO transfer only; frames of others may lie between them."""
     channel: str
     can_id: int
-    """Of the last frame."""
+    """Identifier of the last frame."""
     sent: str
     """Who sent the last frame: T the bench or who logged, R another; empty if the log does not tell."""
     kind: str
@@ -35,9 +35,9 @@ class TraceEntry(NamedTuple):
     text: str
     values: tuple[ObjectValue, ...] = ()
     data: bytes = b""
-    """Of the frame; of an SDO transfer its value."""
+    """Data of the frame; for an SDO transfer its value."""
     details: tuple[tuple[str, Any], ...] = ()
-    """What else the kind has to tell, for programs."""
+    """Further details of the kind, for programs."""
 
     def as_json(self, zero_ns: int) -> dict[str, Any]:
         """Plain values; ``at_s`` and ``began_s`` count from ``zero_ns``, ``stamp_ns`` as the log."""
