@@ -28,6 +28,8 @@ PROCESS_TOPS = frozenset(
     }
 )
 """Files that may catch everything, because a process ends there."""
+SUBJECTLESS_SHARE = 0.03
+"""Most docstrings that may begin with Of, As, What or Whether."""
 RULES_THEMSELVES = frozenset({"tests/tidy.py", "tests/test_tidy.py"})
 
 Rule = Callable[[str], Iterable[str]]
@@ -82,6 +84,25 @@ def test_nothing_is_caught_that_nobody_expects() -> None:
 
 def test_public_names_are_documented() -> None:
     assert offences(tidy.missing_docstrings, python_files(*ROOMS)) == []
+
+
+def test_docstrings_name_their_subject() -> None:
+    files = [
+        *python_files(*ROOMS),
+        *(path for room in ROOMS for path in sorted((ROOT / room).rglob("*.pyi"))),
+    ]
+    texts = [text for path in files for text in tidy.docstrings(path.read_text(encoding="utf-8"))]
+    begun = [text for text in texts if tidy.begins_without_a_subject(text)]
+    assert len(begun) <= SUBJECTLESS_SHARE * len(texts), begun
+
+
+def test_docstrings_are_found_and_told_by_their_subject() -> None:
+    source = '"""As read."""\nA = 1\n"""Its size."""\ndef f():\n    "Whether."\n    return 1\n"none"\n'
+    source += 'class C:\n    """Of a drive."""\n    b: int\n    "What it holds."\n'
+    texts = sorted(tidy.docstrings(source))
+    assert texts == ["As read.", "Its size.", "Of a drive.", "What it holds.", "Whether."]
+    assert [tidy.begins_without_a_subject(text) for text in texts] == [True, False, True, True, True]
+    assert not tidy.begins_without_a_subject("Assembles a frame.")
 
 
 def test_nothing_is_cleaned_up_by_the_garbage_collector() -> None:

@@ -15,6 +15,8 @@ _PACKAGE_INDEX = re.compile(r"https?://|--(?:extra-)?index-url|--find-links|--tr
 
 _Function = ast.FunctionDef | ast.AsyncFunctionDef
 _Documented = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+_MayBeDocumented = ast.Module | _Documented
+_NO_SUBJECT = re.compile(r"\W*(?:Of|As|What|Whether)\b")
 
 
 def too_long(source: str) -> Iterator[str]:
@@ -73,6 +75,25 @@ def missing_docstrings(source: str) -> Iterator[str]:
             and ast.get_docstring(node) is None
         ):
             yield f"line {node.lineno}: no docstring of {node.name}"
+
+
+def docstrings(source: str) -> Iterator[str]:
+    """Docstrings of modules, classes, functions and, after an assignment, of attributes."""
+    for node in ast.walk(ast.parse(source)):
+        body = getattr(node, "body", None)
+        if not isinstance(body, list):
+            continue
+        for before, item in zip([node, *body], body, strict=False):
+            may = _MayBeDocumented if before is node else ast.Assign | ast.AnnAssign
+            if isinstance(before, may) and isinstance(item, ast.Expr):
+                text = item.value.value if isinstance(item.value, ast.Constant) else None
+                if isinstance(text, str):
+                    yield text
+
+
+def begins_without_a_subject(docstring: str) -> bool:
+    """A docstring that begins with Of, As, What or Whether: it names neither an action nor a thing."""
+    return _NO_SUBJECT.match(docstring) is not None
 
 
 def cleanup_in_del(source: str) -> Iterator[str]:
