@@ -13,8 +13,8 @@ from servobench.hil.verdict.verdict import ExitStatus
 STATUSES = {
     ExitStatus.FAILED: {"Abandoned"},
     ExitStatus.BAD_INPUT: {
-        "BadInput", "BadInputs", "DesignRefused", "ImpossiblePlate", "NoSuchFile", "RunRefused",
-        "UnknownKey", "UnlistedWrite", "WeightRefused",
+        "BadInput", "BadInputs", "DesignRefused", "ImpossiblePlate", "MissingExtra", "NoSuchFile",
+        "RunRefused", "UnknownKey", "UnlistedWrite", "WeightRefused",
     },
     ExitStatus.PEER_FAULT: {
         "AnswersTwice", "BusDown", "ClusterLost", "DriveInFault", "EmergencyStopped", "ForeignTraffic",

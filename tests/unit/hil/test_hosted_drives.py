@@ -51,7 +51,7 @@ poles_z = [[0.5, 0.0]]
 sample_rate_hz = {rate}
 """
 OTHER_MOTOR: Final = toml_text(
-    LING2012.model_dump(mode="json")
+    LING2012.model_dump(mode="json", exclude_none=True)
     | {"mechanics": {"inertia_kg_m2": 0.002, "viscous_friction_nm_s": 0.00185}}
 )
 _channels: Final = count()
