@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from servobench.drivers.errors import BadInput
-from servobench.hil.recorded import report as report_module
+from servobench.hil.recorded import paper
 from servobench.hil.recorded.judgement import Judged, _certified, judge_run, load_requirements
 from servobench.hil.recorded.recorded_run import signals_of
 from servobench.hil.recorded.report import limit_rows, write_report
@@ -200,7 +200,7 @@ def judged(found: Summary | None = None, folder: Path = Path("one"), **metadata:
 @pytest.fixture
 def plain_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures are looked at elsewhere."""
-    monkeypatch.setattr(report_module, "svg_text", lambda _figure: "<svg>x</svg>")
+    monkeypatch.setattr(paper, "svg_text", lambda _figure: "<svg>x</svg>")
 
 
 def report(path: Path, its: Judged) -> str:

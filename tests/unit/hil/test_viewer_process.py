@@ -96,8 +96,8 @@ def machine(monkeypatch: pytest.MonkeyPatch, timeline: Timeline) -> Machine:
 
 
 STARTED: Final = [
-    *("-P", "-m", "rerun_cli", "--headless", "--bind", "127.0.0.1", "--port", str(PORT)),
-    *("--window-size", "1920x1080", "--hide-welcome-screen"),
+    *("-P", "-m", "rerun_cli", "--headless", "--bind", "127.0.0.1", "--window-size", "1920x1080"),
+    *("--port", str(PORT), "--hide-welcome-screen"),
 ]
 CONNECTED: Final = f"rerun+http://127.0.0.1:{PORT}/proxy"
 KILLED: Final = ["kill", "--", "-4711"]
