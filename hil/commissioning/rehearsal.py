@@ -74,7 +74,7 @@ def rehearse(
 
 def truth_tables(truth: Truth) -> dict[str, Any]:
     """Return the hidden data, as tables of a file."""
-    motor = asdict(truth.motor)
+    motor = {name: value for name, value in asdict(truth.motor).items() if value is not None}
     motor["transform"] = truth.motor.transform.value
     return {
         "units": {

@@ -114,7 +114,7 @@ def test_a_discrete_design_runs_in_the_simulated_drive(servo_bench: BenchRunner,
         (["--reduce", "9"], ["fewer states than the 4"]),
         (["--other", str(EXAMPLES / "controllers" / "azaiz2007-kq.toml")], ["one for the d axis"]),
         (["--picture", "/nonexistent/x.png"], ["file that can be written"]),
-        (["--weights", "none.toml"], ["weights file"]),
+        (["--weights", "none.toml"], ["Weights file not found"]),
     ],
 )
 def test_bad_input_says_what_to_do(arguments: list[str], words: list[str]) -> None:
@@ -269,7 +269,7 @@ def test_the_controllers_of_the_example_are_what_the_design_gives(tmp_path: Path
     ("files", "words"),
     [
         (["azaiz2007-kq.toml", "azaiz2007-kq.toml"], ["one controller for the q axis at most"]),
-        (["none.toml"], ["current controller file"]),
+        (["none.toml"], ["Current controller file not found"]),
     ],
 )
 def test_simulate_refuses_current_controllers_it_cannot_run(files: list[str], words: list[str]) -> None:

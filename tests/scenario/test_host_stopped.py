@@ -78,4 +78,4 @@ def test_a_machine_that_is_suspended_is_named(tmp_path: Path, stopped_s: float, 
     assert told["verdict"]["completed"] is (status == 0)
     events = (tmp_path / "run" / "events.jsonl").read_text(encoding="utf-8")
     assert "this host stood still for" in events
-    assert ("keep it from being suspended or stopped" in said) is (status == 3)
+    assert ("prevent it from being suspended or stopped" in said) is (status == 3)

@@ -22,7 +22,7 @@ from servobench.hil.verdict.verdict import VerdictKind
 EXAMPLES: Final = Path(__file__).resolve().parents[2] / "examples"
 FILES: Final = ("ling2012", "ling2012", "network_designed", "position_csv", "position_csp")
 DURATION_S: Final = 1.2
-ALARMS: Final = ("follows no command", " left ", "ignores the commands")
+ALARMS: Final = ("no longer follows its commands", " left ", "ignores the commands")
 """What a run says of a drive that does not follow."""
 
 

@@ -21,7 +21,7 @@ def refused(*arguments: str) -> str:
 def test_a_measurement_names_the_option_whose_file_cannot_be(tmp_path: Path, option: str, name: str) -> None:
     told = refused("measure", "--bus", "hub:nobody", "--node", "1", option, str(tmp_path / name))
     assert option in told
-    assert "a file in a folder that is there" in told
+    assert "a file in an existing folder" in told
 
 
 def test_a_picture_has_a_format_that_can_be_drawn(tmp_path: Path) -> None:
@@ -33,7 +33,7 @@ def test_a_picture_has_a_format_that_can_be_drawn(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["none/page.rrd", "page.txt"])
 def test_a_comparison_names_a_page_that_cannot_be(tmp_path: Path, name: str) -> None:
     told = refused("compare", str(tmp_path), str(tmp_path), "--rrd", str(tmp_path / name))
-    assert "a file that ends in .rrd in a folder that is there" in told
+    assert "a .rrd file in an existing folder" in told
 
 
 def test_one_run_is_not_compared(tmp_path: Path) -> None:
