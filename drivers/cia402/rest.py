@@ -14,7 +14,7 @@ REST_RAD_S: Final = 1.0
 REST_FOR: Final = Duration(100 * NS_PER_MS)
 """A shaft that is slow for this long is at rest. A single slow reading may come from a reversal, or from a
 load that begins to turn it: 0.01 N m give the motor of [Ling2012] 1 rad/s in 80 ms."""
-_POLL: Final = Duration(10 * NS_PER_MS)
+REST_POLL: Final = Duration(10 * NS_PER_MS)
 """Ten readings in :data:`REST_FOR`."""
 
 
@@ -53,4 +53,4 @@ def resting_since(control: StateControl, assembler: ReadingAssembler | None, dea
                 raise control.stuck("stay at rest")
         if now() - since >= REST_FOR:
             return since
-        control.network.pump(control.network.deadline_after(_POLL))
+        control.network.pump(control.network.deadline_after(REST_POLL))

@@ -27,7 +27,7 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.observed import map_observed
 from servobench.drivers.cia402.profile import DriveCommand, Mode, State, state_of
 from servobench.drivers.cia402.readings import LastStatusword, ReadingAssembler
-from servobench.drivers.cia402.rest import calms, resting_since
+from servobench.drivers.cia402.rest import REST_POLL, calms, resting_since
 from servobench.drivers.cia402.setpoint import SetPointFrames
 from servobench.drivers.cia402.state_control import FAULTY, StateControl
 from servobench.drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
@@ -229,8 +229,7 @@ class ServoDrive(Drive):
     @property
     def state(self) -> State | None:
         """State in the last statusword, by PDO or SDO; None before the first."""
-        word = self._told.statusword
-        return state_of(word) if word >= 0 else None
+        return state_of(self._told.statusword) if self._told.statusword >= 0 else None
 
     # ---- the cycle ------------------------------------------------------------------------------------
 
@@ -385,6 +384,7 @@ class ServoDrive(Drive):
             except PeerFault as error:
                 if isinstance(error, BusDown) or self._now() >= deadline:
                     raise
+            self.network.pump(self.network.deadline_after(REST_POLL))  # a failure need not take any time
 
     def _leave(self) -> str:
         """End the watch on both sides, and the PDOs; see :meth:`.error_control.ErrorControl.end`."""

@@ -218,6 +218,11 @@ def test_a_standard_stream_that_is_closed_in_pytest_ends_no_test(
             "put('servobench.hil.verdict.summary:Summary.as_json', lambda _: {})",
             "your own code has run, and afterwards the process reported an invalid result",
         ),
+        (
+            "output",  # what stops the drive fails at once, again and again
+            "put('canopen.sdo.client:SdoClient.upload', lambda *_, **__: {})",
+            "node 1 sent no data for 6041h:00",
+        ),
     ],
 )
 def test_a_damaged_process_is_no_defect_of_the_program(
