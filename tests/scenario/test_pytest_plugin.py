@@ -176,7 +176,10 @@ def test_a_drive_process_that_fails_by_itself_fails_the_test(tmp_path: Path) -> 
     assert status == 1
     assert "a simulated drive on hub:" in said
     assert "it ended with status -9" in said
-    assert "the simulated drive did not come up; hil: error: --motor: Motor file not found: no/such/motor.toml" in said
+    assert (
+        "the simulated drive did not come up; hil: error: --motor: Motor file not found: no/such/motor.toml"
+        in said
+    )
 
 
 def test_what_was_typed_wrongly_is_told(tmp_path: Path) -> None:

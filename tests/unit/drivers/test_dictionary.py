@@ -305,7 +305,7 @@ def test_other_formats_are_named(data: bytes, found: str) -> None:
 
 
 def test_a_missing_file_is_bad_input(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="no file"):
+    with pytest.raises(BadInput, match="not found"):
         load_dictionary(tmp_path / "none.eds")
     with pytest.raises(BadInput, match="a folder"):
         load_dictionary(tmp_path)

@@ -109,8 +109,8 @@ def test_the_head_tells_what_the_campaign_came_to(tmp_path: Path) -> None:
     parts = sections(made(), tmp_path / "r.html")
     assert parts[""] == (
         "<h1>Campaign a&amp;b</h1><p class='b'>8 of 11 runs passed, 15 were planned.</p>"
-        "<p>Intervals of 95 %; of pass rates: Clopper-Pearson; of quantiles and means: bootstrap. Points of "
-        "the grid share their draws and seeds: there is none over several.</p>"
+        "<p>Intervals of 95 %; of pass rates: Clopper-Pearson; of quantiles and means: bootstrap. No "
+        "interval spans several points of the grid, because they share their draws and seeds.</p>"
         "<p>3 not &lt;passed&gt;, 8 passed</p>"
     )
     assert list(parts) == [

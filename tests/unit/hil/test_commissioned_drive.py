@@ -98,7 +98,7 @@ def test_a_bench_file_names_it(tmp_path: Path) -> None:
     assert commissioned.signs.torque == -1
     assert drive_settings(config, "axis1", loop_timing(config), None).scale == commissioned.override
     bench.write_text(text.replace("node = 1\n", 'node = 1\ncommissioned = "absent.toml"\n', 1))
-    with pytest.raises(BenchError, match="drive file"):
+    with pytest.raises(BenchError, match="Drive file not found"):
         load_bench(bench)
 
 

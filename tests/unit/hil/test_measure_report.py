@@ -237,7 +237,7 @@ def test_files_are_written_of_what_was_measured_to_its_end(bench: Bench, tmp_pat
 def test_a_place_for_a_file_is_looked_at_before_anything_is_measured(
     bench: Bench, option: str, tmp_path: Path
 ) -> None:
-    expected = "expected a file in a folder that is there"
+    expected = "expected a file in an existing folder"
     for place in (tmp_path, tmp_path / "none" / "x.png"):
         told = hil(option, place)
         assert (told.exit_code, told.stderr) == (2, f"hil: error: {option}: found '{place}', {expected}\n")

@@ -95,8 +95,8 @@ def test_a_figure_for_a_paper_is_of_the_same_stretch(
     ("out", "options", "said"),
     [
         ("p.png", ("--span", "0.5"), "--span: found '0.5', expected --at beside it: about which instant"),
-        (".", (), "OUT: found 'FOLDER', expected a file in a folder that is there"),
-        ("none/p.png", (), "OUT: found 'FOLDER/none/p.png', expected a file in a folder that is there"),
+        (".", (), "OUT: found 'FOLDER', expected a file in an existing folder"),
+        ("none/p.png", (), "OUT: found 'FOLDER/none/p.png', expected a file in an existing folder"),
         ("p.svg", (), "OUT: found 'FOLDER/p.svg', expected a file that ends in .png, or --paper"),
         ("p.svg", ("--paper", "--page", "timing"), "--page: found 'timing', expected no --paper beside it"),
     ],
@@ -222,7 +222,7 @@ def test_a_comparison_ends_by_the_worst_of_its_tolerances(
         *(
             (
                 ("one", "two", "--rrd", place),
-                f"--rrd: found '{place}', expected a file that ends in .rrd in a folder that is there",
+                f"--rrd: found '{place}', expected a .rrd file in an existing folder",
             )
             for place in ("page.html", "none/page.rrd")
         ),
