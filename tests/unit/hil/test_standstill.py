@@ -48,7 +48,7 @@ def test_a_host_that_was_stopped_is_an_event_and_a_cure(world: World) -> None:
     assert watch.cure() == ""
     passes(world, 3050)
     assert watch.cure().startswith(
-        "this host stood still for 3.00 s: keep it from being suspended or stopped"
+        "this host stood still for 3.00 s: prevent it from being suspended or stopped"
     )
     assert told == [("this host stood still for 3.00 s: nothing was sent meanwhile", "WARN")]
     passes(world, 50)

@@ -146,7 +146,7 @@ def test_every_further_kind_is_read_and_survives_being_written() -> None:
             "[[measured_delay]]\nfile = 'none.csv'",
             "measured_delay[0].file",
             None,
-            "the path of a delay histogram",
+            "an existing delay histogram",
         ),
         (
             "[[measured_delay]]\nfile = 'a'\ncounts = [1]",
