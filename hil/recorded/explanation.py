@@ -42,8 +42,7 @@ _OF_DROPOUTS: Final = ("dropouts_percent_max", "losses_in_a_row_max", "missed_pe
 _OF_DELAYS: Final = ("delay_p99_us_max", "certified_action_delay_us")
 _FATES: Final = next(column.codes for column in COLUMNS if column.name == "fate")
 _BY_LIMITS: Final = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
-_GRAVE: Final = ("ERROR", "CRITICAL")
-_WORTH: Final = ("WARN", *_GRAVE)
+_WORTH: Final = ("WARN", "ERROR", "CRITICAL")
 
 
 class LostInARow(NamedTuple):
@@ -286,12 +285,12 @@ def _merged(found: Sequence[GuiltyPlace]) -> list[GuiltyPlace]:
 
 
 def _instant_of(text: str, events: Sequence[Mapping[str, Any]]) -> int | None:
-    """When the event was that tells the same as a finding, or part of it; else the first grave one."""
-    texts = [(event["at_ns"], str(event["text"])) for event in events if event.get("level") in _WORTH]
-    for at_ns, told in texts:
-        if told in text or text in told:
-            return int(at_ns)
-    return next((int(event["at_ns"]) for event in events if event.get("level") in _GRAVE), None)
+    """Return when the event was that tells the same as a finding, or part of it; None: none does."""
+    for event in events:
+        told = str(event.get("text", ""))
+        if event.get("level") in _WORTH and (told in text or text in told):
+            return int(event["at_ns"])
+    return None
 
 
 def _before(events: Sequence[Mapping[str, Any]], place: GuiltyPlace) -> list[str]:

@@ -1,6 +1,7 @@
 """``hil why``: the guilty cycles and frames of a run that did not pass, as records and trace have them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from servobench.hil.cli import app
-from servobench.hil.recorded.explanation import Bursts
+from servobench.hil.recorded.explanation import Bursts, brief
+from servobench.hil.recorded.judgement import judge_run
+from servobench.hil.recorded.recorded_run import open_run
 from servobench.hil.rows.records import FATE_SAMPLE
 from servobench.hil.rows.records_file import read_records
 from tests.told import ROOT
@@ -129,6 +132,12 @@ def test_a_drive_fault_is_found_by_its_time(tmp_path: Path) -> None:
     assert place["begin_s"] == pytest.approx(0.3, abs=0.01)
     assert any(frame["kind"] == "emcy" for frame in place["frames"])
     assert any("injected" in line for line in place["before"])
+    summary = judge_run(open_run(tmp_path / "run")).summary
+    other = replace(summary.verdict.findings[0], text="what no event tells")
+    unplaced = replace(summary, verdict=replace(summary.verdict, findings=(other,)))
+    short = brief(unplaced, tmp_path / "run")
+    assert short.places == (), "the fault of the drive is an ERROR among the events, and another matter"
+    assert [text for text in short.elsewhere if "what no event tells" in text] != []
 
 
 def test_other_limits_have_places_of_their_own(ran: tuple[Path, str], tmp_path: Path) -> None:
