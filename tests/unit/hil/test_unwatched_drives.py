@@ -59,7 +59,7 @@ def test_without_any_watch_it_is_named_before_anything_turns(tmp_path: Path) -> 
     assert not result.passed
     last = result.records[-1]
     assert last.name == "setup"
-    assert "no 1016h, and is not to be guarded" in last.reason
+    assert "no 1016h, and cannot be guarded" in last.reason
     assert "--unwatched" in last.reason
     assert max(speed for speed, _ in still.fastest.values()) < 0.01
 
@@ -165,7 +165,7 @@ def test_a_guarded_drive_stops_without_its_host_and_a_lost_one_is_missed(lacks: 
 
 def test_a_drive_that_answers_no_remote_frames_is_not_guarded_and_left_as_it_was() -> None:
     with lab(NO_CONSUMER, deaf=True) as bench:
-        with pytest.raises(SettingRefused, match="no 1016h, and is not to be guarded"):
+        with pytest.raises(SettingRefused, match="no 1016h, and cannot be guarded"):
             bench.drive.configure(DriveSettings(CYCLE))
         assert (bench.held(0x100C), bench.held(0x100D)) == (30, 0)
         notes = bench.drive.configure(DriveSettings(CYCLE, unwatched=True))
