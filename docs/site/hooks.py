@@ -1,4 +1,4 @@
-"""What ``make docs`` does beside mkdocs: README and changelog as pages, the reference, links out of docs/."""
+"""What ``make docs`` does beside mkdocs: pages that are made, formulas, links out of docs/."""
 
 import re
 import runpy
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
@@ -21,6 +22,7 @@ What `from servobench import ...` has. Everything else may change from one versi
       members_order: alphabetical
       show_source: false
 """
+_drawn = runpy.run_path(str(ROOT / "docs/site/mathematics.py"))["drawn"]
 _OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?!#)([^)]+)\)")
 """A link to a file of the repository that is no page."""
 _OF_README = re.compile(r"\]\((?:docs/([^)]+)|([^):#]+))\)")
@@ -43,6 +45,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:  # noqa: ARG001
     """A link to what is no page becomes the name of the file."""
     return _OUTSIDE.sub(lambda found: _file_link(*found.groups()), markdown)
+
+
+def on_page_content(html: str, page: Page, **_: Any) -> str:
+    """Draw the formulas."""
+    try:
+        return str(_drawn(html))
+    except ValueError as error:
+        raise PluginError(f"{page.file.src_path}: {error}") from error
 
 
 def _readme_link(found: re.Match[str]) -> str:
