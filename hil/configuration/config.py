@@ -6,9 +6,9 @@ is the last part of a key's name.
 """
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field, PrivateAttr, create_model
 
 from servobench.drivers.instruments.dynamometer import BAUD, DynamometerSettings
 from servobench.drivers.instruments.magtrol import Dialect, dialect
@@ -16,13 +16,13 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from servobench.drivers.wire.adapters import SIMULATED
 from servobench.hil.configuration.background import BackgroundTables
 from servobench.hil.configuration.config_axis import DriveConfig
-from servobench.hil.configuration.config_files import Section
+from servobench.hil.configuration.config_files import F, Section
 from servobench.hil.configuration.network_file import stamp_resolutions_us
 from servobench.hil.configuration.quantities import HeartbeatTimeout, Torque
 from servobench.hil.configuration.references import Load, Reference
 from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.loop.syncs import HORIZON_MAX
-from servobench.hil.verdict.verdict import VerdictLimits
+from servobench.hil.verdict.limits import LIMITED, VerdictLimits
 from servobench.virtual_bus.faults.fault_log import FAULTS_FILE
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.hosting.injection import Faults
@@ -169,36 +169,21 @@ class LoopConfig(Section):
         return Duration(self.horizon_periods * self.period)
 
 
+def _with_limits(section: type[F]) -> type[F]:
+    """Return the section with a key for each limit of the verdict."""
+    keys: dict[str, Any] = {
+        name: (float | None, Field(default=None, description=each.meaning, **each.bounds))
+        for name, each in LIMITED.items()
+    }
+    return create_model(
+        section.__name__, __base__=section, __module__=__name__, __doc__=section.__doc__, **keys
+    )
+
+
+@_with_limits
 class VerdictConfig(Section):
     """``[verdict]``: limits for a pass; an absent limit is not judged."""
 
-    speed_error_peak_percent_max: float | None = Field(default=None, ge=0)
-    after_load_percent_max: float | None = Field(default=None, ge=0)
-    speed_error_rms_rad_s_max: float | None = Field(default=None, ge=0)
-    dropouts_percent_max: float | None = Field(default=None, ge=0, le=100)
-    delay_p99_us_max: float | None = Field(default=None, gt=0)
-    bus_load_percent_max: float | None = Field(default=None, gt=0, le=100)
-    missed_percent_max: float | None = Field(default=None, ge=0, le=100)
-    """Cycles without SYNC because the host came too late."""
-    lateness_us_max: float | None = Field(default=None, ge=0)
-    """Greatest lateness of the host's wake-up for a cycle."""
-    compute_us_max: float | None = Field(default=None, gt=0)
-    """Greatest computing time of compensator and controller in a cycle; judged only on a bus in real time."""
-    torque_rms_nm_max: float | None = Field(default=None, gt=0)
-    """Rms of the commanded torque about its mean while reference and load stay: a limit cycle exceeds it."""
-    settling_time_ms_max: float | None = Field(default=None, ge=0)
-    """Time after a reference step until the speed stays within the band."""
-    overshoot_percent_max: float | None = Field(default=None, ge=0)
-    """Overshoot of a reference step."""
-    recovery_time_ms_max: float | None = Field(default=None, ge=0)
-    """Time after a load step until the speed stays within the band of the reference."""
-    losses_in_a_row_max: float | None = Field(default=None, ge=0)
-    """Consecutive cycles of an axis without a usable reading."""
-    position_error_peak_rad_max: float | None = Field(default=None, ge=0)
-    """Peak error of a position reference, at the instant of each reading."""
-    position_error_rms_rad_max: float | None = Field(default=None, ge=0)
-    following_error_peak_rad_max: float | None = Field(default=None, ge=0)
-    """Peak following error of a drive in csp: its distance from the path between its position set-points."""
     settling_ms: int = Field(default=250, ge=0, le=3_600_000)
     """Time after a reference step in which speed and position errors are not counted."""
     settling_band_percent: float = Field(default=2.0, gt=0, le=100)
@@ -212,7 +197,7 @@ class VerdictConfig(Section):
     @property
     def limits(self) -> VerdictLimits:
         """The limits alone."""
-        return VerdictLimits(**self.model_dump(exclude={"settling_ms", "settling_band_percent"}))
+        return VerdictLimits(**{name: getattr(self, name) for name in LIMITED})
 
 
 class RecordingConfig(Section):

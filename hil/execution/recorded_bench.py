@@ -27,7 +27,7 @@ from servobench.hil.rows.recording_plan import (
     RecordingPlan,
     ReviewPlan,
 )
-from servobench.hil.verdict.verdict import VerdictLimits
+from servobench.hil.verdict.limits import VerdictLimits
 
 
 def _kept_bench(config: BenchConfig, code: Mapping[str, AxisCode]) -> tuple[BenchConfig, dict[str, Path]]:
@@ -206,9 +206,10 @@ def _limits(config: BenchConfig, certified: Collection[CertifiedPlan], real_time
 
     The controllers' computing time is judged only where the drives wait for it.
     """
-    asked = [config.verdict.torque_rms_nm_max, *(plan.torque_rms_nm_max for plan in certified)]
+    limits = config.verdict.limits
+    asked = [limits.torque_rms_nm_max, *(plan.torque_rms_nm_max for plan in certified)]
     return replace(
-        config.verdict.limits if real_time else replace(config.verdict.limits, compute_us_max=None),
+        limits if real_time else replace(limits, compute_us_max=None),
         torque_rms_nm_max=min((each for each in asked if each is not None), default=None),
     )
 

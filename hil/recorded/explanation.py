@@ -24,7 +24,8 @@ from servobench.hil.rows.injected_faults import ACTIVE, INJECTED_TRACK
 from servobench.hil.rows.records import COLUMNS, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
 from servobench.hil.rows.records_file import read_some
 from servobench.hil.rows.run_files import EVENTS_FILE, RECORDS_FILE
-from servobench.hil.verdict.summary import Summary, metric_title
+from servobench.hil.verdict.limits import metric_title
+from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import Check, LimitResult, VerdictKind
 
 AROUND_NS: Final = 50 * NS_PER_MS

@@ -16,8 +16,10 @@ from servobench.hil.configuration.config_files import Section, load_file
 from servobench.hil.recorded.recorded_run import RecordedRun, RunSignals
 from servobench.hil.rows.records import Rows
 from servobench.hil.rows.run_files import RECORDS_FILE
-from servobench.hil.verdict.summary import Figures, Summary, summarise
-from servobench.hil.verdict.verdict import Demand, RunOutcome, VerdictKind, VerdictLimits
+from servobench.hil.verdict.figures import Figures
+from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.summary import Summary, summarise
+from servobench.hil.verdict.verdict import Demand, RunOutcome, VerdictKind
 
 _OF_LIMITS: Final = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
 """Outcomes decided by limits, and so found anew."""

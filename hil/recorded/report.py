@@ -14,7 +14,8 @@ from servobench.drivers.written_file import write_file
 from servobench.hil.recorded.judgement import Judged
 from servobench.hil.rows.event_lines import read_events
 from servobench.hil.rows.run_files import EVENTS_FILE
-from servobench.hil.verdict.summary import Percentiles, metric_title
+from servobench.hil.verdict.figures import Percentiles
+from servobench.hil.verdict.limits import metric_title
 from servobench.hil.verdict.summary_text import certificate_rows, loss_text, timing_lines
 from servobench.hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
 

@@ -24,7 +24,8 @@ from servobench.hil.rows.row_states import (
     LINK_OK,
     LabelChange,
 )
-from servobench.hil.verdict.verdict import VerdictKind, VerdictLimits
+from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.verdict import VerdictKind
 
 STATE_ROOT: Final = "/state"
 _VERDICT, _ERROR, _DRIVE, _PHASE, _LINK, _DROPOUTS, _HOST, _INJECTED, _OTHER = range(9)

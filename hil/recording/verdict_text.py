@@ -9,7 +9,9 @@ from typing import Final
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US
 from servobench.hil.rows.recording_plan import RecordingPlan
 from servobench.hil.rows.run_files import FIRST_CYCLE_EPOCH
-from servobench.hil.verdict.summary import Figures, Percentiles, Summary, metric_title
+from servobench.hil.verdict.figures import Figures, Percentiles
+from servobench.hil.verdict.limits import metric_title
+from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.summary_text import certificate_rows, computing_note, loss_text, timing_lines
 from servobench.hil.verdict.verdict import Check, LimitResult, verdict_title
 

@@ -18,7 +18,7 @@ from servobench.hil.loop.scenario import Quantity
 from servobench.hil.reviewing.speed_error import ROUNDING, CountedErrors, note_settling
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import FATE_SAMPLE, NOTHING, Rows
-from servobench.hil.verdict.summary import PositionError
+from servobench.hil.verdict.figures import PositionError
 
 _RESOLUTION_RAD = 1e-6
 """A sixth of a count of 2^20 a turn: rounding is no step."""

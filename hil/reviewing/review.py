@@ -17,8 +17,14 @@ from servobench.hil.reviewing.torque_swing import TorqueSwingMeter
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.rows.records import CAUSES, NAMES, NOTHING, ROW_DTYPE, Rows
 from servobench.hil.rows.side_rows import TextEvent
-from servobench.hil.verdict.summary import DropoutCounts, Figures, Percentiles, PositionError, SpeedError
-from servobench.hil.verdict.verdict import WorstPlace
+from servobench.hil.verdict.figures import (
+    DropoutCounts,
+    Figures,
+    Percentiles,
+    PositionError,
+    SpeedError,
+    WorstPlace,
+)
 
 DIGEST_BYTES = 16
 """128 bits: of 2^64 runs two are alike by chance."""

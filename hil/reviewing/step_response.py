@@ -24,7 +24,7 @@ from servobench.hil.reviewing.largest import Largest
 from servobench.hil.reviewing.speed_error import AskedChanges, worst
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import FATE_SAMPLE, Rows
-from servobench.hil.verdict.summary import StepResponse
+from servobench.hil.verdict.figures import StepResponse
 
 
 class _Step(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.hil.rows.records import DIGESTED
-from servobench.hil.verdict.verdict import VerdictLimits
+from servobench.hil.verdict.limits import VerdictLimits
 
 SETTLING = Duration(250_000_000)
 """Default of ``verdict.settling_ms``."""

@@ -16,7 +16,9 @@ from servobench.hil.machine.extras import is_installed
 from servobench.hil.machine.parent_process import results
 from servobench.hil.terminal.output import columns, titled
 from servobench.hil.terminal.why import brief_lines
-from servobench.hil.verdict.summary import Percentiles, Summary, metric_title
+from servobench.hil.verdict.figures import Percentiles
+from servobench.hil.verdict.limits import metric_title
+from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.summary_text import certificate_lines, computing_note, loss_text, timing_lines
 from servobench.hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
 

@@ -3,7 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from servobench.hil.verdict.summary import Figures, Summary
+from servobench.hil.verdict.figures import Figures
+from servobench.hil.verdict.summary import Summary
 
 _SYNC_TEXTS = {
     "none": "no echo: the instant is that of its hand-over",

@@ -9,6 +9,9 @@ from dataclasses import asdict, dataclass, replace
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple
 
+from servobench.hil.verdict.figures import WorstPlace
+from servobench.hil.verdict.limits import VerdictLimits
+
 
 class ExitStatus(IntEnum):
     """Exit statuses of ``hil``."""
@@ -79,29 +82,6 @@ def outcome_of_status(status: int) -> VerdictKind:
         if outcome.exit_status == status:
             return outcome
     return VerdictKind.DEFECT
-
-
-@dataclass(frozen=True, slots=True)
-class VerdictLimits:
-    """Upper limits for a run; None: not set. The names are those of the bench file."""
-
-    speed_error_peak_percent_max: float | None = None
-    after_load_percent_max: float | None = None
-    speed_error_rms_rad_s_max: float | None = None
-    dropouts_percent_max: float | None = None
-    delay_p99_us_max: float | None = None
-    bus_load_percent_max: float | None = None
-    missed_percent_max: float | None = None
-    lateness_us_max: float | None = None
-    compute_us_max: float | None = None
-    torque_rms_nm_max: float | None = None
-    settling_time_ms_max: float | None = None
-    overshoot_percent_max: float | None = None
-    recovery_time_ms_max: float | None = None
-    losses_in_a_row_max: float | None = None
-    position_error_peak_rad_max: float | None = None
-    position_error_rms_rad_max: float | None = None
-    following_error_peak_rad_max: float | None = None
 
 
 class Demand(NamedTuple):
@@ -190,16 +170,6 @@ class LimitResult(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class WorstPlace:
-    """Origin of a value of a run."""
-
-    axis: str = ""
-    """Empty: no single axis."""
-    at_ns: int | None = None
-    """When its cycle was due, run time; None: no single instant."""
-
-
-@dataclass(frozen=True, slots=True)
 class Check:
     """One limit and its value."""
 
@@ -258,7 +228,7 @@ def judge(
 ) -> RunVerdict:
     """Judge a run.
 
-    ``values``: by the names of :class:`VerdictLimits`; None, or missing, if not measured.
+    ``values``: by the names of the limits; None, or missing, if not measured.
     ``recording_lacks``: why the recording is incomplete; empty if it is not. ``places``: origin of the
     values, by the same names, as far as known. ``demands``: further limits.
     """

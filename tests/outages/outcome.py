@@ -51,6 +51,6 @@ class Outcome:
     def judge_share(self, config: BenchConfig, came: int) -> None:
         """``came``: readings that were there by their deadline, as others saw them."""
         percent = 100.0 * (self.rows - came) / max(self.rows, 1)
-        limit = config.verdict.dropouts_percent_max
+        limit = config.verdict.limits.dropouts_percent_max
         if self.passed and limit is not None and percent > limit:
             self.wrong.append(f"passed with {percent:.2f} % of the readings missing, {limit} % allowed")

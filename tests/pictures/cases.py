@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from servobench.hil.verdict.verdict import VerdictKind, VerdictLimits
+from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.verdict import VerdictKind
 from servobench.virtual_bus.faults.register import TABLES
 from tests.pictures import made
 
@@ -128,6 +129,8 @@ def cases() -> Iterator[Case]:
     for limit in VerdictLimits.__dataclass_fields__:
         if limit == "compute_us_max":
             continue  # judged in real time alone
+        if limit not in _BROKEN:
+            raise LookupError(f"{limit}: write into _BROKEN an example that breaks it")
         example, most, changes = _BROKEN[limit]
         changed = {**_QUIET, **changes, f"verdict.{limit}": most}
         yield Case(

@@ -171,7 +171,7 @@ def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
     text = (out / "bench.toml").read_text()
     assert not [number for number in re.findall(r"-?\d+\.\d+", text) if len(number.strip("-0.")) > 7], text
     bench = load_bench(out / "bench.toml")
-    assert bench.verdict.speed_error_rms_rad_s_max is not None
+    assert bench.verdict.limits.speed_error_rms_rad_s_max is not None
     assert bench.drive["axis1"].commissioned == drive
     ran = CliRunner().invoke(app, ["run", str(out / "bench.toml"), "--no-record"])
     assert ran.exit_code == 0, ran.stderr

@@ -60,7 +60,7 @@ def test_step_ramp_and_sine_are_followed_by_the_frames_on_the_bus(
     run = servo_bench(bench)
     assert run.summary.verdict.passed, run.summary.verdict.reason
     seen = shaft_error(run, 0.95, 1.5)
-    limit = run.config.verdict.position_error_peak_rad_max
+    limit = run.config.verdict.limits.position_error_peak_rad_max
     told = run.summary.position_error
     assert limit is not None
     assert told.peak_rad is not None

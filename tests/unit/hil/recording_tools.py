@@ -6,7 +6,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from servobench.hil.verdict.verdict import DriveEnd, RunOutcome, VerdictLimits
+from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.verdict import DriveEnd, RunOutcome
 from tests.unit.hil.synthetic_run import DEADLINE
 
 RESTING = DriveEnd("axis1", "operation enabled", "switch on disabled", at_rest=True)

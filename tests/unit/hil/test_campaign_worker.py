@@ -28,7 +28,8 @@ from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.control.own_code import OwnCodeFailed
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 from servobench.hil.recording.recorder import recorder_of
-from servobench.hil.verdict.summary import StepResponse, Summary
+from servobench.hil.verdict.figures import StepResponse
+from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import Finding, VerdictKind
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_campaign_plan import LOSS, plan, tables

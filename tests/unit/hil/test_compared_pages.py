@@ -19,8 +19,8 @@ from servobench.hil.recorded.comparison import compare_runs
 from servobench.hil.recorded.comparison_page import write_comparison
 from servobench.hil.recording.page_series import AXIS_COLORS, GREY, torque_scale
 from servobench.hil.rows.records import Rows
+from servobench.hil.verdict.limits import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain
-from servobench.hil.verdict.verdict import VerdictLimits
 from tests.page_text import page_text
 from tests.unit.hil.made_runs import MadeRun, made_run
 from tests.unit.hil.row_tools import plain_rows

@@ -14,7 +14,9 @@ from servobench.hil.recorded.judgement import Judged, _certified, judge_run, loa
 from servobench.hil.recorded.recorded_run import signals_of
 from servobench.hil.recorded.report import limit_rows, write_report
 from servobench.hil.rows.records import Rows
-from servobench.hil.verdict.summary import Percentiles, Summary
+from servobench.hil.verdict.figures import Percentiles
+from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import (
     Check,
     Demand,
@@ -22,7 +24,6 @@ from servobench.hil.verdict.verdict import (
     LimitResult,
     RunVerdict,
     VerdictKind,
-    VerdictLimits,
     not_run,
 )
 from tests.unit.hil.made_runs import MadeRun, made_run

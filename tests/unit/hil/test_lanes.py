@@ -23,7 +23,7 @@ from servobench.hil.reviewing.review import Review
 from servobench.hil.reviewing.speed_error import SpeedErrorMeter
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.rows.row_states import LabelChange
-from servobench.hil.verdict.verdict import VerdictLimits
+from servobench.hil.verdict.limits import VerdictLimits
 
 AXES: Final = ("axis1", "left arm")
 RED, GREEN, AMBER, DIM, DARK = 0xB3202AFF, 0x1E6B35FF, 0xA67C1BFF, 0x3F4650FF, 0x1B1E23FF

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from servobench.hil.verdict.summary import (
+from servobench.hil.verdict.figures import (
     NO_TIMES,
     DropoutCounts,
     Figures,
@@ -13,9 +13,10 @@ from servobench.hil.verdict.summary import (
     PositionError,
     SpeedError,
     StepResponse,
-    metric_title,
-    summarise,
+    WorstPlace,
 )
+from servobench.hil.verdict.limits import VerdictLimits, metric_title
+from servobench.hil.verdict.summary import summarise
 from servobench.hil.verdict.summary_text import certificate_lines, certificate_rows, timing_lines
 from servobench.hil.verdict.verdict import (
     Check,
@@ -27,8 +28,6 @@ from servobench.hil.verdict.verdict import (
     LimitResult,
     RunOutcome,
     VerdictKind,
-    VerdictLimits,
-    WorstPlace,
     judge,
     outcome_of_status,
     verdict_title,
@@ -55,39 +54,40 @@ FIGURES = Figures(
     worst={"delay_p99_us_max": WorstPlace("left", 5), "dropouts_percent_max": WorstPlace("right")},
 )
 HELD = {
-    "speed_error_peak_percent_max": ("speed error, peak [%]", 112.0),
-    "after_load_percent_max": ("speed error after load step [%]", 114.0),
-    "speed_error_rms_rad_s_max": ("speed error, RMS [rad/s]", 113.0),
-    "dropouts_percent_max": ("dropouts [%]", 10.0),
-    "delay_p99_us_max": ("delay of readings, p99 [us]", 102.0),
-    "bus_load_percent_max": ("bus load [%]", 55.0),
-    "missed_percent_max": ("cycles without SYNC [%]", 3.0),
-    "lateness_us_max": ("lateness, largest [us]", 123.0),
-    "compute_us_max": ("computing time, largest [us]", 133.0),
-    "torque_rms_nm_max": ("torque about its mean, rms [N m]", 141.0),
-    "settling_time_ms_max": ("settling after a step [ms]", 161.0),
-    "overshoot_percent_max": ("overshoot of a step [%]", 162.0),
-    "recovery_time_ms_max": ("recovery after a load step [ms]", 163.0),
-    "losses_in_a_row_max": ("readings lost in a row", 17.0),
-    "position_error_peak_rad_max": ("position error, peak [rad]", 151.0),
-    "position_error_rms_rad_max": ("position error, RMS [rad]", 152.0),
-    "following_error_peak_rad_max": ("following error, peak [rad]", 153.0),
+    "speed_error_peak_percent_max": 112.0,
+    "after_load_percent_max": 114.0,
+    "speed_error_rms_rad_s_max": 113.0,
+    "dropouts_percent_max": 10.0,
+    "delay_p99_us_max": 102.0,
+    "bus_load_percent_max": 55.0,
+    "missed_percent_max": 3.0,
+    "lateness_us_max": 123.0,
+    "compute_us_max": 133.0,
+    "torque_rms_nm_max": 141.0,
+    "settling_time_ms_max": 161.0,
+    "overshoot_percent_max": 162.0,
+    "recovery_time_ms_max": 163.0,
+    "losses_in_a_row_max": 17.0,
+    "position_error_peak_rad_max": 151.0,
+    "position_error_rms_rad_max": 152.0,
+    "following_error_peak_rad_max": 153.0,
 }
 OUTCOME = RunOutcome(bus_load_percent=55.0, cycles_planned=100, drives=(RESTING, replace(RESTING, name="b")))
 
 
 def test_every_limit_has_its_figure() -> None:
-    assert list(HELD) == [each.name for each in fields(VerdictLimits)]
+    lacking = sorted({each.name for each in fields(VerdictLimits)} ^ set(HELD))
+    assert not lacking, f"{lacking}: give HELD the number of FIGURES or OUTCOME it is held to"
+    assert len({metric_title(key) for key in HELD}) == len(HELD)
 
 
 @pytest.mark.parametrize("metric", HELD)
 @pytest.mark.parametrize(("above", "result"), [(0.0, LimitResult.KEPT), (-0.001, LimitResult.BROKEN)])
 def test_a_limit_is_kept_up_to_its_value(metric: str, above: float, result: LimitResult) -> None:
-    title, value = HELD[metric]
+    value = HELD[metric]
     limit = value + above
     verdict = summarise(FIGURES, OUTCOME, VerdictLimits(**{metric: limit}), "", 7).verdict
     place = FIGURES.worst.get(metric, WorstPlace())
-    assert metric_title(metric) == title
     assert verdict.limits == (Check(metric, value, limit, result, place.axis, place.at_ns),)
     told = () if result is LimitResult.KEPT else (f"{metric} = {limit:g}, found {value:.4g}",)
     assert tuple(finding.text for finding in verdict.findings) == told

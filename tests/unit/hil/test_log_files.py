@@ -15,7 +15,8 @@ from servobench.hil.recording.page_keepers import LiveKeeper
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.records import ROW_DTYPE
 from servobench.hil.rows.side_rows import FRAME, FRAME_DTYPE
-from servobench.hil.verdict.summary import Figures, Summary, summarise
+from servobench.hil.verdict.figures import Figures
+from servobench.hil.verdict.summary import Summary, summarise
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records

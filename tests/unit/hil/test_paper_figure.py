@@ -13,7 +13,7 @@ from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.hil.recorded.paper import histogram_figure, paper_figure, save_figure, svg_text
 from servobench.hil.recorded.recorded_run import RunSignals, signals_of
 from servobench.hil.rows.records import NOTHING, Rows
-from servobench.hil.verdict.verdict import VerdictLimits
+from servobench.hil.verdict.limits import VerdictLimits
 from tests.unit.hil.made_runs import made_run
 from tests.unit.hil.row_tools import plain_rows
 

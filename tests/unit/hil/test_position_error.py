@@ -10,7 +10,7 @@ from servobench.hil.reviewing.position_error import PositionErrorMeter
 from servobench.hil.reviewing.speed_error import worst
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import NOTHING, Rows
-from servobench.hil.verdict.summary import NO_POSITIONS, PositionError
+from servobench.hil.verdict.figures import NO_POSITIONS, PositionError
 from tests.unit.hil.row_tools import plain_rows
 
 PERIOD = Duration(NS_PER_MS)

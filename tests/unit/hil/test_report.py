@@ -10,8 +10,10 @@ from rich.console import Console
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.machine.progress import LINE_WIDTH, TerminalProgress, bar_line
 from servobench.hil.terminal.report import print_run, recording_lines, viewer_command
-from servobench.hil.verdict.summary import DropoutCounts, Percentiles, SpeedError, Summary
-from servobench.hil.verdict.verdict import CycleCount, Finding, RunOutcome, VerdictKind, VerdictLimits, judge
+from servobench.hil.verdict.figures import DropoutCounts, Percentiles, SpeedError
+from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import CycleCount, Finding, RunOutcome, VerdictKind, judge
 from tests.unit.hil.recording_tools import whole_outcome
 from tests.unit.hil.test_summary import timing
 

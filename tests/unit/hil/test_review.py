@@ -13,7 +13,7 @@ from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.rows.records import DIGESTED as PLACES
 from servobench.hil.rows.records import NAMES, NOTHING, Rows, row_of
-from servobench.hil.verdict.summary import DropoutCounts, Figures
+from servobench.hil.verdict.figures import DropoutCounts, Figures
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 

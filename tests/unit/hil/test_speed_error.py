@@ -11,7 +11,7 @@ from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.hil.reviewing.speed_error import SpeedErrorMeter, worst
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import Rows
-from servobench.hil.verdict.summary import SpeedError
+from servobench.hil.verdict.figures import SpeedError
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 

@@ -8,7 +8,7 @@ import pytest
 from servobench.hil.reviewing.step_response import StepMeter, worst_steps
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import Rows
-from servobench.hil.verdict.summary import StepResponse
+from servobench.hil.verdict.figures import StepResponse
 from tests.unit.hil.row_tools import plain_rows
 
 AXIS = AxisPlan("axis1", 6_250.0)

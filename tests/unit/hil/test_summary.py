@@ -1,7 +1,7 @@
 """The verdict, limit by limit, and the form of the summary."""
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -9,8 +9,7 @@ import pytest
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.recording.verdict_text import verdict_markdown
 from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from servobench.hil.verdict.plain_values import from_plain
-from servobench.hil.verdict.summary import (
+from servobench.hil.verdict.figures import (
     NO_TIMES,
     DropoutCounts,
     Figures,
@@ -18,21 +17,12 @@ from servobench.hil.verdict.summary import (
     PositionError,
     SpeedError,
     StepResponse,
-    Summary,
-    metric_title,
-    summarise,
-    summary_without_run,
 )
+from servobench.hil.verdict.limits import VerdictLimits
+from servobench.hil.verdict.plain_values import from_plain
+from servobench.hil.verdict.summary import Summary, summarise, summary_without_run
 from servobench.hil.verdict.summary_text import timing_lines
-from servobench.hil.verdict.verdict import (
-    Check,
-    Finding,
-    LimitResult,
-    RunOutcome,
-    RunVerdict,
-    VerdictKind,
-    VerdictLimits,
-)
+from servobench.hil.verdict.verdict import Finding, RunOutcome, VerdictKind
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 
 FIGURES = Figures(
@@ -52,42 +42,6 @@ FIGURES = Figures(
     reading_losses_in_a_row=3,
     position_error=PositionError(0.3, 0.2, 0.4),
 )
-VALUES = {
-    "speed_error_peak_percent_max": 5.0,
-    "after_load_percent_max": 4.0,
-    "speed_error_rms_rad_s_max": 1.5,
-    "dropouts_percent_max": 4.0,
-    "delay_p99_us_max": 900.0,
-    "bus_load_percent_max": 53.0,
-    "missed_percent_max": 1.0,
-    "lateness_us_max": 12.0,
-    "compute_us_max": 45.0,
-    "torque_rms_nm_max": 0.5,
-    "settling_time_ms_max": 120.0,
-    "overshoot_percent_max": 8.0,
-    "recovery_time_ms_max": 40.0,
-    "losses_in_a_row_max": 3.0,
-    "position_error_peak_rad_max": 0.3,
-    "position_error_rms_rad_max": 0.2,
-    "following_error_peak_rad_max": 0.4,
-}
-
-
-def test_every_limit_has_a_value_and_a_title() -> None:
-    assert {field.name for field in fields(VerdictLimits)} == set(VALUES)
-    assert len({metric_title(key) for key in VALUES}) == len(VALUES)
-
-
-@pytest.mark.parametrize(("key", "value"), VALUES.items())
-def test_each_limit_is_held_against_its_figure(key: str, value: float) -> None:
-    (check,) = judged(VerdictLimits(**{key: value})).limits
-    assert check == Check(key, value, value, LimitResult.KEPT)
-    (check,) = judged(VerdictLimits(**{key: value - 0.01})).limits
-    assert check.result is LimitResult.BROKEN
-
-
-def judged(limits: VerdictLimits) -> RunVerdict:
-    return summarise(FIGURES, whole_outcome(FIGURES.cycles), limits, "", 1).verdict
 
 
 def summary_with(**changes: object) -> Summary:

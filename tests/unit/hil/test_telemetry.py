@@ -17,9 +17,9 @@ from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from servobench.hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
 from servobench.hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, TextEvent
+from servobench.hil.verdict.limits import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary, summarise
-from servobench.hil.verdict.verdict import VerdictLimits
 from tests.rrd_columns import columns, numbers, view_ranges
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows, rows_of

@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
+from servobench.hil.verdict.limits import VerdictLimits
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.verdict import (
     CycleCount,
@@ -17,7 +18,6 @@ from servobench.hil.verdict.verdict import (
     RunOutcome,
     RunVerdict,
     VerdictKind,
-    VerdictLimits,
     judge,
     not_run,
     outcome_of_status,

@@ -9,7 +9,7 @@ import pytest
 
 from servobench.hil.recording.verdict_text import running_markdown, verdict_markdown
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
-from servobench.hil.verdict.summary import DropoutCounts, Percentiles, SpeedError, StepResponse
+from servobench.hil.verdict.figures import DropoutCounts, Percentiles, SpeedError, StepResponse
 from servobench.hil.verdict.verdict import Check, LimitResult
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_summary import FIGURES, summary_with
