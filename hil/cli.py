@@ -153,7 +153,7 @@ def run(asked: RunOptions) -> None:
 
     Exit status: 0 passed, or no limits set; 1 not passed; 2 bad input; 3 bus, drive or safety; 4 not
     trustworthy, or disturbed by others; 5 not recorded; 6 cut short or not measured; 130 ended by a signal.
-    docs/verdict.md
+    docs/exit-status.md
     """
     run_object = RunObject(asked.as_json)
     with reported_errors(run_object.failed, "hil run"):

@@ -9,17 +9,24 @@ import re
 import textwrap
 import types
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import typer
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.store import schema_of
 from servobench.hil.cli import app
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.motor_file import MotorFile
+from servobench.hil.rows.records import COLUMNS
+from servobench.hil.rows.records_file import PHASE_COLUMN
+from servobench.hil.verdict.limits import LIMITED
 from servobench.virtual_bus.faults.register import TABLES
 
+_ROOT = Path(__file__).resolve().parents[2]
 _FILES = (
     "The tables `motor`, `commissioned`, `controller` and `current_control.controller` and the lists "
     "`faults.plan` and `background` may stand in files of their own: the key is then the path of the file, "
@@ -46,6 +53,51 @@ def faults_page() -> str:
     for name, table in TABLES.items():
         lines += [f"## [[{name}]]", "", _words(table), "", *_keys(table)]
     return "\n".join(lines)
+
+
+def limits_page() -> str:
+    """Every limit of a verdict, and the figure that it is held against."""
+    lines = [
+        "# Verdict limits",
+        "",
+        "Keys of `[verdict]` in a bench file, each an upper limit, each optional.",
+    ]
+    lines += ["What makes a run pass beside them: [verdict](../verdict.md).", ""]
+    lines += ["| key | value | figure | |", "|---|---|---|---|"]
+    for name, limited in LIMITED.items():
+        bounds = ", ".join(f"{_BOUNDS[bound]} {value}" for bound, value in limited.bounds.items())
+        lines.append(f"| `{name}` | number {bounds} | {limited.title} | {limited.meaning} |")
+    return "\n".join([*lines, ""])
+
+
+def columns_page() -> str:
+    """Every column of a recording and of a campaign."""
+    lines = ["# Columns", "", "## records.arrow", ""]
+    lines += [
+        "A row is a planned cycle of one axis; what is not known is null ([the recording](../recording.md)).",
+        "",
+    ]
+    lines += ["| column | type | unit | |", "|---|---|---|---|"]
+    for column in (*COLUMNS, PHASE_COLUMN):
+        names = column.codes if column is PHASE_COLUMN else map(" ".join, _numbered(column.codes))
+        meaning = ": ".join(part for part in (column.meaning, ", ".join(names)) if part)
+        lines.append(f"| `{column.name}` | {column.kind} | {column.unit} | {meaning} |")
+    plan = CampaignPlan.load(_ROOT / "examples/campaigns/ling2012.toml")
+    lines += ["", "## runs of a campaign", ""]
+    lines += [
+        "A row is a run ([campaigns](../campaigns.md#the-table)). Each key that varies has a column as well.",
+        "",
+    ]
+    lines += ["| column | type | unit | |", "|---|---|---|---|"]
+    for field in schema_of(plan):
+        if field.name not in plan.run(0).labels:
+            told = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
+            lines.append(f"| `{field.name}` | {field.type} | {told.get('unit', '')} | {told['meaning']} |")
+    return "\n".join([*lines, ""])
+
+
+def _numbered(codes: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    return ((str(number), code) for number, code in enumerate(codes))
 
 
 def commands_page() -> str:
@@ -213,4 +265,6 @@ PAGES = {
     "reference/motor.md": motor_page,
     "reference/faults.md": faults_page,
     "reference/commands.md": commands_page,
+    "reference/verdict.md": limits_page,
+    "reference/columns.md": columns_page,
 }

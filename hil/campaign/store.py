@@ -131,7 +131,7 @@ _COUNTS: Final = {
 _TOLD: Final = {
     "weight": (pa.float64(), "of its draw: by how much the sweep's distributions have it more often"),
     "counts": (pa.bool_(), "whether it counts for the rate; not while adaptive draws are learning"),
-    "outcome": (pa.string(), "what it came to, docs/verdict.md"),
+    "outcome": (pa.string(), "what it came to, docs/exit-status.md"),
     "passed": (pa.bool_(), "whether all that was asked was kept in a valid run"),
     "completed": (pa.bool_(), "whether all planned cycles were run"),
     "reason": (pa.string(), "the findings of the outcome, in words"),

@@ -31,7 +31,7 @@ MEMORY_MAX_KB: Final = 500_000
 COMMAND_EACH: Final = 50
 """Mutants for one that goes through a command too, which takes so many times as long."""
 STATUSES: Final = (0, 1, 2, 3, 4, 5, 6)
-"""docs/verdict.md; 70 is a defect."""
+"""docs/exit-status.md; 70 is a defect."""
 REFUSED: Final = (2, 5)
 LISTED: Final = "runs"
 """The command that refuses nothing, and says of each recording what is wrong with it."""

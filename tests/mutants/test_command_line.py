@@ -41,7 +41,7 @@ OPTIONS: Final = [
     ("measure", "--bus", NOWHERE, "--node", "1", "--period-us", "{}"),
 ]
 FAILED_AND_TOLD: Final = (0, 1, 2, 3, 5)
-"""docs/verdict.md; of these commands none may run into a defect, 70."""
+"""docs/exit-status.md; of these commands none may run into a defect, 70."""
 
 
 def command(arguments: tuple[str, ...], mutated: str, folder: Path) -> str:

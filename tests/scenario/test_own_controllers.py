@@ -237,7 +237,7 @@ def test_a_package_brings_a_kind_by_its_entry_point(
 
 
 def test_the_class_and_the_table_of_the_docs_run_as_printed(servo_bench: BenchRunner, tmp_path: Path) -> None:
-    text = (EXAMPLES.parent / "docs" / "control.md").read_text(encoding="utf-8")
+    text = (EXAMPLES.parent / "docs" / "own-controller.md").read_text(encoding="utf-8")
     source, table = re.findall(r"```(?:python|toml)\n(.*?)```", text, re.DOTALL)[:2]
     (tmp_path / "proportional.py").write_text(source)
     section = tomllib.loads(table)["drive"]["axis1"]["controller"]

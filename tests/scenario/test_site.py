@@ -10,11 +10,15 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("site")]
+pytestmark = [pytest.mark.long, pytest.mark.xdist_group("site"), pytest.mark.timeout(400)]
 
 ROOT = Path(__file__).parents[2]
 CODE = re.compile(r"^( *)(```|~~~).*?^\1\2|^ {4,}(?!\$).*?$|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 FORMULA = re.compile(r"\$\$(.+?)\$\$|\$(?! )([^$\n]+?)\$", re.DOTALL)
+
+
+KINDS = ["Tutorials", "How-to guides", "Reference", "Explanation"]
+TABS = re.compile(r'<li class="md-tabs__item( md-tabs__item--active)?">\s*<a [^>]*>(.*?)</a>', re.DOTALL)
 
 
 class Page(HTMLParser):
@@ -53,7 +57,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(out)],
         cwd=ROOT, env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT)},
-        capture_output=True, text=True, timeout=110, check=False,
+        capture_output=True, text=True, timeout=380, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     return out
@@ -86,6 +90,19 @@ def test_a_page_fetches_nothing_from_elsewhere(site: Path) -> None:
         if (found := Page(path.read_text(encoding="utf-8")).fetched)
     }
     assert fetched == {}
+
+
+def test_every_page_is_of_one_of_four_kinds(site: Path) -> None:
+    kinds: dict[str, list[str]] = {}
+    for path in site.rglob("index.html"):
+        tabs = [(bool(active), name.strip()) for active, name in TABS.findall(path.read_text("utf-8"))]
+        assert [name for _, name in tabs] == ["servobench", *KINDS]
+        kinds[str(path.parent.relative_to(site))] = [name for active, name in tabs if active]
+    assert kinds.pop(".") == ["servobench"]
+    assert {page: kind for page, kind in kinds.items() if len(kind) != 1 or kind[0] not in KINDS} == {}
+    assert kinds["tutorial-pytest"] == ["Tutorials"]
+    assert kinds["decisions/0019-no-pi-with-observer"] == ["Explanation"]
+    assert {kind for page, (kind,) in kinds.items() if page.startswith("reference/")} == {"Reference"}
 
 
 def test_a_formula_with_an_unknown_command_is_refused() -> None:

@@ -20,7 +20,7 @@ from tests.swarm.mishaps import Circumstances, Mishap
 from tests.swarm.witness import Testimony
 
 STATUSES: Final = (0, 1, 3, 4, 5, 6)
-"""docs/verdict.md; a drawn bench is never bad input, and nobody interrupts it."""
+"""docs/exit-status.md; a drawn bench is never bad input, and nobody interrupts it."""
 TELLING_NS: Final = NS_PER_MS
 """What is told at the very end has no frame of its own."""
 

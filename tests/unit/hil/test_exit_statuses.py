@@ -1,4 +1,4 @@
-"""Which error ends a command with which status: docs/verdict.md says what each means."""
+"""Which error ends a command with which status: docs/exit-status.md says what each means."""
 
 import importlib
 import pkgutil

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from servobench.hil.verdict.limits import LIMITED
 from servobench.virtual_bus.faults.register import TABLES
 
 pytestmark = pytest.mark.long
@@ -70,3 +71,23 @@ def test_a_page_holds_defaults_bounds_and_words(pages: Mapping[str, Callable[[],
         in page
     )
     assert "## [[load.NAME]]" in page
+
+
+def test_every_limit_and_every_column_has_its_line(pages: Mapping[str, Callable[[], str]]) -> None:
+    limits = pages["reference/verdict.md"]()
+    assert (
+        "| `delay_p99_us_max` | number > 0 | delay of readings, p99 [us] | Delay of readings, 99 %. |"
+        in limits
+    )
+    assert all(f"| `{name}` |" in limits for name in LIMITED)
+    columns = pages["reference/columns.md"]()
+    assert (
+        "| `fate` | int8 |  | what came of its reading: 0 sample, 1 lost, 2 late, 3 stale, 4 missed |"
+        in columns
+    )
+    assert (
+        "| `phase` | string |  | in which phase of the bench the row was taken: calibrating, run," in columns
+    )
+    assert all(
+        f"| `{name}` |" in columns for name in ("due_at", "channel_7", "load_gain_rad_s_nm", "outcome")
+    )
