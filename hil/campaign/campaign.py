@@ -258,6 +258,7 @@ def run_campaign(
     seconds: float | None = None,
     stop: StopRequest | None = None,
     progress: Callable[[CampaignProgress], object] = lambda _: None,
+    note: Callable[[str], object] = lambda _: None,
 ) -> Campaign:
     """Run a sweep file to its end; from any thread.
 
@@ -265,6 +266,7 @@ def run_campaign(
     where its stored runs end. ``workers``: processes; default: one per core, 1: this one. ``dask``: address
     of a Dask scheduler, whose workers run it instead. ``against_certificate``: a counter-example ends it; see
     :meth:`Campaign.hold_certificate`. ``seconds``: it ends after this time, and continues with ``resume``.
+    ``note`` is told what shows that a campaign that is resumed was killed.
     Raises BadInput or BadInputs, RunRefused for a run that cannot be run, WorkerDied, ClusterLost,
     Interrupted; stored runs then remain, and can be resumed.
     """
@@ -275,6 +277,8 @@ def run_campaign(
         _row_maker(plan, workers, dask, asked) as make_rows,
         open_campaign(campaign.folder, plan, resume) as store,
     ):
+        if store.cut_short:
+            note(f"{store.cut_short}; its {store.count} runs are as they were written")
         _run(plan, store, make_rows, progress, Enough(plan, against_certificate), seconds)
         _record_failures(campaign)
     return campaign

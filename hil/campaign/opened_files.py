@@ -28,6 +28,8 @@ ROOMS: Final = ("drivers", "virtual_bus", "design", "hil")
 ROOT: Final = Path(__file__).parents[2]
 _SYSTEM: Final = ("/proc", "/sys", "/dev", "/run", "/etc", "/lib", "/usr/lib", "/usr/share")
 """Paths of the machine: its processor, clock and time zones are in no campaign's identity."""
+_USERS_THERE: Final = ("/dev/shm/", "/run/media/", "/run/user/")
+"""Folders of users in these: in memory, on a drive that was plugged in, of a session."""
 _IMPORTER: Final = "<frozen "
 """Prefix of file names of Python's own importers."""
 _BLOCK_BYTES: Final = 1 << 20
@@ -129,7 +131,7 @@ def _note(opened: Opened, path: str, flags: int) -> None:
         if not stat.S_ISREG(os.stat(path).st_mode):
             return
     except (FileNotFoundError, NotADirectoryError):
-        if importing:  # it looks in many places
+        if importing or path in sys.path:  # it looks in many places
             return
     opened.digests[path] = digest_of(path)
 
@@ -139,6 +141,8 @@ def _is_users(path: str, imported: bool) -> bool:
     if path.endswith(".pyc") or f"{os.sep}__pycache__{os.sep}" in path:
         return False
     packages, others = _not_the_users()
+    if path.startswith(_USERS_THERE):
+        return True
     if path.startswith(packages):
         return path.endswith(".py") and not imported  # a package of the user's is read as a source, too
     return not path.startswith(others)

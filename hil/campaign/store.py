@@ -45,6 +45,10 @@ class RunStore:
         """``folder``: that of the campaign, which exists; ``lock``: a descriptor to close with the store,
         like ``seal``. Raises BadInput for incomplete files."""
         self.folder, self._plan, self._lock, self._seal = folder, plan, lock, seal
+        self.cut_short = (
+            f"{folder / SEAL_FILE}: {seal.cut_short}, as a kill leaves it" if seal.cut_short else ""
+        )
+        """What shows that the campaign resumed was not left in order; empty: it was."""
         self._runs = folder / RUNS_FOLDER
         self.schema = schema_of(plan)
         self._runs.mkdir(exist_ok=True)

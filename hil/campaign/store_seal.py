@@ -17,6 +17,7 @@ from servobench.hil.rows.seal import ENDED, FIRST_CHAIN, Piece, digest_of, read_
 
 SUFFIX: Final = ".writing"
 _RESTORE: Final = "restore it, or begin a campaign in a folder of its own with --out"
+_GOES_ON: Final = "--resume goes on with it"
 
 
 class StoreSeal:
@@ -26,12 +27,18 @@ class StoreSeal:
         """``fresh``: a new store. Raises BadInput for a damaged seal."""
         self._folder = folder
         self._chain, self._ended = FIRST_CHAIN, False
+        self.cut_short = ""
+        """How the seal ended if no campaign had ended it; empty: it was left in order."""
         if not fresh:
             _require_seal(folder)
+        size = 0 if fresh else (folder / SEAL_FILE).stat().st_size
         self._file = AppendFile(folder / SEAL_FILE, fresh=fresh)
         last = None
         for last, chain in () if fresh else read_seal(folder, _RESTORE):
             self._chain, self._ended = chain, last == ENDED
+        if not fresh and not self._ended:
+            whole = size == (folder / SEAL_FILE).stat().st_size
+            self.cut_short = "no last line" if whole else "an incomplete last line"
         if isinstance(last, Piece):
             beside = (folder / last.file).with_suffix(SUFFIX)
             if beside.is_file() and _digest(beside) == last.digest:
@@ -72,12 +79,12 @@ def sealed_files(folder: Path, *, under_way: bool, among: str) -> Iterator[Path]
     _require_seal(folder)
     versions: dict[str, list[str]] = {}
     last: Piece | str = ""
-    for last, _ in read_seal(folder, _RESTORE):
+    for last, _ in read_seal(folder, _RESTORE, _GOES_ON):
         if isinstance(last, Piece):
             versions.setdefault(last.file, []).append(last.digest)
     if last != ENDED and not under_way:
         expected = "the end of a campaign that was left in order"
-        raise BadInput(str(folder / SEAL_FILE), "", "no last line", expected, "--resume goes on with it")
+        raise BadInput(str(folder / SEAL_FILE), "", "no last line", expected, _GOES_ON)
     waiting = last.file if isinstance(last, Piece) and under_way else ""
     for path in sorted(folder.glob(among)):
         if str(path.relative_to(folder)) not in versions:

@@ -58,6 +58,7 @@ _SMALL_BYTES: Final = 1 << 22
 """Size of a file that costs nothing to check: 5 ms."""
 _LINE: Final = re.compile(r'(\{.*), "chain": "([0-9a-f]{32})"\}\n')
 _SHOWN: Final = "--unsealed shows what can be read of it"
+_ENDED_BY_RECOVER: Final = f"hil recover ends it; {_SHOWN}"
 
 
 def doubt(seal: str) -> str:
@@ -96,13 +97,19 @@ def digest_of(file: BinaryIO, begin: int, end: int) -> str:
     return digest.hexdigest()
 
 
-def read_seal(folder: Path, remedy: str = _SHOWN) -> Iterator[tuple[Piece | str, str]]:
+def read_seal(
+    folder: Path, remedy: str = _SHOWN, cut_remedy: str = _ENDED_BY_RECOVER
+) -> Iterator[tuple[Piece | str, str]]:
     """Yield its pieces, :data:`ENDED` and :data:`RECOVERED`, each with its chain.
 
-    Raises BadInput for a line outside the chain, or of no known form, with ``remedy``.
+    Raises BadInput for a line outside the chain, or of no known form, with ``remedy``; for an incomplete last
+    line, which a kill leaves, with ``cut_remedy``.
     """
     path, chain = folder / SEAL_FILE, FIRST_CHAIN
     for number, line in enumerate(read_lines(path, "seal"), 1):
+        if not line.endswith("\n"):
+            expected = "a whole last line: a kill leaves an incomplete one"
+            raise BadInput(str(path), f"line {number}", line[:60], expected, cut_remedy)
         match = _LINE.fullmatch(line)
         if match is None or _chained(match[1], chain) != match[2]:
             raise BadInput(str(path), f"line {number}", line[:60], "a line of the chain", remedy)
@@ -185,8 +192,8 @@ class SealedFiles:
             elif piece == RECOVERED:
                 self.told = f"{SEALED} up to row {rows} of {RECORDS_FILE}; the rest was found by hil recover"
         if not ended:
-            remedy = f"hil recover ends it; {_SHOWN}"
-            raise BadInput(str(folder / SEAL_FILE), "", "no last line", "the end of the recording", remedy)
+            expected = "the end of the recording"
+            raise BadInput(str(folder / SEAL_FILE), "", "no last line", expected, _ENDED_BY_RECOVER)
         for name in sorted(READ - self._pieces.keys()):
             if (folder / name).exists():
                 raise BadInput(str(folder / name), "", "a file", "none: the recording had none", _SHOWN)

@@ -83,6 +83,7 @@ def run(
             against_certificate=against is not None,
             seconds=seconds,
             progress=line.show,
+            note=lambda text: say(f"hil: note: {text}"),
         )
     finally:
         line.end()

@@ -8,6 +8,7 @@ from this one: what that took is told by the kernel.
 import gc
 import os
 import random
+import re
 import signal
 import sys
 import traceback
@@ -80,16 +81,25 @@ def seal_breaker(folder: Path) -> Callable[[int], list[str]]:
     def broken(number: int) -> list[str]:
         draw = random.Random(number)
         path, evidence = draw.choice(places)
-        path.write_bytes(mutated(wholes[path], [wholes[other] for other in evidence.files], draw))
+        mutant = mutated(wholes[path], [wholes[other] for other in evidence.files], draw)
+        path.write_bytes(mutant)
+        killed = path.name == SEAL_FILE and left_by_a_kill(mutant, wholes[path])
         try:
             found = [*_refused_wrongly(path, evidence)]
             if number % COMMAND_EACH == 0:
-                found += _ended_wrongly(path, evidence, draw, folder / "said")
+                found += _ended_wrongly(path, evidence, killed, draw, folder / "said")
         finally:
             path.write_bytes(wholes[path])
         return [f"seal, mutant {number} of {path}: {text}" for text in found]
 
     return broken
+
+
+def left_by_a_kill(seal: bytes, whole: bytes) -> bool:
+    """Whether a seal lacks its last line or a part of it, and nothing else: a campaign is resumed then."""
+    kept, _, last = whole[:-1].rpartition(b"\n")
+    rest = seal[len(kept) + 1 :]
+    return seal.startswith(kept + b"\n") and b"\n" not in rest and len(rest) <= len(last) + 1
 
 
 def _refused_wrongly(path: Path, evidence: Evidence) -> Iterator[str]:
@@ -104,13 +114,17 @@ def _refused_wrongly(path: Path, evidence: Evidence) -> Iterator[str]:
     yield from _beyond("it", processor_s() - begun, _most_memory_kb() - memory_kb)
 
 
-def _ended_wrongly(path: Path, evidence: Evidence, draw: random.Random, said: Path) -> Iterator[str]:
+def _ended_wrongly(
+    path: Path, evidence: Evidence, killed: bool, draw: random.Random, said: Path
+) -> Iterator[str]:
     command = [part.format(evidence.folder) for part in draw.choice(evidence.commands)]
     unsealed = evidence.can_be_unsealed and draw.random() < 0.5
     if unsealed:
         command.append("--unsealed")
     ended = in_a_process(command, said)
-    if ended.status not in (STATUSES if unsealed else (0,) if command[0] == LISTED else REFUSED):
+    told = re.search(rf"note: {path}: (no|an incomplete) last line", ended.text)
+    goes_on = killed and command[-1] == "--resume" and told is not None
+    if ended.status not in (STATUSES if unsealed else (0,) if command[0] == LISTED or goes_on else REFUSED):
         yield f"{command}: status {ended.status}: {ended.text[-1000:]}"
     whole = (
         command[0] == LISTED or path.name == SEAL_FILE

@@ -30,6 +30,7 @@ READERS: dict[str, Callable[[Path], list[str]]] = {
     "trace": lambda run: ["trace", str(run), "--to", "0"],
     "view": lambda run: ["view", str(run)],
     "picture": lambda run: ["picture", str(run), str(run.parent / "picture.svg"), "--paper"],
+    "why": lambda run: ["why", str(run), "--against", str(run.parent / "nothing.toml")],
 }
 
 

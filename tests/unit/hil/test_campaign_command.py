@@ -46,6 +46,7 @@ class Made:
         self.found: dict[int, list[str]] = {}
         self.checks = False
         self.steps: list[CampaignProgress] = []
+        self.notes: list[str] = []
         self.summary = SimpleNamespace(
             digest="abc",
             recording="there",
@@ -70,8 +71,10 @@ class Made:
         self.asked.append(folder)
         return self.done
 
-    def run(self, made: Any, folder: Path, *, progress: Any, **how: Any) -> Any:
+    def run(self, made: Any, folder: Path, *, progress: Any, note: Any, **how: Any) -> Any:
         self.asked.append((made, folder, how))
+        for text in self.notes:
+            note(text)
         for step in self.steps:
             progress(step)
         return self.done
@@ -184,6 +187,11 @@ def test_a_counter_example_comes_before_what_a_check_has_found(
     told = hil("sweep.toml", "--against", "certificate")
     assert (told.exit_code, told.stderr) == (7, "hil: error: run 3\n")
     assert hil("sweep.toml").exit_code == 1
+
+
+def test_that_a_campaign_was_killed_is_a_note(made: Made) -> None:
+    made.notes = ["out/seal: no last line"]
+    assert hil("sweep.toml", "--resume").stderr == "hil: note: out/seal: no last line\n"
 
 
 def test_progress_is_a_line_for_each_percent(made: Made) -> None:

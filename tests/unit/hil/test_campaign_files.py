@@ -1,6 +1,7 @@
 """Sweep files and folders of campaigns: messages of what is refused, ranges, labels, the table's columns."""
 
 import json
+import tempfile
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.campaign.adaptive import Proposal, fitted
+from servobench.hil.campaign.opened_files import digest_of, opened_files
 from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.store import open_campaign, plan_in, schema_of
 from servobench.hil.campaign.sweep_file import sweep_from
@@ -293,6 +295,17 @@ def test_a_campaign_is_found_again_by_its_folder(tmp_path: Path) -> None:
     error = caught.value
     assert (error.source, error.key, error.value) == (str(path), "", f"BLAKE2b {now}")
     assert error.expected == f"BLAKE2b {before}, as other runs of the campaign met it"
+
+
+def test_a_file_of_the_user_s_in_memory_is_watched() -> None:
+    """/dev is of the machine but for this: a bench there was in no campaign's identity."""
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+        path = Path(folder) / "load.csv"
+        path.write_text("0,0\n")
+        with opened_files() as opened:
+            path.read_text()
+            Path("/dev/null").read_text()
+        assert opened.digests == {str(path): digest_of(str(path))}
 
 
 def test_a_folder_without_a_campaign_is_refused(tmp_path: Path) -> None:

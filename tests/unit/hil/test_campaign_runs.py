@@ -155,6 +155,34 @@ def test_as_many_workers_as_there_are_cores_if_none_are_said(
     assert rows.asked == [(range(3), len(os.sched_getaffinity(0)))]
 
 
+@pytest.mark.usefixtures("rows")
+def test_a_campaign_whose_seal_ends_as_a_kill_leaves_it_says_so(
+    sweep: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Its last line away or cut anywhere: nobody but --resume accepts it, and that tells it."""
+    run_campaign(sweep(), tmp_path / "out", workers=1)
+    seal = tmp_path / "out" / "seal"
+    whole = seal.read_bytes()
+    last = whole[:-1].rindex(b"\n") + 1
+    for cut in (last, *range(last + 1, len(whole), 9), len(whole) - 1):
+        seal.write_bytes(whole[:cut])
+        lacks = "no last line" if cut == last else "a whole last line: a kill leaves an incomplete one"
+        with pytest.raises(BadInput, match=rf"seal.*{lacks}.*--resume goes on with it"):
+            Campaign.load(tmp_path / "out")
+        notes: list[str] = []
+        run_campaign(sweep(), tmp_path / "out", workers=1, resume=True, note=notes.append)
+        told = "no last line" if cut == last else "an incomplete last line"
+        assert notes == [f"{seal}: {told}, as a kill leaves it; its 9 runs are as they were written"]
+        assert seal.read_bytes() == whole
+    notes.clear()
+    run_campaign(sweep(), tmp_path / "out", workers=1, resume=True, note=notes.append)
+    assert notes == []
+    for cut in range(0, last, 23):
+        seal.write_bytes(whole[:cut])
+        with pytest.raises(BadInput):
+            run_campaign(sweep(), tmp_path / "out", workers=1, resume=True)
+
+
 @pytest.mark.parametrize(
     ("step_s", "files"), [(2, [3, 3, 3]), (4, [2, 2, 2, 2, 1]), (5, [1] * 9), (1, [5, 4])]
 )
