@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from servobench.hil.campaign.campaign import Campaign, CampaignProgress
     from servobench.hil.campaign.campaign import run_campaign as campaign
     from servobench.hil.campaign.plan import CampaignPlan
-    from servobench.hil.configuration.bench_tables import Bench
+    from servobench.hil.configuration.bench_file import Bench
     from servobench.hil.control.setup import Setup
     from servobench.hil.loop.axis_roles import PROTOCOL_VERSION, Compensator, Controller
     from servobench.hil.loop.context import Context, PositionSetPoint, SetPoint, SpeedSetPoint, TorqueSetPoint
@@ -46,7 +46,7 @@ _HOMES = {
     "drivers.exchange": ("Command", "Reading"),
     "hil.campaign.campaign": ("Campaign", "CampaignProgress"),
     "hil.campaign.plan": ("CampaignPlan",),
-    "hil.configuration.bench_tables": ("Bench",),
+    "hil.configuration.bench_file": ("Bench",),
     "hil.control.setup": ("Setup",),
     "hil.loop.axis_roles": ("PROTOCOL_VERSION", "Compensator", "Controller"),
     "hil.loop.context": ("Context", "PositionSetPoint", "SetPoint", "SpeedSetPoint", "TorqueSetPoint"),

@@ -19,7 +19,7 @@ from servobench.hil.campaign.adaptive import Drawn
 from servobench.hil.campaign.identity import Identity, require_program
 from servobench.hil.campaign.plan import CampaignPlan, PlannedRun, refuse_real_time
 from servobench.hil.configuration.config import BenchConfig
-from servobench.hil.configuration.config_errors import BadInputs
+from servobench.hil.configuration.config_files import BadInputs
 from servobench.hil.control.own_code import OwnCodeFailed, object_of
 from servobench.hil.execution.bench import run_bench
 from servobench.hil.machine.refusals import explained

@@ -15,11 +15,10 @@ from servobench.drivers.key_advice import nearest
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.configuration.config import BenchConfig, Bus, BusSegment, Host
-from servobench.hil.configuration.config_axis import DriveConfig
+from servobench.hil.configuration.config_axis import DriveConfig, observed_faults
 from servobench.hil.configuration.controller_kinds import StampCompensator
 from servobench.hil.configuration.mode_checks import Fault, mode_faults, reference_faults
 from servobench.hil.configuration.motor_file import speed_max_rpm
-from servobench.hil.configuration.observed_objects import observed_faults
 from servobench.hil.configuration.references import Load, LoadStep, SignalFile, SineReference
 from servobench.hil.loop.scenario import Quantity
 

@@ -6,24 +6,141 @@ A new kind is its class in ``hil/control``, its section here, and its place in t
 import math
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from servobench.design.speed.position_loop import design_position
+from servobench.design.speed.predictor_plant import PredictorPlant
+from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from servobench.hil.configuration.config_files import Section
-from servobench.hil.configuration.controller_section import AxisController
+from servobench.hil.configuration.controller_files import (
+    Certificate,
+    LoopFigures,
+    LossCertificate,
+    MadeFor,
+    Rows,
+)
 from servobench.hil.configuration.drive_file import LoopOfDrive
-from servobench.hil.configuration.hinf_section import HinfSection
-from servobench.hil.configuration.predictor_section import PredictorController
-from servobench.hil.configuration.quantities import Gain, PositiveGain, SignedTorque, TimeConstant
-from servobench.hil.configuration.speed_controller_file import Certificate, MadeFor
+from servobench.hil.configuration.quantities import (
+    Gain,
+    Inertia,
+    PositiveGain,
+    SignedTorque,
+    TimeConstant,
+    ViscousFriction,
+)
 from servobench.hil.control.compensation import Arrival, Stamp
 from servobench.hil.control.controllers import Pid, PidGains, StateFeedback
+from servobench.hil.control.hinf import HinfFeedback
+from servobench.hil.control.load_filter import FilterNoise
 from servobench.hil.control.own_code import OBJECT_PATTERN, guarded_compensator, guarded_controller
 from servobench.hil.control.positions import PositionLoop, SetPointStream
+from servobench.hil.control.predictor import LoadCancelling, Predictor
 from servobench.hil.control.setup import Setup
 from servobench.hil.loop.axis_roles import Compensator, Controller
 from servobench.hil.loop.scenario import Quantity
+
+
+class AxisController(Section):
+    """``[drive.NAME.controller]`` of any kind; by default a speed loop over torques."""
+
+    gives: ClassVar[tuple[Quantity, ...]] = (Quantity.TORQUE,)
+    """Set-points that it can give; a drive takes those of its mode."""
+
+    def follows(self, given: Quantity) -> Quantity | None:  # noqa: ARG002
+        """Return the reference that it takes if the drive is given ``given``; None: any."""
+        return Quantity.SPEED
+
+
+_ORDER_MAX = 64
+"""States, or entries of a row; a design for a delay of 1.1 ms at 1 kHz has four."""
+Vector = Annotated[tuple[Gain, ...], Field(strict=False, min_length=1, max_length=_ORDER_MAX)]
+
+
+class HinfSection(AxisController):
+    """x+ = A x + B e + L (u_sent - feed-forward), u = C x + D e + feed-forward; e is the speed error."""
+
+    kind: Literal["hinf"]
+    period_us: int = Field(gt=0, description="of the loop for which the matrices hold, us")
+    A: Rows
+    B: Vector = Field(description="of the speed error in rad/s")
+    L: Vector = Field(description="of the torque that was sent, N m")
+    C: Vector = Field(description="N m")
+    D: Gain = Field(description="N m per rad/s")
+    inertia_kg_m2: Inertia = Field(description="of all that turns, kg m^2; for the feed-forward")
+    viscous_friction_nm_s: ViscousFriction = 0.0
+    answer_us: float = Field(ge=0, le=1e6, description="from a reading to the speed's answer, us")
+    made_for: MadeFor | None = None
+    """The network and the drive that it was designed for; ``hil run`` refuses others."""
+    certificate: LossCertificate | None = None
+    figures: LoopFigures | None = None
+
+    @model_validator(mode="after")
+    def _shapes(self) -> "HinfSection":
+        n = len(self.C)
+        if not (len(self.A) == len(self.B) == len(self.L) == n and all(len(row) == n for row in self.A)):
+            raise ValueError(f"A of {n} rows and columns, B and L of {n} entries, as C has, are expected")
+        return self
+
+    def build(self, setup: Setup) -> Controller:
+        """Build the controller of an axis. Raises BadInput for another period than its own."""
+        if self.period_us * NS_PER_US != setup.period:
+            key = f"drive.{setup.axis}.controller.period_us"
+            expected = f"loop.period_us = {setup.period / NS_PER_US:g}"
+            raise BadInput(setup.source, key, self.period_us, expected)
+        return HinfFeedback(
+            self.A,
+            self.B,
+            self.L,
+            self.C,
+            self.D,
+            self.inertia_kg_m2,
+            self.viscous_friction_nm_s,
+            self.answer_us / self.period_us,
+        )
+
+
+class PredictorController(AxisController):
+    """Predicts the state to the instant at which a command acts, and cancels the load."""
+
+    kind: Literal["predictor"]
+    inertia_kg_m2: Inertia = Field(description="of all that turns, kg m^2")
+    viscous_friction_nm_s: ViscousFriction = 0.0
+    current_bandwidth_hz: float = Field(gt=0, description="of the drive's current loop, Hz")
+    speed_filter_hz: float = Field(
+        gt=0, description="corner of the filter behind the drive's speed 606Ch, Hz"
+    )
+    dead_time_us: float = Field(default=0.0, ge=0)
+    """Dead time of the drive, in addition to these two."""
+    speed_noise_rad_s: float = Field(gt=0, description="rms of the noise on each reading of the speed, rad/s")
+    torque_noise_nm: float = Field(default=0.0, ge=0)
+    """Rms difference between a period's torque and its command."""
+    load_noise_nm_sqrt_s: float = Field(gt=0, description="of the load's random walk, N m per root of s")
+    load_noise_max_nm_sqrt_s: float = Field(gt=0, description="the same where a reading tells of a step")
+    speed_gain_nm_s_rad: Gain = Field(description="torque per speed error, N m per rad/s")
+    torque_gain: Gain = Field(default=0.0, description="torque per torque that is missing, N m/N m")
+    made_for: MadeFor | None = None
+    """The network and the drive that it was designed for; ``hil run`` refuses others."""
+    certificate: LossCertificate | None = None
+    figures: LoopFigures | None = None
+
+    def build(self, setup: Setup) -> Controller:
+        """Build the controller of an axis, with its predictor."""
+        plant = PredictorPlant(
+            self.inertia_kg_m2,
+            self.viscous_friction_nm_s,
+            math.tau * self.current_bandwidth_hz,
+            math.tau * self.speed_filter_hz,
+        )
+        noise = FilterNoise(
+            self.speed_noise_rad_s,
+            self.torque_noise_nm,
+            self.load_noise_nm_sqrt_s,
+            self.load_noise_max_nm_sqrt_s,
+        )
+        dead_time = Duration(round(self.dead_time_us * NS_PER_US))
+        predictor = Predictor(plant, noise, dead_time, setup.period)
+        return LoadCancelling(predictor, plant, self.speed_gain_nm_s_rad, self.torque_gain)
 
 
 class ArrivalCompensator(Section):

@@ -12,9 +12,8 @@ from servobench.design.motor import PmsmParameters
 from servobench.design.statespace import StateSpace
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.config_axis import DriveConfig
+from servobench.hil.configuration.controller_files import CurrentController, CurrentLoop, MadeFor
 from servobench.hil.configuration.controller_kinds import PidController
-from servobench.hil.configuration.current_controller_file import CurrentController
-from servobench.hil.configuration.speed_controller_file import CurrentLoop, MadeFor
 
 _PHASE_LOST_DEG: Final = 5.0
 """Phase loss, against the rule's margin of 50 degrees, from which the response to a load step changes

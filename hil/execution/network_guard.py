@@ -14,9 +14,17 @@ from servobench.drivers.errors import BadInput, LimitExceeded
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.config_axis import DriveConfig
-from servobench.hil.configuration.config_errors import raise_all
+from servobench.hil.configuration.config_files import raise_all
+from servobench.hil.configuration.controller_files import (
+    Certificate,
+    DesignPlant,
+    LossCertificate,
+    MadeFor,
+)
 from servobench.hil.configuration.controller_kinds import (
+    HinfSection,
     PidController,
+    PredictorController,
     StampCompensator,
     StateFeedbackController,
 )
@@ -28,15 +36,7 @@ from servobench.hil.configuration.drive_current_loop import (
     range_text,
     slow_for_pid,
 )
-from servobench.hil.configuration.hinf_section import HinfSection
 from servobench.hil.configuration.network_file import Network, commands_unknown, load_network
-from servobench.hil.configuration.predictor_section import PredictorController
-from servobench.hil.configuration.speed_controller_file import (
-    Certificate,
-    DesignPlant,
-    LossCertificate,
-    MadeFor,
-)
 from servobench.hil.loop.samples import CycleRecord, Sample
 from servobench.hil.rows.recording_plan import CertifiedPlan
 from servobench.virtual_bus.faults.fault_plan import FaultPlan

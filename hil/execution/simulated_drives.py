@@ -25,7 +25,7 @@ from servobench.drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from servobench.drivers.wire.adapters import BusSpec, shared_bus
 from servobench.drivers.wire.link import BusLink
 from servobench.hil.configuration.config import BenchConfig
-from servobench.hil.configuration.current_controller_file import CurrentController, read_current_controller
+from servobench.hil.configuration.controller_files import CurrentController, read_current_controller
 from servobench.hil.configuration.references import SignalFile
 from servobench.hil.execution.device_files import DeviceFiles
 from servobench.hil.execution.world import WorldPlan, open_world

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from servobench.design.motor import PmsmParameters
 from servobench.drivers.errors import BadInput
-from servobench.hil.configuration.signal_file import Signal, load_signal
+from servobench.hil.configuration.references import Signal, load_signal
 from servobench.hil.loop.scenario import Quantity
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal

@@ -83,7 +83,7 @@ def current(asked: CurrentDesignOptions) -> None:
     from servobench.drivers.errors import BadInput
     from servobench.drivers.rotation import RAD_S_PER_RPM
     from servobench.drivers.written_file import write_file
-    from servobench.hil.configuration.weights_file import load_weights
+    from servobench.hil.configuration.design_files import load_weights
     from servobench.hil.studies.current.design import controller_text, design_current
     from servobench.hil.studies.current.figures import CurrentRequest
     from servobench.hil.terminal.current_report import print_result
@@ -127,7 +127,7 @@ def current(asked: CurrentDesignOptions) -> None:
 def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
     """Load the continuous controller in ``path``, made for the other axis."""
     from servobench.drivers.bounded_file import NamedBy
-    from servobench.hil.configuration.current_controller_file import load_current_controller
+    from servobench.hil.configuration.controller_files import load_current_controller
     from servobench.hil.studies.current.figures import OtherAxis
 
     if path is None:

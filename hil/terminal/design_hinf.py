@@ -22,7 +22,7 @@ def hinf(
     r"""Compute the central controller of x' = A x + B \[w; u], \[z; y] = C x + D \[w; u] for ||z/w|| <
     gamma."""
     from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
-    from servobench.hil.configuration.plant_file import load_plant
+    from servobench.hil.configuration.design_files import load_plant
     from servobench.hil.terminal.current_report import print_current
     from servobench.hil.terminal.design_errors import refused
 

@@ -16,7 +16,7 @@ from servobench.hil.terminal.options import (
 from servobench.hil.terminal.output import put, say_written
 
 if TYPE_CHECKING:
-    from servobench.hil.configuration.current_controller_file import CurrentController
+    from servobench.hil.configuration.controller_files import CurrentController
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +77,7 @@ def _current_loop(
     """Return the drive's own controller, or None and the bandwidth of its PI. Raises BadInput or
     BadInputs."""
     from servobench.drivers.bounded_file import NamedBy
-    from servobench.hil.configuration.current_controller_file import load_current_controller
+    from servobench.hil.configuration.controller_files import load_current_controller
 
     if current_control is not None:
         for option, value in others.sources.items():

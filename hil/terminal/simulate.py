@@ -95,7 +95,7 @@ class SimulateOptions:
 def simulate(asked: SimulateOptions) -> None:
     """Simulate drives in a separate process on a real-time bus, until Ctrl-C."""
     from servobench.drivers.bounded_file import NamedBy
-    from servobench.hil.configuration.background import load_background
+    from servobench.hil.configuration.config import load_background
     from servobench.hil.configuration.motor_file import LING2012
     from servobench.hil.execution.device_files import DeviceFiles
     from servobench.hil.load.simulated_load import load_tables

@@ -8,8 +8,7 @@ from typing import Any
 from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.errors import BenchError
 from servobench.drivers.wire.adapters import parse_bus_spec
-from servobench.hil.configuration.bench_file import load_faults
-from servobench.hil.configuration.bench_tables import Bench, PathLike
+from servobench.hil.configuration.bench_file import Bench, PathLike, load_faults
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.motor_file import MotorFile
 from servobench.hil.configuration.references import SignalFile

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from servobench.hil.campaign.campaign import Campaign, run_campaign
-from servobench.hil.configuration.bench_tables import PathLike
+from servobench.hil.configuration.bench_file import PathLike
 from servobench.hil.configuration.toml_text import toml_text
 
 

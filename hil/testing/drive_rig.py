@@ -17,7 +17,7 @@ from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.exchange import Command, Reading
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
 from servobench.drivers.wire.adapters import parse_bus_spec
-from servobench.hil.configuration.bench_tables import PathLike
+from servobench.hil.configuration.bench_file import PathLike
 from servobench.hil.execution.device_files import DeviceFiles
 from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.testing.hosted import DriveHost, DriveProcess, DriveWish

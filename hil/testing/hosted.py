@@ -13,8 +13,7 @@ from typing import Any
 from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.errors import PeerFault
 from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock, duration_s
-from servobench.hil.configuration.bench_file import faults_from, load_faults
-from servobench.hil.configuration.bench_tables import PathLike
+from servobench.hil.configuration.bench_file import PathLike, faults_from, load_faults
 from servobench.hil.configuration.motor_file import LING2012, MotorFile, load_motor
 from servobench.hil.configuration.toml_text import toml_text
 from servobench.virtual_bus.child_python import python_command, python_environment

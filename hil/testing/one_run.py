@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from servobench.hil.configuration.bench_tables import Bench
+    from servobench.hil.configuration.bench_file import Bench
     from servobench.hil.loop.axis_roles import Controller
     from servobench.hil.machine.progress import Progress
     from servobench.hil.machine.stopping import StopRequest
@@ -44,7 +44,7 @@ def run(
     """
     from servobench.drivers.errors import BadInput
     from servobench.drivers.wire.adapters import parse_bus_spec
-    from servobench.hil.configuration.bench_tables import Bench
+    from servobench.hil.configuration.bench_file import Bench
     from servobench.hil.execution.bench import run_bench
     from servobench.hil.machine.progress import no_progress
     from servobench.hil.recording.memory_recorder import MemoryRecorder

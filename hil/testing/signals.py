@@ -13,8 +13,8 @@ from pyarrow import parquet
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S
-from servobench.hil.configuration.bench_tables import Bench
-from servobench.hil.configuration.signal_file import COLUMNS, TIME
+from servobench.hil.configuration.bench_file import Bench
+from servobench.hil.configuration.references import COLUMNS, TIME
 
 _numbers: Final = count(1)
 

@@ -7,14 +7,13 @@ from typing import Final
 from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.sheets.dictionary import load_dictionary
 from servobench.hil.commissioning.request import load_nameplate
-from servobench.hil.configuration.background import load_background
 from servobench.hil.configuration.bench_file import load_bench, load_controller, load_faults
-from servobench.hil.configuration.current_controller_file import read_current_controller
+from servobench.hil.configuration.config import load_background
+from servobench.hil.configuration.controller_files import read_current_controller
+from servobench.hil.configuration.design_files import load_plant, load_weights
 from servobench.hil.configuration.drive_file import load_drive_file
 from servobench.hil.configuration.motor_file import load_motor
 from servobench.hil.configuration.network_file import load_network
-from servobench.hil.configuration.plant_file import load_plant
-from servobench.hil.configuration.weights_file import load_weights
 from servobench.hil.restoring.journal import read_journal
 from servobench.virtual_bus.device.parameter_storage import FileStore
 from servobench.virtual_bus.faults.kinds.measured_delay import read_histogram

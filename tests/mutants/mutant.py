@@ -10,7 +10,7 @@ from typing import Final
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.printable import printable
-from servobench.hil.configuration.config_errors import BadInputs, bad_inputs_of
+from servobench.hil.configuration.config_files import BadInputs, bad_inputs_of
 
 PROCESSOR_S_MAX: Final = 2.0
 """What any input may cost; the patterns that were cubic took hours for some."""

@@ -7,7 +7,7 @@ import can
 import pytest
 
 from servobench.drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
-from servobench.hil.configuration.background import load_background
+from servobench.hil.configuration.config import load_background
 from servobench.hil.verdict.verdict import ExitStatus
 from servobench.virtual_bus.device.background import CATCH_UP_MAX
 from tests.scenario.processes import EXAMPLES, hub_name, run_command, simulated_drive

@@ -9,7 +9,7 @@ import pytest
 
 from servobench.drivers.errors import BenchError
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
-from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.execution.bench import run_bench
 from servobench.hil.loop.pace import CALIBRATION_SYNCS
 from servobench.hil.recording.memory_recorder import MemoryRecorder

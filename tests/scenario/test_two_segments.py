@@ -9,7 +9,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.bench_file import bench_from
-from servobench.hil.configuration.config_errors import BadInputs, bad_inputs_of
+from servobench.hil.configuration.config_files import BadInputs, bad_inputs_of
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.verdict.verdict import ExitStatus
 from tests.scenario.processes import EXAMPLES, hub_name, run_command

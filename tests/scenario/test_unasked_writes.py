@@ -22,7 +22,7 @@ from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.drivers.wire.adapters import parse_bus_spec
-from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.execution.bench import run_bench
 from servobench.hil.execution.world import WorldPlan, open_world
 from servobench.hil.inspecting.drive_fault import look_at_fault

@@ -2,7 +2,7 @@
 
 import pytest
 
-from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.execution.bench import run_bench
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import VerdictKind

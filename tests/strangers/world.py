@@ -6,7 +6,7 @@ from typing import Any, Final
 from unittest.mock import patch
 
 from servobench.drivers.errors import BenchError
-from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.execution import bench as bench_module
 from servobench.hil.execution.bench import run_bench
 from servobench.hil.verdict.summary import Summary

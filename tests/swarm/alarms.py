@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from servobench.drivers.errors import BenchError
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
-from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.execution.bench import run_bench
 from servobench.hil.testing.run import Run
 from servobench.hil.verdict.verdict import VerdictKind

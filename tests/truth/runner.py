@@ -10,7 +10,7 @@ from servobench.drivers.timebase import Duration
 from servobench.hil.configuration.bench_file import bench_from
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.config_axis import Simulation
-from servobench.hil.configuration.config_errors import BadInputs
+from servobench.hil.configuration.config_files import BadInputs
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.judge import Judgement, Timing, judge_axis
 from tests.truth.plans import NO_LIMIT, Plan

@@ -12,14 +12,14 @@ from servobench.design.sampled.bandwidth_range import BandwidthRange
 from servobench.design.sampled.held_loop import SampledNetwork, Strategy
 from servobench.drivers.timebase import US_PER_S
 from servobench.hil.configuration.config_files import Section
-from servobench.hil.configuration.controller_kinds import StateFeedbackController
-from servobench.hil.configuration.speed_controller_file import (
+from servobench.hil.configuration.controller_files import (
     Certificate,
     CurrentLoop,
     DesignPlant,
     MadeFor,
     SequenceProof,
 )
+from servobench.hil.configuration.controller_kinds import StateFeedbackController
 from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.studies.numbers import finite
 from servobench.hil.studies.speed.synthesis import DesignResult

@@ -24,14 +24,13 @@ from servobench.design.speed.predictor_plant import encoder_noise_rad_s
 from servobench.design.speed.predictor_trial import Walks
 from servobench.drivers.timebase import US_PER_S
 from servobench.hil.configuration.config_files import Section
-from servobench.hil.configuration.hinf_section import HinfSection
-from servobench.hil.configuration.predictor_section import PredictorController
-from servobench.hil.configuration.speed_controller_file import (
+from servobench.hil.configuration.controller_files import (
     CurrentLoop,
     LoopFigures,
     LossCertificate,
     MadeFor,
 )
+from servobench.hil.configuration.controller_kinds import HinfSection, PredictorController
 from servobench.hil.studies.numbers import finite, margin_figures, short
 from servobench.hil.studies.speed.controller_text import begun_us, plant_of, sequence_proof, whole_us
 

@@ -7,8 +7,8 @@ from typing import Any
 from servobench.design.motor import PmsmParameters
 from servobench.design.speed.speed_pid import SpeedPid, first_order_current_loop
 from servobench.design.statespace import StateSpace
+from servobench.hil.configuration.controller_files import CurrentController
 from servobench.hil.configuration.controller_kinds import PidController, TunedFor
-from servobench.hil.configuration.current_controller_file import CurrentController
 from servobench.hil.configuration.drive_current_loop import closed_loop
 from servobench.hil.configuration.drive_file import LoopOfDrive
 from servobench.hil.studies.numbers import finite, short

@@ -13,7 +13,7 @@ from servobench.design.sampled.bandwidth_range import (
 )
 from servobench.design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 from servobench.design.sampled.loss_patterns import pattern_of, worst_gain
-from servobench.hil.configuration.speed_controller_file import CurrentLoop
+from servobench.hil.configuration.controller_files import CurrentLoop
 from tests.motors import LING
 
 NETWORK = SampledNetwork(Strategy.ARRIVAL, 0.001, 0, 0.001)

@@ -7,7 +7,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_US, Duration
-from servobench.hil.configuration.background import Background, load_background
+from servobench.hil.configuration.config import Background, load_background
 from servobench.virtual_bus.device.background import Stream
 
 HOUR_US = 3_600_000_000

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from servobench.drivers.errors import MISSING, BadInput
-from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.configuration.config_checks import LOAD_DELAY_MAX_S
-from servobench.hil.configuration.config_errors import BadInputs, bad_inputs_of
+from servobench.hil.configuration.config_files import BadInputs, bad_inputs_of
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 ONE, THREE, SEGMENTS = "ling2012.toml", "three_axes.toml", "two_segments.toml"

@@ -11,7 +11,7 @@ from pyarrow import parquet
 
 import servobench
 from servobench.drivers.errors import BadInput, BusDown, LimitExceeded
-from servobench.hil.configuration.bench_tables import Bench
+from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.configuration.motor_file import LING2012, load_motor
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 from servobench.hil.recording.memory_recorder import MemoryRecorder

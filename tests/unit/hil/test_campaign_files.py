@@ -17,7 +17,7 @@ from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.store import open_campaign, plan_in, schema_of
 from servobench.hil.campaign.sweep_file import sweep_from
 from servobench.hil.campaign.worker import FIGURES
-from servobench.hil.configuration.config_errors import bad_inputs_of
+from servobench.hil.configuration.config_files import bad_inputs_of
 from servobench.hil.configuration.toml_text import toml_text
 from tests.unit.hil.test_campaign_plan import GAIN, INERTIA, LING, LOSS, plan, tables
 

@@ -13,7 +13,7 @@ from servobench.hil.campaign.campaign import Enough
 from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.statistics import anytime
 from servobench.hil.campaign.sweep_file import sweep_from
-from servobench.hil.configuration.config_errors import BadInputs
+from servobench.hil.configuration.config_files import BadInputs
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 
 LING = Path(__file__).parents[3] / "examples" / "ling2012.toml"

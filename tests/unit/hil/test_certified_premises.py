@@ -8,9 +8,9 @@ import pytest
 from servobench.drivers.errors import BadInput, LimitExceeded
 from servobench.drivers.record import replaced
 from servobench.drivers.timebase import Duration, Instant
+from servobench.hil.configuration.controller_files import MadeFor
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.configuration.network_file import Network
-from servobench.hil.configuration.speed_controller_file import MadeFor
 from servobench.hil.execution.network_guard import REMEDY, Allowed, Certificates, allowed
 from servobench.hil.loop.samples import CommandFate, CycleRecord, Sample, Sending
 from servobench.hil.rows.recording_plan import CertifiedPlan

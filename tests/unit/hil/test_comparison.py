@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from servobench.drivers.errors import BadInput
-from servobench.hil.configuration.config_errors import BadInputs
+from servobench.hil.configuration.config_files import BadInputs
 from servobench.hil.recorded.comparison import (
     Against,
     Difference,

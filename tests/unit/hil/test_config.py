@@ -11,7 +11,7 @@ from servobench.drivers.errors import MISSING, BadInput
 from servobench.drivers.wire.slcan_protocol import BITRATE_CODES
 from servobench.hil.configuration.bench_file import bench_from, load_bench, load_faults
 from servobench.hil.configuration.config import BenchConfig, BitRate
-from servobench.hil.configuration.config_errors import BadInputs, bad_inputs_of
+from servobench.hil.configuration.config_files import BadInputs, bad_inputs_of
 from servobench.hil.configuration.controller_kinds import PidController
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.configuration.references import peak_level

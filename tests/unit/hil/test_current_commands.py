@@ -16,9 +16,9 @@ from servobench.design.statespace import state_space
 from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.hil.cli import app
-from servobench.hil.configuration.current_controller_file import load_current_controller
+from servobench.hil.configuration.controller_files import load_current_controller
+from servobench.hil.configuration.design_files import load_weights
 from servobench.hil.configuration.motor_file import load_motor
-from servobench.hil.configuration.weights_file import load_weights
 from servobench.hil.studies.current import design as studies
 from servobench.hil.studies.current import pictures
 from servobench.hil.studies.current.figures import CurrentRequest

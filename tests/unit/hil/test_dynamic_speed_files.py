@@ -15,8 +15,8 @@ from servobench.design.speed.loop_robustness import LoopRobustness
 from servobench.design.speed.predictor_design import PredictorDesign
 from servobench.design.speed.predictor_plant import encoder_noise_rad_s
 from servobench.design.speed.predictor_trial import Walks
+from servobench.hil.configuration.controller_files import CurrentLoop
 from servobench.hil.configuration.motor_file import LING2012
-from servobench.hil.configuration.speed_controller_file import CurrentLoop
 from servobench.hil.studies.numbers import short
 from servobench.hil.studies.speed import dynamic
 from servobench.hil.studies.speed.controller_text import (

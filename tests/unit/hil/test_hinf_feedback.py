@@ -9,7 +9,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.exchange import Command
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.hil.configuration.bench_file import load_controller
-from servobench.hil.configuration.hinf_section import HinfSection
+from servobench.hil.configuration.controller_kinds import HinfSection
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.control.hinf import HinfFeedback
 from servobench.hil.control.setup import Setup

@@ -8,7 +8,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.bench_file import bench_from
-from servobench.hil.configuration.config_errors import bad_inputs_of
+from servobench.hil.configuration.config_files import bad_inputs_of
 from servobench.hil.configuration.references import peak_rate
 from servobench.hil.loop.scenario import Quantity
 

@@ -10,9 +10,9 @@ from servobench.drivers.exchange import Command
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.configuration.bench_file import bench_from
 from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.configuration.controller_files import MadeFor
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.configuration.network_file import Network
-from servobench.hil.configuration.speed_controller_file import MadeFor
 from servobench.hil.execution.network_guard import Allowed, Certificates, NetworkGuard, allowed
 from servobench.hil.loop.samples import (
     CommandFate,

@@ -6,7 +6,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from servobench.drivers.canopen.pdo import PdoEntry
-from servobench.hil.configuration.observed_objects import (
+from servobench.hil.configuration.config_axis import (
     ENTRIES_MAX,
     Observe,
     ObservedObject,

@@ -10,8 +10,8 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.bench_file import load_controller
+from servobench.hil.configuration.controller_kinds import PredictorController
 from servobench.hil.configuration.motor_file import LING2012
-from servobench.hil.configuration.predictor_section import PredictorController
 from servobench.hil.execution.network_guard import Certificates
 from tests.floor_runs import LOAD_AT_S, PERIOD_S, Case, lost_ratio
 from tests.shaft_run import ShaftRun, run_watched

@@ -8,9 +8,9 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.bench_file import bench_from, load_bench
-from servobench.hil.configuration.config_errors import BadInputs
+from servobench.hil.configuration.config_files import BadInputs
+from servobench.hil.configuration.design_files import load_weights
 from servobench.hil.configuration.quantities import odd_values
-from servobench.hil.configuration.weights_file import load_weights
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 SINE = {"at_s": 0.1, "kind": "sine", "amplitude_rpm": 10.0}

@@ -14,8 +14,7 @@ from servobench.drivers.errors import BadInput, BusDown, LimitExceeded, NoAnswer
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock, wall_clock_offset
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.drivers.wire.link import BusLink
-from servobench.hil.configuration.background import Background
-from servobench.hil.configuration.config import BusSegment
+from servobench.hil.configuration.config import Background, BusSegment
 from servobench.hil.execution.world import World, WorldPlan, drive_network, open_world
 from servobench.virtual_bus.faults.fault_plan import FaultPlan
 from servobench.virtual_bus.faults.kinds.loss import Loss

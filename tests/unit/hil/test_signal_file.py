@@ -14,8 +14,8 @@ from pyarrow import parquet
 from servobench.drivers.errors import BadInput
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.hil.configuration.bench_file import bench_from
-from servobench.hil.configuration.config_errors import bad_inputs_of
-from servobench.hil.configuration.signal_file import load_signal
+from servobench.hil.configuration.config_files import bad_inputs_of
+from servobench.hil.configuration.references import load_signal
 from servobench.hil.execution.assembly import reference_profile
 from servobench.hil.loop.scenario import Quantity, Table
 

@@ -10,8 +10,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.drivers.wire.frame_port import FrameTap
-from servobench.hil.configuration.background import Background
-from servobench.hil.configuration.config import BusSegment
+from servobench.hil.configuration.config import Background, BusSegment
 from servobench.hil.execution.segments import SegmentMasters, masters
 from servobench.hil.execution.world import LoadMeter, WorldFaults, WorldPlan, check_time, open_world
 from servobench.hil.write_lists import RUN

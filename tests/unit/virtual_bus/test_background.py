@@ -8,9 +8,9 @@ from scipy import stats
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import Duration, Instant
-from servobench.hil.configuration.background import load_background
 from servobench.hil.configuration.bench_file import load_bench
-from servobench.hil.configuration.config_errors import BadInputs
+from servobench.hil.configuration.config import load_background
+from servobench.hil.configuration.config_files import BadInputs
 from servobench.virtual_bus.bus.segment import CanSegment
 from servobench.virtual_bus.device.background import CATCH_UP_MAX, BackgroundNode, Stream, background_nodes
 from servobench.virtual_bus.frame import Frame
