@@ -23,8 +23,8 @@ What `from servobench import ...` has. Everything else may change from one versi
       show_source: false
 """
 _drawn = runpy.run_path(str(ROOT / "docs/site/mathematics.py"))["drawn"]
-_OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?!#)([^)]+)\)")
-"""A link to a file of the repository that is no page."""
+_UPWARDS = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+)(?!#)([^)]+)\)")
+"""A link that leaves its folder: to another page, or to a file of the repository that is none."""
 _OF_README = re.compile(r"\]\((?:docs/([^)]+)|([^):#]+))\)")
 
 
@@ -53,9 +53,15 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:  # noqa: ARG001
-    """A link to what is no page becomes the name of the file."""
-    return _OUTSIDE.sub(lambda found: _file_link(*found.groups()), markdown)
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
+    """Replace a link to what is no page by the name of the file."""
+    depth = page.file.src_uri.count("/")
+
+    def link(found: re.Match[str]) -> str:
+        text, upwards, path = found.groups()
+        return found[0] if upwards.count("/") <= depth else _file_link(text, path)
+
+    return _UPWARDS.sub(link, markdown)
 
 
 def on_page_content(html: str, page: Page, **_: Any) -> str:

@@ -105,6 +105,11 @@ def test_every_page_is_of_one_of_four_kinds(site: Path) -> None:
     assert {kind for page, (kind,) in kinds.items() if page.startswith("reference/")} == {"Reference"}
 
 
+def test_a_page_in_a_folder_links_to_one_above(site: Path) -> None:
+    page = (site / "reference/columns/index.html").read_text(encoding="utf-8")
+    assert '<a href="../../recording/">the recording</a>' in page
+
+
 def test_a_formula_with_an_unknown_command_is_refused() -> None:
     drawn = runpy.run_path(str(ROOT / "docs/site/mathematics.py"))["drawn"]
     made = drawn(r'<p><span class="arithmatex">\(\hat T &lt; 1\)</span></p>')
