@@ -28,14 +28,13 @@ from servobench.hil.machine.parent_process import messages, tell_parent
 from servobench.hil.terminal import analyse_speed, design_speed
 from servobench.hil.terminal.adapter import adapter
 from servobench.hil.terminal.campaign import campaign
-from servobench.hil.terminal.commands import PanelGroup, add_commands, as_command
+from servobench.hil.terminal.commands import PanelGroup, add_commands, as_command, reported_errors
 from servobench.hil.terminal.commission import commission, rehearse, restore
 from servobench.hil.terminal.compare import compare
 from servobench.hil.terminal.design_current import current
 from servobench.hil.terminal.design_hinf import hinf
 from servobench.hil.terminal.design_pid import pid
 from servobench.hil.terminal.eds import eds
-from servobench.hil.terminal.exit_status import reported_errors
 from servobench.hil.terminal.export import export
 from servobench.hil.terminal.fault import fault
 from servobench.hil.terminal.init import init

@@ -12,7 +12,7 @@ from servobench.drivers.timebase import NS_PER_S, Duration, Instant
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.commissioning.commission import commission
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
-from servobench.hil.commissioning.outcome import StepOutcome
+from servobench.hil.commissioning.findings import StepOutcome
 from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.hil.commissioning.sequence import Step

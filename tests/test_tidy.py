@@ -22,7 +22,7 @@ LOOP = "hil/loop/loop.py"
 PROCESS_TOPS = frozenset(
     {
         "hil/campaign/worker.py",
-        "hil/terminal/exit_status.py",
+        "hil/terminal/commands.py",
         "hil/terminal/supervision.py",
         "tests/warm/server.py",
     }

@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from servobench.drivers.errors import BadInput, BenchError
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
-from servobench.hil.campaign.chunks import EACH_HOLDS, Chunks, WorkerDied
 from servobench.hil.campaign.plan import CampaignPlan
-from servobench.hil.campaign.pool import RowSource
+from servobench.hil.campaign.pool import EACH_HOLDS, Chunks, RowSource, WorkerDied
 from servobench.hil.campaign.worker import Answer, NotTheSame, Workshop, refusal
 from servobench.hil.machine.extras import missing_extra
 from servobench.hil.machine.stopping import StopRequest

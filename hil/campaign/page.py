@@ -10,8 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from servobench.hil.campaign.campaign import Campaign
-from servobench.hil.campaign.cells import CellMap, cell_maps
-from servobench.hil.campaign.figures import PEAK, figures_of
+from servobench.hil.campaign.figures import PEAK, CellMap, cell_maps, figures_of
 from servobench.hil.campaign.plan import GridAxis
 from servobench.hil.recording.rerun_page import framed, plot, stream_into
 

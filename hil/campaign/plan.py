@@ -24,8 +24,7 @@ from servobench.drivers.bounded_file import NamedBy, read_toml
 from servobench.drivers.errors import BadInput
 from servobench.hil.campaign.adaptive import Drawn, Rounds
 from servobench.hil.campaign.identity import Identity, SourceFiles, program
-from servobench.hil.campaign.own_functions import OwnFunctions
-from servobench.hil.campaign.sweep_file import RUNS_MAX, Draw, SweepFile, Vary, sweep_from
+from servobench.hil.campaign.sweep_file import RUNS_MAX, Draw, OwnFunctions, SweepFile, Vary, sweep_from
 from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.configuration.config import BenchConfig
 

@@ -12,8 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
 from servobench.hil.campaign.campaign import Campaign
-from servobench.hil.campaign.cells import CellMap, cell_maps
-from servobench.hil.campaign.figures import PEAK, failure_line, figures_of, worst_runs
+from servobench.hil.campaign.figures import PEAK, CellMap, cell_maps, failure_line, figures_of, worst_runs
 from servobench.hil.campaign.plan import GridAxis
 
 CELLS_NAMED_MAX = 200

@@ -6,7 +6,7 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.exchange import Command
 from servobench.drivers.timebase import NS_PER_S, Instant
-from servobench.hil.commissioning.frequency import StepLag
+from servobench.hil.commissioning.excitation import StepLag
 from servobench.hil.commissioning.session import Session
 
 _SWITCHES: Final = 500

@@ -20,8 +20,7 @@ from servobench.hil.commissioning.dialog import Dialog, EmergencyStop, Terminal,
 from servobench.hil.commissioning.drive_left import DriveLeft
 from servobench.hil.commissioning.files import set_objects, write_files
 from servobench.hil.commissioning.recording import SessionLog
-from servobench.hil.commissioning.rehearsal import rehearsed_drive
-from servobench.hil.commissioning.rehearsed_files import ways_to_run
+from servobench.hil.commissioning.rehearsal import rehearsed_drive, ways_to_run
 from servobench.hil.commissioning.report import Commissioned, as_json, summary_of, write_report
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate, Rehearsal
 from servobench.hil.commissioning.sequence import Step, run_sequence

@@ -13,9 +13,8 @@ from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import BENCH_MODES, Mode, QuickStopOption, run_words
 from servobench.drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
-from servobench.hil.commissioning.findings import Findings
-from servobench.hil.commissioning.outcome import LOSSES_MAX
-from servobench.hil.commissioning.rehearsed_files import (
+from servobench.hil.commissioning.findings import LOSSES_MAX, Findings
+from servobench.hil.commissioning.rehearsal import (
     copied_files,
     sheet_name,
     simulation_table,

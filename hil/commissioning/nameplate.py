@@ -16,8 +16,7 @@ from servobench.drivers.cia402.told_motor import ToldFigure, ToldMotor, read_tol
 from servobench.drivers.cia402.unit_factors import WINDING_SLIPS, likely_slip
 from servobench.drivers.vendors.families import motor_objects_for
 from servobench.drivers.vendors.motor_objects import POLE_PAIRS_MAX, QUANTITIES
-from servobench.hil.commissioning.findings import BY_NAMEPLATE, Stated
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.findings import BY_NAMEPLATE, Stated, StepFailed, StepOutcome
 from servobench.hil.commissioning.request import (
     ImpossiblePlate,
     Nameplate,

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from servobench.drivers.rotation import RPM_PER_RAD_S
+from servobench.hil.commissioning.excitation import ComplexArray, FrequencyResponse, StepLag
 from servobench.hil.commissioning.exercise import Recording
-from servobench.hil.commissioning.frequency import ComplexArray, FrequencyResponse, StepLag
 from servobench.hil.commissioning.identify import Array, Mechanics
 from servobench.hil.commissioning.ripple import TorqueByAngle
 

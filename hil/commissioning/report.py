@@ -13,10 +13,14 @@ from typing import Any, Final
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.errors import BenchError
 from servobench.drivers.vendors.motor_objects import QUANTITIES
-from servobench.hil.commissioning.changed_objects import changed_objects
-from servobench.hil.commissioning.drive_left import DriveLeft
-from servobench.hil.commissioning.findings import BY_NAMEPLATE, Findings
-from servobench.hil.commissioning.outcome import StatedFigure, StepRecord, StepVerdict
+from servobench.hil.commissioning.drive_left import DriveLeft, changed_objects
+from servobench.hil.commissioning.findings import (
+    BY_NAMEPLATE,
+    Findings,
+    StatedFigure,
+    StepRecord,
+    StepVerdict,
+)
 from servobench.hil.commissioning.request import CommissionRequest
 from servobench.hil.commissioning.torque_scale import TorqueScale, is_proportional, torque_scale
 from servobench.hil.rows.run_files import COMMISSIONING_FIGURES

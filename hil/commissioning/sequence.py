@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from servobench.drivers.errors import BadInput, BusDown, PeerFault
 from servobench.hil.commissioning.dialog import Choice
-from servobench.hil.commissioning.outcome import (
+from servobench.hil.commissioning.findings import (
     ReadingsLost,
     StepFailed,
     StepOutcome,

@@ -28,12 +28,10 @@ from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
 from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort
 from servobench.hil.commissioning.exercise import EnergyMeter, Exerciser
-from servobench.hil.commissioning.findings import Findings
+from servobench.hil.commissioning.findings import Findings, StepFailed, StepOutcome
 from servobench.hil.commissioning.host_gaps import HostGaps
 from servobench.hil.commissioning.identify import Mechanics
-from servobench.hil.commissioning.moves import write_moves
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
-from servobench.hil.commissioning.ramps import set_ramps, within_ramps
+from servobench.hil.commissioning.ramps import set_ramps, within_ramps, write_moves
 from servobench.hil.commissioning.recording import SessionLog
 from servobench.hil.commissioning.request import CommissionRequest, MotionLimits, cautious
 from servobench.hil.configuration.config import Guard

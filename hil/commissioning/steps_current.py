@@ -17,9 +17,9 @@ from servobench.drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
 from servobench.drivers.errors import TransferAborted
 from servobench.drivers.timebase import Instant
 from servobench.hil.commissioning.excitation import TimedTorque
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome, refuse_losses
 from servobench.hil.commissioning.identify import COVERAGE_FACTOR, Array, slope_error
 from servobench.hil.commissioning.nameplate import CONSTANT_TOLERANCE, compare_constant, rated_current
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from servobench.hil.commissioning.plots import draw_current
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session

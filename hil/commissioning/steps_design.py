@@ -12,7 +12,7 @@ from servobench.design.speed.speed_design import least_gain
 from servobench.drivers.canopen.pdo_budget import budget_of
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_US, Duration
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome, refuse_losses
 from servobench.hil.commissioning.plots import draw_verification
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import PERIODS_US, Session

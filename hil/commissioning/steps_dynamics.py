@@ -9,17 +9,18 @@ import numpy as np
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from servobench.hil.commissioning.command_probe import CommandProbe, switches
-from servobench.hil.commissioning.excitation import SpeedGuide, multisine
-from servobench.hil.commissioning.frequency import (
+from servobench.hil.commissioning.excitation import (
     ComplexArray,
     FrequencyResponse,
+    SpeedGuide,
     StepLag,
     frequency_response,
     lines_hz,
+    multisine,
     step_lag,
 )
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome, refuse_losses
 from servobench.hil.commissioning.identify import Array
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from servobench.hil.commissioning.plots import draw_delays, draw_response
 from servobench.hil.commissioning.ramps import ramps_told
 from servobench.hil.commissioning.request import MotionLimits

@@ -14,6 +14,7 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.commissioning.excitation import GUIDE_RAD_S, SpeedGuide
 from servobench.hil.commissioning.exercise import Exerciser, Recording
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome, refuse_losses
 from servobench.hil.commissioning.identify import (
     COVERAGE_FACTOR,
     Mechanics,
@@ -21,7 +22,6 @@ from servobench.hil.commissioning.identify import (
     identify_mechanics,
 )
 from servobench.hil.commissioning.nameplate import compare_inertia
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from servobench.hil.commissioning.plots import draw_angle, draw_mechanics
 from servobench.hil.commissioning.ripple import torque_by_angle
 from servobench.hil.commissioning.sequence import Step

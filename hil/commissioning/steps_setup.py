@@ -13,7 +13,7 @@ from servobench.drivers.cia402.profile import HaltOption, Mode, State, state_of
 from servobench.drivers.errors import PeerFault
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.ramps import RampTooSlow, ramps_told
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session

@@ -11,7 +11,7 @@ from servobench.drivers.cia402.velocity_mode import velocity_mode_ramp
 from servobench.drivers.exchange import Reading
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S, Instant
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.ramps import ramps_told
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session

@@ -13,9 +13,9 @@ from servobench.drivers.cia402.unit_factors import likely_slip
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.commissioning.excitation import Pulse
 from servobench.hil.commissioning.exercise import Exerciser, Recording
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome, refuse_losses
 from servobench.hil.commissioning.identify import SpeedRatio, plain_ratio, ratio_of
 from servobench.hil.commissioning.nameplate import nameplate_wins
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from servobench.hil.commissioning.ramps import ramps_told, steepen
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session

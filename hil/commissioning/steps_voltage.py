@@ -20,8 +20,8 @@ from servobench.drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome, refuse_losses
 from servobench.hil.commissioning.nameplate import CONSTANT_QUANTITY
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from servobench.hil.commissioning.sequence import Step
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.torque_scale import TORQUE_PER_VOLTAGE

@@ -1,6 +1,8 @@
-"""Facts about a run besides its rows, gathered from its first step until the last drive rests."""
+"""Facts about a run besides its rows, gathered from its first step until the last drive rests; and the basis
+of its timing: clocks, placed readings, SYNCs, and contradictions.
+"""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
@@ -11,9 +13,12 @@ from servobench.drivers.cia402.profile import State
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.cia402.supervision import Release
 from servobench.drivers.errors import BenchError, DriveInFault
-from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from servobench.hil.configuration.config import Foreign, LoopConfig
+from servobench.hil.loop.attribution import Health
+from servobench.hil.loop.axis import Axis
 from servobench.hil.loop.loop import LoopOutcome
+from servobench.hil.loop.syncs import SyncLog
 from servobench.hil.machine.refusals import explained
 from servobench.hil.recording.logger_process import RecordingFailed
 from servobench.hil.verdict.verdict import DriveEnd, RunOutcome, VerdictKind, outcome_of_status
@@ -23,6 +28,72 @@ from servobench.virtual_bus.faults.frame_fault import COB_IDS, FrameFault
 from servobench.virtual_bus.faults.kinds.drive_fault import FAILURES, DriveFault
 from servobench.virtual_bus.faults.kinds.duplicate import Duplicate
 from servobench.virtual_bus.hosting.injection import Faults
+
+Report = dict[str, Any]
+
+
+def timing_report(
+    axes: Sequence[Axis], syncs: Mapping[str, SyncLog], others: Mapping[str, int] | None = None
+) -> Report:
+    """Return the report. ``syncs``: by segment. ``others``: observations of the bus guard with counts, which
+    may still grow. Times in us."""
+    return {
+        "sync": {
+            name: {"basis": log.basis.value, "surplus": log.surplus, "crowded": log.crowded}
+            for name, log in syncs.items()
+        },
+        "axes": {axis.parts.name: _axis_report(axis) for axis in axes},
+        "others": {} if others is None else others,
+    }
+
+
+def distrust(axes: Sequence[Axis], period: Duration) -> tuple[str, ...]:
+    """Explain why a run's timing is not trustworthy; empty if it is."""
+    reasons: list[str] = []
+    for axis in axes:
+        stamped = axis.by_stamp.health
+        doubts = _doubts(stamped) + _doubts(axis.by_order.health)
+        if stamped.stamp_error_ns_max > period // 2:
+            error_us = stamped.stamp_error_ns_max / NS_PER_US
+            doubts.append(f"a sampling instant is known to {error_us:.0f} us only, more than half a period")
+        reasons += [f"{axis.parts.name}: {doubt}" for doubt in doubts]
+    return tuple(reasons)
+
+
+def _doubts(health: Health) -> list[str]:
+    doubts = []
+    if health.below_transit:
+        doubts.append(f"{health.below_transit} readings came sooner than their frame takes on the wire")
+    if health.before_sync:
+        doubts.append(f"{health.before_sync} readings came before their SYNC")
+    if health.two_stamps:
+        doubts.append(f"{health.two_stamps} SYNCs have two different stamps")
+    return doubts
+
+
+def _axis_report(axis: Axis) -> Report:
+    clock = axis.by_stamp.clock
+    stamped, ordered = axis.by_stamp.health, axis.by_order.health
+    report: Report = {
+        "placed": stamped.placed + ordered.placed,
+        "by_order": ordered.placed,
+        "uncertain": axis.uncertain,
+        "duplicates": stamped.duplicates + ordered.duplicates,
+        "unmatched": stamped.unmatched + ordered.unmatched + axis.meter.unmatched,
+        "error_us_max": max(stamped.error_ns_max, ordered.error_ns_max) / NS_PER_US,
+        "clock_steps": stamped.steps,
+    }
+    if clock.ready:
+        report["clock"] = {
+            "offset_us": clock.offset_ns / NS_PER_US,
+            "error_us": clock.error_ns / NS_PER_US,
+            "drift_ppm": clock.drift_ppm,
+            "drift_error_ppm": clock.drift_error_ppm,
+        }
+    report["commands_unexplained"] = axis.commands.unexplained
+    report["readbacks_unordered"] = axis.readbacks.unordered
+    return report
+
 
 TOLD_WITHIN: Final = Duration(100 * NS_PER_MS)
 """From a noticed drive fault to its EMCY: the drive sends it at once, and a full bus or a fault that holds

@@ -15,10 +15,9 @@ from servobench.hil.configuration.config import Guard
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.execution.bench import ENABLE_TIMEOUT_S, RUNS_FOLDER
 from servobench.hil.execution.bus_guard import BusGuard
-from servobench.hil.execution.conclusion import made_twice
+from servobench.hil.execution.conclusion import distrust, made_twice, timing_report
 from servobench.hil.execution.drives import connect, stop_all
 from servobench.hil.execution.segments import sync_log
-from servobench.hil.execution.timing_report import distrust, timing_report
 from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.loop.axis import Axis
 from servobench.hil.loop.loop import Loop, LoopOutcome

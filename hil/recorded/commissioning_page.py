@@ -38,7 +38,7 @@ from servobench.hil.recording.rerun_page import (
 )
 from servobench.hil.reviewing.envelope import Envelope
 from servobench.hil.reviewing.trace.decoder import decode
-from servobench.hil.reviewing.trace.known_nodes import KnownNodes
+from servobench.hil.reviewing.trace.node_objects import KnownNodes
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from servobench.hil.rows.event_lines import read_events

@@ -20,7 +20,7 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.configuration.config_files import Section, load_file
 from servobench.hil.recorded.recorded_run import RecordedRun, RunSignals
-from servobench.hil.reviewing.largest import Largest, largest
+from servobench.hil.reviewing.envelope import Largest, largest
 from servobench.hil.rows.records import DIGESTED, FATE_SAMPLE, NAMES, ROW_DTYPE, Rows
 from servobench.hil.rows.seal import doubt
 

@@ -10,9 +10,8 @@ import numpy as np
 from servobench.drivers.cia402.profile import State
 from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.hil.reviewing.envelope import CodeLane, Envelope
-from servobench.hil.reviewing.position_error import PositionErrorMeter
 from servobench.hil.reviewing.review import Review
-from servobench.hil.reviewing.speed_error import SpeedErrorMeter
+from servobench.hil.reviewing.tracking_error import PositionErrorMeter, SpeedErrorMeter
 from servobench.hil.rows.injected_faults import INJECTED_TRACK, QUIET
 from servobench.hil.rows.recording_plan import ReviewPlan
 from servobench.hil.rows.records import CAUSES

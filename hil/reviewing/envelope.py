@@ -1,4 +1,5 @@
-"""Signals of any length in bounded memory: the least and the largest row of each of some thousand buckets.
+"""Signals of any length in bounded memory: the largest value and its instant; the least and the largest row
+of each of some thousand buckets.
 
     rows       .  : .'.   .  :'  .  .     :
     buckets   |        |        |         |     2 to the power of k ns wide, counted from the time zero
@@ -8,10 +9,37 @@ What is kept are rows as they were, so a peak of one cycle is seen in an hour. A
 of two buckets, so any division of the rows into chunks keeps the same rows.
 """
 
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+class Largest:
+    """The largest value so far, and when it was first so large."""
+
+    def __init__(self) -> None:
+        self.value: float | None = None
+        self.at: int | None = None
+        """None: there was no value yet."""
+
+    def look(self, times: NDArray[np.int64], values: NDArray[np.float64 | np.int64]) -> None:
+        """Take in instants, (n,) ns, and values, (n,)."""
+        if values.size:
+            place = int(values.argmax())
+            self.note(int(times[place]), float(values[place]))
+
+    def note(self, at: int, value: float) -> None:
+        """Take in one value."""
+        if self.value is None or value > self.value:
+            self.value, self.at = value, at
+
+
+def largest(values: Iterable[float | None]) -> float | None:
+    """Return the largest of the measured values; None if none was measured."""
+    return max((value for value in values if value is not None), default=None)
+
 
 BUCKETS: Final = 4_000
 """Two for each pixel of the widest plot on a screen of 1920."""

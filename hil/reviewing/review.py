@@ -7,13 +7,12 @@ import numpy as np
 
 from servobench.drivers.timebase import NS_PER_US, Instant
 from servobench.hil.reviewing.certificate_meter import CertificateMeter
+from servobench.hil.reviewing.envelope import Largest, largest
 from servobench.hil.reviewing.histogram import TimeHistogram, merged
-from servobench.hil.reviewing.largest import Largest, largest
 from servobench.hil.reviewing.network_meter import AxisNetworkMeter, NetworkMeter
-from servobench.hil.reviewing.position_error import PositionErrorMeter
-from servobench.hil.reviewing.speed_error import SpeedErrorMeter, worst
 from servobench.hil.reviewing.step_response import StepMeter, worst_steps
 from servobench.hil.reviewing.torque_swing import TorqueSwingMeter
+from servobench.hil.reviewing.tracking_error import PositionErrorMeter, SpeedErrorMeter, worst
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.rows.records import CAUSES, NAMES, NOTHING, ROW_DTYPE, Rows
 from servobench.hil.rows.side_rows import TextEvent

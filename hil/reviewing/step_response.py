@@ -7,8 +7,8 @@
                                   |recovery| 2 % of the reference
 
 A step counts until reference or load change again. What counts as a step of the reference is what opens a
-settling window (:mod:`servobench.hil.reviewing.speed_error`). One that was not within its band when it ended
-has no time: then none is told, for a time that is not known is not the largest of those that are.
+settling window (:mod:`servobench.hil.reviewing.tracking_error`). One that was not within its band when it
+ended has no time: then none is told, for a time that is not known is not the largest of those that are.
 """
 
 import math
@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_MS
-from servobench.hil.reviewing.largest import Largest
-from servobench.hil.reviewing.speed_error import AskedChanges, worst
+from servobench.hil.reviewing.envelope import Largest
+from servobench.hil.reviewing.tracking_error import AskedChanges, worst
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import FATE_SAMPLE, Rows
 from servobench.hil.verdict.figures import StepResponse

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servobench.drivers.timebase import NS_PER_S
-from servobench.hil.reviewing.largest import Largest
+from servobench.hil.reviewing.envelope import Largest
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import NOTHING, Rows
 

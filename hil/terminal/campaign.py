@@ -9,8 +9,7 @@ from typer.core import TyperGroup
 
 from servobench.hil.machine.extras import MissingExtra, is_installed
 from servobench.hil.machine.parent_process import messages, results, tell_parent
-from servobench.hil.terminal.commands import add_commands
-from servobench.hil.terminal.exit_status import end_with
+from servobench.hil.terminal.commands import add_commands, end_with
 from servobench.hil.terminal.options import JsonOption, flag, valued
 from servobench.hil.terminal.output import columns, echo, say, say_written
 from servobench.hil.verdict.verdict import ExitStatus

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from servobench.hil.machine.parent_process import tell_parent
-from servobench.hil.terminal.exit_status import end_with
+from servobench.hil.terminal.commands import end_with
 from servobench.hil.terminal.options import (
     AllowOption,
     BitrateOption,

@@ -8,7 +8,7 @@ import typer
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.machine.parent_process import messages, tell_parent
-from servobench.hil.terminal.exit_status import end_with
+from servobench.hil.terminal.commands import end_with
 from servobench.hil.terminal.options import (
     EVERY_STREAM,
     AllowOption,
@@ -82,7 +82,7 @@ def measure(asked: MeasureOptions) -> None:
     from servobench.hil.execution.bench import RUNS_FOLDER
     from servobench.hil.measuring.subject import MeasureRequest
     from servobench.hil.terminal.measure_report import print_measured
-    from servobench.hil.terminal.node_list import drive_ids
+    from servobench.hil.terminal.options import drive_ids
 
     _require_places(asked)
     request = MeasureRequest(

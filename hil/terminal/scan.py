@@ -34,7 +34,7 @@ def scan(
     from servobench.drivers.timebase import duration_s
     from servobench.drivers.wire.adapters import parse_bus_spec
     from servobench.hil.inspecting.scanning import ScanPlan, find_adapters, scan_bus
-    from servobench.hil.terminal.node_list import node_ids
+    from servobench.hil.terminal.options import node_ids
 
     plan = None
     if bus is not None:

@@ -99,7 +99,7 @@ def simulate(asked: SimulateOptions) -> None:
     from servobench.hil.configuration.motor_file import LING2012
     from servobench.hil.execution.device_files import DeviceFiles
     from servobench.hil.load.simulated_load import load_tables
-    from servobench.hil.terminal.node_list import node_ids, serial_numbers
+    from servobench.hil.terminal.options import node_ids, serial_numbers
 
     files = DeviceFiles(asked.eds, asked.store, asked.export_eds)
     typed = [*(asked.node or []), *(asked.more_nodes or [])]

@@ -24,7 +24,7 @@ def stop(
     """
     from servobench.hil.execution.world import drive_network
     from servobench.hil.inspecting.stopping import stop_drives
-    from servobench.hil.terminal.node_list import drive_ids
+    from servobench.hil.terminal.options import drive_ids
     from servobench.hil.write_lists import STOP
 
     nodes = drive_ids(node) if node else []

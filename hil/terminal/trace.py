@@ -24,8 +24,8 @@ from servobench.hil.terminal.output import note_seal, say, write_line
 from servobench.hil.terminal.supervision import is_read
 
 if TYPE_CHECKING:
-    from servobench.hil.reviewing.trace.known_nodes import SheetFile
     from servobench.hil.reviewing.trace.log_frame import LogFrame
+    from servobench.hil.reviewing.trace.node_objects import SheetFile
     from servobench.hil.reviewing.trace.run_trace import RecordedBus
     from servobench.hil.reviewing.trace.trace_entry import TraceEntry, TraceSelection
 
@@ -83,8 +83,8 @@ def _read(
 ) -> None:  # fmt: skip
     from servobench.hil.reviewing.trace.bus_log import KINDS, BusLog
     from servobench.hil.reviewing.trace.decoder import decode
-    from servobench.hil.reviewing.trace.known_nodes import KnownNodes
     from servobench.hil.reviewing.trace.log_window import EVER_NS
+    from servobench.hil.reviewing.trace.node_objects import KnownNodes
 
     end_ns = EVER_NS
     if source.is_dir():
@@ -134,7 +134,7 @@ def _follow(
     from servobench.hil.inspecting.live_trace import live_frames
     from servobench.hil.machine.stopping import stop_signals
     from servobench.hil.reviewing.trace.decoder import decode
-    from servobench.hil.reviewing.trace.known_nodes import KnownNodes
+    from servobench.hil.reviewing.trace.node_objects import KnownNodes
 
     spec, known = parse_bus_spec(bus, "--bus"), KnownNodes(sheets)
     with stop_signals() as stop, closing(live_frames(spec, bitrate, stop, say)) as frames:
@@ -172,7 +172,7 @@ def _kinds(text: str | None) -> frozenset[str]:
 def _sheet(text: str) -> "SheetFile":
     """Parse ``FILE``, or ``5=FILE`` for node 5."""
     from servobench.drivers.canopen.nmt_states import NODE_ID_MAX
-    from servobench.hil.reviewing.trace.known_nodes import SheetFile
+    from servobench.hil.reviewing.trace.node_objects import SheetFile
 
     number, equals, path = text.partition("=")
     if not equals or not number.isdecimal():

@@ -46,7 +46,7 @@ class DropoutCounts:
 class SpeedError:
     """Reference minus measured speed, worst axis; None: no cycle counts.
 
-    Which cycles count: :mod:`servobench.hil.reviewing.speed_error`.
+    Which cycles count: :mod:`servobench.hil.reviewing.tracking_error`.
     """
 
     peak_rad_s: float | None
@@ -72,7 +72,7 @@ NO_STEPS = StepResponse()
 @dataclass(frozen=True, slots=True)
 class PositionError:
     """Position errors of the worst axis; None: not measured. Definitions:
-    :mod:`servobench.hil.reviewing.position_error`."""
+    :mod:`servobench.hil.reviewing.tracking_error`."""
 
     peak_rad: float | None
     rms_rad: float | None

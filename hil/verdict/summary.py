@@ -69,7 +69,7 @@ class Summary:
     """Identity, tally, requested and measured torque at each load step
     (:mod:`servobench.hil.load.load_machines`)."""
     timing: Mapping[str, Any] | None = None
-    """Basis of the timing (:mod:`servobench.hil.execution.timing_report`)."""
+    """Basis of the timing (:mod:`servobench.hil.execution.conclusion`)."""
 
     def also(self, finding: Finding) -> "Summary":
         """Return the summary with a later finding."""

@@ -143,7 +143,7 @@ class RunOutcome:
     load_machine: Mapping[str, Any] | None = None
     """Result of the load instrument, if there was one."""
     timing: Mapping[str, Any] | None = None
-    """Basis of the timing (:mod:`servobench.hil.execution.timing_report`)."""
+    """Basis of the timing (:mod:`servobench.hil.execution.conclusion`)."""
     distrust: tuple[str, ...] = ()
     """Reasons why the run's timing is not trustworthy."""
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servobench.drivers.timebase import NS_PER_S, MonotonicClock
-from servobench.hil.commissioning.outcome import StepVerdict
+from servobench.hil.commissioning.findings import StepVerdict
 from tests.commissioning import LOSS, Errors, errors_of, unknown_world
 
 LIMITS = {"inertia": 0.03, "viscous": 0.08, "coulomb": 0.08}

@@ -18,9 +18,9 @@ from servobench.drivers.timebase import NS_PER_S, MonotonicClock
 from servobench.hil.campaign import campaign as campaign_module
 from servobench.hil.campaign import on_dask
 from servobench.hil.campaign.campaign import Campaign, CampaignProgress, run_campaign
-from servobench.hil.campaign.chunks import RunRefused, WorkerDied
 from servobench.hil.campaign.on_dask import ClusterLost, dask_client, rows_on_dask
 from servobench.hil.campaign.plan import CampaignPlan
+from servobench.hil.campaign.pool import RunRefused, WorkerDied
 from servobench.hil.campaign.worker import Answer, Workshop
 from servobench.hil.cli import app
 from servobench.hil.configuration.toml_text import toml_text

@@ -208,7 +208,7 @@ def test_a_standard_stream_that_is_closed_in_pytest_ends_no_test(
         ),
         (
             "channels",
-            "put('servobench.hil.terminal.exit_status:explained'); "
+            "put('servobench.hil.terminal.commands:explained'); "
             "put('servobench.drivers.canopen.sdo:PumpedSdoClient.upload'); "
             "put('servobench.hil.execution.conclusion:explained')",
             "your own code has run, and afterwards the process could not report what failed",

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from pydantic import ValidationError
 
-from servobench.hil.commissioning.outcome import StepVerdict
+from servobench.hil.commissioning.findings import StepVerdict
 from servobench.hil.commissioning.report import Commissioned, as_json, summary_of
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.virtual_bus.drive.unknown_drive import Truth

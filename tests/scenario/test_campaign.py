@@ -18,12 +18,10 @@ from servobench import run as run_bench
 from servobench.drivers.errors import BadInput
 from servobench.hil.campaign import pool as pool_module
 from servobench.hil.campaign.campaign import Campaign, CampaignProgress, run_campaign
-from servobench.hil.campaign.cells import cell_maps
-from servobench.hil.campaign.chunks import RunRefused, WorkerDied
-from servobench.hil.campaign.figures import figures_of
+from servobench.hil.campaign.figures import cell_maps, figures_of
 from servobench.hil.campaign.page import write_page
 from servobench.hil.campaign.plan import CampaignPlan
-from servobench.hil.campaign.pool import DEATHS_MAX, Worker, WorkerPool
+from servobench.hil.campaign.pool import DEATHS_MAX, RunRefused, Worker, WorkerDied, WorkerPool
 from servobench.hil.campaign.store import open_campaign
 from servobench.hil.campaign.worker import NotTheSame
 from servobench.hil.cli import app

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.campaign.campaign import Campaign, CampaignProgress, run_campaign
-from servobench.hil.campaign.store_seal import StoreSeal
+from servobench.hil.campaign.store import StoreSeal
 from servobench.hil.campaign.worker import NotTheSame
 from servobench.hil.cli import app
 from servobench.hil.configuration.config_files import BadInputs

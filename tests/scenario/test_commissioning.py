@@ -16,7 +16,7 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode, supported_mode_bit
 from servobench.drivers.sheets.dictionary import load_dictionary
 from servobench.hil.cli import app
-from servobench.hil.commissioning.outcome import StepVerdict
+from servobench.hil.commissioning.findings import StepVerdict
 from servobench.hil.commissioning.report import REPORT_FILE
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.configuration.drive_file import load_drive_file

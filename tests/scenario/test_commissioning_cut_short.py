@@ -27,7 +27,7 @@ from servobench.drivers.wire.link import BusLink, StampSource
 from servobench.drivers.written_file import DiskFull
 from servobench.hil.commissioning.commission import check_mark, commission
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
-from servobench.hil.commissioning.outcome import StepOutcome, StepVerdict
+from servobench.hil.commissioning.findings import StepOutcome, StepVerdict
 from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.hil.commissioning.sequence import Step

@@ -11,7 +11,7 @@ import pytest
 
 from servobench.drivers.cia402.profile import Mode, State, supported_mode_bit
 from servobench.drivers.timebase import NS_PER_S
-from servobench.hil.commissioning.outcome import StepVerdict
+from servobench.hil.commissioning.findings import StepVerdict
 from servobench.hil.commissioning.report import REPORT_FILE, Commissioned
 from servobench.hil.rows.recording_plan import SIMULATED_EPOCH
 from servobench.hil.rows.run_files import COMMISSIONING_RECORDING, EVENTS_FILE, FRAMES_FILE

@@ -10,7 +10,7 @@ from servobench.drivers.cia402.profile import State
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.commissioning.commission import commission
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
-from servobench.hil.commissioning.outcome import StepOutcome
+from servobench.hil.commissioning.findings import StepOutcome
 from servobench.hil.commissioning.report import REPORT_FILE
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.hil.commissioning.sequence import Step

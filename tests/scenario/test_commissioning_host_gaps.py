@@ -20,7 +20,7 @@ from servobench.drivers.timebase import NS_PER_S, Duration, Instant, MonotonicCl
 from servobench.drivers.wire.adapters import open_bus, parse_bus_spec
 from servobench.hil.commissioning.commission import commission
 from servobench.hil.commissioning.dialog import Choice, Dialog, EmergencyStop, Idle
-from servobench.hil.commissioning.outcome import StepOutcome, StepVerdict
+from servobench.hil.commissioning.findings import StepOutcome, StepVerdict
 from servobench.hil.commissioning.recording import SessionLog
 from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate

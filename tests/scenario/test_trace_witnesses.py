@@ -17,8 +17,8 @@ import pytest
 
 from servobench.hil.reviewing.trace.bus_log import BusLog
 from servobench.hil.reviewing.trace.decoder import decode
-from servobench.hil.reviewing.trace.known_nodes import KnownNodes, SheetFile
 from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.node_objects import KnownNodes, SheetFile
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from servobench.hil.rows.run_files import RECORDS_FILE

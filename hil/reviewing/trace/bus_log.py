@@ -16,7 +16,6 @@ from typing import BinaryIO, Final, cast
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.printable import printable
-from servobench.hil.reviewing.trace.candump_lines import frame_of_line, is_remark
 from servobench.hil.reviewing.trace.capture_file import (
     PCAP_MAGICS,
     PCAPNG_MAGIC,
@@ -25,8 +24,15 @@ from servobench.hil.reviewing.trace.capture_file import (
     capture_packets,
 )
 from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.log_lines import (
+    SUFFIXES,
+    BrokenLog,
+    frame_of_line,
+    is_remark,
+    kind_of,
+    other_frames,
+)
 from servobench.hil.reviewing.trace.log_window import Hold, LogWindow, lines_of_window
-from servobench.hil.reviewing.trace.other_logs import SUFFIXES, BrokenLog, kind_of, other_frames
 
 STDIN: Final = Path("-")
 KINDS: Final = f"a log of candump, a pcap or pcapng, or one of {', '.join(SUFFIXES)}"

@@ -14,9 +14,9 @@ from servobench.drivers.errors import BadInput, BenchError
 from servobench.drivers.timebase import Instant
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.reviewing.trace.bus_log import BusLog
-from servobench.hil.reviewing.trace.known_nodes import KnownNodes, NodeKey, SheetFile
 from servobench.hil.reviewing.trace.log_frame import LogFrame
 from servobench.hil.reviewing.trace.log_window import Hold, LogWindow
+from servobench.hil.reviewing.trace.node_objects import KnownNodes, NodeKey, SheetFile
 from servobench.hil.rows.records_file import read_metadata, refuse_later_format
 from servobench.hil.rows.run_files import (
     BENCH_FILE,

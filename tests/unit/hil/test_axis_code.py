@@ -9,7 +9,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.bench_file import load_bench
-from servobench.hil.execution.axis_code import axis_code
+from servobench.hil.execution.assembly import axis_code
 from servobench.hil.execution.recorded_bench import keep_files, recording_plan
 
 FIRST = Path(__file__).parents[3] / "examples" / "first"

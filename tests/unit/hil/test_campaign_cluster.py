@@ -13,9 +13,9 @@ import pytest
 from servobench.drivers.errors import BusDown
 from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.hil.campaign import on_dask
-from servobench.hil.campaign.chunks import RunRefused, WorkerDied
 from servobench.hil.campaign.identity import SourceFiles
 from servobench.hil.campaign.on_dask import ClusterLost, Order, order_of, rows_on_dask, run_chunk
+from servobench.hil.campaign.pool import RunRefused, WorkerDied
 from servobench.hil.campaign.worker import NotTheSame
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 

@@ -12,8 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from servobench.hil.campaign.campaign import Campaign
-from servobench.hil.campaign.cells import cell_maps
-from servobench.hil.campaign.figures import PEAK, figures_of, worst_runs
+from servobench.hil.campaign.figures import PEAK, cell_maps, figures_of, worst_runs
 from servobench.hil.campaign.plan import GridAxis
 from servobench.hil.campaign.worker import FIGURES
 

@@ -12,7 +12,7 @@ import pytest
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.campaign.adaptive import Proposal, fitted
-from servobench.hil.campaign.opened_files import digest_of, opened_files
+from servobench.hil.campaign.identity import digest_of, opened_files
 from servobench.hil.campaign.plan import CampaignPlan
 from servobench.hil.campaign.store import open_campaign, plan_in, schema_of
 from servobench.hil.campaign.sweep_file import sweep_from

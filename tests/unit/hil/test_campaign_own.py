@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from servobench.drivers.errors import BadInput, BusDown
-from servobench.hil.campaign.own_functions import EXPECTED, OwnFunctions
-from servobench.hil.campaign.sweep_file import Own
+from servobench.hil.campaign.sweep_file import EXPECTED, Own, OwnFunctions
 from servobench.hil.control.own_code import OwnCodeFailed
 
 CODE = """

@@ -10,9 +10,8 @@ import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S
 from servobench.hil.campaign import pool
-from servobench.hil.campaign.chunks import Chunks, RunRefused, WorkerDied
 from servobench.hil.campaign.identity import SourceFiles
-from servobench.hil.campaign.pool import WorkerPool, rows_of
+from servobench.hil.campaign.pool import Chunks, RunRefused, WorkerDied, WorkerPool, rows_of
 from servobench.hil.machine.stopping import Interrupted, StopRequest
 
 

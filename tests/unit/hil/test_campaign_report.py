@@ -17,8 +17,7 @@ from rerun.chunk import RrdReader
 
 from servobench.hil.campaign import page, report
 from servobench.hil.campaign.campaign import Campaign
-from servobench.hil.campaign.cells import CellMap, cell_maps
-from servobench.hil.campaign.figures import PEAK
+from servobench.hil.campaign.figures import PEAK, CellMap, cell_maps
 from servobench.hil.campaign.plan import GridAxis
 from servobench.hil.campaign.worker import FIGURES
 from tests.page_text import page_text

@@ -17,7 +17,7 @@ from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.machine.doctor import Capability
 from servobench.hil.machine.stopping import Interrupted
 from servobench.hil.recording.logger_process import RecordingFailed
-from servobench.hil.terminal.node_list import node_ids, serial_numbers
+from servobench.hil.terminal.options import node_ids, serial_numbers
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import ExitStatus, Finding, VerdictKind

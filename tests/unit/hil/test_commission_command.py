@@ -20,7 +20,7 @@ from servobench.hil.commissioning import commission as module
 from servobench.hil.commissioning.commission import _rest, _store, check_mark, run_command, run_restore
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop, Terminal, say
 from servobench.hil.commissioning.drive_left import DriveLeft
-from servobench.hil.commissioning.outcome import StepOutcome, StepRecord, StepVerdict
+from servobench.hil.commissioning.findings import StepOutcome, StepRecord, StepVerdict
 from servobench.hil.commissioning.report import Commissioned, as_json
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.hil.commissioning.session import Session

@@ -20,8 +20,7 @@ from servobench.drivers.errors import PeerFault
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from servobench.hil.commissioning import session as module
 from servobench.hil.commissioning.exercise import EnergyMeter
-from servobench.hil.commissioning.findings import Findings
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.findings import Findings, StepFailed, StepOutcome
 from servobench.hil.commissioning.request import CommissionRequest, cautious
 from servobench.hil.commissioning.session import PERIODS_US, Session
 from tests.unit.hil.simulated_shaft import LIMITS, Objects

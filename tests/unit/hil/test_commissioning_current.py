@@ -18,8 +18,8 @@ from servobench.drivers.errors import TransferAborted
 from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
 from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.findings import ReadingsLost, StatedFigure, StepFailed, StepOutcome
 from servobench.hil.commissioning.identify import Array, slope_error
-from servobench.hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
 from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_current import TorqueConstant, _paired, _plan_with_current, _swing

@@ -11,8 +11,8 @@ import pytest
 from servobench.drivers.cia402.pdo_planner import mode_plan
 from servobench.drivers.cia402.pdo_plans import PlanWish
 from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.commissioning.findings import StepOutcome
 from servobench.hil.commissioning.identify import Mechanics
-from servobench.hil.commissioning.outcome import StepOutcome
 from servobench.hil.commissioning.request import PlateRating
 from servobench.hil.commissioning.steps_design import Suggest
 

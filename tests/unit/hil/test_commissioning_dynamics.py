@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.hil.commissioning.excitation import FrequencyResponse, StepLag
 from servobench.hil.commissioning.exercise import Recording
-from servobench.hil.commissioning.frequency import FrequencyResponse, StepLag
+from servobench.hil.commissioning.findings import ReadingsLost, StatedFigure, StepFailed, StepOutcome
 from servobench.hil.commissioning.identify import Array, Mechanics
-from servobench.hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_design import Verify, rounded
 from servobench.hil.commissioning.steps_dynamics import (

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from servobench.hil.commissioning.excitation import frequency_response, lines_hz, step_lag
 from servobench.hil.commissioning.exercise import Recording, smooth_speed
-from servobench.hil.commissioning.frequency import frequency_response, lines_hz, step_lag
+from servobench.hil.commissioning.findings import ReadingsLost, refuse_losses
 from servobench.hil.commissioning.identify import (
     Mechanics,
     NotIdentifiable,
@@ -19,7 +20,6 @@ from servobench.hil.commissioning.identify import (
     ratio_of,
     slope_error,
 )
-from servobench.hil.commissioning.outcome import ReadingsLost, refuse_losses
 from servobench.hil.commissioning.ripple import torque_by_angle
 from servobench.hil.reviewing.network_meter import runs_of
 

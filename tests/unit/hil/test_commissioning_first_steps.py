@@ -11,7 +11,7 @@ from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant
 from servobench.hil.commissioning import steps_static as module
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_static import BusCheck, DumpStep, IdentityCheck
 from servobench.hil.restoring.journal import DriveMark, Journal, JournalHead, read_journal

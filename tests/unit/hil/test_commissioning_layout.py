@@ -14,7 +14,7 @@ from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.recorded import commissioning_page as commissioned
 from servobench.hil.recorded.commissioning_page import _Bus, _Figures, _Step
 from servobench.hil.reviewing.envelope import Envelope
-from servobench.hil.reviewing.trace.known_nodes import KnownNodes
+from servobench.hil.reviewing.trace.node_objects import KnownNodes
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from tests.unit.hil.test_blueprint_pages import names, parts, paths, value_range, window_s
 

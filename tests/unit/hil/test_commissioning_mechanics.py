@@ -11,8 +11,8 @@ import pytest
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.findings import ReadingsLost, StatedFigure, StepFailed, StepOutcome
 from servobench.hil.commissioning.identify import Array, Mechanics, NotIdentifiable, identify_mechanics
-from servobench.hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
 from servobench.hil.commissioning.steps_mechanics import (
     MechanicsStep,
     _by_command,

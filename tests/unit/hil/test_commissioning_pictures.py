@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from servobench.hil.commissioning.excitation import FrequencyResponse, StepLag
 from servobench.hil.commissioning.exercise import Recording
-from servobench.hil.commissioning.frequency import FrequencyResponse, StepLag
 from servobench.hil.commissioning.plots import (
     draw_angle,
     draw_current,

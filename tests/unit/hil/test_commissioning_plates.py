@@ -9,9 +9,8 @@ import pytest
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.scaling import FACTOR_OBJECTS, scaling_from
 from servobench.drivers.errors import PeerFault
-from servobench.hil.commissioning.findings import Findings
+from servobench.hil.commissioning.findings import Findings, StepFailed, StepOutcome
 from servobench.hil.commissioning.nameplate import confirm_pole_pairs, nameplate_wins
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
 from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_static import _plausible

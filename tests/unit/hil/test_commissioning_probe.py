@@ -15,8 +15,8 @@ from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.exchange import Command, Reading, SentCommand
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from servobench.hil.commissioning.command_probe import CommandProbe, TorqueSlope, switches, torque_slope
-from servobench.hil.commissioning.frequency import StepLag
-from servobench.hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
+from servobench.hil.commissioning.excitation import StepLag
+from servobench.hil.commissioning.findings import ReadingsLost, StatedFigure, StepFailed, StepOutcome
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_dynamics import Delays
 from servobench.hil.execution.segments import timing_without_bench

@@ -11,8 +11,15 @@ import pytest
 from servobench.drivers.cia402.told_motor import ToldFigure
 from servobench.drivers.errors import NoAnswer
 from servobench.hil.commissioning.drive_left import DriveLeft
-from servobench.hil.commissioning.findings import BY_NAMEPLATE, Findings, Stated
-from servobench.hil.commissioning.outcome import StatedFigure, StepOutcome, StepRecord, StepVerdict
+from servobench.hil.commissioning.findings import (
+    BY_NAMEPLATE,
+    Findings,
+    Stated,
+    StatedFigure,
+    StepOutcome,
+    StepRecord,
+    StepVerdict,
+)
 from servobench.hil.commissioning.report import Commissioned, header_of, write_report
 from servobench.hil.commissioning.request import CommissionRequest
 from servobench.hil.restoring.journal import ObjectKey

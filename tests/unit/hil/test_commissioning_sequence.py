@@ -12,7 +12,7 @@ import pytest
 
 from servobench.drivers.errors import BusDown, LimitExceeded
 from servobench.hil.commissioning.dialog import Choice, Dialog, EmergencyStop, Idle, Terminal
-from servobench.hil.commissioning.outcome import (
+from servobench.hil.commissioning.findings import (
     ReadingsLost,
     StepFailed,
     StepOutcome,

@@ -10,7 +10,7 @@ import pytest
 from servobench.drivers.errors import BusDown, DriveInFault, NoAnswer
 from servobench.drivers.timebase import NS_PER_S, Duration
 from servobench.hil.commissioning.dialog import EmergencyStop
-from servobench.hil.commissioning.outcome import StepFailed
+from servobench.hil.commissioning.findings import StepFailed
 from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import EmergencyStopped, Session
 from servobench.hil.machine.stopping import Interrupted

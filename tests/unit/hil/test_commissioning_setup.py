@@ -16,7 +16,7 @@ from servobench.drivers.cia402.pdo_plans import PlanWish
 from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.errors import NoAnswer
 from servobench.hil.commissioning.exercise import Recording
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_setup import EnableAtZero, SetUp, _extra_limits
 from servobench.hil.loop.scenario import Quantity

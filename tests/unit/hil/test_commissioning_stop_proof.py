@@ -13,8 +13,8 @@ from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from servobench.hil.commissioning import steps_stopping
 from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.identify import Array
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_stopping import (
     SlowStop,

@@ -8,7 +8,7 @@ import pytest
 
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import QuickStopOption
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_stopping import (
     StopProof,

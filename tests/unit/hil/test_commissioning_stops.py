@@ -9,7 +9,7 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.commissioning.commission import commission
 from servobench.hil.commissioning.dialog import Dialog, EmergencyStop
-from servobench.hil.commissioning.outcome import StepRecord
+from servobench.hil.commissioning.findings import StepRecord
 from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.commissioning.request import CommissionRequest, Nameplate
 from servobench.hil.commissioning.sequence import Step

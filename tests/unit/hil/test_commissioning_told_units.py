@@ -14,7 +14,7 @@ from servobench.drivers.sheets.fitness import told_by_sheet
 from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.hil.commissioning import steps_static as module
 from servobench.hil.commissioning.drive_port import QUANTITY_OF_MODE
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_static import UnitsTold

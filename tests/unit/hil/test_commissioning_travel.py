@@ -15,8 +15,8 @@ from servobench.drivers.cia402.profile import Mode
 from servobench.drivers.record import values_of
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from servobench.hil.commissioning.excitation import SpeedReference
+from servobench.hil.commissioning.findings import StepFailed
 from servobench.hil.commissioning.identify import Mechanics
-from servobench.hil.commissioning.outcome import StepFailed
 from servobench.hil.commissioning.request import Nameplate, motion_limits
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_design import Verify

@@ -6,8 +6,8 @@ from typing import Any, cast
 import pytest
 
 from servobench.drivers.cia402.objects402 import Object
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.identify import SpeedRatio
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
 from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_units import Turn, _unmeasured

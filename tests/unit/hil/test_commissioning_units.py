@@ -11,8 +11,8 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.profile import Mode
 from servobench.hil.commissioning import steps_units
 from servobench.hil.commissioning.exercise import Recording
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.identify import Array, SpeedRatio
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_units import MotionUnits, Polarity, _nudges
 from servobench.hil.loop.scenario import Quantity

@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 
 from servobench.drivers.rotation import RAD_S_PER_RPM
-from servobench.hil.commissioning.outcome import StepFailed, StepRecord, StepVerdict
+from servobench.hil.commissioning.findings import StepFailed, StepRecord, StepVerdict
 from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_voltage import VoltageConstant, dc_link_v

@@ -13,7 +13,7 @@ from servobench.drivers.cia402.profile import State
 from servobench.drivers.errors import PeerFault
 from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
+from servobench.hil.commissioning.findings import StepFailed, StepOutcome
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_setup import Watchdog
 from servobench.hil.machine.stopping import Interrupted

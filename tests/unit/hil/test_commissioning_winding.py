@@ -7,14 +7,13 @@ import pytest
 
 from servobench.drivers.cia402.told_motor import ToldFigure, ToldMotor
 from servobench.hil.commissioning.files import _by_word
-from servobench.hil.commissioning.findings import Findings
+from servobench.hil.commissioning.findings import Findings, StepFailed, StepOutcome
 from servobench.hil.commissioning.nameplate import (
     compare_constant,
     compare_ratings,
     rated_current,
     settle_winding,
 )
-from servobench.hil.commissioning.outcome import StepFailed, StepOutcome
 from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 

@@ -15,7 +15,7 @@ from servobench.hil.configuration.config_files import BadInputs, bad_inputs_of
 from servobench.hil.configuration.controller_kinds import PidController
 from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.configuration.references import peak_level
-from servobench.hil.terminal.exit_status import error_text
+from servobench.hil.terminal.commands import error_text
 
 ROOT = Path(__file__).parents[3]
 EXAMPLES = ROOT / "examples"

@@ -7,8 +7,8 @@ import pytest
 
 from servobench.drivers.cia402.scaling import ScaleOverride
 from servobench.hil.reviewing.trace.decoder import BusDecoder, decode
-from servobench.hil.reviewing.trace.known_nodes import KnownNodes, SheetFile
 from servobench.hil.reviewing.trace.log_frame import LogFrame
+from servobench.hil.reviewing.trace.node_objects import KnownNodes, SheetFile
 from servobench.hil.reviewing.trace.object_value import ObjectValue
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from tests.unit.drivers.eds_maker import NODE, Pdo, sheet_text

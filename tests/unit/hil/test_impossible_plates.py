@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from servobench.design.flux_constants import CONVENTIONS
 from servobench.hil.cli import app
-from servobench.hil.commissioning.outcome import StepRecord, StepVerdict
+from servobench.hil.commissioning.findings import StepRecord, StepVerdict
 from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.commissioning.request import PlateMotor
 from servobench.hil.configuration.toml_text import toml_text

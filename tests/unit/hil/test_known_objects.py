@@ -8,7 +8,7 @@ from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable
 from servobench.drivers.cia402.drive_setup import Identity
 from servobench.drivers.errors import TransferAborted
 from servobench.hil.commissioning.files import dcf_text
-from servobench.hil.commissioning.known_objects import differing, dump, missing, variables
+from servobench.hil.commissioning.steps_static import differing, dump, missing, variables
 from servobench.hil.restoring.journal import ObjectKey
 
 

@@ -20,7 +20,7 @@ from servobench.hil.recording.lanes import (
 )
 from servobench.hil.reviewing.envelope import CodeLane, Envelope
 from servobench.hil.reviewing.review import Review
-from servobench.hil.reviewing.speed_error import SpeedErrorMeter
+from servobench.hil.reviewing.tracking_error import SpeedErrorMeter
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.rows.row_states import LabelChange
 from servobench.hil.verdict.limits import VerdictLimits

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
-from servobench.hil.reviewing.position_error import PositionErrorMeter
-from servobench.hil.reviewing.speed_error import worst
+from servobench.hil.reviewing.tracking_error import PositionErrorMeter, worst
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import NOTHING, Rows
 from servobench.hil.verdict.figures import NO_POSITIONS, PositionError

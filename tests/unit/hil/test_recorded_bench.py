@@ -12,7 +12,7 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_MS, Duration
 from servobench.hil.configuration.bench_file import bench_from, load_bench
 from servobench.hil.configuration.config import BenchConfig
-from servobench.hil.execution.axis_code import axis_code
+from servobench.hil.execution.assembly import axis_code
 from servobench.hil.execution.recorded_bench import keep_files, recording_plan, review_plan
 from servobench.hil.recording.logger_process import RecordingFailed
 from servobench.hil.rows.recording_plan import (

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servobench.drivers.timebase import NS_PER_MS, Duration
-from servobench.hil.reviewing.speed_error import SpeedErrorMeter, worst
+from servobench.hil.reviewing.tracking_error import SpeedErrorMeter, worst
 from servobench.hil.rows.recording_plan import AxisPlan
 from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.figures import SpeedError

@@ -11,8 +11,8 @@ from servobench.drivers.errors import BadInput, BenchError
 from servobench.drivers.written_file import writing
 from servobench.hil.campaign.campaign import CampaignProgress
 from servobench.hil.terminal.campaign import _duration, _ProgressLine
+from servobench.hil.terminal.commands import error_text
 from servobench.hil.terminal.current_report import advice, print_current, root_text
-from servobench.hil.terminal.exit_status import error_text
 from servobench.hil.terminal.output import columns, figure_text, on_terminal, print_figures, titled
 
 Capture = pytest.CaptureFixture[str]

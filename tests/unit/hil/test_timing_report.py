@@ -7,7 +7,7 @@ import pytest
 
 from servobench.drivers.timebase import Duration
 from servobench.drivers.wire.frame_port import EchoBasis
-from servobench.hil.execution.timing_report import distrust, timing_report
+from servobench.hil.execution.conclusion import distrust, timing_report
 from servobench.hil.loop.axis import Axis
 from servobench.hil.loop.syncs import SyncLog
 

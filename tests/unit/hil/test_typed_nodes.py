@@ -3,7 +3,7 @@
 import pytest
 
 from servobench.drivers.errors import MISSING, BadInput
-from servobench.hil.terminal.node_list import drive_ids, node_ids, serial_numbers
+from servobench.hil.terminal.options import drive_ids, node_ids, serial_numbers
 
 
 def refusal(call: object, *arguments: object) -> tuple[object, ...]:

@@ -17,7 +17,7 @@ from servobench.drivers.cia402.supervision import Release
 from servobench.drivers.errors import PeerFault
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.drivers.wire.adapters import parse_bus_spec
-from servobench.hil.commissioning.outcome import StepVerdict
+from servobench.hil.commissioning.findings import StepVerdict
 from servobench.hil.commissioning.report import Commissioned
 from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.write_lists import RIG

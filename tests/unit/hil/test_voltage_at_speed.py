@@ -12,8 +12,7 @@ from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S, Instant
 from servobench.hil.commissioning.exercise import Recording
-from servobench.hil.commissioning.findings import Stated
-from servobench.hil.commissioning.outcome import ReadingsLost, StatedFigure, StepFailed, StepOutcome
+from servobench.hil.commissioning.findings import ReadingsLost, Stated, StatedFigure, StepFailed, StepOutcome
 from servobench.hil.commissioning.request import Nameplate
 from servobench.hil.commissioning.session import Session
 from servobench.hil.commissioning.steps_voltage import (
