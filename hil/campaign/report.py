@@ -1,9 +1,9 @@
 """A campaign as one self-contained HTML file."""
 
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from html import escape
-from itertools import chain, combinations, repeat
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +14,16 @@ from matplotlib.figure import Figure as Picture
 from servobench.hil.campaign.campaign import Campaign
 from servobench.hil.campaign.figures import PEAK, CellMap, cell_maps, failure_line, figures_of, worst_runs
 from servobench.hil.campaign.plan import GridAxis
+from servobench.hil.reviewing.html_page import html_page, html_table
 
 CELLS_NAMED_MAX = 200
 """Beyond this the numbers do not fit the cells of a heat map."""
-_STYLE = """body{font:15px/1.5 sans-serif;max-width:72em;margin:2em auto;padding:0 1em;color:#222}
-table{border-collapse:collapse;margin:.5em 0 1.5em}th,td{padding:.15em .8em;text-align:left;border-bottom:1px
-solid #ddd}td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}h2{margin-top:2em}.b{font-size:1.3em}
-svg{max-width:100%;height:auto}code{background:#f3f3f3;padding:0 .2em}"""
 
 
 def write_report(done: Campaign, place: Path) -> None:
     """Write it. Error: OSError."""
     figures = figures_of(done)
-    place.write_text(
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{escape(figures['name'])}</title>"
-        f"<style>{_STYLE}</style><body>{''.join(_parts(done, figures))}</body></html>\n",
-        encoding="utf-8",
-    )
+    place.write_text(html_page(figures["name"], _parts(done, figures)), encoding="utf-8")
 
 
 def _parts(done: Campaign, figures: dict[str, Any]) -> Iterator[str]:
@@ -55,7 +48,7 @@ def _parts(done: Campaign, figures: dict[str, Any]) -> Iterator[str]:
         maps = cell_maps(done, rows, across)
         named.update(run for cells in maps for run in cells.runs.ravel().tolist())
         yield f"<h2>{escape(rows.title)} over {escape(across.title)}</h2>{heat_maps(maps, rows, across)}"
-    yield "<h2>Points</h2>" + _table(
+    yield "<h2>Points</h2>" + html_table(
         ("point", "runs", "passed", "rate", "low", "high", "peak error, 95 % of runs", "low", "high"),
         map(_point, figures["points"]),
     )
@@ -63,7 +56,7 @@ def _parts(done: Campaign, figures: dict[str, Any]) -> Iterator[str]:
         yield _certificate(figures["certificate"])
     if figures["pairs"]:
         yield _pairs(figures["pairs"])
-    yield "<h2>Figures of all runs</h2>" + _table(
+    yield "<h2>Figures of all runs</h2>" + html_table(
         ("figure", "unit", "runs", "median", "95 %", "largest"), _quantiles(figures)
     )
     if figures["sensitivity"]:
@@ -72,8 +65,8 @@ def _parts(done: Campaign, figures: dict[str, Any]) -> Iterator[str]:
 
 
 def _certificate(tally: dict[str, Any]) -> str:
-    runs = _table(("the certificate", "runs"), tally["runs"].items())
-    left = _table(("premise that was left or is not known", "runs"), tally["premises"].items())
+    runs = html_table(("the certificate", "runs"), tally["runs"].items())
+    left = html_table(("premise that was left or is not known", "runs"), tally["premises"].items())
     nearest = (
         ""
         if tally["nearest_run"] is None
@@ -94,7 +87,7 @@ def _pairs(pairs: list[dict[str, Any]]) -> str:
             each[key] for key in ("first", "second", "pairs", "passed_first_alone", "passed_second_alone")
         ]
         rows.append((*shown, f"{each['p_value']:.3g}", shift))
-    return "<h2>Pairs on the same draws and seeds</h2>" + _table(titles, rows)
+    return "<h2>Pairs on the same draws and seeds</h2>" + html_table(titles, rows)
 
 
 def _point(each: dict[str, Any]) -> tuple[Any, ...]:
@@ -117,7 +110,7 @@ def _sensitivity(figures: dict[str, Any]) -> str:
             (_percent(one["share_of_variance"]), _number(one["rank_correlation"])) for one in each.values()
         )
         rows.append((key, *of_passing, *of_peak))
-    return "<h2>What matters</h2>" + _table(titles, rows)
+    return "<h2>What matters</h2>" + html_table(titles, rows)
 
 
 def _worst(done: Campaign, worst: list[dict[str, Any]]) -> str:
@@ -128,7 +121,7 @@ def _worst(done: Campaign, worst: list[dict[str, Any]]) -> str:
         rows.append((each["run"], keys, each["seed"], each["outcome"], _number(each[PEAK]), command))
     titles = ("run", "keys", "seed", "outcome", "peak, %", "again")
     told = "<p>Those that did not pass first, then by their peak error; every run that a map names.</p>"
-    return f"<h2>Worst runs</h2>{told}" + _table(titles, rows, [f"run{each['run']}" for each in worst])
+    return f"<h2>Worst runs</h2>{told}" + html_table(titles, rows, [f"run{each['run']}" for each in worst])
 
 
 def heat_maps(maps: Sequence[CellMap], rows: GridAxis, across: GridAxis) -> str:
@@ -161,21 +154,6 @@ def _heat_map(axes: Axes, cells: CellMap, rows: GridAxis, across: GridAxis) -> N
             run = cells.runs[row, column]
             url = f"#run{run}" if run >= 0 else None
             axes.text(column, row, lines, ha="center", va="center", color=ink, fontsize="small", url=url)
-
-
-def _table(titles: Iterable[str], rows: Iterable[Iterable[Any]], ids: Iterable[str] = ()) -> str:
-    """``ids``: of the rows, for links to them."""
-    head = "".join(f"<th>{escape(title)}</th>" for title in titles)
-    marks = chain((f" id='{each}'" for each in ids), repeat(""))
-    body = "".join(
-        f"<tr{mark}>{''.join(map(_cell, row))}</tr>" for row, mark in zip(rows, marks, strict=False)
-    )
-    return f"<table><tr>{head}</tr>{body}</table>"
-
-
-def _cell(value: Any) -> str:
-    kind = " class='n'" if isinstance(value, int | float) else ""
-    return f"<td{kind}>{escape(str(value))}</td>"
 
 
 def _percent(value: float | None) -> str:

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.errors import BenchError
@@ -23,17 +23,12 @@ from servobench.hil.commissioning.findings import (
 )
 from servobench.hil.commissioning.request import CommissionRequest
 from servobench.hil.commissioning.torque_scale import TorqueScale, is_proportional, torque_scale
+from servobench.hil.reviewing.html_page import html_page, html_pairs, html_table
 from servobench.hil.rows.run_files import COMMISSIONING_FIGURES
 from servobench.hil.verdict.verdict import ExitStatus
 
 REPORT_FILE = "report.md"
 HTML_FILE = "report.html"
-_STYLE: Final = """
-body{font:15px/1.45 sans-serif;color:#1c2733;max-width:60em;margin:2em auto;padding:0 1em}
-table{border-collapse:collapse;margin:.6em 0}th,td{border:1px solid #ccd3da;padding:.2em .6em;text-align:left}
-th{background:#f2f4f7}img{max-width:100%}.failed{color:#b3261e;font-weight:bold}h2{margin-top:1.6em}
-@media print{h2{break-after:avoid}img{break-inside:avoid}}
-"""
 
 
 @dataclass(slots=True)
@@ -308,20 +303,16 @@ def _html(figures: Mapping[str, Any], folder: Path) -> str:
     """Return one HTML file, with the pictures, read from ``folder``, embedded."""
     fair = "" if figures["exit_status"] == ExitStatus.PASSED else " class='failed'"
     verdict = f"<p{fair}><strong>{_text(figures['verdict'])}</strong></p>"
-    body = [f"<h1>{_text(_title(figures))}</h1>", verdict, _pairs(figures["header"])]
+    body = [f"<h1>{_text(_title(figures))}</h1>", verdict, html_pairs(figures["header"])]
     if figures["error"]:
         body.append(f"<p class='failed'>Ended early: {_text(figures['error'])}</p>")
-    body += ["<h2>Result</h2>", _table(["step", "result", ""], _results(figures))]
+    body += ["<h2>Result</h2>", html_table(["step", "result", ""], _results(figures))]
     body += ["<h2>Faults in the drive's settings</h2>", _list(_faults(figures))]
     body += ["<h2>How the drive was left</h2>", _list(figures["left"]["text"])]
     body += _written(figures)
     for number, step in enumerate(figures["steps"], start=1):
         body += _html_step(number, step, folder)
-    return (
-        "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
-        f"<title>{_text(_title(figures))}</title>"
-        f"<style>{_STYLE}</style></head><body>{''.join(body)}</body></html>\n"
-    )
+    return html_page(_title(figures), body)
 
 
 def _written(figures: Mapping[str, Any]) -> list[str]:
@@ -331,7 +322,7 @@ def _written(figures: Mapping[str, Any]) -> list[str]:
     if not rows:
         return ["<h2>Written to the drive</h2>", "<p>Nothing.</p>"]
     undo = f"<p>To undo: <code>{_text(figures['undo'])}</code></p>"
-    return ["<h2>Written to the drive</h2>", _table(["object", "name", "before", "set"], rows), undo]
+    return ["<h2>Written to the drive</h2>", html_table(["object", "name", "before", "set"], rows), undo]
 
 
 def _html_step(number: int, step: Mapping[str, Any], folder: Path) -> list[str]:
@@ -354,7 +345,7 @@ def _html_step(number: int, step: Mapping[str, Any], folder: Path) -> list[str]:
             for each in step["quantities"]
         ]
         lines.append(
-            _table(["quantity", "value", "of the fit, k = 2", "of the torque scale, k = 2", "unit"], rows)
+            html_table(["quantity", "value", "of the fit, k = 2", "of the torque scale, k = 2", "unit"], rows)
         )
         if _rests_on(step):
             lines.append(f"<p>{_text(_rests_on(step))}.</p>")
@@ -363,20 +354,6 @@ def _html_step(number: int, step: Mapping[str, Any], folder: Path) -> list[str]:
         data = base64.b64encode((folder / picture).read_bytes()).decode("ascii")
         lines.append(f"<p><img alt='{_text(step['title'])}' src='data:image/png;base64,{data}'></p>")
     return lines
-
-
-def _pairs(values: Mapping[str, Any]) -> str:
-    return _table([], [[name, value] for name, value in values.items() if value not in (None, "", {})])
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    titles = "".join(f"<th>{_text(name)}</th>" for name in head)
-    lines = "".join("<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table>{f'<tr>{titles}</tr>' if titles else ''}{lines}</table>"
-
-
-def _cell(value: Any) -> str:
-    return _pairs(value) if isinstance(value, Mapping) else _text(value)
 
 
 def _list(lines: Sequence[str]) -> str:

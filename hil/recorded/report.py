@@ -12,6 +12,7 @@ from servobench.drivers.printable import printable
 from servobench.drivers.timebase import NS_PER_S
 from servobench.drivers.written_file import write_file
 from servobench.hil.recorded.judgement import Judged
+from servobench.hil.reviewing.html_page import html_page, html_table
 from servobench.hil.rows.event_lines import read_events
 from servobench.hil.rows.run_files import EVENTS_FILE
 from servobench.hil.verdict.figures import Percentiles
@@ -22,14 +23,7 @@ from servobench.hil.verdict.verdict import LimitResult, VerdictKind, verdict_tit
 SUFFIXES: Final = (".html", ".md")
 _EVENTS_MAX: Final = 200
 """A report is read; events.jsonl has all of them."""
-_STYLE: Final = """
-:root { color-scheme: light dark }
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
-table { border-collapse: collapse; margin: 1rem 0 } td, th { padding: .2rem .8rem .2rem 0; text-align: left }
-tr { border-bottom: 1px solid #8884 } .kept { color: #2e7d32 } .broken { color: #c8442c; font-weight: bold }
-.verdict { padding: .4rem .8rem; color: #fff; background: #b3202a } .passed { background: #1e6b35 }
-figure { margin: 1rem 0; background: #fff } svg { max-width: 100%; height: auto } code { font-size: 90% }
-"""
+_CLASSES: Final = {LimitResult.KEPT.value: "kept", LimitResult.BROKEN.value: "broken"}
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 """Title, heads, rows."""
 
@@ -114,28 +108,18 @@ def _pictures(judged: Judged) -> Iterator[tuple[str, str]]:
 
 
 def _html(judged: Judged) -> str:
-    verdict = judged.summary.verdict
+    verdict, name = judged.summary.verdict, judged.run.config.bench.name
     fair = verdict.outcome in (VerdictKind.PASSED, VerdictKind.NOTHING_ASKED)
-    parts = [f"<h1>{html.escape(judged.run.config.bench.name)}</h1>"]
-    parts.append(f'<p class="verdict{" passed" if fair else ""}">{html.escape(verdict_title(verdict))}</p>')
+    parts = [f"<h1>{html.escape(name)}</h1>"]
+    parts.append(f"<p class='verdict{' passed' if fair else ''}'>{html.escape(verdict_title(verdict))}</p>")
     for title, heads, rows in _tables(judged):
         if rows:
-            parts.append(f"<h2>{title}</h2><table>" + _html_row("th", heads))
-            parts += [_html_row("td", row) for row in rows]
-            parts.append("</table>")
+            parts.append(f"<h2>{title}</h2>" + html_table(heads, rows, classes=_CLASSES))
         if title == "Requirements":
             parts += [
                 f"<figure>{svg}<figcaption>{words}</figcaption></figure>" for words, svg in _pictures(judged)
             ]
-    name = html.escape(judged.run.config.bench.name)
-    head = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name}</title>'
-    return f"{head}<style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
-
-
-def _html_row(tag: str, cells: Sequence[str]) -> str:
-    classes = {LimitResult.KEPT.value: " class=kept", LimitResult.BROKEN.value: " class=broken"}
-    row = "".join(f"<{tag}{classes.get(cell, '')}>{html.escape(cell)}</{tag}>" for cell in cells)
-    return f"<tr>{row}</tr>"
+    return html_page(name, parts)
 
 
 def _markdown(judged: Judged) -> str:

@@ -90,7 +90,7 @@ def sections(done: Campaign, place: Path) -> dict[str, str]:
     report.write_report(done, place)
     text = place.read_text(encoding="utf-8")
     assert text.startswith(
-        "<!doctype html><html lang='en'><meta charset='utf-8'><title>a&amp;b</title><style>"
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'><title>a&amp;b</title><style>"
     )
     assert text.endswith("</body></html>\n")
     parts = re.split(r"<h2>(.*?)</h2>", text.split("<body>")[1].removesuffix("</body></html>\n"))

@@ -299,10 +299,10 @@ def test_the_figures_of_a_report_are_those_of_the_summary(tmp_path: Path) -> Non
 def test_a_page_says_at_once_what_it_came_to(tmp_path: Path, found: Summary, style: str) -> None:
     text = report(tmp_path / "r.html", judged(found))
     assert text.startswith(
-        '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>ling2012</title>'
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'><title>ling2012</title>"
     )
     assert text.endswith("</body></html>\n")
-    assert text.split("<body><h1>ling2012</h1>")[1].startswith(f'<p class="{style}">')
+    assert text.split("<body><h1>ling2012</h1>")[1].startswith(f"<p class='{style}'>")
     figure = "<figure><svg>x</svg><figcaption>{}</figcaption></figure>".format
     pictures = figure("Speed, error, torque and delay; dashed: limits") + figure("Delays of the readings")
     assert text.count(pictures) == 1
@@ -313,7 +313,7 @@ def test_a_page_says_at_once_what_it_came_to(tmp_path: Path, found: Summary, sty
 @pytest.mark.usefixtures("plain_pictures")
 def test_a_requirement_has_the_style_of_its_result(tmp_path: Path) -> None:
     text = report(tmp_path / "r.html", judged(summary(passed=False)))
-    row = "<tr><td>{}</td><td>{}</td><td>{}</td><td class={}>{}</td><td></td></tr>".format
+    row = "<tr><td>{}</td><td>{}</td><td>{}</td><td class='{}'>{}</td><td></td></tr>".format
     table = text.split("<h2>Requirements</h2><table>")[1].split("</table>")[0]
     assert table == (
         "<tr><th>requirement</th><th>value</th><th>at most</th><th></th><th>worst</th></tr>"

@@ -1,0 +1,57 @@
+"""HTML of reports: one self-contained page, one style sheet for all, and tables."""
+
+from collections.abc import Iterable, Mapping
+from html import escape
+from itertools import chain, repeat
+from typing import Any, Final
+
+_STYLE: Final = """
+:root{color-scheme:light dark}
+body{font:15px/1.5 system-ui,sans-serif;max-width:72em;margin:2em auto;padding:0 1em}
+h2{margin-top:1.8em}code{font-size:90%}.b{font-size:1.3em}
+table{border-collapse:collapse;margin:.6em 0 1.2em}th,td{padding:.2em .8em;text-align:left;vertical-align:top}
+th,td{border-bottom:1px solid #8884}th{background:#8882}.n{text-align:right;font-variant-numeric:tabular-nums}
+figure{margin:1em 0;background:#fff}svg,img{max-width:100%;height:auto}
+.verdict{padding:.4em .8em;color:#fff;background:#b3202a}.passed{background:#1e6b35}
+.kept{color:#2e7d32}.broken,.failed{color:#c8442c;font-weight:bold}
+@media print{h2{break-after:avoid}img,svg{break-inside:avoid}}
+"""
+
+
+def html_page(title: str, parts: Iterable[str]) -> str:
+    """Return the page; ``parts`` are HTML."""
+    head = f"<meta charset='utf-8'><title>{escape(title)}</title><style>{_STYLE}</style>"
+    return f"<!doctype html><html lang='en'><head>{head}</head><body>{''.join(parts)}</body></html>\n"
+
+
+def html_table(
+    heads: Iterable[str],
+    rows: Iterable[Iterable[Any]],
+    ids: Iterable[str] = (),
+    classes: Mapping[Any, str] | None = None,
+) -> str:
+    """Return a table; without ``heads`` it has no first row.
+
+    A mapping in a cell is a table of its own. ``ids``: of the rows, for links to them. ``classes``: of cells,
+    by what stands in them.
+    """
+    head = "".join(f"<th>{escape(each)}</th>" for each in heads)
+    marks = chain((f" id='{each}'" for each in ids), repeat(""))
+    body = "".join(
+        f"<tr{mark}>{''.join(_cell(value, classes or {}) for value in row)}</tr>"
+        for row, mark in zip(rows, marks, strict=False)
+    )
+    return f"<table>{f'<tr>{head}</tr>' if head else ''}{body}</table>"
+
+
+def html_pairs(values: Mapping[str, Any]) -> str:
+    """Return a table of names and values, without those that are empty."""
+    return html_table([], [pair for pair in values.items() if pair[1] not in (None, "", {})])
+
+
+def _cell(value: Any, classes: Mapping[Any, str]) -> str:
+    if isinstance(value, Mapping):
+        return f"<td>{html_pairs(value)}</td>"
+    kind = "n" if isinstance(value, int | float) else classes.get(value, "")
+    mark = f" class='{kind}'" if kind else ""
+    return f"<td{mark}>{escape(str(value))}</td>"
