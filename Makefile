@@ -215,6 +215,8 @@ pictures: $(TOOLS) compile
 exits: $(TOOLS) compile
 	@$(BIN)/python -m tests.exits --seconds $(SECONDS)
 	@$(BIN)/python -m tests.exits.misuse --runs 10000 --seconds $(SECONDS)
+	@for kind in pytest hub campaign; do \
+	  $(BIN)/python -m tests.exits.elsewhere $$kind --runs 10000 --seconds $(SECONDS) || exit; done
 	@STREAMS=0 ENVIRONMENTS=0 $(BIN)/pytest --quiet --numprocesses=2 --dist=load tests/exits/test_streams.py \
 	  tests/exits/test_environments.py
 

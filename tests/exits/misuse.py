@@ -229,9 +229,9 @@ def called_functions(folder: Path) -> list[str]:
         sys.setprofile(note)
         bench = folder / "bench.toml"
         case = Case(0, "pass", "output", "file", "file")
-        bench.write_text(_bench(case, folder / "tally").config.resolved_text(), encoding="utf-8")
+        bench.write_text(bench_of(case, folder / "tally").config.resolved_text(), encoding="utf-8")
         _become(case, bench, folder / "stdout", folder / "stderr")
-    _status(process)
+    status_of(process)
     return calls.read_text(encoding="utf-8").splitlines()
 
 
@@ -254,18 +254,19 @@ def run_case(case: Case, folder: Path) -> Ended:
     out, said = folder / "stdout", folder / "stderr"
     for left in (tally, out, said):
         left.unlink(missing_ok=True)
-    bench.write_text(_bench(case, tally).config.resolved_text(), encoding="utf-8")
+    bench.write_text(bench_of(case, tally).config.resolved_text(), encoding="utf-8")
     clock = MonotonicClock()
     began = clock.now()
     if not (process := os.fork()):
         _become(case, bench, out, said)
-    status = _status(process)
+    status = status_of(process)
     text, told = (path.read_text(errors="replace") if path.exists() else "" for path in (out, said))
     cycles = tally.stat().st_size if tally.exists() else 0
     return Ended(status, text, told, cycles, (clock.now() - began) / NS_PER_MS)
 
 
-def _bench(case: Case, tally: Path) -> servobench.Bench:
+def bench_of(case: Case, tally: Path) -> servobench.Bench:
+    """Return a bench whose controller does the way of the case, and counts its cycles in ``tally``."""
     hooks = f"{Path(__file__).with_name('misused_hooks.py')}:Hooks"
     parameters = {"where": case.hook, "way": case.way, "tally": str(tally)}
     return servobench.Bench.load(BENCH).changed(
@@ -282,7 +283,7 @@ def _bench(case: Case, tally: Path) -> servobench.Bench:
 
 def _become(case: Case, bench: Path, out: Path, said: Path) -> None:
     """``hil run`` with the streams of the case; leaves by SystemExit, as the command does."""
-    streams = ((1, case.stdout, _stream(case.stdout, out)), (2, case.stderr, _stream(case.stderr, said)))
+    streams = ((1, case.stdout, stream_to(case.stdout, out)), (2, case.stderr, stream_to(case.stderr, said)))
     for place, kind, stream in streams:
         os.dup2(stream, place)
         os.close(stream)
@@ -294,7 +295,7 @@ def _become(case: Case, bench: Path, out: Path, said: Path) -> None:
     cli.main()
 
 
-def _stream(kind: str, path: Path) -> int:
+def stream_to(kind: str, path: Path) -> int:
     if kind == "dead pipe":
         reading, writing = os.pipe()
         os.close(reading)
@@ -302,9 +303,10 @@ def _stream(kind: str, path: Path) -> int:
     return os.open(kind if kind.startswith("/") else path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
 
 
-def _status(process: int) -> int:
+def status_of(process: int, limit_s: float = LIMIT_S) -> int:
+    """Wait for it and return its exit status; -9 after ``limit_s``."""
     watched = os.pidfd_open(process)
-    if not select.select([watched], [], [], LIMIT_S)[0]:
+    if not select.select([watched], [], [], limit_s)[0]:
         os.kill(process, signal.SIGKILL)
     os.close(watched)
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
@@ -344,7 +346,7 @@ def main() -> int:
     asked = parser.parse_args()
     folder = Path(tempfile.mkdtemp())  # no context: a command that is forked in here leaves through it
     # imports and compiles all
-    servobench.run(_bench(Case(0, "pass", "output", "file", "file"), folder / "tally"))
+    servobench.run(bench_of(Case(0, "pass", "output", "file", "file"), folder / "tally"))
     called = called_functions(folder)
     gc.freeze()  # else the end of each command would look through all of it
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup has it ignored, and & of a script the other one

@@ -121,8 +121,10 @@ class Observing(Compensator):
 class Hooks(Controller):
     """Does ``way``, a Python statement, in the hook ``where`` of its 20th cycle."""
 
-    def __init__(self, _setup: Setup, where: str = "", way: str = "", tally: str = "") -> None:
-        self._where, self._way = where, way
+    def __init__(
+        self, _setup: Setup, where: str = "", way: str = "", tally: str = "", torque_nm: float = 0.0
+    ) -> None:
+        self._where, self._way, self._torque_nm = where, way, torque_nm
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
         self._tally = os.open(tally, flags) if tally else None  # which may be 0, where that was closed
         self._cycles = 0
@@ -147,7 +149,7 @@ class Hooks(Controller):
     def output(self, _context: Context) -> SetPoint:
         self._cycles += 1
         self.act("output")
-        return TorqueSetPoint(0.0)
+        return TorqueSetPoint(self._torque_nm)
 
     def update(self, _context: Context, _command: object) -> None:
         self.act("update")
@@ -157,6 +159,13 @@ class Hooks(Controller):
     def telemetry(self) -> Sequence[float]:
         self.act("telemetry")
         return ()
+
+
+def check(_seed: int, run: Callable[[], object]) -> list[str]:
+    """Do the way that the environment names in a campaign's check, before its run."""
+    exec(os.environ.get("HOOKS_IN_CHECK", "pass"), globals())
+    run()
+    return []
 
 
 if way := os.environ.get("HOOKS_AT_IMPORT"):

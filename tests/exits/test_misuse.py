@@ -48,6 +48,16 @@ def test_whatever_the_user_s_code_does_the_command_ends_as_documented() -> None:
 
 
 @pytest.mark.xdist_group("real time")
+@pytest.mark.parametrize("kind", ["pytest", "hub", "campaign"])
+def test_nor_elsewhere_does_it_make_a_run_pass(kind: str) -> None:
+    command = [sys.executable, "-m", "tests.exits.elsewhere", kind, "--runs", "4", "--seed", str(SEED)]
+    done = run_command(command, Path(__file__).parents[2])
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "4 runs, " in done.stdout
+    assert ", 0 wrong" in done.stdout
+
+
+@pytest.mark.xdist_group("real time")
 def test_a_command_that_is_gone_has_its_drive_stopped_and_its_recording_finished(tmp_path: Path) -> None:
     bus = hub_name("gone")
     bench = with_hooks(changed_bench(tmp_path), "output", "print('bye'); ctypes.CDLL(None)._exit(0)")
