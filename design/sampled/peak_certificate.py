@@ -1,18 +1,19 @@
 """The largest speed error after a load step, bounded for every admissible sequence.
 
 The load steps by 1 N m at rest, anywhere in a period. Under it there is one state at rest, xi_r, for every
-sequence, and quadratic functions |xi - xi_r|_i^2 fall by rho^2 in each period (multiple Lyapunov functions).
-The reachable states at node i are enclosed by
+sequence. A loop that never switches is simulated (:mod:`servobench.design.sampled.unswitched_peak`). Else
+quadratic functions |xi - xi_r|_i^2 fall by rho^2 in each period (multiple Lyapunov functions), fast ones, and
+wide ones that fall slowly but enclose less. The reachable states at node i are enclosed by
 
-    conv(S_i) + ball of radius r in |.|_i       or       those with |xi - xi_r|_i so small that what follows
-                                                         cannot exceed the largest error already reached
+    conv(S_i, ellipsoid of the wide function) + ball of radius r in the fast |.|_i
 
-S_i grows from the states at the first sample: each of its states is stepped through every corner of every
-edge, and the result is added unless it is within (1 - rho) r, less the bound between corners, of the hull:
-steps are affine, and a ball of r becomes one of rho r. When nothing more is added, the enclosure holds for
-ever; the largest error of S_i, plus that of a ball of r, is the bound. The states of S_i are really reached,
-so their largest error is found as well. r is made smaller until S_i grows too large; if even the first does,
-the quadratic functions alone remain.
+the ellipsoid so small that what follows from it cannot exceed the largest error already reached. S_i grows
+from the states at the first sample: each of its states is stepped through every corner of every edge, and the
+result is added unless it is within (1 - rho) r, less the bound between corners, of the hull: steps are
+affine, a ball of r becomes one of rho r, and the ellipsoids step into each other. When nothing more is
+added, the enclosure holds for ever; the largest error of S_i, plus that of a ball of r, is the bound. The
+states of S_i are really reached, so their largest error is found as well. r is made smaller until S_i grows
+too large; if even the first does, the quadratic functions alone remain.
 """
 
 import math
@@ -22,19 +23,21 @@ from functools import partial
 
 import numpy as np
 from scipy.linalg import cholesky
-from scipy.optimize import nnls
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.delay.lmi import LmiProblem, MatrixInequality
 from servobench.design.sampled.admissible_steps import node_count
+from servobench.design.sampled.growing_hull import GrowingHull
 from servobench.design.sampled.held_loop import HeldLoop
 from servobench.design.sampled.loss_patterns import Pattern
 from servobench.design.sampled.peak_steps import (
     LoadedSteps,
+    PeakBound,
     between_instants,
+    first_states,
+    inputs_of,
     instants_for,
     loaded_steps,
-    responses,
     rest_under_load,
     start_curvature,
 )
@@ -48,20 +51,23 @@ from servobench.design.sampled.sequence_inequalities import (
     node_unknowns,
 )
 from servobench.design.sampled.step_maps import corners_of
+from servobench.design.sampled.unswitched_peak import only_step, unswitched_peak
 
 _UNITS_AT = 1.2
 """Multiple of the largest gain at which the value functions give the units."""
 _DECAY_PARTS = (0.85, 0.5, 0.2)
 """Shares of the decay certified: the faster the functions fall, the larger steps may be left out of the
 hull."""
-_SHARES = (0.15, 0.04, 0.01)
+_SHARES = (0.08, 0.03, 0.01)
 """Shares of the largest error that a ball of r may add to it."""
 _STATES_MAX = 5000
 """States of all S_i together, for one share."""
-_HELD_MAX = 60_000_000
+_HELD_MAX = 20_000_000
 """Limit of hull points compared with candidates, for one share: some 30 s of processor time."""
-_NEAREST = 48
-"""States of S_i that are tried first as corners of the hull around a candidate."""
+_REFINED = 0.05
+"""Share of that limit up to which a smaller r is tried: it takes some twenty times as many."""
+_WIDE_PART = 0.1
+"""Share of the decay at which the functions enclose least: what they enclose need not be stepped."""
 _CORNERS_SHARE = 0.5
 """Share of the omission allowed that may lie between the corners of an edge."""
 _COARSER = (64.0, 16.0, 4.0, 1.0)
@@ -72,19 +78,12 @@ _START_PARTS = 16
 """Number of parts of the period in which the load may step."""
 
 
-@dataclass(frozen=True, slots=True)
-class PeakBound:
-    """The bound, and the largest error reached on the way, rad/s per N m."""
-
-    certified: float
-    reached: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Norm:
     """|xi|_i = |T_i xi|, falling by ``rho`` each period; |C xi| <= spread |xi|_i."""
 
     T: list[Array]
+    inverses: list[Array]
     rho: float
     spread: float
 
@@ -97,26 +96,30 @@ def certify_peak(
     ``patterns``, ``gain``: as for :func:`servobench.design.sampled.sequence_certificate.certify_decay`;
     ``decay_per_s``: decay certified there; ``found``: the largest error known, rad/s per N m.
     """
+    only = only_step(loop)
+    if only is not None:
+        return unswitched_peak(loop, only)
     L = coordinates(loop, patterns, _UNITS_AT * gain)
     for way in ways_of(loop, (False, True), node_count(loop.network)):
         for part in _DECAY_PARTS:
             norm = _norm(loop, L, way, part * decay_per_s)
             if norm is not None:
-                return _bound(loop, L, norm, peak_found, way)
+                wide = _norm(loop, L, way, _WIDE_PART * decay_per_s) or norm
+                return _bound(loop, L, norm, wide, peak_found, way)
     return None
 
 
-def _bound(loop: HeldLoop, L: Array, norm: _Norm, peak_found: float, way: bool) -> PeakBound:
+def _bound(loop: HeldLoop, L: Array, norm: _Norm, wide: _Norm, peak_found: float, way: bool) -> PeakBound:
     """Bound by finer and finer balls, until the sets grow too large."""
     best: PeakBound | None = None
     for share in _SHARES:
-        tube = _Tube(loop, L, norm, peak_found, share, way)
+        tube = _Tube(loop, L, norm, wide, peak_found, share, way)
         if best is None:
             best = PeakBound(tube.bound_without_hull(), peak_found)
         closed = tube.close()
         peak_found = tube.reached
         best = PeakBound(min(best.certified, tube.bound()) if closed else best.certified, peak_found)
-        if not closed:
+        if not closed or tube.compared > _REFINED * _HELD_MAX:
             break
     assert best is not None
     return best
@@ -129,7 +132,7 @@ def _norm(loop: HeldLoop, L: Array, way: bool, rate_per_s: float) -> _Norm | Non
     n, h = len(loop.model.A), loop.network.period_s
     inverse = np.linalg.inv(L)
     row = np.append(loop.model.C, np.zeros(loop.kept - n)) @ inverse
-    starts = [L @ (start - rest_under_load(loop)) for start in _starts(loop, 2)]
+    starts = [L @ (start - rest_under_load(loop)) for start in first_states(loop, 2)]
     growth = math.exp(2.0 * rate_per_s * h)
     answer = exchanged(system, partial(_problem, system, row, starts, growth=growth), growth)
     if answer is None:
@@ -140,7 +143,8 @@ def _norm(loop: HeldLoop, L: Array, way: bool, rate_per_s: float) -> _Norm | Non
         return None
     rho = math.sqrt(max(system.share_left(answer[0], place) for place in range(len(edges))))
     spread = max(float(np.linalg.norm(np.linalg.solve(root.T, row))) for root in roots)
-    return _Norm([root @ L for root in roots], rho, spread) if rho < 1.0 else None
+    T = [root @ L for root in roots]
+    return _Norm(T, [np.linalg.inv(each) for each in T], rho, spread) if rho < 1.0 else None
 
 
 def _problem(
@@ -163,14 +167,6 @@ def _problem(
     return LmiProblem("certificate of the peak", unknowns, inequalities, unknowns.last)
 
 
-def _starts(loop: HeldLoop, parts: int) -> Array:
-    """Return (parts + 1, kept): states at the first sample, the load having begun up to a period before."""
-    times = np.linspace(0.0, loop.network.period_s, parts + 1)
-    starts = np.zeros((parts + 1, loop.kept))
-    starts[:, : len(loop.model.A)] = responses(loop, times)[2]
-    return starts
-
-
 def _loaded(
     loop: HeldLoop, L: Array, edges: Sequence[Edge], target: float, instants: int
 ) -> list[LoadedSteps]:
@@ -185,29 +181,51 @@ def _loaded(
 class _Tube:
     """The sets S_i while they grow, for one r."""
 
-    def __init__(self, loop: HeldLoop, L: Array, norm: _Norm, found: float, share: float, way: bool) -> None:
+    def __init__(
+        self, loop: HeldLoop, L: Array, norm: _Norm, wide: _Norm, found: float, share: float, way: bool
+    ) -> None:
         self._loop = loop
         self._norm = norm
+        self._wide = wide
         self._rest = rest_under_load(loop)
         self._rest_error = abs(float(loop.model.C @ self._rest[: len(loop.model.C)]))
         self.reached = found
         self._r = share * found / norm.spread
-        self._starts = _starts(loop, _START_PARTS)
-        self._instants = instants_for(loop, self._starts, _INSTANTS_SHARE * share * found)
+        self._starts = first_states(loop, _START_PARTS)
         size = max(float(np.linalg.norm(L @ (start - self._rest))) for start in self._starts)
         turned = max(float(np.linalg.norm(T @ np.linalg.inv(L), 2)) for T in norm.T)
         target = _CORNERS_SHARE * (1.0 - norm.rho) * self._r / (size * turned)
         nodes, edges = edges_of(loop, L, way)
+        self._instants = self._instants_for(edges, _INSTANTS_SHARE * share * found)
         self._levels = [_loaded(loop, L, edges, factor * target, self._instants) for factor in _COARSER]
         self._edges = self._levels[-1]
-        self._spread = max(norm.spread, *(self._spread_of(edge) for edge in self._edges))
+        self._spread = self._spread_of(norm)
+        self._wide_spread = self._spread_of(wide)
         self._states = [np.zeros((0, loop.kept)) for _ in range(nodes)]
-        self._held = 0
+        self.compared = 0
+
+    def _instants_for(self, edges: Sequence[Edge], allowed: float) -> int:
+        """Return the number of instants between which the error of what the sets may hold departs by
+        ``allowed``."""
+        wide, n = self._wide, len(self._loop.model.A)
+        size = max(float(np.linalg.norm((self._starts - self._rest) @ T.T, axis=1).max()) for T in wide.T)
+        bends = []
+        for edge in edges:
+            inverse, rows = wide.inverses[edge.source], inputs_of(self._loop, edge.corners.family)
+            x = np.abs(self._rest[:n]) + size * np.linalg.norm(inverse[:n], axis=1)
+            held = np.abs(rows @ self._rest) + size * np.linalg.norm(rows @ inverse, axis=1)
+            bends.append(between_instants(self._loop, x, float(np.max(held)), 1))
+        return instants_for(max(bends), allowed)
+
+    @property
+    def _small(self) -> float:
+        """Size around rest, in the wide norm, from which no error exceeds what is reached."""
+        return max(0.0, (self.reached - self._rest_error) / self._wide_spread)
 
     def close(self) -> bool:
         """Grow the sets until nothing is left to add; False if they grow too large."""
         first = np.vstack([self._rest, self._starts])
-        if self._start_bend() > self._r:
+        if self._start_bend(self._norm) > self._r:
             return False
         new = [self._taken_in(node, first, np.zeros(len(first))) for node in range(len(self._states))]
         while any(len(states) for states in new):
@@ -222,32 +240,49 @@ class _Tube:
                 if np.any(allowed <= 0.0):
                     return False
                 new.append(self._taken_in(node, states, allowed))
-            if sum(map(len, self._states)) > _STATES_MAX or self._held > _HELD_MAX:
+            if sum(map(len, self._states)) > _STATES_MAX or self.compared > _HELD_MAX:
                 return False
         return True
 
     def bound(self) -> float:
         """Return the bound of the closed sets."""
-        small = (self.reached - self._rest_error) / self._spread
-        largest = self.reached
-        box = np.zeros(self._loop.kept)
+        added = self._spread * self._r
+        largest = self.reached + added
         for edge in self._edges:
+            inner, outer = (norm.inverses[edge.source] for norm in (self._norm, self._wide))
+            rest = self._between_instants(edge, self._rest[None, :], (self._r, inner), (self._small, outer))
             states = self._states[edge.source]
             errors = np.abs(states @ edge.rows.T + edge.errors).max(axis=1) + _between(edge, states)
-            largest = max(largest, float(np.max(errors)) + self._spread * self._r)
-            sizes = self._entries(edge.source)
-            box = np.maximum(box, np.abs(states).max(axis=0) + self._r * sizes)
-            box = np.maximum(box, np.abs(self._rest) + max(small, 0.0) * sizes)
-        return largest + between_instants(self._loop, box, self._instants)
+            bend = self._between_instants(edge, states, (self._r, inner))
+            largest = max(largest, self.reached + added + rest, float(np.max(errors)) + added + bend)
+        return largest
 
     def bound_without_hull(self) -> float:
         """Return the bound by the quadratic functions alone: a state so near to rest at first remains so."""
-        starts = self._starts - self._rest
-        size = max(float(np.linalg.norm(starts @ T.T, axis=1).max()) for T in self._norm.T)
-        size += self._start_bend()
-        entries = np.max([self._entries(node) for node in range(len(self._norm.T))], axis=0)
-        box = np.abs(self._rest) + size * entries
-        return self._rest_error + self._spread * size + between_instants(self._loop, box, self._instants)
+        bounds = []
+        for norm, spread in ((self._norm, self._spread), (self._wide, self._wide_spread)):
+            starts = self._starts - self._rest
+            size = max(float(np.linalg.norm(starts @ T.T, axis=1).max()) for T in norm.T)
+            size += self._start_bend(norm)
+            bends = [
+                self._between_instants(edge, self._rest[None, :], (size, norm.inverses[edge.source]))
+                for edge in self._edges
+            ]
+            bounds.append(self._rest_error + spread * size + max(bends))
+        return min(bounds)
+
+    def _between_instants(self, edge: LoadedSteps, states: Array, *near: tuple[float, Array]) -> float:
+        """Return how far the error may depart from its chords where a period begins near one of ``states``.
+
+        ``near``: sizes of what is added to it, and the inverses of T in which they are measured.
+        """
+        n = len(self._loop.model.A)
+        x = np.abs(states[:, :n]).max(axis=0)
+        held = np.abs(states @ edge.inputs.T).max(axis=0)
+        for size, inverse in near:
+            x = x + size * np.linalg.norm(inverse[:n], axis=1)
+            held = held + size * np.linalg.norm(edge.inputs @ inverse, axis=1)
+        return between_instants(self._loop, x, float(np.max(held)), self._instants)
 
     def _stepped(self, number: int, states: Array) -> tuple[Array, Array]:
         """Return the corners' images of ``states``, and how far from a hull each may lie and be left out.
@@ -276,19 +311,20 @@ class _Tube:
 
     def _taken_in(self, node: int, states: Array, allowed: Array) -> Array:
         """Return the ``states`` added to S_node: the ones farthest from rest first."""
-        T = self._norm.T[node]
-        distance = np.linalg.norm((states - self._rest) @ T.T, axis=1)
-        matter = self._rest_error + self._spread * (distance + self._r) > self.reached
+        T, wide = self._norm.T[node], self._wide.T[node]
+        distance = np.linalg.norm((states - self._rest) @ wide.T, axis=1)
+        matter = distance > self._small
         if not len(self._states[node]):
             matter[:] = True
         order = np.argsort(-distance, kind="stable")
         taken: list[Array] = []
-        hull = _Hull(self._states[node] @ T.T)
+        inverse = self._norm.inverses[node]
+        hull = GrowingHull((self._states[node] - self._rest) @ T.T, wide @ inverse, self._small)
         for place in order[matter[order]]:
-            self._held += hull.count
-            if self._held > _HELD_MAX:
+            self.compared += hull.count
+            if self.compared > _HELD_MAX:
                 break
-            turned = T @ states[place]
+            turned = T @ (states[place] - self._rest)
             if hull.is_near(turned, float(allowed[place])):
                 continue
             hull.add(turned)
@@ -297,62 +333,23 @@ class _Tube:
         self._states[node] = np.vstack([self._states[node], inside])
         return inside
 
-    def _spread_of(self, edge: LoadedSteps) -> float:
-        """Return how much a state of size 1 may add to the error at any instant of the period."""
-        inverse = np.linalg.inv(self._norm.T[edge.source])
-        sizes = np.linalg.norm(edge.differences @ inverse, axis=1)
-        return float(np.linalg.norm(edge.rows @ inverse, axis=1).max() + edge.output_bends @ sizes)
+    def _spread_of(self, norm: _Norm) -> float:
+        """Return how much a state of size 1 may add to the error at any of the instants."""
+        spread = norm.spread
+        for edge in self._edges:
+            inverse = norm.inverses[edge.source]
+            sizes = np.linalg.norm(edge.differences @ inverse, axis=1)
+            largest = np.linalg.norm(edge.rows @ inverse, axis=1).max() + edge.output_bends @ sizes
+            spread = max(spread, float(largest))
+        return spread
 
-    def _entries(self, node: int) -> Array:
-        """Return the largest entries of a state of size 1."""
-        return np.asarray(np.linalg.norm(np.linalg.inv(self._norm.T[node]), axis=1))
-
-    def _start_bend(self) -> float:
+    def _start_bend(self, norm: _Norm) -> float:
         """Return how far the first states depart from the chords between the evaluated ones."""
         width = self._loop.network.period_s / _START_PARTS
         bend = width**2 / 8.0 * start_curvature(self._loop)
-        return max(float(np.linalg.norm(T, axis=0)[: len(bend)] @ bend) for T in self._norm.T)
+        return max(float(np.linalg.norm(T, axis=0)[: len(bend)] @ bend) for T in norm.T)
 
 
 def _between(edge: LoadedSteps, states: Array) -> Array:
     """Return how much the instants between the corners may add to the error of each state."""
     return np.asarray(np.abs(states @ edge.differences.T) @ edge.output_bends)
-
-
-class _Hull:
-    """Points whose convex hull grows; ``count``: their number."""
-
-    def __init__(self, points: Array) -> None:
-        self._points = points.copy()
-        self.count = len(points)
-
-    def add(self, point: Array) -> None:
-        """Add a point."""
-        if self.count == len(self._points):
-            room = np.zeros((max(64, self.count), len(point)))
-            self._points = np.vstack([self._points, room])
-        self._points[self.count] = point
-        self.count += 1
-
-    def is_near(self, point: Array, distance: float) -> bool:
-        """Return True if some point of the hull is found within ``distance`` of ``point``."""
-        points = self._points[: self.count]
-        apart = points - point
-        far = np.linalg.norm(apart, axis=1)
-        if not len(points) or np.min(far) <= distance:
-            return bool(len(points))
-        if len(points) > _NEAREST:
-            nearest = np.argpartition(far, _NEAREST)[:_NEAREST]
-            towards = np.argpartition(apart @ (points.mean(axis=0) - point), _NEAREST)[:_NEAREST]
-            if _apart(apart[np.union1d(nearest, towards)]) <= distance:
-                return True
-        return _apart(apart) <= distance
-
-
-def _apart(points: Array) -> float:
-    """Return the distance from 0 of a nearly nearest point of their hull: never less than the hull's."""
-    weight = float(np.linalg.norm(points, axis=1).max())
-    whole = np.vstack([points.T, np.full(len(points), weight)])
-    shares, _ = nnls(whole, np.append(np.zeros(points.shape[1]), weight))
-    total = float(shares.sum())
-    return float(np.linalg.norm(shares @ points)) / total if total > 0.0 else math.inf

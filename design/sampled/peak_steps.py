@@ -17,10 +17,19 @@ from scipy.linalg import expm
 
 from servobench.design.delay.delay_loop import Array
 from servobench.design.errors import NoSolution
+from servobench.design.sampled.admissible_steps import Family
 from servobench.design.sampled.held_loop import HeldLoop
 from servobench.design.sampled.step_maps import Corners
 
 _INSTANTS_MIN, _INSTANTS_MAX = 8, 400
+
+
+@dataclass(frozen=True, slots=True)
+class PeakBound:
+    """The bound, and the largest error reached on the way, rad/s per N m."""
+
+    certified: float
+    reached: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +52,8 @@ class LoadedSteps:
     """(windows, n): R_s, the largest of all cells."""
     output_bends: Array
     """(windows,): Z_s."""
+    inputs: Array
+    """(I, kept): the inputs that may act within the period."""
 
 
 def rest_under_load(loop: HeldLoop) -> Array:
@@ -50,6 +61,14 @@ def rest_under_load(loop: HeldLoop) -> Array:
     model = loop.model
     x = np.linalg.solve(model.A + np.outer(model.B1, loop.K), -model.B2)
     return np.concatenate([x, np.full(loop.kept - len(x), float(loop.K @ x))])
+
+
+def first_states(loop: HeldLoop, parts: int) -> Array:
+    """Return (parts + 1, kept): states at the first sample, the load having begun up to a period before."""
+    times = np.linspace(0.0, loop.network.period_s, parts + 1)
+    states = np.zeros((parts + 1, loop.kept))
+    states[:, : len(loop.model.A)] = responses(loop, times)[2]
+    return states
 
 
 def responses(loop: HeldLoop, times_s: Array) -> tuple[Array, Array, Array]:
@@ -85,7 +104,17 @@ def loaded_steps(loop: HeldLoop, source: int, target: int, corners: Corners, ins
     bends = corners.bends.max(axis=0) if windows else np.zeros((0, n))
     outputs = np.array([_output_bend(loop, corners.times_s[:, s]) for s in range(windows)])
     errors = np.tile(Psi @ C, len(M))
-    return LoadedSteps(source, target, M, m, rows.reshape(-1, k), errors, corners.differences, bends, outputs)
+    inputs = inputs_of(loop, family)
+    rows, differences = rows.reshape(-1, k), corners.differences
+    return LoadedSteps(source, target, M, m, rows, errors, differences, bends, outputs, inputs)
+
+
+def inputs_of(loop: HeldLoop, family: Family) -> Array:
+    """Return the inputs that may act within a period; the one held before it, unless replaced at once."""
+    replaced = bool(family.windows) and family.windows[0].last_s == 0.0
+    held = np.eye(loop.kept)[len(loop.model.A)]
+    after = loop.differences([window.back for window in family.windows]).cumsum(axis=0) + held
+    return after if replaced else np.vstack([held, after])
 
 
 def _output_bend(loop: HeldLoop, times_s: Array) -> float:
@@ -109,25 +138,26 @@ def _growth(loop: HeldLoop) -> Array:
     return np.asarray(expm(bound * loop.network.period_s))
 
 
-def instants_for(loop: HeldLoop, states: Array, allowed: float) -> int:
-    """Return the number of instants at which the error of ``states`` departs from its chords by at most
-    ``allowed``."""
-    bend = max(between_instants(loop, xi, 1) for xi in states)
+def instants_for(bend: float, allowed: float) -> int:
+    """Return the number of instants at which an error that ``bend`` from its chord over a whole period
+    departs from its chords by at most ``allowed``."""
     instants = math.ceil(math.sqrt(bend / allowed))
     return min(max(instants, _INSTANTS_MIN), _INSTANTS_MAX)
 
 
-def between_instants(loop: HeldLoop, xi: Array, instants: int) -> float:
-    """Return how far the error may depart from its chords between the instants of a period that begins at
-    xi."""
-    model, n, h = loop.model, len(loop.model.A), loop.network.period_s
+def between_instants(loop: HeldLoop, x: Array, held: float, instants: int, load: float = 1.0) -> float:
+    """Return how far the error may depart from its chords between the instants of a period.
+
+    ``x`` (n,), ``held``: bounds of the state at the period's begin, and of all inputs within it; ``load``: N
+    m.
+    """
+    model, h = loop.model, loop.network.period_s
     A, C = model.A, model.C
     if abs(C @ model.B1) > 0.0:
         raise NoSolution("certificate of the peak", "the input acts on the error at once")
-    held = max(float(np.max(np.abs(xi[n:]))), float(np.abs(loop.K) @ np.abs(xi[:n])))
-    size = _growth(loop) @ (np.abs(xi[:n]) + h * (np.abs(model.B1) * held + np.abs(model.B2)))
+    size = _growth(loop) @ (x + h * (np.abs(model.B1) * held + np.abs(model.B2) * load))
     # with e = C x the second derivative jumps with the input, the first does not
-    second = np.abs(C @ A @ A) @ size + abs(C @ A @ model.B1) * held + abs(C @ A @ model.B2)
+    second = np.abs(C @ A @ A) @ size + abs(C @ A @ model.B1) * held + abs(C @ A @ model.B2) * load
     return float((h / instants) ** 2 / 8.0 * second)
 
 
