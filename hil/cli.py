@@ -28,7 +28,13 @@ from servobench.hil.machine.parent_process import messages, tell_parent
 from servobench.hil.terminal import analyse_speed, design_speed
 from servobench.hil.terminal.adapter import adapter
 from servobench.hil.terminal.campaign import campaign
-from servobench.hil.terminal.commands import PanelGroup, add_commands, as_command, reported_errors
+from servobench.hil.terminal.commands import (
+    PanelGroup,
+    add_commands,
+    as_command,
+    leave_only,
+    reported_errors,
+)
 from servobench.hil.terminal.commission import commission, rehearse, restore
 from servobench.hil.terminal.compare import compare
 from servobench.hil.terminal.design_current import current
@@ -252,6 +258,7 @@ for group in (design, analyse, motor, reproduce):
 def main() -> None:
     """Entry point of the command ``hil``."""
     note, arguments = notice(use_fresh()), sys.argv[1:]
+    leave_only(app, arguments)
 
     def command() -> None:
         if note:

@@ -226,6 +226,11 @@ def servo_campaign(
     tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
 ) -> "CampaignRunner":
     """Run a sweep in simulated time: ``servo_campaign("sweep.toml").assert_pass_rate(at_least=0.99)``."""
-    from servobench.hil.testing.campaign_runs import CampaignRunner
+    try:
+        from servobench.hil.testing.campaign_runs import CampaignRunner
+    except ModuleNotFoundError as error:
+        from servobench.hil.machine.extras import missing_extra
+
+        raise missing_extra(error, "the fixture servo_campaign") or error from None
 
     return CampaignRunner(tmp_path_factory.mktemp("campaign"), Path(request.path).parent)

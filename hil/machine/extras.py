@@ -49,4 +49,4 @@ def missing_extra(error: BaseException, command: str = "this") -> MissingExtra |
     frames = traceback.extract_tb(error.__traceback__)
     if package not in EXTRAS or any(frame.filename in OWN_FILES for frame in frames):
         return None
-    return MissingExtra(package, command, "campaign" if "campaign" in command.split() else "")
+    return MissingExtra(package, command, "campaign" if "campaign" in command else "")

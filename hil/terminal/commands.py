@@ -6,7 +6,7 @@ parameter that is a dataclass: a command with many options passes them on as one
 
 import inspect
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from functools import wraps
@@ -15,6 +15,7 @@ from typing import Any, Final, NoReturn
 import typer
 from typer import Abort, BadParameter, Exit
 from typer.core import TyperGroup
+from typer.main import get_command_name
 
 from servobench.drivers.errors import BenchError
 from servobench.drivers.printable import printable
@@ -99,6 +100,27 @@ def add_commands(group: typer.Typer, *functions: Callable[..., None], panel: str
     for function in functions:
         words = function.__name__ if place in (None, "hil") else f"{place} {function.__name__}"
         group.command(rich_help_panel=panel)(as_command(function, f"hil {words}"))
+
+
+def leave_only(app: typer.Typer, words: Sequence[str]) -> None:
+    """Take every command out of ``app`` but the one that ``words`` begin with, if there is one.
+
+    Typer builds all options of all commands before it looks at the words: 3 ms a command.
+    """
+    named = words[0] if words else ""
+    commands = [each for each in app.registered_commands if _name_of(each) == named]
+    groups = [each for each in app.registered_groups if _name_of(each) == named]
+    if commands or groups:
+        app.registered_commands, app.registered_groups = commands, groups
+    for group in groups:
+        if group.typer_instance is not None:
+            leave_only(group.typer_instance, words[1:])
+
+
+def _name_of(each: Any) -> str:
+    """Return the name of a command or group that is registered."""
+    name = each.name or (each.typer_instance.info.name if hasattr(each, "typer_instance") else None)
+    return str(name or get_command_name(each.callback.__name__))
 
 
 def as_command(function: Callable[..., None], words: str = "this") -> Callable[..., None]:

@@ -112,6 +112,12 @@ def test_a_bench_runs_and_its_recording_lacks_the_page_alone(core: Path) -> None
 def test_the_fixtures_of_pytest_run_a_bench(core: Path) -> None:
     done = hil(core, "-q", "-p", "no:cacheprovider", module="pytest", within="mybench")
     assert done.returncode == 0, done.stdout
+    (core / "test_sweep.py").write_text(
+        "def test_it(servo_campaign): servo_campaign('sweep.toml')\n", "utf-8"
+    )
+    done = hil(core, "-q", "-p", "no:cacheprovider", "test_sweep.py", module="pytest")
+    assert "the fixture servo_campaign needs the extra campaign (scipy is not installed)" in done.stdout
+    assert "pip install 'servobench[campaign]'" in done.stdout
 
 
 @pytest.mark.long
