@@ -61,7 +61,6 @@ GROUPS = {
             "hil/loop", "drive_stamps followed_command lessons order_evidence order_memory order_question"
         ),
         *_below("hil/loop", "period_doubt readback_tie residuals stamp_attribution syncs usual_delays"),
-        *_below("hil/execution", "stream_watch"),
         *_below("hil/recording", "row_writer"),
         *_below("hil/rows", "records side_rows"),
     ],

@@ -14,13 +14,18 @@ static PyModuleDef definition = {
     .methods = functions,
 };
 
-static bool fill(PyObject *module)
+static bool add_type(PyObject *module, const char *name, PyType_Spec *spec)
 {
-    PyObject *type = PyType_FromSpec(&ring_spec);
-    bool well = type != NULL && PyModule_AddObjectRef(module, "Ring", type) == 0
-                && PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) == 0;
+    PyObject *type = PyType_FromSpec(spec);
+    bool well = type != NULL && PyModule_AddObjectRef(module, name, type) == 0;
     forget(&type);
     return well;
+}
+
+static bool fill(PyObject *module)
+{
+    return add_type(module, "Ring", &ring_spec) && add_type(module, "RegularStream", &regular_stream_spec)
+           && PyModule_AddStringConstant(module, "SOURCES_DIGEST", SOURCES_DIGEST) == 0;
 }
 
 PyMODINIT_FUNC PyInit_native(void)

@@ -3,6 +3,9 @@
 from collections.abc import Callable
 from typing import Self
 
+from servobench.drivers.timebase import Instant
+from servobench.hil.loop.syncs import SyncMark
+
 SOURCES_DIGEST: str
 """Digest of the C sources of the core (servobench.design.core.build)."""
 
@@ -36,3 +39,40 @@ class Ring:
 
     def close(self) -> None:
         """Give up the writer's hold; the reader keeps what is there."""
+
+class RegularStream:
+    """A regular stream of frames: their places are ``step`` apart, within ``tolerance``."""
+
+    def __new__(
+        cls, step: int, tolerance: int, least: int, period: int, repeats: bool, same: bool, /
+    ) -> Self:
+        """``least``: regular frames before an extra one. ``period``: of the SYNCs that are answered.
+        ``repeats``: frames are all alike. ``same``: the regular frame after an extra one must be as the one
+        before. Error: ValueError below 0."""
+    seen: int
+    """Place of the SYNC that the newest frame of ``compare`` answers."""
+    least: int
+    held: bool
+    """True if a missing frame may have been held back, and still come."""
+    doubled: bool
+    """Since this was last set back there was more than one frame where one was due."""
+
+    @property
+    def repetitions(self) -> int:
+        """Frames too many that may be repetitions of one before; in a network that repeats frames, all that
+        equal one of the last."""
+
+    def trust(self, place: int, /) -> None:
+        """Expect the frame at ``place`` next: nothing was ever lost."""
+
+    def take(self, place: int, delay: int, data: bytes, at: int, /) -> list[tuple[Instant, bytes]]:
+        """Take a frame, ``delay`` after what it answers; return the surplus ones before it."""
+
+    def compare(
+        self, frames: list[tuple[bytes, Instant]], marks: list[SyncMark], until: int, /
+    ) -> tuple[list[tuple[Instant, bytes]], int]:
+        """Take ``frames`` as answers to the SYNCs ``marks``, which are in order of their places; return the
+        surplus ones, and how many were taken. Those from ``until`` on wait for the next call, 128 at most."""
+
+    def end(self) -> list[tuple[Instant, bytes]]:
+        """End the stream: frames since the last regular one are surplus."""

@@ -4,7 +4,7 @@
 
 #include "stable_abi.h"
 
-extern PyType_Spec ring_spec;
+extern PyType_Spec ring_spec, regular_stream_spec;
 
 PyObject *call_frame_row(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 

@@ -18,7 +18,7 @@ from servobench.design.mechanism import CoggingHarmonic, Coupling, Friction, Mec
 from servobench.design.motor import PmsmParameters
 from servobench.design.statespace import StateSpace
 from servobench.drivers.timebase import NS_PER_MS, Instant
-from servobench.hil.core.native import Ring, frame_row
+from servobench.hil.core.native import RegularStream, Ring, frame_row
 from servobench.hil.recording.ring import RingReader, RingWriter
 from servobench.hil.rows.side_rows import FRAME
 from servobench.virtual_bus.bus.host_port import HostPort
@@ -50,6 +50,7 @@ from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, 
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.frame import Frame
 from tests.core_fuzz.fates import ODD, Refused, drawn_judge, odd_number
+from tests.core_fuzz.streams import streams
 from tests.motors import AZAIZ, LING
 
 AWRY: Final[tuple[object, ...]] = (
@@ -305,7 +306,18 @@ def misuse(draw: random.Random) -> None:
     descriptor = os.memfd_create("fuzz")
     ring = Ring(descriptor, FRAME.size, 4, bool)
     os.close(descriptor)
-    calls += [frame_row, Ring, BusLoad, HeldFrames, HostPlace, Port, Segment, SimulatedClock, Timeline]
+    calls += [
+        frame_row,
+        RegularStream,
+        Ring,
+        BusLoad,
+        HeldFrames,
+        HostPlace,
+        Port,
+        Segment,
+        SimulatedClock,
+        Timeline,
+    ]
     calls += [UniformNumbers, Strike, Hold, Queue, Route, EntryBlock, Fates]
     faults = (
         Strike("loss", (0, 9)),
@@ -315,20 +327,11 @@ def misuse(draw: random.Random) -> None:
         EntryBlock(),
         Fates(None, 0, 0),
     )
+    stream = RegularStream(1, 0, 64, NS_PER_MS, False, False)
+    own = (inner, timeline, segment, held, place, port, BusLoad(), SimulatedClock(timeline), ring, stream)
     calls += [
         getattr(each, name)
-        for each in (
-            inner,
-            timeline,
-            segment,
-            held,
-            place,
-            port,
-            BusLoad(),
-            SimulatedClock(timeline),
-            ring,
-            *faults,
-        )
+        for each in (*own, *faults)
         for name in dir(each)
         if callable(getattr(each, name)) and name[0] != "_"
     ]
@@ -360,4 +363,4 @@ def misuse(draw: random.Random) -> None:
             continue
 
 
-WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring)
+WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring, streams)
