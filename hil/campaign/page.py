@@ -12,13 +12,14 @@ import rerun.blueprint as rrb
 from servobench.hil.campaign.campaign import Campaign
 from servobench.hil.campaign.figures import PEAK, CellMap, cell_maps, figures_of
 from servobench.hil.campaign.plan import GridAxis
+from servobench.hil.recording.page_series import BLUE, RED
 from servobench.hil.recording.rerun_page import framed, plot, stream_into
 
 TIMELINE: Final = "run"
 """Runs by their number: a sequence, no time."""
 _APPLICATION: Final = "servobench campaign"
 _MEMBERS: Final = "/members"
-_GREEN, _RED = (112, 224, 128), (255, 74, 96)
+
 _INK: Final = (235, 235, 235)
 _MARGIN: Final = 0.5
 """Margin around the map, in cells."""
@@ -75,7 +76,7 @@ def _send_members(stream: rr.RecordingStream, done: Campaign) -> None:
     """Send each run's peak error over its number; one without a peak error is not drawn."""
     numbers, peak = done.column("run").astype(np.int64), done.column(PEAK).astype(float)
     passed = done.column("passed").astype(bool)
-    for name, kept, color in (("passed", passed, _GREEN), ("failed", ~passed, _RED)):
+    for name, kept, color in (("passed", passed, BLUE), ("failed", ~passed, RED)):
         chosen = kept & np.isfinite(peak)
         path = f"{_MEMBERS}/{name}"
         style = rr.SeriesPoints(names=name, colors=color, marker_sizes=3.0)

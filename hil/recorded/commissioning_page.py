@@ -58,8 +58,8 @@ _ZERO: Final = re.compile(r"0 ns is \((\d+)\.(\d{6})\)")
 _STEP, _DRIVE = "/state/1_step", "/state/2_drive"
 """Rerun lays lanes out by their paths."""
 _EVENTS, _FIGURES = "/events", "/figures"
-_GREEN, _RED, _GREY, _BLUE = 0x1E6B35FF, 0xB3202AFF, 0x50555CFF, 0x1F5FA8FF
-_STEP_COLORS: Final = {"done": _GREEN, "failed": _RED, "skipped": _GREY, "left out": _GREY, "not done": _GREY}
+_GOOD, _RED, _GREY, _BLUE = 0x1565C0FF, 0xB3202AFF, 0x50555CFF, 0x1F5FA8FF
+_STEP_COLORS: Final = {"done": _GOOD, "failed": _RED, "skipped": _GREY, "left out": _GREY, "not done": _GREY}
 """By verdict; a step whose verdict nobody has written down was under way."""
 
 

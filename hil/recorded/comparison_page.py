@@ -82,7 +82,7 @@ def _ranges(compared: Sequence[Against], axis: str) -> list[Range | None]:
         for name, signal, (_, drawn) in _signals(compared, each):
             if name == axis:
                 values.setdefault(signal, []).extend((float(drawn.min()), float(drawn.max())))
-    reach = max((each.signals.counted_error_rpm.get(axis, 0.0) for each in compared), default=0.0)
+    reach = max((each.signals.counted_error().get(axis, 0.0) for each in compared), default=0.0)
     limits = [limit for each in compared if (limit := each.signals.error_limits_rpm.get(axis)) is not None]
     error = around_zero(max(reach, *limits, 1e-9))
     return [error if path == "error/error" else about(values.get(path, ())) for path in _PLOTS]

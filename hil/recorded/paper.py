@@ -13,36 +13,55 @@ from servobench.drivers.errors import BadInput
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US
 from servobench.drivers.written_file import written
 from servobench.hil.recorded.recorded_run import RunSignals
+from servobench.hil.recording.row_series import READ_SERIES
+from servobench.hil.recording.whole_figures import in_view
 
 SUFFIXES: Final = (".svg", ".pdf", ".png")
 _COLORS: Final = ("#1f5fa8", "#2e7d32", "#c2571a", "#6a4fa0")
-_GREY, _RED, _GRID = "#7a7f87", "#c8442c", "#e3e6ea"
-_PLOTS: Final = (
+_GREY, _RED, _GRID, _SHADE = "#7a7f87", "#c8442c", "#e3e6ea", "#eceef1"
+_SPEED: Final = (
     ("speed", "Speed [r/min]", ("speed/reference", "speed/measured")),
     ("error", "Speed error [r/min]", ("error/error",)),
+)
+_POSITION: Final = (
+    ("position", "Position [rad]", ("position/reference", "position/measured")),
+    ("position_error", "Position error [rad]", ("position_error/error",)),
+)
+_BELOW: Final = (
     ("torque", "Torque [N m]", ("torque/load", "torque/measured")),
     ("delay", "Delay [us]", ("delay/delay",)),
 )
-_BESIDE: Final = ("speed/reference", "torque/load")
-"""Drawn in grey: what was asked for."""
+_RUG: Final = 0.035
+"""Height of the marks of dropouts, as a share of the plot's."""
+_RUG_WIDTH: Final = 0.6
+"""Least width of a mark, pt: a lost cycle is seen in an hour."""
 
 
-def paper_figure(run: RunSignals, begin_s: float | None = None, end_s: float | None = None) -> Figure:
-    """Four plots over one time axis, those of all axes in each; light, for print."""
+def paper_figure(run: RunSignals) -> Figure:
+    """Four plots over one time axis, those of all axes in each; light, for print.
+
+    What was read is interrupted where no reading came, and each dropout is marked. An error's limit is drawn
+    where it is judged; where an error is not counted the plot is shaded.
+    """
     figure = Figure(figsize=(7.2, 6.4), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(len(_PLOTS), 1, sharex=True, height_ratios=[2, 1.3, 1.5, 1.2])
-    for ax, (plot, title, paths) in zip(axes, _PLOTS, strict=True):
+    plots = (*(_POSITION if run.by_position else _SPEED), *_BELOW)
+    axes = figure.subplots(len(plots), 1, sharex=True, height_ratios=[2, 1.3, 1.5, 1.2])
+    for ax, (plot, title, paths) in zip(axes, plots, strict=True):
         for place, name in enumerate(run.axes):
             for path in paths:
                 _draw(ax, run, name, path, _COLORS[place % len(_COLORS)])
-        _limits(ax, run, plot)
+        if "error" in plot:
+            _draw_judged(ax, run, plot)
         ax.set_ylabel(title, fontsize="small")
         ax.grid(color=_GRID, linewidth=0.6)
         ax.spines[["top", "right"]].set_visible(False)
-    axes[0].legend(fontsize="x-small", loc="best", frameon=False)
+    _mark_dropouts(axes[0], run)
+    _draw_deadline(axes[-1], run)
+    for ax in axes:
+        ax.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     axes[-1].set_xlabel("time since the first cycle [s]", fontsize="small")
-    axes[-1].set_xlim(begin_s, end_s)
+    axes[-1].set_xlim(*run.window_s)
     figure.align_ylabels(axes)
     return figure
 
@@ -51,32 +70,72 @@ def _draw(ax: Any, run: RunSignals, name: str, path: str, color: str) -> None:
     envelope = run.signals.get(f"{name}/{path}")
     if envelope is None:
         return
-    times, values = envelope.points()
+    asked = path not in READ_SERIES
+    points = envelope.points()
+    times, values = points if asked else run.gaps[name].interrupt(points, run.last_cycle)
     word = path.partition("/")[2]
     of = f"{name}: " if len(run.axes) > 1 else ""
-    beside = path in _BESIDE
     ax.plot(
         times / NS_PER_S,
         values,
-        color=_GREY if beside else color,
-        linewidth=0.9 if beside else 0.8,
-        drawstyle="steps-post" if beside else "default",
-        label=None if beside and name != run.axes[0] else (word if beside else of + word),
+        color=_GREY if asked else color,
+        linewidth=0.9 if asked else 0.8,
+        drawstyle="steps-post" if asked else "default",
+        label=None if asked and name != run.axes[0] else (word if asked else of + word),
     )
 
 
-def _limits(ax: Any, run: RunSignals, plot: str) -> None:
-    if plot == "delay":
-        ax.axhline(run.deadline_ns / NS_PER_US, color=_RED, linewidth=0.8, linestyle="--")
-        ax.set_ylim(bottom=0)
-    if plot == "error":
-        limits = [limit for limit in run.error_limits_rpm.values() if limit is not None]
-        reach = max(limits, default=0.0)
-        counted = max(run.counted_error_rpm.values(), default=0.0)
-        for sign in (1.0, -1.0) if limits else ():
-            ax.axhline(sign * reach, color=_RED, linewidth=0.8, linestyle="--")
-        if most := max(reach, counted):
-            ax.set_ylim(-1.4 * most, 1.4 * most)
+def _mark_dropouts(ax: Any, run: RunSignals) -> None:
+    """Mark when no reading came, of which axis ever, at the foot of a plot."""
+    label = "dropout"
+    for name in run.axes:
+        begins, lasted = run.gaps[name].points(run.last_cycle + run.period_ns)
+        if begins.size:
+            spans = np.column_stack((begins, lasted)) / NS_PER_S
+            ax.broken_barh(
+                spans,
+                (0.0, _RUG),
+                transform=ax.get_xaxis_transform(),
+                color=_RED,
+                linewidth=_RUG_WIDTH,
+                label=label,
+            )
+            label = "_"
+
+
+def _draw_deadline(ax: Any, run: RunSignals) -> None:
+    ax.axhline(run.deadline_ns / NS_PER_US, color=_RED, linewidth=0.8, linestyle="--", label="deadline")
+    ax.set_ylim(bottom=0)
+
+
+def _draw_judged(ax: Any, run: RunSignals, plot: str) -> None:
+    """Draw the limits of an error where they hold, and shade where it is not counted."""
+    reach = largest = max(run.shown_error(plot).values(), default=0.0)
+    labels = {"limit": "limit" if len(run.axes) == 1 else "limits", "settling": "not counted"}
+    for place, name in enumerate(run.axes):
+        times, sizes = run.limit(name, plot)
+        if times.size and (run.window_s == (None, None) or in_view(float(np.nanmin(sizes)), largest)):
+            reach = max(reach, float(np.nanmax(sizes)))
+        for signed in (sizes, -sizes) if times.size else ():
+            ax.plot(
+                times / NS_PER_S,
+                signed,
+                color=_RED if len(run.axes) == 1 else _COLORS[place % len(_COLORS)],
+                linewidth=0.8,
+                linestyle="--",
+                label=labels.pop("limit", "_"),
+            )
+        if settling := run.settling(name, plot):
+            ax.broken_barh(
+                [(begin / NS_PER_S, (end - begin) / NS_PER_S) for begin, end in settling],
+                (0.0, 1.0),
+                transform=ax.get_xaxis_transform(),
+                color=_SHADE,
+                zorder=0,
+                label=labels.pop("settling", "_"),
+            )
+    if reach:
+        ax.set_ylim(-1.4 * reach, 1.4 * reach)
 
 
 def histogram_figure(run: RunSignals) -> Figure:

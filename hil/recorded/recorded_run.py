@@ -6,21 +6,27 @@ from pathlib import Path
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.rotation import RPM_PER_RAD_S
-from servobench.drivers.timebase import duration_s
+from servobench.drivers.timebase import NEVER, NS_PER_S, duration_s
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.execution.network_guard import Certificates
 from servobench.hil.execution.recorded_bench import review_plan
 from servobench.hil.loop.loop import planned_cycles
-from servobench.hil.recording.lanes import error_limit_rpm
-from servobench.hil.recording.row_series import main_lines_of
+from servobench.hil.recording.row_series import main_lines_of, position_lines_of
 from servobench.hil.recording.run_folder import read_summary
 from servobench.hil.recording.whole_figures import COUNTED_SHARE
-from servobench.hil.reviewing.envelope import Envelope
+from servobench.hil.reviewing.envelope import Envelope, Points
+from servobench.hil.reviewing.error_limits import (
+    limit_points,
+    position_stretches,
+    speed_limits,
+    speed_stretches,
+)
+from servobench.hil.reviewing.gaps import Gaps
 from servobench.hil.reviewing.histogram import TimeHistogram
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import ReviewPlan
-from servobench.hil.rows.records import DIGESTED_TO_FORMAT_2, Rows
+from servobench.hil.rows.records import DIGESTED_TO_FORMAT_2, FATE_SAMPLE, Rows
 from servobench.hil.rows.records_file import read_metadata, read_records
 from servobench.hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, RECORDS_FILE, SUMMARY_FILE
 from servobench.hil.rows.seal import NOT_CHECKED, seal_of
@@ -97,20 +103,38 @@ def open_run(folder: Path, *, unsealed: bool = False) -> RecordedRun:
 class RunSignals:
     """The rows of a run in bounded memory, as envelopes and as figures; :meth:`add` all of them."""
 
-    def __init__(self, run: RecordedRun) -> None:
+    def __init__(self, run: RecordedRun, begin_s: float | None = None, end_s: float | None = None) -> None:
+        """``begin_s``, ``end_s``: the run time of which signals are kept; the figures are those of all."""
         self.axes = run.axes
+        self.by_position = any(axis.quantity == "position" for axis in run.review.axes)
         self.deadline_ns = run.config.loop.deadline
+        self.period_ns = run.config.loop.period
         self.review = Review(run.review)
         self.signals: dict[str, Envelope] = {}
-        """By axis and series, as "axis1/speed/measured"; r/min, N m and us over ns of the run time."""
+        """By axis and series, as "axis1/speed/measured"; r/min, rad, N m and us over ns of the run time."""
+        self.gaps = {name: Gaps() for name in self.axes}
+        """In run time."""
+        self.last_cycle = 0
+        """ns of the run time."""
         self._limits = run.review.limits
+        self.window_s = begin_s, end_s
+        self._begin = -NEVER if begin_s is None else round(begin_s * NS_PER_S)
+        self._end = NEVER if end_s is None else round(end_s * NS_PER_S)
+        self._first_cycle = 0
 
     def add(self, rows: Rows, first_cycle: int = 0) -> None:
         """Take in rows; ``first_cycle``: what their instants count it as."""
         self.review.add(rows)
+        self._first_cycle = first_cycle
+        if rows.size:
+            self.last_cycle = max(self.last_cycle, int(rows["due_at"][-1]) - first_cycle)
         for number, name in enumerate(self.axes):
             mine = rows if len(self.axes) == 1 else rows[rows["axis"] == number]
-            for path, times, values in main_lines_of(mine, 1.0):
+            due_at = mine["due_at"] - first_cycle
+            mine = mine[(due_at >= self._begin) & (due_at <= self._end)]
+            self.gaps[name].add(mine["due_at"] - first_cycle, mine["fate"] != FATE_SAMPLE)
+            positions = position_lines_of(mine) if self.by_position else ()
+            for path, times, values in (*main_lines_of(mine, 1.0), *positions):
                 self.signals.setdefault(f"{name}/{path}", Envelope()).add(times - first_cycle, values)
 
     @property
@@ -120,20 +144,61 @@ class RunSignals:
 
     @property
     def error_limits_rpm(self) -> dict[str, float | None]:
-        """How large the speed error may be, by axis; None: nobody says."""
-        meters = zip(self.axes, self.review.errors, strict=True)
-        return {name: error_limit_rpm(meter, self._limits) for name, meter in meters}
+        """How large the speed error may be at most where one limit or the other holds, by axis; None: nobody
+        says."""
+        limits = {
+            name: [size for size in speed_limits(meter, self._limits).values() if size is not None]
+            for name, meter in zip(self.axes, self.review.errors, strict=True)
+        }
+        return {name: RPM_PER_RAD_S * max(sizes) if sizes else None for name, sizes in limits.items()}
 
-    @property
-    def counted_error_rpm(self) -> dict[str, float]:
-        """How large nearly all of the speed error is that counts, by axis."""
-        meters = zip(self.axes, self.review.errors, strict=True)
-        return {name: (meter.counted.largest(COUNTED_SHARE) or 0.0) * RPM_PER_RAD_S for name, meter in meters}
+    def settling(self, name: str, plot: str) -> list[tuple[int, int]]:
+        """Return the stretches of an axis in which the error of ``plot`` is not counted, ns of the run
+        time."""
+        number, origin = self.axes.index(name), self._first_cycle
+        windows = (self.review.errors if plot == "error" else self.review.positions)[number].settling
+        settling = [(begin - origin, min(end - origin, self.last_cycle)) for begin, end in windows]
+        return [(begin, end) for begin, end in settling if begin <= self._end and end >= self._begin]
+
+    def limit(self, name: str, plot: str) -> Points:
+        """Return a line that the error of ``plot`` is held against, where it is: ns of the run time, and
+        r/min or rad; empty: nobody says."""
+        number, origin = self.axes.index(name), self._first_cycle
+        begin, end = origin, origin + self.last_cycle
+        if plot == "error":
+            held = speed_stretches(self.review.errors[number], self._limits, begin, end)
+            times, sizes = limit_points(held, RPM_PER_RAD_S)
+        else:
+            held = position_stretches(self.review.positions[number], self._limits, begin, end)
+            times, sizes = limit_points(held)
+        return times - origin, sizes
+
+    def shown_error(self, plot: str) -> dict[str, float]:
+        """How far the plot of an error has to reach: as far as what counts of it, in a part of a run as
+        far as all of it there; r/min or rad, by axis."""
+        if self.window_s == (None, None):
+            return self.counted_error(plot)
+        shown = {name: self.signals.get(f"{name}/{plot}/error") for name in self.axes}
+        return {name: each.largest() or 0.0 for name, each in shown.items() if each is not None}
+
+    def counted_error(self, plot: str = "error") -> dict[str, float]:
+        """How large nearly all of the error of ``plot`` is that counts, r/min or rad, by axis."""
+        by_position = plot == "position_error"
+        counted = (
+            [meter.counted for meter in self.review.positions]
+            if by_position
+            else [meter.counted for meter in self.review.errors]
+        )
+        scale = 1.0 if by_position else RPM_PER_RAD_S
+        return {
+            name: scale * (each.largest(COUNTED_SHARE) or 0.0)
+            for name, each in zip(self.axes, counted, strict=True)
+        }
 
 
-def signals_of(run: RecordedRun) -> RunSignals:
-    """Read the rows once."""
-    signals = RunSignals(run)
+def signals_of(run: RecordedRun, begin_s: float | None = None, end_s: float | None = None) -> RunSignals:
+    """Read the rows once; ``begin_s``, ``end_s``: of which run time, None: all of it."""
+    signals = RunSignals(run, begin_s, end_s)
     for rows in run.rows():
         signals.add(rows)
     return signals

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from servobench.drivers.cia402.profile import State
-from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.hil.reviewing.envelope import CodeLane, Envelope
+from servobench.hil.reviewing.error_limits import speed_limits
 from servobench.hil.reviewing.review import Review
 from servobench.hil.reviewing.tracking_error import PositionErrorMeter, SpeedErrorMeter
 from servobench.hil.rows.injected_faults import INJECTED_TRACK, QUIET
@@ -23,7 +23,6 @@ from servobench.hil.rows.row_states import (
     LINK_OK,
     LabelChange,
 )
-from servobench.hil.verdict.limits import VerdictLimits
 from servobench.hil.verdict.verdict import VerdictKind
 
 STATE_ROOT: Final = "/state"
@@ -40,9 +39,11 @@ hour has 8 s, in which one cycle of a hundred would paint the lane from end to e
 _WIDTH_LEAST: Final = 400
 """A fault is drawn at least such a part of the run wide, to be seen."""
 
-_DARK, _DIM, _GREEN, _RED, _AMBER = 0x1B1E23FF, 0x3F4650FF, 0x1E6B35FF, 0xB3202AFF, 0xA67C1BFF
+_DARK, _DIM, _GOOD, _RED, _AMBER = 0x1B1E23FF, 0x3F4650FF, 0x1565C0FF, 0xB3202AFF, 0xD9A520FF
+"""Good, bad and doubtful differ by 40 and more (CIELAB) under deuteranopia and protanopia too; green and red
+would differ by 14."""
 _VERDICT_COLORS: Final = {
-    kind.value.capitalize(): _RED if kind.exit_status else _GREEN if kind is VerdictKind.PASSED else _DIM
+    kind.value.capitalize(): _RED if kind.exit_status else _GOOD if kind is VerdictKind.PASSED else _DIM
     for kind in VerdictKind
 }
 _DRIVE_COLORS: Final = {
@@ -50,7 +51,7 @@ _DRIVE_COLORS: Final = {
     State.SWITCH_ON_DISABLED: 0x50555CFF,
     State.READY: 0x8A6D1FFF,
     State.SWITCHED_ON: 0xB8860BFF,
-    State.OPERATION_ENABLED: 0x2E7D32FF,
+    State.OPERATION_ENABLED: _GOOD,
     State.QUICK_STOP: 0xC2571AFF,
     State.FAULT_REACTION: _RED,
     State.FAULT: 0x8B1520FF,
@@ -60,7 +61,7 @@ _PHASE_COLORS: Final = {
     "Configuring": 0x4A4F7AFF,
     "Enabling": 0x6A4FA0FF,
     "Calibrating": 0x1C6F7AFF,
-    "Running": 0x1F5FA8FF,
+    "Running": 0x2E7D6BFF,
     "Stopping": 0x5A5F66FF,
     "Stopped": _DIM,
 }
@@ -100,15 +101,15 @@ def lane_colors(track: str, axes: Sequence[str]) -> Mapping[str, int]:
         return {QUIET: _DARK, "Injected": _AMBER}
     return {
         _VERDICT: {QUIET: _DARK, **_VERDICT_COLORS},
-        _ERROR: {QUIET: _DARK, SETTLING: _DIM, NOT_JUDGED: _DIM, KEPT: _GREEN, BEYOND: _RED},
+        _ERROR: {QUIET: _DARK, SETTLING: _DIM, NOT_JUDGED: _DIM, KEPT: _GOOD, BEYOND: _RED},
         _DRIVE: {
             **{state.value.capitalize(): color for state, color in _DRIVE_COLORS.items()},
             "Unknown": _DARK,
         },
         _PHASE: _PHASE_COLORS,
-        _LINK: {LINK_OK: _GREEN, LINK_DEGRADED: _AMBER, LINK_DOWN: _RED},
+        _LINK: {LINK_OK: _GOOD, LINK_DEGRADED: _AMBER, LINK_DOWN: _RED},
         _DROPOUTS: {QUIET: _DARK, **_CAUSE_COLORS},
-        _HOST: {HOST_IN_TIME: _GREEN, HOST_MISSED: _RED},
+        _HOST: {HOST_IN_TIME: _GOOD, HOST_MISSED: _RED},
     }.get(place, {})
 
 
@@ -159,12 +160,6 @@ def _lane(windows: Iterable[tuple[int, int]], first: int) -> list[LabelChange]:
     return changes
 
 
-def error_limit_rpm(meter: SpeedErrorMeter, limits: VerdictLimits) -> float | None:
-    """How large the speed error that counts may be, r/min; None: nobody says."""
-    percent = limits.speed_error_peak_percent_max
-    return None if percent is None else percent / 100.0 * meter.reference_peak * RPM_PER_RAD_S
-
-
 def _breaches(limited: Iterable[tuple[Envelope, float | None]]) -> CodeLane:
     """Code values against their limits: 1 where a value is judged, 2 where it exceeds its limit, else 0."""
     points = [(*values.points(), limit) for values, limit in limited]
@@ -183,8 +178,7 @@ def error_lane(review: Review, plan: ReviewPlan, number: int, begin: int, end: i
     """
     speed = review.errors[number]
     meter: SpeedErrorMeter | PositionErrorMeter = speed
-    most_rpm, percent = error_limit_rpm(speed, plan.limits), plan.limits.after_load_percent_max
-    limit = None if most_rpm is None else most_rpm / RPM_PER_RAD_S
+    limit, percent = speed_limits(speed, plan.limits)[""], plan.limits.after_load_percent_max
     limited = [(speed.counted, limit), (speed.after_load, None if percent is None else percent / 100.0)]
     if plan.axes[number].quantity == "position":
         meter, limit = review.positions[number], plan.limits.position_error_peak_rad_max

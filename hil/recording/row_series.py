@@ -1,6 +1,7 @@
 """Series drawn from the rows of one axis: instants and values by the path of the series."""
 
 from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,11 +9,19 @@ from numpy.typing import NDArray
 from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US
 from servobench.hil.loop.samples import CommandFate
+from servobench.hil.reviewing.envelope import Points
 from servobench.hil.rows.records import COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
 
 _LOST = COMMAND_FATES.index(CommandFate.LOST)
 Drawn = tuple[str, NDArray[np.int64], NDArray[np.float64]]
 """Path below the axis, instants and values, (n,)."""
+READ_SERIES: Final = frozenset(
+    (
+        *("speed/measured", "error/error", "torque/measured", "delay/delay"),
+        *("position/measured", "position_error/error"),
+    )
+)
+"""Series of what was read from the drive: with a gap where no reading came."""
 
 
 def main_lines_of(rows: Rows, torque_scale: float) -> Iterator[Drawn]:
@@ -23,15 +32,21 @@ def main_lines_of(rows: Rows, torque_scale: float) -> Iterator[Drawn]:
     due_at, velocity, reference = rows["due_at"], rows["velocity_rad_s"], rows["reference_rad_s"]
     read = rows["fate"] == FATE_SAMPLE
     known, came = rows["estimate_valid_at"] != NOTHING, rows["delay_ns"] != NOTHING
-    read_at, speed = due_at[read], velocity[read]
     yield "speed/reference", due_at, reference * RPM_PER_RAD_S
     yield "speed/estimate", due_at[known], rows["estimate_velocity_rad_s"][known] * RPM_PER_RAD_S
-    yield "speed/measured", read_at, speed * RPM_PER_RAD_S
-    yield "error/error", read_at, (reference[read] - speed) * RPM_PER_RAD_S
+    yield "speed/measured", *_where(read, due_at, velocity * RPM_PER_RAD_S)
+    yield "error/error", *_where(read, due_at, (reference - velocity) * RPM_PER_RAD_S)
     yield "torque/command", due_at, torque_scale * rows["command_torque_nm"]
     yield "torque/load", due_at, torque_scale * rows["load_torque_nm"]
-    yield "torque/measured", read_at, torque_scale * rows["torque_nm"][read]
-    yield "delay/delay", due_at[came], rows["delay_ns"][came] / NS_PER_US
+    yield "torque/measured", *_where(read, due_at, torque_scale * rows["torque_nm"])
+    yield "delay/delay", *_where(came, due_at, rows["delay_ns"] / NS_PER_US)
+
+
+def _where(known: NDArray[np.bool_], due_at: NDArray[np.int64], values: NDArray[np.float64]) -> Points:
+    """What is known, and no number where it ceases to be: no line crosses a gap."""
+    ceases = ~known & np.append(True, known[:-1])
+    drawn = known | ceases
+    return due_at[drawn], np.where(known, values, np.nan)[drawn]
 
 
 def lines_of(
@@ -43,22 +58,21 @@ def lines_of(
     """
     yield from main_lines_of(rows, torque_scale)
     if positions:
-        yield from _positions(rows)
+        yield from position_lines_of(rows)
     yield from _commands(rows)
     if offset_origin_ns is not None:
         yield from _clock(rows, offset_origin_ns)
 
 
-def _positions(rows: Rows) -> Iterator[Drawn]:
+def position_lines_of(rows: Rows) -> Iterator[Drawn]:
     """Reference and position, rad, and the error of each reading at its own instant."""
     due_at, reference = rows["due_at"], rows["reference_position_rad"]
-    read = rows["fate"] == FATE_SAMPLE
-    read_at, position = due_at[read], rows["position_rad"][read]
-    passed_s = (rows["sampled_at"][read] - read_at) / NS_PER_S
+    read, position = rows["fate"] == FATE_SAMPLE, rows["position_rad"]
+    passed_s = np.where(read, rows["sampled_at"] - due_at, 0) / NS_PER_S
     yield "position/reference", due_at, reference
-    yield "position/measured", read_at, position
-    asked = reference[read] + rows["reference_rad_s"][read] * passed_s
-    yield "position_error/error", read_at, asked - position
+    yield "position/measured", *_where(read, due_at, position)
+    asked = reference + rows["reference_rad_s"] * passed_s
+    yield "position_error/error", *_where(read, due_at, asked - position)
 
 
 def marks_of(rows: Rows) -> Iterator[Drawn]:

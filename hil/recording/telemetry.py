@@ -5,7 +5,6 @@ the due instant of the cycle that asked for it, so that reference and measuremen
 """
 
 import json
-import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from operator import attrgetter
@@ -42,12 +41,13 @@ from servobench.hil.recording.page_series import (
     own_series,
     torque_scale,
 )
-from servobench.hil.recording.row_series import first_offset_ns, lines_of, marks_of
+from servobench.hil.recording.row_series import READ_SERIES, first_offset_ns, lines_of, marks_of
 from servobench.hil.recording.run_metadata import run_metadata
 from servobench.hil.recording.verdict_text import running_markdown, verdict_markdown
 from servobench.hil.recording.whole_figures import WholeFigures, in_view
 from servobench.hil.reviewing.envelope import BUCKETS, CodeLane, Envelope
-from servobench.hil.reviewing.histogram import TimeHistogram
+from servobench.hil.reviewing.gaps import Gaps
+from servobench.hil.reviewing.histogram import TimeHistogram, round_width
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.injected_faults import INJECTED_TRACK, QUIET
 from servobench.hil.rows.recording_plan import RecordingPlan
@@ -105,6 +105,7 @@ class Telemetry:
         self._drives = [DriveStates() for _ in self._axes]
         self._links = [LinkStates() for _ in self._axes]
         self._dropouts = [CodeLane() for _ in self._axes]
+        self._gaps = {name: Gaps() for name in self._axes}
         self._host = HostStates()
         self._missed = False
         self._faults = FaultWindows()
@@ -155,7 +156,7 @@ class Telemetry:
             p99, largest = delay.quantile_ns(0.99), delay.largest_ns
             if p99 is None or largest is None:
                 continue
-            width = _round_width(min(float(largest), 2.0 * p99) / _BARS_MAX)
+            width = round_width(min(float(largest), 2.0 * p99) / _BARS_MAX)
             count = min(_BARS_MAX, largest // width + 1)
             counts = delay.bars(width, count)
             bars = rr.BarChart(
@@ -239,7 +240,11 @@ class Telemetry:
         if self._live or self._rows <= 2 * BUCKETS:
             return False
         for path, envelope in self._envelopes.items():
-            self._send(OVERVIEW + path, *envelope.points())
+            _, axis, below = path.split("/", 2)
+            points = envelope.points()
+            if below in READ_SERIES:
+                points = self._gaps[axis].interrupt(points, self._last_cycle)
+            self._send(OVERVIEW + path, *points)
         return True
 
     def _show_end_lanes(self, summary: Summary, review: Review) -> None:
@@ -307,6 +312,7 @@ class Telemetry:
         self._show_changes(f"{name} drive", self._drives[number].changes(rows))
         self._show_changes(f"{name} link", self._links[number].changes(rows))
         self._dropouts[number].add(rows["due_at"], rows["fate"])
+        self._gaps[name].add(rows["due_at"], rows["fate"] != FATE_SAMPLE)
         if number == 0:
             # A cycle without SYNC is one of all axes.
             self._show_changes("host", self._host.changes(rows))
@@ -390,10 +396,3 @@ def _end_event(at: Instant, summary: Summary) -> TextEvent:
     text = f"run ended: {verdict.outcome}, {kept} of {len(verdict.limits)} limits kept"
     level = "ERROR" if verdict.exit_status else "INFO"
     return TextEvent(at, level, f"{text}; {verdict.reason}".rstrip("; "))
-
-
-def _round_width(width_ns: float) -> int:
-    """The next of 1, 2, 5 times a power of ten us that is not smaller."""
-    power = 10.0 ** math.floor(math.log10(max(width_ns / NS_PER_US, 1.0)))
-    factor = next(factor for factor in (1, 2, 5, 10) if factor * power * NS_PER_US >= width_ns)
-    return int(factor * power) * NS_PER_US

@@ -1,16 +1,22 @@
 """By what the pages of a run that has ended are scaled, and what its signals are held against."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.drivers.timebase import NS_PER_US
-from servobench.hil.recording.lanes import error_limit_rpm
 from servobench.hil.recording.page_series import torque_scale
 from servobench.hil.recording.plot_scale import Range, about, around_zero
 from servobench.hil.reviewing.envelope import Envelope, Points
+from servobench.hil.reviewing.error_limits import (
+    Stretch,
+    limit_points,
+    position_stretches,
+    speed_limits,
+    speed_stretches,
+)
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import RecordingPlan
 
@@ -40,14 +46,16 @@ class _Limit(NamedTuple):
 
     plot: str
     size: float | None
-    """None: nobody says."""
+    """The largest one in the picture; None: nobody says."""
     reach: float
     """How far the signal comes; of an error what counts of it."""
     drawn: bool
     """It is near enough to its signal to be a line."""
     title: str
-    settling: Sequence[tuple[int, int]] = ()
-    """From when to when it does not hold."""
+    scale: float
+    """By what a size of ``held`` is multiplied to be drawn."""
+    held: Callable[[int, int], list[Stretch]]
+    """Where it holds between two instants, ns."""
 
 
 class WholeFigures:
@@ -90,33 +98,40 @@ class WholeFigures:
                 lines[f"/{name}/delay/deadline"] = np.array([begin, end]), np.full(2, self._deadline_us)
             for each in limits:
                 if each.size is not None and each.drawn:
-                    times, scale = _outside(each.settling, begin, end)
-                    lines[f"/{name}/{each.plot}/most"] = times, each.size * scale
-                    lines[f"/{name}/{each.plot}/least"] = times, -each.size * scale
+                    held = each.held(begin, end)
+                    lines[f"/{name}/{each.plot}/most"] = limit_points(held, each.scale)
+                    lines[f"/{name}/{each.plot}/least"] = limit_points(held, -each.scale)
         return lines
 
     def _of_axis(self, plan: RecordingPlan, review: Review, place: int) -> list[_Limit]:
         axis, limits = plan.review.axes[place], plan.review.limits
         speed, position = review.errors[place], review.positions[place]
-        of_errors = (
-            ("error", error_limit_rpm(speed, limits), RPM_PER_RAD_S, speed),
-            ("position_error", limits.position_error_peak_rad_max, 1.0, position),
-        )
+        held = [
+            _of_error(
+                "error",
+                RPM_PER_RAD_S,
+                speed.counted,
+                speed_limits(speed, limits),
+                lambda begin, end: speed_stretches(speed, limits, begin, end),
+            ),
+            _of_error(
+                "position_error",
+                1.0,
+                position.counted,
+                {"": limits.position_error_peak_rad_max},
+                lambda begin, end: position_stretches(position, limits, begin, end),
+            ),
+        ]
         of_drive = (
             ("torque", axis.torque_max_nm, torque_scale(axis)[0]),
             ("speed", axis.speed_max_rad_s, RPM_PER_RAD_S),
         )
-        held = []
-        for plot, size, scale, meter in of_errors:
-            reach = scale * _counted_reach(meter.counted)
-            near = size is not None and in_view(size, reach)
-            title = "" if size is None else f"{size:.3g}"
-            held.append(_Limit(plot, size, reach, near, title, meter.settling))
         for plot, most, scale in of_drive:
             if most is not None:
                 reach = self._reach(axis.name, *_DRAWN[plot])
                 near = scale * most <= _NEARLY_REACHED * reach
-                held.append(_Limit(plot, scale * most, reach, near, f"{scale * most:.0f}"))
+                title = f"{scale * most:.0f}"
+                held.append(_Limit(plot, scale * most, reach, near, title, scale, _throughout(most)))
         return held
 
     def _reach(self, name: str, *paths: str) -> float:
@@ -153,10 +168,20 @@ def _counted_reach(counted: Envelope) -> float:
     return 0.0 if peak is None or most is None else min(peak, _WORTH_SHOWING * most or peak)
 
 
-def _outside(settling: Sequence[tuple[int, int]], begin: int, end: int) -> Points:
-    """Ends of the stretches in which an error counts, and 1 there; no number in between."""
-    times, scale = [begin], [1.0]
-    for start, stop in settling:
-        times += [start, start + 1, min(stop, end)]
-        scale += [1.0, np.nan, 1.0]
-    return np.array([*times, end]), np.array([*scale, 1.0])
+def _of_error(
+    plot: str,
+    scale: float,
+    counted: Envelope,
+    sizes: Mapping[str, float | None],
+    held: Callable[[int, int], list[Stretch]],
+) -> _Limit:
+    """``sizes``: of the limits, before ``scale``, by where they hold in words."""
+    reach = scale * _counted_reach(counted)
+    known = {where: scale * size for where, size in sizes.items() if size is not None}
+    shown = [size for size in known.values() if in_view(size, reach)]
+    title = ", ".join(f"{size:.3g}{where}" for where, size in known.items())
+    return _Limit(plot, max(shown, default=None), reach, bool(shown), title, scale, held)
+
+
+def _throughout(size: float) -> Callable[[int, int], list[Stretch]]:
+    return lambda begin, end: [(begin, end, size)]

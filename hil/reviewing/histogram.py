@@ -6,6 +6,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from servobench.drivers.timebase import NS_PER_US
+
 _MANTISSA_BITS = 10
 """A bucket is 1/1024 of its octave's begin wide, and a figure off by half of it."""
 _BUCKETS_PER_OCTAVE = 1 << _MANTISSA_BITS
@@ -89,3 +91,10 @@ def _bucket_range(place: int) -> tuple[int, int]:
     """Smallest time and width of a bucket, ns; inverse of :func:`_bucket_of`."""
     shift = max(place // _BUCKETS_PER_OCTAVE - 1, 0)
     return (place - shift * _BUCKETS_PER_OCTAVE) << shift, 1 << shift
+
+
+def round_width(width_ns: float) -> int:
+    """The next of 1, 2, 5 times a power of ten us that is not smaller."""
+    power = 10.0 ** math.floor(math.log10(max(width_ns / NS_PER_US, 1.0)))
+    factor = next(factor for factor in (1, 2, 5, 10) if factor * power * NS_PER_US >= width_ns)
+    return int(factor * power) * NS_PER_US

@@ -44,6 +44,8 @@ from servobench.hil.verdict.figures import PositionError, SpeedError, StepRespon
 ROUNDING = 1.0 + 1e-9
 """A ramp at the very limit is no step: in double precision it misses it by 1e-16 of the speeds it is the
 difference of."""
+_LOADED_MAX = 1_000
+"""More stretches after a change of load cannot be told apart in a picture."""
 AnyFigures = TypeVar("AnyFigures", SpeedError, PositionError, StepResponse)
 
 
@@ -121,6 +123,10 @@ class SpeedErrorMeter:
         """rad/s."""
         self.after_load = PeakEnvelope()
         """Errors after a change of load, as a share of the reference."""
+        self.loaded: list[tuple[int, int, float]] = []
+        """Stretches after a change of load under an unchanged reference: begin and end, ns, and the size of
+        the reference, rad/s; the first thousand."""
+        self._is_loaded = self._notes_loaded = False
 
     def add(self, rows: Rows) -> None:
         """Take in rows of this axis: (n,) of ROW_DTYPE, in order of sequence."""
@@ -129,6 +135,7 @@ class SpeedErrorMeter:
         reference = rows["reference_rad_s"]
         error = np.abs(reference - rows["velocity_rad_s"])
         counts, after_load = self._windows(rows)
+        self._note_loaded(rows["due_at"], np.abs(reference), after_load)
         self.reference_peak = max(self.reference_peak, float(np.abs(reference).max()))
         self.counted.add(rows["due_at"][counts], error[counts])
         relative = counts & after_load & (reference != 0.0)
@@ -145,6 +152,24 @@ class SpeedErrorMeter:
             rms_rad_s=self.counted.rms,
             after_load_percent=None if share is None else 100.0 * share,
         )
+
+    def _note_loaded(
+        self, due_at: NDArray[np.int64], reference: NDArray[np.float64], after_load: NDArray[np.bool_]
+    ) -> None:
+        for row in np.flatnonzero(after_load != np.append(self._is_loaded, after_load[:-1])):
+            at = int(due_at[row])
+            if not after_load[row]:
+                self._reach_loaded(at)
+            self._notes_loaded = bool(after_load[row]) and len(self.loaded) < _LOADED_MAX
+            if self._notes_loaded:
+                self.loaded.append((at, at, float(reference[row])))
+        self._is_loaded = bool(after_load[-1])
+        self._reach_loaded(int(due_at[-1]))
+
+    def _reach_loaded(self, at: int) -> None:
+        if self._notes_loaded:
+            begin, _, reference = self.loaded[-1]
+            self.loaded[-1] = begin, at, reference
 
     def _windows(self, rows: Rows) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which rows count, and which lie after a change of load under an unchanged reference."""

@@ -45,7 +45,7 @@ def picture(
 
         opened = open_run(run, unsealed=unsealed)
         note_seal(run, opened.seal)
-        figure = paper_figure(signals_of(opened), *window)
+        figure = paper_figure(signals_of(opened, *window))
         save_figure(figure, out)
     else:
         if out.suffix != ".png":

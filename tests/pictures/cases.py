@@ -13,7 +13,7 @@ SPEED_LINES: Final = ("speed", "error", "torque", "delay")
 _HIDDEN: Final = ("error", "torque", "delay")
 """A position is hidden by its reference."""
 _QUIET: Final[Mapping[str, Any]] = {"faults": {}}
-_PASSED: Final = {"fault": False, "red": False, "green": True, "limit": True}
+_PASSED: Final = {"fault": False, "red": False, "good": True, "limit": True}
 """Of a run without faults; the torque comes to the limit of its command."""
 _RAMP: Final = {"kind": "ramp", "at_s": 0.2, "over_s": 0.5, "speed_rpm": 1500.0}
 _NO_LIMIT: Final = {**_QUIET, "verdict": {}, "reference.axis1": [_RAMP]}

@@ -18,7 +18,7 @@ CURVES: Final[Mapping[str, Color]] = {
 }
 """What a line of a plot is drawn in, and below limits and bars: as a person sees them on the pages."""
 LIMIT: Final[Color] = (255, 122, 66)
-BARS: Final[Mapping[str, Color]] = {"fault": (166, 124, 27), "red": (179, 32, 42), "green": (30, 107, 53)}
+BARS: Final[Mapping[str, Color]] = {"fault": (217, 165, 32), "red": (179, 32, 42), "good": (21, 101, 192)}
 """Of lanes."""
 _BACKGROUND: Final = np.array((13.0, 16.0, 17.0))
 _COLUMN: Final = 1344 / 1920

@@ -20,7 +20,7 @@ def page() -> Pixels:
     """Two curves from end to end, a limit, and lanes, beside them text."""
     pixels = np.full((1080, 1920, 3), (13.0, 16.0, 17.0))
     pixels[100:1000, 1400:1900] = 120.0
-    bar(pixels, "green", 120, 100, 1300)
+    bar(pixels, "good", 120, 100, 1300)
     bar(pixels, "fault", 160, 700, 712)
     for row, name in ((500, "error"), (700, "torque")):
         line(pixels, CURVES[name], row, 60, 1200)
@@ -43,7 +43,7 @@ def line(pixels: Pixels, color: Color, row: int, begin: int, end: int) -> None:
 
 
 LINES = ("error", "torque")
-SEEN = {"fault": True, "green": True, "red": False, "limit": True}
+SEEN = {"fault": True, "good": True, "red": False, "limit": True}
 
 
 def test_a_page_as_it_should_be() -> None:

@@ -18,7 +18,7 @@ from servobench.hil.reviewing.trace.node_objects import KnownNodes
 from servobench.hil.reviewing.trace.trace_entry import TraceEntry
 from tests.unit.hil.test_blueprint_pages import names, parts, paths, value_range, window_s
 
-GREEN, RED, GREY, BLUE = 0x1E6B35FF, 0xB3202AFF, 0x50555CFF, 0x1F5FA8FF
+GOOD, RED, GREY, BLUE = 0x1565C0FF, 0xB3202AFF, 0x50555CFF, 0x1F5FA8FF
 
 
 class Stream:
@@ -67,7 +67,7 @@ def test_steps_have_the_colour_of_their_verdict_and_one_without_was_under_way() 
     events = [begun(place, f"s{place}") for place in range(7)]
     stream = sent_steps(events, *(step(f"s{place}", verdict) for place, verdict in enumerate(verdicts)))
     assert stream.lane(LANE) == {
-        "The s0": GREEN,
+        "The s0": GOOD,
         "The s1": RED,
         "The s2": GREY,
         "The s3": GREY,
@@ -83,7 +83,7 @@ def test_steps_have_the_colour_of_their_verdict_and_one_without_was_under_way() 
 def test_a_step_that_is_begun_again_has_its_colour_once() -> None:
     events = [begun(1, "a"), begun(2, "b"), begun(3, "a"), {"at_ns": 4, "track": "drive", "state": "x"}]
     stream = sent_steps(events, step("a", "done"), step("b", "failed"))
-    assert stream.lane(LANE) == {"The a": GREEN, "The b": RED}
+    assert stream.lane(LANE) == {"The a": GOOD, "The b": RED}
     assert [row[0] for row in stream.rows[LANE]] == [1, 2, 3]
     assert "/events" not in stream.rows
 

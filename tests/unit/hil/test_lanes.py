@@ -1,32 +1,30 @@
 """The lanes of a run: where each stands, in which colours, and from when on each of its labels holds."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from itertools import combinations
 from types import SimpleNamespace
 from typing import Any, Final, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.drivers.timebase import NS_PER_MS
 from servobench.hil.recording.lanes import (
     FaultWindows,
     dropout_lane,
     error_lane,
-    error_limit_rpm,
     lane_colors,
     track_path,
 )
 from servobench.hil.reviewing.envelope import CodeLane, Envelope
 from servobench.hil.reviewing.review import Review
-from servobench.hil.reviewing.tracking_error import SpeedErrorMeter
 from servobench.hil.rows.recording_plan import AxisPlan, ReviewPlan
 from servobench.hil.rows.row_states import LabelChange
 from servobench.hil.verdict.limits import VerdictLimits
 
 AXES: Final = ("axis1", "left arm")
-RED, GREEN, AMBER, DIM, DARK = 0xB3202AFF, 0x1E6B35FF, 0xA67C1BFF, 0x3F4650FF, 0x1B1E23FF
+RED, GOOD, AMBER, DIM, DARK = 0xB3202AFF, 0x1565C0FF, 0xD9A520FF, 0x3F4650FF, 0x1B1E23FF
 
 
 @pytest.mark.parametrize(
@@ -52,17 +50,17 @@ def test_lanes_are_ordered_by_what_they_tell(track: str, path: str) -> None:
 @pytest.mark.parametrize(
     ("track", "some"),
     [
-        ("verdict", {"-": DARK, "Passed": GREEN, "Not passed": RED, "Completed, nothing was asked": DIM}),
-        ("axis1 error", {"-": DARK, "Settling": DIM, "Not judged": DIM, "Kept": GREEN, "BEYOND": RED}),
-        ("axis1 drive", {"Unknown": DARK, "Fault reaction active": RED, "Operation enabled": 0x2E7D32FF}),
-        ("phase", {"Running": 0x1F5FA8FF, "Stopped": DIM}),
-        ("axis1 link", {"OK": GREEN, "DEGRADED": AMBER, "DOWN": RED}),
+        ("verdict", {"-": DARK, "Passed": GOOD, "Not passed": RED, "Completed, nothing was asked": DIM}),
+        ("axis1 error", {"-": DARK, "Settling": DIM, "Not judged": DIM, "Kept": GOOD, "BEYOND": RED}),
+        ("axis1 drive", {"Unknown": DARK, "Fault reaction active": RED, "Operation enabled": GOOD}),
+        ("phase", {"Running": 0x2E7D6BFF, "Stopped": DIM}),
+        ("axis1 link", {"OK": GOOD, "DEGRADED": AMBER, "DOWN": RED}),
         ("axis1 dropouts", {"-": DARK, "Lost": RED, "Lost, few": 0x551C22FF, "Missed": 0x7A3FA0FF}),
-        ("host", {"In time": GREEN, "MISSED": RED}),
+        ("host", {"In time": GOOD, "MISSED": RED}),
         ("injected loss", {"-": DARK, "Injected": AMBER}),
     ],
 )
-def test_what_is_wrong_is_red_and_what_is_well_is_green(track: str, some: dict[str, int]) -> None:
+def test_what_is_wrong_is_red_and_what_is_well_is_blue(track: str, some: dict[str, int]) -> None:
     colors = lane_colors(track, AXES)
     assert {label: colors[label] for label in some} == some
 
@@ -143,6 +141,61 @@ def test_a_fault_that_is_told_again_began_the_first_time_and_one_that_never_bega
     assert faults.lanes(0, 400) == {"injected loss": changes((0, "-"), (10, "Injected"), (20, "-"))}
 
 
+# Machado, Oliveira, Fernandes 2009: what is seen without one kind of cones, of linear RGB
+SEEN_BY: Final = {
+    "all": np.eye(3),
+    "protanopia": np.array(
+        [
+            [0.152286, 1.052583, -0.204868],
+            [0.114503, 0.786281, 0.099216],
+            [-0.003882, -0.048116, 1.051998],
+        ]
+    ),
+    "deuteranopia": np.array(
+        [
+            [0.367322, 0.860646, -0.227968],
+            [0.280085, 0.672501, 0.047413],
+            [-0.011820, 0.042940, 0.968881],
+        ]
+    ),
+}
+TO_XYZ: Final = np.array(
+    [
+        [0.4124564, 0.3575761, 0.1804375],
+        [0.2126729, 0.7151522, 0.0721750],
+        [0.0193339, 0.1191920, 0.9503041],
+    ]
+)
+
+
+def cielab(rgba: int, seen: NDArray[np.float64]) -> NDArray[np.float64]:
+    """L*, a*, b* of an sRGB colour under D65, as one sees it."""
+    coded = np.array([rgba >> 24 & 255, rgba >> 16 & 255, rgba >> 8 & 255]) / 255.0
+    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+    xyz = TO_XYZ @ np.clip(seen @ linear, 0.0, 1.0) / np.array([0.95047, 1.0, 1.08883])
+    x, y, z = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+@pytest.mark.parametrize("eye", SEEN_BY)
+@pytest.mark.parametrize(
+    ("track", "labels"),
+    [
+        ("verdict", ("Passed", "Not passed")),
+        ("axis1 error", ("Kept", "BEYOND")),
+        ("axis1 drive", ("Operation enabled", "Fault reaction active")),
+        ("axis1 drive", ("Operation enabled", "Fault")),
+        ("axis1 link", ("OK", "DEGRADED", "DOWN")),
+        ("host", ("In time", "MISSED")),
+    ],
+)
+def test_good_and_bad_differ_for_the_colour_blind_too(eye: str, track: str, labels: Sequence[str]) -> None:
+    colors = lane_colors(track, AXES)
+    seen = [cielab(colors[label], SEEN_BY[eye]) for label in labels]
+    for one, other in combinations(seen, 2):
+        assert np.linalg.norm(one - other) >= 40.0
+
+
 # ---- errors -------------------------------------------------------------------------------------------
 
 
@@ -152,6 +205,7 @@ class Meter:
     def __init__(self, errors: Sequence[float], settling: Sequence[tuple[int, int]], peak: float) -> None:
         self.counted, self.after_load = Envelope(), Envelope()
         self.settling = list(settling)
+        self.loaded: list[tuple[int, int, float]] = []
         self.reference_peak = peak
         self._errors = errors
         if len(errors):
@@ -265,10 +319,3 @@ def test_of_more_windows_than_can_be_seen_none_is_shown(windows: int, shown: boo
     assert any(label == "Settling" for _, label in found) is shown
     if not shown:
         assert found == [(0, "Kept"), (0, "Kept"), (10, "-")]
-
-
-def test_a_limit_is_a_share_of_the_largest_reference() -> None:
-    meter = cast(SpeedErrorMeter, Meter([], [], 50.0))
-    limits = VerdictLimits(speed_error_peak_percent_max=4.0)
-    assert error_limit_rpm(meter, limits) == pytest.approx(2.0 * RPM_PER_RAD_S)
-    assert error_limit_rpm(meter, replace(limits, speed_error_peak_percent_max=None)) is None

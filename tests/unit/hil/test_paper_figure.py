@@ -1,5 +1,6 @@
 """A run as a figure for print: which lines stand in which plot, in which unit, and within which limits."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ def lines(ax: Any) -> list[tuple[str, str, str, float, float, str]]:
 
 
 def test_one_axis_has_four_plots_of_what_was_asked_and_what_was() -> None:
-    figure: Any = paper_figure(signals(), 0.1, 0.4)
+    figure: Any = paper_figure(signals_of(made_run(rows()), 0.1, 0.4))
     speed, error, torque, delay = figure.axes
     assert tuple(figure.get_size_inches()) == (7.2, 6.4)
     assert [ax.get_ylabel() for ax in figure.axes] == [
@@ -76,12 +77,19 @@ def test_one_axis_has_four_plots_of_what_was_asked_and_what_was() -> None:
     ]
     assert lines(delay) == [
         ("delay", FIRST, "-", 0.8, 500.0, "default"),
-        ("", RED, "--", 0.8, 2000.0, "default"),
+        ("deadline", RED, "--", 0.8, 2000.0, "default"),
     ]
     assert [ax.get_xlim() for ax in figure.axes] == [(0.1, 0.4)] * 4
     assert delay.get_ylim()[0] == 0.0
     times = speed.lines[0].get_xdata()
-    assert (times[0], times[-1]) == (0.0, pytest.approx(1e-3 * (CYCLES - 1)))
+    assert (times[0], times[-1]) == pytest.approx((0.1, 0.4))
+    told = [[text.get_text() for text in ax.get_legend().get_texts()] for ax in figure.axes]
+    assert told == [
+        ["reference", "measured"],
+        ["error", "not counted"],
+        ["load", "measured"],
+        ["delay", "deadline"],
+    ]
     heights = [ax.get_subplotspec().get_gridspec().get_height_ratios() for ax in figure.axes]
     assert heights == [[2, 1.3, 1.5, 1.2]] * 4
     assert all(not ax.spines[side].get_visible() for ax in figure.axes for side in ("top", "right"))
@@ -115,12 +123,136 @@ def test_the_error_is_drawn_as_far_as_its_limit_or_what_counts(percent: float | 
     _, error, *_ = paper_figure(signals(2, percent)).axes
     reach = 1.4 * most * RPM_PER_RAD_S
     assert error.get_ylim() == pytest.approx((-reach, reach), rel=1e-3)
-    limits = [line for line in lines(error) if line[1] == RED]
+    limits = [line for line in lines(error) if line[2] == "--"]
     if percent is None:
         assert limits == []
         return
     limit = round(percent * RPM_PER_RAD_S, 6)
-    assert limits == [("", RED, "--", 0.8, limit, "default"), ("", RED, "--", 0.8, -limit, "default")]
+    assert limits == [
+        ("limits", FIRST, "--", 0.8, limit, "default"),
+        ("", FIRST, "--", 0.8, -limit, "default"),
+        ("", SECOND, "--", 0.8, limit, "default"),
+        ("", SECOND, "--", 0.8, -limit, "default"),
+    ]
+
+
+def with_dropouts(*dropped: int) -> Rows:
+    """The rows of one axis, without a reading in the cycles ``dropped``, from 0."""
+    made = rows()
+    for column in ("velocity_rad_s", "torque_nm"):
+        made[column][list(dropped)] = np.nan
+    made["fate"][list(dropped)] = 1
+    made["delay_ns"][list(dropped)] = NOTHING
+    return made
+
+
+def marked(ax: Any, label: str) -> list[tuple[float, float]]:
+    """Begin and end of what is marked over time, s."""
+    spans = [each for each in ax.collections if each.get_label() == label]
+    ends = [path.get_extents() for each in spans for path in each.get_paths()]
+    return [(round(box.x0, 6), round(box.x1, 6)) for box in ends]
+
+
+def drawn_cycles(line: Any) -> list[int]:
+    """In ms; -1: no number, so that nothing is drawn across."""
+    pairs = zip(line.get_xdata(), line.get_ydata(), strict=True)
+    return [-1 if np.isnan(value) else round(1e3 * at) for at, value in pairs]
+
+
+def test_a_line_is_interrupted_where_no_reading_came_and_each_dropout_is_marked() -> None:
+    dropped = [50, *range(100, 120), CYCLES - 1]
+    figure: Any = paper_figure(signals(of=with_dropouts(*dropped)))
+    speed, error, torque, delay = figure.axes
+    expected = [*range(50), -1, *range(51, 100), -1, *range(120, CYCLES - 1)]
+    for line in (speed.lines[1], error.lines[0], torque.lines[1], delay.lines[0]):
+        assert drawn_cycles(line) == expected
+    for line in (speed.lines[0], torque.lines[0]):
+        assert drawn_cycles(line) == list(range(CYCLES)), "what was asked for is known in each cycle"
+    assert marked(speed, "dropout") == [(0.05, 0.051), (0.1, 0.12), (0.599, 0.6)]
+    heights = [path.get_extents().y1 for each in speed.collections for path in each.get_paths()]
+    assert max(heights) < 0.1, "at the foot of the plot"
+    assert "dropout" in [text.get_text() for text in speed.get_legend().get_texts()]
+
+
+@pytest.mark.parametrize("batch", [1, 7, 1_000_000])
+@pytest.mark.parametrize("seed", range(5))
+def test_whichever_way_rows_come_the_dropouts_are_those_of_a_plain_loop(seed: int, batch: int) -> None:
+    dice = np.random.default_rng(seed)
+    dropped = dice.random(CYCLES) < dice.choice([0.01, 0.3, 0.9])
+    run = made_run(with_dropouts(*np.flatnonzero(dropped).tolist()), batch=batch)
+    begins, lasted = signals_of(run).gaps["axis1"].points(CYCLES * 1_000_000)
+    expected, since = [], None
+    for cycle, lost in enumerate([*dropped.tolist(), False]):
+        if lost and since is None:
+            since = cycle
+        if not lost and since is not None:
+            expected.append((since, cycle - since))
+            since = None
+    assert [(at // 10**6, round(ns / 10**6)) for at, ns in zip(begins, lasted, strict=True)] == expected
+
+
+def test_of_many_dropouts_in_a_long_run_those_are_gaps_that_can_be_seen() -> None:
+    """200 s at 1 kHz: two drawn points are some 60 ms apart, one lost reading in 20 is none to be seen."""
+    many = plain_rows(200_000, reference=100.0, velocity=98.0)
+    dropped = np.zeros(many.size, bool)
+    dropped[::20] = True
+    dropped[90_000:91_000] = True
+    many["fate"][dropped] = 1
+    many["velocity_rad_s"][dropped] = np.nan
+    figure: Any = paper_figure(signals(of=many))
+    line = figure.axes[0].lines[1]
+    gaps = np.flatnonzero(np.isnan(line.get_ydata()))
+    (gap,) = gaps
+    around = [line.get_xdata()[gap - 1], line.get_xdata()[gap + 1]]
+    assert around == pytest.approx([89.999, 91.001], abs=1e-3)
+
+
+def test_an_error_is_shaded_where_it_is_not_counted_and_its_limit_is_drawn_elsewhere() -> None:
+    """The reference steps in cycle 300; the speed has 250 ms to settle."""
+    stepped = rows()
+    stepped["reference_rad_s"][:300] = 0.0
+    stepped["velocity_rad_s"][:300] = 0.0
+    _, error, *_ = paper_figure(signals(of=stepped, percent=5.0)).axes
+    assert marked(error, "not counted") == [(0.3, 0.55)]
+    limit = error.lines[1]
+    times, values = np.array(limit.get_xdata()), np.array(limit.get_ydata())
+    assert times == pytest.approx([0.0, 0.3, 0.3, 0.55, 0.599])
+    assert [None if np.isnan(value) else round(value / RPM_PER_RAD_S, 6) for value in values] == [
+        *(5.0, 5.0, None),
+        *(5.0, 5.0),
+    ]
+
+
+def test_a_part_of_a_run_is_as_high_as_what_is_in_it() -> None:
+    """From 0.4 s on the speed is 98 rad/s, at first it is 20."""
+    slow = rows()
+    slow["velocity_rad_s"][:300] = 20.0
+    begin, end = 0.4, 0.5
+    run = made_run(slow, limits=VerdictLimits(speed_error_peak_percent_max=50.0))
+    figure: Any = paper_figure(signals_of(run, begin, end))
+    speed, error, *_ = figure.axes
+    assert min(drawn_cycles(speed.lines[1])) == 400
+    assert max(drawn_cycles(speed.lines[1])) == 500
+    low, high = (value / RPM_PER_RAD_S for value in speed.get_ylim())
+    assert 97.0 < low < 98.0 < 100.0 < high < 101.0
+    assert error.get_ylim()[1] == pytest.approx(1.4 * 2.0 * RPM_PER_RAD_S), "a limit of 50 is far away"
+
+
+def test_an_axis_with_a_position_to_reach_is_drawn_by_its_position() -> None:
+    made = rows()
+    made["reference_rad_s"] = 0.0
+    made["reference_position_rad"] = 2.0
+    made["position_rad"] = 1.75
+    made["sampled_at"] = made["due_at"]
+    run = made_run(made, limits=VerdictLimits(position_error_peak_rad_max=0.5))
+    axes = tuple(replace(axis, quantity="position") for axis in run.review.axes)
+    run = replace(run, review=replace(run.review, axes=axes))
+    figure: Any = paper_figure(signals_of(run))
+    position, error, torque, _ = figure.axes
+    told = [position.get_ylabel(), error.get_ylabel(), torque.get_ylabel()]
+    assert told == ["Position [rad]", "Position error [rad]", "Torque [N m]"]
+    assert [(line[0], line[4]) for line in lines(position)] == [("reference", 2.0), ("measured", 1.75)]
+    assert [(line[0], line[4]) for line in lines(error)] == [("error", 0.25), ("limit", 0.5), ("", -0.5)]
 
 
 def test_what_was_not_measured_is_not_drawn() -> None:

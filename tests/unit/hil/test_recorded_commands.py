@@ -54,7 +54,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
     monkeypatch.setattr(viewer, "draw_page", page)
     monkeypatch.setattr(recorded_run, "open_run", lambda run, **_: SimpleNamespace(run=run, seal="sealed"))
-    monkeypatch.setattr(recorded_run, "signals_of", lambda run: f"signals of opened {run.run}")
+    monkeypatch.setattr(recorded_run, "signals_of", lambda run, *window: (f"signals of {run.run}", *window))
     monkeypatch.setattr(paper, "paper_figure", figure)
     monkeypatch.setattr(paper, "save_figure", lambda figure, out: out.write_text(figure))
     return asked
@@ -88,7 +88,7 @@ def test_a_figure_for_a_paper_is_of_the_same_stretch(
     out = tmp_path / "figure.svg"
     told = hil("picture", "one", out, "--paper", *options)
     assert (told.exit_code, told.stderr, out.read_text()) == (0, f"written {out}\n", "the figure")
-    assert drawn == [("signals of opened one", *window)]
+    assert drawn == [(("signals of one", *window),)]
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,9 @@ from rerun.chunk import RrdReader
 
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from servobench.hil.loop.samples import CommandFate
-from servobench.hil.recording.telemetry import Telemetry, _round_width
+from servobench.hil.recording.telemetry import Telemetry
 from servobench.hil.reviewing.envelope import BUCKETS
+from servobench.hil.reviewing.histogram import round_width
 from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from servobench.hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
@@ -339,8 +340,8 @@ def test_a_run_without_a_cycle_still_shows_its_events(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("width", "expected"), [(1, 1), (900, 1), (1_001, 2), (2_000, 2), (6_000, 10), (21_000, 50)]
 )
-def test_bars_have_round_widths(width: int, expected: int) -> None:
-    assert _round_width(width) == expected * NS_PER_US
+def test_bars_haveround_widths(width: int, expected: int) -> None:
+    assert round_width(width) == expected * NS_PER_US
 
 
 def test_a_histogram_of_nothing_is_not_shown(tmp_path: Path) -> None:

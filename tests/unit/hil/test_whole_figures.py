@@ -28,9 +28,16 @@ def signal(*values: float) -> Envelope:
     return made
 
 
-def meter(*errors: float, settling: Sequence[tuple[int, int]] = (), peak: float = 0.0) -> Any:
-    """Of an error; of a speed the largest reference is ``peak``."""
-    return SimpleNamespace(counted=signal(*errors), settling=list(settling), reference_peak=peak)
+def meter(
+    *errors: float,
+    settling: Sequence[tuple[int, int]] = (),
+    peak: float = 0.0,
+    loaded: Sequence[tuple[int, int, float]] = (),
+) -> Any:
+    """Of an error; of a speed the largest reference is ``peak``, and ``loaded`` where a load changed."""
+    return SimpleNamespace(
+        counted=signal(*errors), settling=list(settling), reference_peak=peak, loaded=list(loaded)
+    )
 
 
 def figures(
@@ -200,14 +207,30 @@ def test_the_limit_of_an_error_is_a_line_where_it_counts(errors: list[float], dr
     for path, sign in (("/axis1/error/most", 1.0), ("/axis1/error/least", -1.0)) if drawn else ():
         times, values = found[path]
         assert times.tolist() == [
-            BEGIN,
-            *(10 * STEP, 10 * STEP + 1, 20 * STEP),
-            *(40 * STEP, 40 * STEP + 1, 50 * STEP),
-            END,
+            *(BEGIN, 10 * STEP, 10 * STEP + 1),
+            *(20 * STEP, 40 * STEP),
         ]
         shown = [None if np.isnan(value) else round(value, 6) for value in values]
         most = round(sign * 2.0 * RPM, 6)
-        assert shown == [most, most, None, most, most, None, most, most]
+        assert shown == [most, most, None, most, most]
+
+
+def test_a_limit_after_a_load_is_a_line_where_it_counts_alone_and_beside_the_other() -> None:
+    """5 % of 20 rad/s from step 10 to 30, but not while the speed settles; 10 % of the peak elsewhere."""
+    loaded = [(10 * STEP, 30 * STEP, 20.0)]
+    speed = meter(0.5, peak=20.0, settling=[(15 * STEP, 20 * STEP)], loaded=loaded)
+    alone = figures(speed=speed, after_load_percent_max=5.0)
+    times, values = alone.limit_lines(BEGIN, END)["/axis1/error/most"]
+    assert (times // STEP).tolist() == [10, 15, 15, 20, 30]
+    assert values[[0, 1, 3, 4]] == pytest.approx([RPM] * 4)
+    assert np.isnan(values[2])
+    assert alone.remarks()["axis1/error"] == " · limit ±9.55 after load"
+    both = figures(speed=speed, after_load_percent_max=5.0, speed_error_peak_percent_max=10.0)
+    times, values = both.limit_lines(BEGIN, END)["/axis1/error/least"]
+    shown = [None if np.isnan(value) else round(-value / RPM, 6) for value in values]
+    assert (times // STEP).tolist() == [0, 10, 10, 10, 15, 15, 20, 30, 30, 30, 50]
+    assert shown == [2.0, 2.0, None, 1.0, 1.0, None, 1.0, 1.0, None, 2.0, 2.0]
+    assert both.remarks()["axis1/error"] == " · limit ±19.1, 9.55 after load"
 
 
 def test_a_position_s_limit_is_a_line_in_its_own_unit() -> None:
