@@ -17,7 +17,7 @@ from servobench.drivers.errors import BadInput, PeerFault
 from servobench.drivers.printable import printable
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from servobench.hil.recorded.commissioning_page import commissioning_page, is_commissioning
-from servobench.hil.recording.blueprint import GUTTER
+from servobench.hil.recording.blueprint import GUTTER, ZOOM_PAGE
 from servobench.hil.recording.page_series import TIMELINE
 from servobench.hil.rows.run_files import CAMPAIGN_PAGE, RERUN_FILE
 from servobench.hil.rows.seal import seal_of
@@ -79,9 +79,11 @@ class HeadlessViewer:
         self._client.set_blueprint(shown.blueprint, store_id=shown.store_id)
 
     def look_at(self, begin_s: float, end_s: float) -> None:
-        """Another stretch of time in all views, run time."""
+        """Show another stretch of time in all views, run time, and plots as high as what is seen in it."""
         shown = self._client.get_blueprint()
         for path, archetypes in shown.blueprint.items():
+            if "ScalarAxis" in archetypes:
+                archetypes["ScalarAxis"]["range"] = None
             if "TimeAxis" not in archetypes:
                 continue
             view = shown.blueprint.get(path.removesuffix("/TimeAxis"), {}).get("ViewBlueprint", {})
@@ -177,6 +179,8 @@ def draw_page(
             viewer.turn_to(page)
         begin_s, end_s = window_s
         if begin_s is not None and end_s is not None:
+            if page is None:
+                _turn_to_single_rows(viewer)
             viewer.look_at(begin_s, end_s)
         viewer.put_cursor(at_s)
         return viewer.picture()
@@ -191,8 +195,15 @@ def open_at(recording: Path, at_s: float, span_s: float | None) -> None:
     viewer = HeadlessViewer(_connect(process, port))
     viewer.show(recording)
     if span_s is not None:
+        _turn_to_single_rows(viewer)
         viewer.look_at(at_s - span_s / 2, at_s + span_s / 2)
     viewer.put_cursor(at_s)
+
+
+def _turn_to_single_rows(viewer: HeadlessViewer) -> None:
+    """A part of a run is looked at where each cycle is drawn: the first page has envelopes of the whole."""
+    if ZOOM_PAGE.casefold() in viewer.pages():
+        viewer.turn_to(ZOOM_PAGE)
 
 
 def _start_viewer(*options: str) -> "tuple[subprocess.Popen[bytes], int]":

@@ -185,12 +185,16 @@ class Pages:
     def _plot(
         self, name: str, plot: str, title: str, linked: bool, marks: Sequence[str] = ()
     ) -> rrb.TimeSeriesView:
-        """``marks``: which points are shown beside the lines."""
+        """``marks``: which points are shown beside the lines. ``linked``: as high as what is seen of them,
+        with the limits of errors alone, as those of the drive are far away."""
         root = self._root(linked)
         lines = [f"{root}/{name}/{each.path}" for each in SERIES if each.path.startswith(f"{plot}/")]
-        contents = [*lines, f"{LIMITS}/{name}/{plot}/**", *(f"/{name}/{mark}" for mark in marks)]
+        if not linked or "error" in plot:
+            lines.append(f"{LIMITS}/{name}/{plot}/**")
+        contents = [*lines, *(f"/{name}/{mark}" for mark in marks)]
         remark = "" if self._whole is None else self._whole.remarks.get(f"{name}/{plot}", "")
-        return self._view(f"/{name}", contents, title + remark, linked, self._range(f"{name}/{plot}"))
+        low_high = None if linked else self._range(f"{name}/{plot}")
+        return self._view(f"/{name}", contents, title + remark, linked, low_high)
 
     def _together(self, path: str, title: str, *beside: str) -> rrb.TimeSeriesView:
         """``path`` of all axes in the colours of the axes; ``beside``: other series, in their own."""

@@ -69,8 +69,8 @@ class Marks(NamedTuple):
 
 SERIES: Final = (
     Series("speed/reference", "reference", GREY),
-    Series("speed/estimate", "estimate", VIOLET),
-    Series("speed/measured", "measured", BLUE, 1.6),
+    Series("speed/estimate", "estimate", VIOLET, 2.4),
+    Series("speed/measured", "measured", BLUE, 1.3),
     Series("error/error", "reference - measured", ORANGE),
     Series("position/reference", "reference", GREY),
     Series("position/measured", "measured", BLUE, 1.6),

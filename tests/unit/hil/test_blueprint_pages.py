@@ -167,9 +167,9 @@ def test_a_page_of_an_axis_shows_its_series_their_limits_and_few_marks(enveloped
     assert many["Speed [r/min]"] == shown["Speed [r/min]"][:-1], "they would bury the line"
     assert many["Delay of the readings [us]"] == shown["Delay of the readings [us]"][:-1]
     zoomed = paths(pages(SOLO, replace(whole, few_marks=frozenset()))["Zoom"])
-    assert zoomed["Speed [r/min]"] == [path.replace("/overview", "") for path in shown["Speed [r/min]"]], (
-        "from near each dropout is seen, and each row"
-    )
+    near = [path.replace("/overview", "") for path in shown["Speed [r/min]"] if "/limits" not in path]
+    assert zoomed["Speed [r/min]"] == near, "each dropout is seen and each row, and no limit that is far away"
+    assert "/limits/axis1/error/**" in zoomed["Speed error [r/min]"]
     assert "/axis1/speed/dropped" in paths(pages(SOLO, LIVE)["Overview"])["Speed [r/min]"]
 
 
@@ -298,6 +298,8 @@ def test_plots_have_the_ranges_and_remarks_of_their_axis() -> None:
     page = pages(SOLO, whole)["Overview"]
     assert [value_range(view) for view in parts(page)[1:]] == [[-1.0, 2.0], None, None, [0.0, 5.0]]
     assert names(page)[3] == "Torque [mN m], limit 5 N m"
+    zoomed = pages(SOLO, whole)["Zoom"]
+    assert [value_range(view) for view in parts(zoomed)[1:]] == [None] * 4, "as high as what is seen"
     assert names(parts(root(SOLO, whole))[1])[1] == "axis1: readings over delay [us], deadline 2000"
     # the heights are those of the ranges: 3 ticks of 1 for the speed, 5 for the delay
     shares = page.row_shares

@@ -32,6 +32,7 @@ def blueprint() -> dict[str, Any]:
         "/container/right": container("Vertical", "axis2", "view/c"),
         "/view/a": {"ViewBlueprint": {"class_identifier": "TimeSeries"}},
         "/view/a/TimeAxis": {"TimeAxis": {"link": "LinkToGlobal"}},
+        "/view/a/ScalarAxis": {"ScalarAxis": {"range": [-1.0, 1.0]}},
         "/view/b": {"ViewBlueprint": {"class_identifier": "StateTimeline"}},
         "/view/b/TimeAxis": {"TimeAxis": {"link": "LinkToGlobal"}},
     }
@@ -128,6 +129,7 @@ def test_another_stretch_of_time_is_put_into_every_view_with_a_time_axis(
     assert lanes["start"] == {"Absolute": round((1.0 - GUTTER * 2.0) * NS_PER_S)}
     assert lanes["end"] == {"Absolute": 3 * NS_PER_S}
     assert "TimeAxis" not in client.tree["/view/a"]
+    assert client.tree["/view/a/ScalarAxis"] == {"ScalarAxis": {"range": None}}, "as high as what is seen"
     assert client.sent == [("blueprint", "store")]
 
 

@@ -182,7 +182,7 @@ def test_one_that_listens_and_then_finds_no_graphics_is_told_alike(machine: Mach
     [
         (None, None, (None, None), [("cursor", None)]),
         ("Timing", 0.5, (1.0, 2.0), [("page", "Timing"), ("window", 1.0, 2.0), ("cursor", 0.5)]),
-        (None, 0.0, (0.0, 0.0), [("window", 0.0, 0.0), ("cursor", 0.0)]),
+        (None, 0.0, (0.0, 0.0), [("page", "Zoom"), ("window", 0.0, 0.0), ("cursor", 0.0)]),
         ("x", None, (1.0, None), [("page", "x"), ("cursor", None)]),
         ("x", None, (None, 1.0), [("page", "x"), ("cursor", None)]),
     ],
@@ -198,6 +198,7 @@ def test_a_page_is_turned_to_moved_and_taken(
     log: list[object] = []
     shown = SimpleNamespace(
         show=lambda path: log.append(("show", path)),
+        pages=lambda: ["overview", "zoom"],
         turn_to=lambda name: log.append(("page", name)),
         look_at=lambda begin_s, end_s: log.append(("window", begin_s, end_s)),
         put_cursor=lambda at_s: log.append(("cursor", at_s)),
