@@ -13,7 +13,7 @@ SPEED_LINES: Final = ("speed", "error", "torque", "delay")
 _HIDDEN: Final = ("error", "torque", "delay")
 """A position is hidden by its reference."""
 _QUIET: Final[Mapping[str, Any]] = {"faults": {}}
-_PASSED: Final = {"fault": False, "red": False, "good": True, "limit": True}
+_PASSED: Final = {"fault": False, "red": False, "good": True, "limit": True, "gap": False}
 """Of a run without faults; the torque comes to the limit of its command."""
 _RAMP: Final = {"kind": "ramp", "at_s": 0.2, "over_s": 0.5, "speed_rpm": 1500.0}
 _NO_LIMIT: Final = {**_QUIET, "verdict": {}, "reference.axis1": [_RAMP]}
@@ -78,6 +78,8 @@ _ENDED_BY: Final = {
     "repeated_emergency": VerdictKind.PEER_FAULT,
     "periodic_loss": VerdictKind.NOT_PASSED,
 }
+_GAPS: Final = ("blackout", "full_queue")
+"""Faults of 20 ms without readings: no curve of what was read crosses them."""
 _BROKEN: Final[Mapping[str, tuple[str, float, Mapping[str, Any]]]] = {
     "speed_error_peak_percent_max": ("ling2012", 2.0, {}),
     "after_load_percent_max": ("ling2012", 2.0, {}),
@@ -125,7 +127,8 @@ def cases() -> Iterator[Case]:
     yield Case("campaign", made.campaign, (), pages=True)
     for kind in TABLES:
         ends = _ENDED_BY.get(kind, VerdictKind.PASSED)
-        yield Case(f"fault-{kind}", made.run("ling2012.toml", faults_of(kind), ends), (), {"fault": True})
+        seen = {"fault": True, **({"gap": True} if kind in _GAPS else {})}
+        yield Case(f"fault-{kind}", made.run("ling2012.toml", faults_of(kind), ends), (), seen)
     for limit in VerdictLimits.__dataclass_fields__:
         if limit == "compute_us_max":
             continue  # judged in real time alone

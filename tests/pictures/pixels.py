@@ -35,6 +35,8 @@ _BAR_PX: Final = 12
 """A bar of a lane is 28 px high, text and lines less than this."""
 _LINE_PX: Final = 100
 """A limit is drawn for longer, the dot of a legend for shorter."""
+_GAP_PX: Final = 6
+"""20 ms of two seconds are some 11 px; a curve leaves out 2 px where it is steep."""
 _EDGE: Final = 0.15
 """So much of the width may be before the first cycle, or covered by the legend."""
 _GAP: Final = 0.13
@@ -77,6 +79,12 @@ class Picture:
         gap = int(np.diff(columns).max(initial=0))
         return Reach(columns[0] / width, columns[-1] / width, gap / width)
 
+    def gap_px(self, color: Color) -> int:
+        """How wide the widest gap in a curve is, left of its legend."""
+        columns = np.flatnonzero(self._alike(color, _ALIKE, _BRIGHT).any(axis=0))
+        shown = columns[columns < (1.0 - _EDGE) * self._column.shape[1]]
+        return int(np.diff(shown).max(initial=1)) - 1
+
     def bar_px(self, color: Color) -> int:
         """How wide the bars of lanes in a colour are, all together."""
         alike = self._alike(color)
@@ -100,8 +108,8 @@ class Picture:
 def complaints(picture: Picture, lines: tuple[str, ...], seen: Mapping[str, bool]) -> list[str]:
     """What is wrong with a picture.
 
-    ``lines``: curves that have to go through the whole width. ``seen``: by bar, and "limit": whether it has
-    to be there, or must not be.
+    ``lines``: curves that have to go through the whole width. ``seen``: by bar, "limit", and "gap" in the
+    curve of delays: whether it has to be there, or must not be.
     """
     found = [] if picture.ink() >= _INK else [f"blank but for {picture.ink():.1%}"]
     for name in lines:
@@ -111,7 +119,12 @@ def complaints(picture: Picture, lines: tuple[str, ...], seen: Mapping[str, bool
         elif reach.first > _EDGE or reach.last < 1 - _EDGE or reach.gap > _GAP:
             found.append(f"{name} from {reach.first:.0%} to {reach.last:.0%}, a gap of {reach.gap:.0%}")
     for name, wanted in seen.items():
-        there = picture.line_px(LIMIT) >= _LINE_PX if name == "limit" else picture.bar_px(BARS[name]) > 0
+        if name == "gap":
+            there, what = picture.gap_px(CURVES["delay"]) >= _GAP_PX, "gap"
+        elif name == "limit":
+            there, what = picture.line_px(LIMIT) >= _LINE_PX, "limit line"
+        else:
+            there, what = picture.bar_px(BARS[name]) > 0, f"{name} bar"
         if there != wanted:
-            found.append(f"{'no' if wanted else 'a'} {name} {'line' if name == 'limit' else 'bar'}")
+            found.append(f"{'no' if wanted else 'a'} {what}")
     return found

@@ -50,6 +50,15 @@ def test_a_page_as_it_should_be() -> None:
     assert complaints(Picture(page()), LINES, SEEN) == []
 
 
+@pytest.mark.parametrize(("begin", "end", "gap"), [(700, 705, False), (700, 712, True), (1150, 1240, False)])
+def test_a_gap_in_a_curve_is_seen_left_of_its_legend(begin: int, end: int, gap: bool) -> None:
+    pixels = page()
+    line(pixels, CURVES["delay"], 800, 60, 1240)
+    pixels[800:802, begin:end] = (13.0, 16.0, 17.0)
+    assert complaints(Picture(pixels), (), {"gap": gap}) == []
+    assert complaints(Picture(pixels), (), {"gap": not gap}) == ["a gap" if gap else "no gap"]
+
+
 def blank(pixels: Pixels) -> None:
     pixels[:, :WIDTH] = (13.0, 16.0, 17.0)
 
