@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 from servobench.drivers.record import replaced
-from servobench.drivers.timebase import NS_PER_MS, Duration
+from servobench.drivers.timebase import NS_PER_MS, Duration, Instant
 from servobench.hil.loop.samples import Observation, Sample
 
 HELD_MAX: Final = 64
@@ -70,26 +70,42 @@ class Question:
         if no such one is in doubt."""
         self.cleared = False
         """Whether a question ended without leaving a reading uncertain, since this was last set back."""
-        self._amended: dict[int, tuple[bool, int]] = {}
+        self._doubted: dict[int, int] = {}
+        """Bounds of rows whose readings may be others'."""
+        self._proved: dict[int, tuple[Instant, int]] = {}
+        """Of rows, when the reading came that is theirs, and the bound of its sample."""
 
-    def amend(self, sequence: int, certain: bool, error_ns: int) -> None:
-        """What the row of a cycle is to say after all."""
-        self._amended[sequence] = (certain, error_ns)
+    def doubt(self, sequence: int, error_ns: int) -> None:
+        """The row of a cycle is uncertain after all."""
+        self._doubted[sequence] = error_ns
+        self._proved.pop(sequence, None)
+
+    def prove(self, sequence: int, received_at: Instant, error_ns: int) -> None:
+        """The row of a cycle is certain after all, if it has the reading that came at ``received_at``: it may
+        have been settled with another by then."""
+        self._proved[sequence] = received_at, error_ns
 
     def withdraw(self, sequence: int) -> None:
         """The row stays as it is."""
-        self._amended.pop(sequence, None)
+        self._doubted.pop(sequence, None)
 
-    def applied(self, observation: Observation) -> Observation:
-        """The observation with what became known since; it is then forgotten."""
-        if not self._amended:
+    def applied(self, observation: Observation, received_at: Instant | None) -> Observation:
+        """The observation with what became known since, which is then forgotten. ``received_at``: of its
+        reading; None if it has none."""
+        if not (self._doubted or self._proved):
             return observation
-        amended = self._amended.pop(observation.sequence, None)
-        if len(self._amended) > 2 * HELD_MAX:  # of rows that had been recorded
-            self._amended = {row: what for row, what in self._amended.items() if row > observation.sequence}
-        if amended is None:
+        row = observation.sequence
+        error_ns = self._doubted.pop(row, None)
+        certain = False
+        if row in self._proved:
+            came_at, proved_ns = self._proved.pop(row)
+            if certain := came_at == received_at:
+                error_ns = proved_ns
+        if len(self._doubted) + len(self._proved) > 2 * HELD_MAX:  # of rows that had been recorded
+            self._doubted = {other: what for other, what in self._doubted.items() if other > row}
+            self._proved = {other: which for other, which in self._proved.items() if other > row}
+        if error_ns is None:
             return observation
-        certain, error_ns = amended
         if isinstance(observation, Sample):
             return replaced(observation, certain=certain, sampled_at_error_ns=error_ns)
         return replaced(observation, certain=certain)

@@ -198,8 +198,7 @@ class Axis:
         """Take in what had arrived ``before``, but for readings whose SYNC's echo may be on its way yet, and
         for those that may answer a SYNC whose cycle is to begin."""
         kept, syncs, arrived = self._kept, self.parts.syncs, self._drive.take_readings()
-        if arrived:
-            kept.extend(arrived)
+        kept.extend(arrived)
         if not kept:
             return
         before = min(before, syncs.end_of_first_after(self._begun))
@@ -356,7 +355,8 @@ class Axis:
         if sending is not None and not decision.follows:
             sending = replaced(sending, fate=CommandFate.NOT_FOLLOWED, acts_after=None, acts_by=None)
         clock = self.by_stamp.clock
-        observation = self.by_order.question.applied(self.by_stamp.question.applied(fate.observation))
+        observation = self.by_stamp.question.applied(fate.observation, fate.received_at)
+        observation = self.by_order.question.applied(observation, fate.received_at)
         by_others = isinstance(observation, Dropout) and observation.cause in _SHOWN_BY_OTHERS
         if mark is not None and mark.unsent:
             mark, observation = None, without_sync(observation)

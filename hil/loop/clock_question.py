@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.drive_stamps import DriveStamps
-from servobench.hil.loop.residuals import DelayExtremes
+from servobench.hil.loop.residuals import NEARER, DelayExtremes
 from servobench.hil.loop.syncs import SURPLUS, SyncLog, SyncMark
 
 STEP_COST: Final = 3
@@ -23,9 +23,15 @@ DELAY_COST: Final = 3
 LOSS_COST_MAX: Final = 2
 """and that readings were lost just then, one each up to this: a step and a change of delay are as rare as one
 another, while losses are common and come in bursts."""
+LIKELY_COST_MAX: Final = STEP_COST + LOSS_COST_MAX
+"""One of the two, and losses."""
 EXCLUDING: Final = 12.0
 """A line is none if another is e^12, 160 000 times, likelier by how far the readings lie off it. So SYNCs
 that are not at equal distances tell which ones they are."""
+RARE: Final = 8
+"""One suspect in so many may lie off its SYNC by more than any stamp did though the clock was not set,"""
+OUTLYING: Final = 4.0
+"""and weighs no more than one so many deviations off: each is rare by itself."""
 STAMPS_MAX: Final = 512
 """Stamps kept before those of forgotten SYNCs are dropped."""
 DRIFT_WITHIN: Final = 2e-3
@@ -35,11 +41,13 @@ DRIFT_WITHIN: Final = 2e-3
 class Suspect:
     """A reading that came while it is open whether the clock was set."""
 
-    def __init__(self, device_ns: int, received_at: Instant, second: bool) -> None:
+    def __init__(self, device_ns: int, received_at: Instant, second: bool, early: bool = False) -> None:
         self.device_ns = device_ns
         self.received_at = received_at
         self.second = second
         """Whether it lies on a SYNC that has another stamp already."""
+        self.early = early
+        """Whether it would have come before its SYNC if the clock was not set."""
         self.guess = SURPLUS
         """The cycle in which it was placed, uncertain."""
 
@@ -56,6 +64,11 @@ class Line(NamedTuple):
     """Whether the clock was set."""
     misfit: float
     """Of how far they lie off it, the logarithm of how much likelier none would be."""
+
+    @property
+    def unlikely(self) -> bool:
+        """Whether more than losses must have happened."""
+        return self.cost >= STEP_COST
 
 
 class ClockQuestion:
@@ -133,6 +146,34 @@ class ClockQuestion:
             and mark.sequence != SURPLUS
         ]
 
+    def note_residuals(self, suspects: list[Suspect]) -> None:
+        """Suspects lie off their SYNCs though the clock is as it was: others may too."""
+        for suspect in suspects:
+            at = self._stamps.clock.place(suspect.device_ns)
+            mark = None if suspect.second else self._syncs.nearest(at)
+            if mark is not None and mark.on_bus_at is not None:
+                residual = at - mark.on_bus_at
+                self._stamps.residuals.add_questioned(residual, self._stamps.match_ns, 2 * self._half)
+
+    def was_set(self, suspects: list[Suspect]) -> bool:
+        """Whether the clock is not as it was: a suspect would have come before the SYNC next to its stamp."""
+        for suspect in suspects:
+            mark = self._syncs.nearest(self._stamps.clock.place(suspect.device_ns))
+            latest = suspect.received_at - self._transit + self._stamps.match_ns
+            if mark is not None and mark.on_bus_at is not None and mark.on_bus_at > latest:
+                return True
+        return False
+
+    def answers(self, last: list[Suspect], *, unlikely: bool) -> list[Line]:
+        """The ways to place the last suspects that are likely enough, the one first of which least must have
+        happened. ``unlikely``: or a step, and that the smallest delay has changed by less than a period."""
+        lines = [
+            line
+            for line in self.lines(last)
+            if line.cost <= LIKELY_COST_MAX or (unlikely and line.delay_change < 2 * self._half)
+        ]
+        return sorted(lines, key=lambda line: (line.cost, line.steps, line.delay_change))
+
     def lines(self, last: list[Suspect]) -> list[Line]:
         """Every way to place the last suspects on SYNCs, all of them on one line, that is not so much less
         likely than another by how far they lie off it."""
@@ -147,6 +188,8 @@ class ClockQuestion:
                 line = self._line(last, mark, match_ns)
                 if line is not None:
                     placements.append(line)
+        if all(line.steps for line in placements):
+            placements += self._unmoved(last, match_ns)
         most = min((line.misfit for line in placements), default=0.0) + EXCLUDING
         return [line for line in placements if line.misfit <= most]
 
@@ -188,7 +231,37 @@ class ClockQuestion:
             unmoved = self._syncs.nearest(unmoved_at)
             if unmoved is not None and not self._agrees(used, first.number - unmoved.number):
                 return None
-        lost = self._lost_before(min(used))
+        misfit = (off_squared - off * off / len(last)) / (2.0 * self._stamps.variance_ns2)
+        return self._costed(marks, smallest, steps, misfit)
+
+    def _unmoved(self, last: list[Suspect], match_ns: int) -> list[Line]:
+        """The clock and the delays as they were, and one SYNC in :data:`RARE` that was late by more than any
+        before; none if the suspects cannot be placed so."""
+        clock, marks, delays = self._stamps.clock, list[SyncMark](), list[int]()
+        near_ns, variance = match_ns + clock.error_ns, self._stamps.variance_ns2
+        misfit, outlying = 0.0, 0
+        for suspect in last:
+            at = clock.place(suspect.device_ns)
+            mark = self._syncs.nearest(at)
+            if mark is None or mark.on_bus_at is None or mark in marks or mark.sequence == SURPLUS:
+                return []
+            off = abs(at - mark.on_bus_at)
+            outlying += off > near_ns
+            delays.append(suspect.received_at - mark.on_bus_at)
+            if off > 2 * self._half * NEARER or delays[-1] < self._transit - match_ns:
+                return []
+            if self.stamps.get(mark.number, suspect.device_ns) != suspect.device_ns:
+                return []
+            misfit += min(off * off / variance, OUTLYING**2) / 2.0
+            marks.append(mark)
+        if len(last) < RARE or outlying * RARE > len(last):
+            return []
+        line = self._costed(marks, min(delays), False, misfit)
+        return [] if line.unlikely else [line]
+
+    def _costed(self, marks: list[SyncMark], smallest: int, steps: bool, misfit: float) -> Line:
+        """The way that places suspects on ``marks`` with this smallest delay, and what it costs."""
+        lost = self._lost_before(min(mark.number for mark in marks))
         if steps:
             cost = STEP_COST + min(max(0, lost - self.twice), LOSS_COST_MAX)
         else:
@@ -196,8 +269,14 @@ class ClockQuestion:
         change = abs(smallest - self.delays.low)
         if change > self._half + self.delays.slack():
             cost += DELAY_COST
-        misfit = (off_squared - off * off / len(last)) / (2.0 * self._stamps.variance_ns2)
         return Line(cost, change, tuple(marks), steps, misfit)
+
+    def alike(self, placed: list[tuple[Suspect, SyncMark]]) -> list[tuple[Suspect, SyncMark]]:
+        """Those of the suspects behind a step whose delays are like the least one: a longer delay may be that
+        of a reading from before a further step, placed by that one."""
+        delays = [suspect.received_at - (mark.on_bus_at or 0) for suspect, mark in placed]
+        most = min(delays) + self.delays.high - self.delays.low + self.delays.slack() + self._half
+        return [each for each, delay in zip(placed, delays, strict=True) if delay <= most]
 
     def _agrees(self, used: set[int], moved: int) -> bool:
         """Whether the readings before the suspects can be placed as well, if the clock was set among them.

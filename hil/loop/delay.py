@@ -26,11 +26,18 @@ outlier hardly moves it."""
 class Fate:
     """The end of one sequence."""
 
-    def __init__(self, sequence: int, observation: Observation, delay: Duration | None) -> None:
-        """``delay``: sampled to received; None if it never came."""
+    def __init__(
+        self,
+        sequence: int,
+        observation: Observation,
+        delay: Duration | None,
+        received_at: Instant | None = None,
+    ) -> None:
+        """``delay``: sampled to received; None if it never came, as ``received_at``."""
         self.sequence = sequence
         self.observation = observation
         self.delay = delay
+        self.received_at = received_at
 
 
 class _Outstanding:
@@ -118,7 +125,7 @@ class DelayMeter:
         self._newest = max(self._newest, sequence)
         if certain:
             self._newest_certain = max(self._newest_certain, sequence)
-        place.fate = Fate(sequence, observation, delay)
+        place.fate = Fate(sequence, observation, delay, sample.reading.received_at)
         return cause is None
 
     def settle(self, heard_ns: int) -> list[Fate]:

@@ -38,9 +38,8 @@ class OrderAttribution:
     periods too: the calibration has taught the delay. Where one is missing, it was lost, or the delay has
     grown by whole periods; where several in a row come at another phase, the delay is another. Which SYNCs
     they answer is then a *question*, and readings are uncertain. What is uneven in the SYNCs answers it
-    (:mod:`servobench.hil.loop.order_evidence`): a host that wakes late, a watermark, the jitter of another's
-    SYNCs, and where that does not suffice by a *probe*, a SYNC that goes out a quarter of a period late.
-    Where none can, the delay is taken for what it was if it looks so.
+    (:mod:`servobench.hil.loop.order_evidence`), and where that does not suffice a *probe*, a SYNC that goes
+    out a quarter of a period late. Where none can, the delay is taken for what it was if it looks so.
 
     What the SYNC took behind its echo, and what the echo was stamped late, is part of the delay. So a sample
     lies no further behind its SYNC than its delay exceeds the smallest of the last ones, and where echoes are
@@ -74,8 +73,8 @@ class OrderAttribution:
         """Of those in a row, how long they came after the SYNC before them."""
         self._strays_known = 0
         """So many of them have their certain place."""
-        self._held: tuple[int, int] | None = None
-        """Cycle and bound of the last reading, if the next one is to show that it was held up."""
+        self._held: tuple[int, Instant, int] | None = None
+        """Cycle, instant and bound of the last reading, if the next one is to show that it was held up."""
         self._untidy = 0
         """Readings for which frames are still expected to come twice or be held up."""
 
@@ -132,7 +131,7 @@ class OrderAttribution:
         if mark.number > self._answered + 1:
             self._pass_over(mark, received_at)
         elif self._held is not None:
-            self.question.amend(self._held[0], True, self._held[1])
+            self.question.prove(*self._held)
             self.question.withdraw(mark.sequence)
             self.question.cleared = self._sure
         self._answered = mark.number
@@ -149,7 +148,7 @@ class OrderAttribution:
         self._in_question.odd += copy and self._in_question.odd < COPIES_MAX
         hidden = copy or self._syncs.may_hide(mark, received_at)
         if waits := not (self._sure or self._beyond or hidden) and usual.holds(delay):
-            self._unsure.add(mark.sequence, self._error_of(delay), behind)
+            self._unsure.add((mark.sequence, received_at, self._error_of(delay)), behind)
         certain = self._sure and not (copy or (behind and self._untidy > 0))
         return self._sample(reading, mark, certain=certain, waits=waits)
 
@@ -321,7 +320,8 @@ class OrderAttribution:
             self._in_question.evidence.add(reading.received_at)
             self._in_question.stray()
         if not (self._sure or self._beyond):
-            self._unsure.add(mark.sequence, self._error_of(age), self._open.is_within(HELD_UP, mark))
+            row = mark.sequence, reading.received_at, self._error_of(age)
+            self._unsure.add(row, self._open.is_within(HELD_UP, mark))
         return self._guess(reading, mark)
 
     def _is_only_one(self, mark: SyncMark, copy: bool) -> bool:
@@ -352,7 +352,7 @@ class OrderAttribution:
         self._doubt(mark)
         assert own.on_bus_at is not None
         self._answered = own.number
-        self._held = own.sequence, self._error_of(reading.received_at - own.on_bus_at)
+        self._held = own.sequence, reading.received_at, self._error_of(reading.received_at - own.on_bus_at)
         self.question.open = True
         return self._guess(reading, own)
 
@@ -396,4 +396,4 @@ class OrderAttribution:
     def _doubt(self, mark: SyncMark) -> None:
         """The reading that ``mark`` has may be another's."""
         self._unsure.drop(mark.sequence)
-        self.question.amend(mark.sequence, False, self._echo_error + REMEMBERED * self._period)
+        self.question.doubt(mark.sequence, self._echo_error + REMEMBERED * self._period)

@@ -79,16 +79,16 @@ class Unconfirmed:
     def __init__(self, question: Question, usual: UsualDelays) -> None:
         self._question = question
         self._usual = usual
-        self._rows: list[tuple[int, int, bool]] = []
+        self._rows: list[tuple[tuple[int, Instant, int], bool]] = []
 
-    def add(self, sequence: int, error_ns: int, behind: bool) -> None:
-        """``error_ns``: the bound of its sample if the answer confirms it. ``behind``: whether it may be of a
-        SYNC before, if frames are held up."""
-        self._rows.append((sequence, error_ns, behind))
+    def add(self, row: tuple[int, Instant, int], behind: bool) -> None:
+        """``row``: its cycle, when the reading came, and the bound of its sample if the answer confirms it.
+        ``behind``: whether it may be of a SYNC before, if frames are held up."""
+        self._rows.append((row, behind))
 
     def drop(self, sequence: int) -> None:
         """The reading of that cycle may be another's in any case."""
-        self._rows = [row for row in self._rows if row[0] != sequence]
+        self._rows = [row for row in self._rows if row[0][0] != sequence]
 
     def clear(self) -> None:
         """None is confirmed."""
@@ -99,13 +99,13 @@ class Unconfirmed:
     @property
     def behind(self) -> bool:
         """Whether one of them may be that of a SYNC before."""
-        return any(behind for _, _, behind in self._rows)
+        return any(behind for _, behind in self._rows)
 
     def confirm(self, until: int, *, untidy: bool) -> None:
         """Those up to cycle ``until`` are where they were placed; ``untidy``: frames are held up at times."""
-        for sequence, error_ns, behind in self._rows:
-            if sequence <= until:
+        for row, behind in self._rows:
+            if row[0] <= until:
                 certain = self._usual.tell(certain=not (behind and untidy))
-                if not (behind and untidy):
-                    self._question.amend(sequence, certain, error_ns)
-        self._rows = [row for row in self._rows if row[0] > until]
+                if certain:
+                    self._question.prove(*row)
+        self._rows = [row for row in self._rows if row[0][0] > until]

@@ -85,8 +85,8 @@ class PeriodDoubt:
         """The first has offset 0, as long as it is left."""
         self.heeded: deque[tuple[int, Instant]] = deque(maxlen=HELD_MAX)
         """Stamps since the map moved, and where it has them."""
-        self.rows: deque[tuple[int, int]] = deque(maxlen=HELD_MAX)
-        """Cycles whose readings are certain if they are placed right, and the bounds of their samples."""
+        self.rows: deque[tuple[int, Instant, int]] = deque(maxlen=HELD_MAX)
+        """Cycles whose readings are certain if they are placed right, when these came, and their bounds."""
         self.revoked: list[int] = []
         """Cycles from before, whose rows stay as they were if they are placed right."""
         self.proved = True

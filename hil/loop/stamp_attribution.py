@@ -27,7 +27,7 @@ from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import NS_PER_US, Duration, Instant
 from servobench.hil.loop.attribution import Health, Question, Tell
 from servobench.hil.loop.clock_map import STAMP_RESOLUTION
-from servobench.hil.loop.clock_question import LOSS_COST_MAX, STEP_COST, ClockQuestion, Line, Suspect
+from servobench.hil.loop.clock_question import ClockQuestion, Line, Suspect
 from servobench.hil.loop.drive_stamps import DriveStamps
 from servobench.hil.loop.period_doubt import PeriodDoubt, Placing
 from servobench.hil.loop.residuals import DelayExtremes
@@ -42,7 +42,8 @@ REVOKED: Final = 12
 """Where delays spread, a reading after a step lies on a SYNC that has none yet about every second time:
 twelve in a row are one chance in four thousand."""
 SUSPECTS_MAX: Final = 48
-"""After so many it is settled for the clock as it was."""
+"""After so many an unlikely answer is taken too. If there is none it is settled for the clock as it was,
+unless a reading would have come before its SYNC."""
 
 
 class StampAttribution:
@@ -74,8 +75,6 @@ class StampAttribution:
         self._case = ClockQuestion(syncs, self.stamps, period, transit, at_arrival)
         self.doubt = PeriodDoubt(syncs, self.stamps, period, transit, tell)
         self._suspects: list[Suspect] = []
-        self._early = False
-        """Whether a suspect would have come before its SYNC, which no network can do."""
         self._slowest = 0
         """The longest delay of a suspect that lies on a SYNC."""
         self._recent: deque[SyncMark] = deque(maxlen=REVOKED)
@@ -96,6 +95,11 @@ class StampAttribution:
         """Whether delays spread so much that a frame may come before one of the SYNC before its own."""
         delays = self._case.delays
         return max(delays.high, self._slowest) - delays.low >= self._half + self._half // 2
+
+    @property
+    def _early(self) -> bool:
+        """Whether a suspect would have come before its SYNC, which no network can do."""
+        return any(suspect.early for suspect in self._suspects)
 
     def learn(self, reading: Reading, mark: SyncMark) -> None:
         """Take a reading that can only answer the SYNC of ``mark``."""
@@ -127,7 +131,7 @@ class StampAttribution:
         if rivals := self._case.rivals(mark, at) if fits else []:
             for rival in rivals:
                 if rival.number not in self._case.stamps:
-                    self.question.amend(rival.sequence, False, self.doubtful_error_ns)
+                    self.question.doubt(rival.sequence, self.doubtful_error_ns)
             self._case.answer(mark, device_ns)
             return self._uncertain(reading, mark)
         free = fits and known is None
@@ -183,7 +187,7 @@ class StampAttribution:
         self._recent.append(mark)
         unstamped_ns = self._case.unstamped_ns(delay)
         if self.doubt.open:
-            self.doubt.rows.append((mark.sequence, error_ns + unstamped_ns))
+            self.doubt.rows.append((mark.sequence, reading.received_at, error_ns + unstamped_ns))
             return Sample(mark.sequence, reading, sampled_at, self.doubtful_error_ns, False)
         if match_ns < lateness and self._half < error_ns and not self._echoes_late:  # one SYNC, not the run's
             return Sample(mark.sequence, reading, sampled_at, self.doubtful_error_ns, False)
@@ -205,7 +209,7 @@ class StampAttribution:
             mark = self._syncs.nearest(at)
             if mark is not None and mark.on_bus_at is not None and self.stamps.fits(at - mark.on_bus_at):
                 placed.append((suspect, mark))
-        self._note_residuals()
+        self._case.note_residuals(self._suspects)
         self._clear(self._exonerate(placed))
 
     def _clear(self, all_proved: bool) -> None:
@@ -223,10 +227,11 @@ class StampAttribution:
                 assert mark.on_bus_at is not None
                 error_ns = stamped_ns + self._case.unstamped_ns(suspect.received_at - mark.on_bus_at)
                 self._case.answer(mark, suspect.device_ns)
+                row = suspect.guess, suspect.received_at, error_ns
                 if self.doubt.open:
-                    self.doubt.rows.append((suspect.guess, error_ns))
+                    self.doubt.rows.append(row)
                 else:
-                    self.question.amend(suspect.guess, True, error_ns)
+                    self.question.prove(*row)
                 proved += 1
         return proved == len(guesses)
 
@@ -242,19 +247,11 @@ class StampAttribution:
             self._case.stamps.setdefault(mark.number, stamp)
         self._close()
 
-    def _note_residuals(self) -> None:
-        """Suspects lie off their SYNCs though the clock is as it was: others may too."""
-        for suspect in self._suspects:
-            at = self.clock.place(suspect.device_ns)
-            mark = None if suspect.second else self._syncs.nearest(at)
-            if mark is not None and mark.on_bus_at is not None:
-                self._residuals.add_questioned(at - mark.on_bus_at, self.stamps.match_ns, 2 * self._half)
-
     def _close(self) -> None:
         """The question is answered."""
         self._suspects.clear()
         self._case.revoked.clear()
-        self._early, self._slowest = False, 0
+        self._slowest = 0
         self.question.open = self.doubt.open
         self.question.since = None
 
@@ -273,9 +270,8 @@ class StampAttribution:
         reach_ns = self.stamps.near_ns - self.clock.error_ns
         if self._echoes_late:  # the map lies in the middle of what it may be off
             reach_ns = self.stamps.match_ns + self._residuals.high
-        latest = reading.received_at - self._transit + reach_ns
-        self._early = self._early or at > latest
-        suspects.append(Suspect(device_ns, reading.received_at, second))
+        early = at > reading.received_at - self._transit + reach_ns
+        suspects.append(Suspect(device_ns, reading.received_at, second, early))
         if free is not None:
             self._slowest = max(self._slowest, reading.received_at - at)
         self.question.open = True
@@ -291,7 +287,7 @@ class StampAttribution:
             stamp = self._case.stamps.pop(mark.number, None)
             if stamp is not None:
                 self._case.revoked.append((mark, stamp))
-                self.question.amend(mark.sequence, False, self.doubtful_error_ns)
+                self.question.doubt(mark.sequence, self.doubtful_error_ns)
         if self._recent:
             self.question.since = self._recent[0].sequence
         self._recent.clear()
@@ -316,11 +312,12 @@ class StampAttribution:
         if count < agreeing or (count - agreeing) % (AGREEING // 2):
             return
         last = self._suspects[-agreeing:]
-        lines = [line for line in self._case.lines(last) if line.cost <= STEP_COST + LOSS_COST_MAX]
-        if lines:
-            self._take(sorted(lines, key=lambda line: (line.cost, line.steps, line.delay_change)), last)
+        if lines := self._case.answers(last, unlikely=count > SUSPECTS_MAX):
+            self._take(lines, last)
+        elif count > SUSPECTS_MAX and self._case.was_set(self._suspects):
+            del self._suspects[: AGREEING // 2]
         elif count > SUSPECTS_MAX:
-            self._note_residuals()
+            self._case.note_residuals(self._suspects)
             self._acquit()
 
     def _tell_step(self, by_ns: int, readings: int) -> None:
@@ -343,12 +340,13 @@ class StampAttribution:
             self.doubt.moved()
         firsts = [(other.marks[0].on_bus_at, other.steps) for other in lines[1:]]
         others = [(at - first_at, steps) for at, steps in firsts if at is not None]
-        if others and line.cost >= STEP_COST:
+        if others and line.unlikely:
             self.doubt.put(steps, others, self._case.delays, self._case.since)
         if not steps:
-            self._note_residuals()
+            self._case.note_residuals(self._suspects)
             self._case.delays = DelayExtremes()
-        all_proved = self._exonerate(list(zip(last, line.marks, strict=True)))
+        placed = list(zip(last, line.marks, strict=True))
+        all_proved = self._exonerate(self._case.alike(placed) if steps else placed)
         self._clear(all_proved and not (steps and self._case.revoked))
         end = self._close if steps else self._acquit
         end()
@@ -368,8 +366,8 @@ class StampAttribution:
             return False
         way = doubt.ways[0]
         if way.offset_ns == 0:
-            for sequence, error_ns in doubt.rows:
-                self.question.amend(sequence, True, error_ns)
+            for row in doubt.rows:
+                self.question.prove(*row)
             for sequence in doubt.revoked:
                 self.question.withdraw(sequence)
             self.question.cleared = doubt.proved and not self._suspects

@@ -169,7 +169,9 @@ def play(network: Network, cycles: int, seed: int = 1) -> Outcome:
         world.cycle(number, start + number * PERIOD)
     world.run_until(start + 2 * cycles * PERIOD + NS_PER_S)
     for truth in world.placed:
-        amended = world.by_order.question.applied(world.by_stamp.question.applied(truth.sample))
+        came_at = truth.sample.reading.received_at
+        amended = world.by_stamp.question.applied(truth.sample, came_at)
+        amended = world.by_order.question.applied(amended, came_at)
         assert isinstance(amended, Sample)
         truth.sample = amended
     return Outcome(world.placed, world.by_stamp, world.by_order, world.told)

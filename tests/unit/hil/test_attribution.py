@@ -7,6 +7,8 @@ import pytest
 
 from servobench.drivers.timebase import NS_PER_MS, Instant
 from servobench.drivers.wire.frame_port import EchoBasis
+from servobench.hil.loop.attribution import Question
+from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.syncs import ECHO_ERROR, GIVEN_UP_AFTER_PERIODS, REMEMBERED, SyncLog
 from tests.unit.hil.attribution_world import Network, Outcome, play
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, reading_at
@@ -271,3 +273,25 @@ def test_the_time_for_which_a_bus_stood_still_is_none_for_which_it_was_heard_of(
     assert log.heard_ns - begun == (2 + GIVEN_UP_AFTER_PERIODS + 2) * PERIOD
     assert log.heard_for(6, begun)
     assert not log.heard_for(7, begun)
+
+
+def test_a_row_is_proved_for_its_own_reading_alone() -> None:
+    """It may have been settled with another, by a guess, when it is known which reading is its own."""
+    question, reading = Question(), reading_at(Instant(3 * PERIOD))
+    guess = Sample(2, reading, Instant(2 * PERIOD), 128 * PERIOD, False)
+    question.prove(2, Instant(5 * PERIOD), 8_000)
+    assert question.applied(guess, reading.received_at) == guess
+    question.prove(2, reading.received_at, 8_000)
+    proved = question.applied(guess, reading.received_at)
+    assert isinstance(proved, Sample)
+    assert (proved.certain, proved.sampled_at_error_ns) == (True, 8_000)
+
+
+def test_a_row_in_doubt_stays_so_though_another_reading_is_proved_to_be_its_own() -> None:
+    question, reading = Question(), reading_at(Instant(3 * PERIOD))
+    told = Sample(2, reading, Instant(2 * PERIOD), 8_000, True)
+    question.doubt(2, 128 * PERIOD)
+    question.prove(2, Instant(5 * PERIOD), 8_000)
+    doubted = question.applied(told, reading.received_at)
+    assert isinstance(doubted, Sample)
+    assert (doubted.certain, doubted.sampled_at_error_ns) == (False, 128 * PERIOD)

@@ -211,3 +211,41 @@ def test_readings_before_a_step_must_have_had_a_place_as_well() -> None:
     assert possible(4, 5, 8), "the first before it, on 4, the second on 9"
     assert not possible(4, 4, 8)
     assert not possible(4, 5, 9)
+
+
+@pytest.mark.parametrize(("late", "holds"), [(1, True), (2, False)])
+def test_one_sync_in_eight_may_be_later_than_any_was_and_the_clock_as_it_was(late: int, holds: bool) -> None:
+    """Though it is the first, from which the lines of a clock that was set are drawn."""
+    case = Case(9)
+    case.case.since = 1
+    suspects = [*case.suspects(*range(2, 2 + late), off=300_000), *case.suspects(*range(2 + late, 10))]
+    answers = case.case.answers(suspects, unlikely=False)
+    assert (
+        (2, 3, 4, 5, 6, 7, 8, 9) in [tuple(mark.number for mark in line.marks) for line in answers]
+    ) is holds
+    assert not any(line.steps for line in answers)
+
+
+@pytest.mark.parametrize(("change", "taken"), [(990_000, True), (1_000_000, False)])
+def test_a_step_and_another_delay_are_an_answer_only_where_there_is_none_else(
+    change: int, taken: bool
+) -> None:
+    case = Case(9)
+    case.case.since = 1
+    suspects = case.suspects(*range(2, 10), step=300_000, delay=DELAY + change)
+    assert case.case.answers(suspects, unlikely=False) == []
+    assert bool(case.case.answers(suspects, unlikely=True)) is taken
+
+
+def test_a_reading_before_its_sync_shows_that_the_clock_was_set() -> None:
+    case = Case(12)
+    assert not case.case.was_set(case.suspects(*range(2, 10)))
+    assert case.case.was_set(case.suspects(*range(2, 10), step=PERIOD))
+
+
+def test_a_delay_longer_than_delays_spread_is_not_proved_behind_a_step() -> None:
+    """It may be that of a reading from before another step."""
+    case = Case(12)
+    suspects = [*case.suspects(2, delay=DELAY + PERIOD), *case.suspects(*range(3, 10))]
+    placed = [(suspect, case.log.marks[place]) for place, suspect in enumerate(suspects, 1)]
+    assert case.case.alike(placed) == placed[1:]

@@ -30,7 +30,7 @@ class Stepping(Rig):
 
     def amended(self) -> list[tuple[int, bool, int]]:
         """What the rows say in the end."""
-        rows = [self.stamped.question.applied(sample) for sample in self.samples]
+        rows = [self.stamped.question.applied(sample, sample.reading.received_at) for sample in self.samples]
         return [
             (row.sequence, row.certain, row.sampled_at_error_ns) for row in rows if isinstance(row, Sample)
         ]

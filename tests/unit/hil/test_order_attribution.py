@@ -72,7 +72,8 @@ class Rig:
 
     def amended(self, *samples: Sample | None) -> list[tuple[int, bool]]:
         """What the rows of these say after all."""
-        made = [self.order.question.applied(sample) for sample in samples if sample is not None]
+        question = self.order.question
+        made = [question.applied(each, each.reading.received_at) for each in samples if each is not None]
         return [(each.sequence, each.certain) for each in made]
 
 
