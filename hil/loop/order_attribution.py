@@ -159,7 +159,7 @@ class OrderAttribution:
             self._ask(self._usual.low)
         elif self._in_question.phase_known and not self._in_question.is_like(received_at, self._lags()):
             return None
-        number = self._in_question.evidence.add(received_at)
+        number = self._in_question.weigh(received_at)
         return self._mark(number) if number else None
 
     def _pass_over(self, mark: SyncMark, received_at: Instant) -> None:
@@ -170,7 +170,7 @@ class OrderAttribution:
             self._in_question.miss(self._answered)
         else:
             self._ask(self._usual.middle)
-            self._in_question.evidence.add(received_at)
+            self._in_question.weigh(received_at)
 
     def _ask(self, age: int) -> None:
         """Put the question which SYNCs readings answer that come ``age`` after one."""
@@ -301,7 +301,7 @@ class OrderAttribution:
             self._in_question.phase_known = False
             self._in_question.odd = max(0, self._in_question.odd - STRAYS_MAX)
             self._ask(middle_of(self._strays, self._period))
-            self._in_question.evidence.add(reading.received_at)
+            self._in_question.weigh(reading.received_at)
             self._strays.clear()
         self._in_question.stray()
         if mark.number > self._answered:
@@ -317,7 +317,7 @@ class OrderAttribution:
         """It is that of the next SYNC, or of one that was passed over."""
         self._answered = mark.number
         if not self._sure:
-            self._in_question.evidence.add(reading.received_at)
+            self._in_question.weigh(reading.received_at)
             self._in_question.stray()
         if not (self._sure or self._beyond):
             row = mark.sequence, reading.received_at, self._error_of(age)

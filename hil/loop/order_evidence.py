@@ -12,7 +12,7 @@ from typing import Final
 
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.syncs import SyncLog
-from servobench.hil.loop.usual_delays import RESOLUTION_NS
+from servobench.hil.loop.usual_delays import RARE, RESOLUTION_NS
 
 WATCHED: Final = 64
 """Readings that are weighed: rows wait for no more."""
@@ -22,6 +22,8 @@ EXCLUDING: Final = 12.0
 """A lag is none if another is e^12, 160 000 times, likelier: it is asked hundreds of times in a run."""
 OUTLYING: Final = 6.0
 """Deviations beyond which a reading weighs no more: one alone, e^18 against e^0, decides by a probe."""
+DEVIATION_PER_HALF: Final = 1.5
+"""The deviation of a normal spread is so many times what half of its values keep within."""
 OUTLYING_UNTIDY: Final = 4.0
 """The same where frames are held up now and then: two readings decide, at e^8 each."""
 
@@ -47,6 +49,10 @@ class OrderEvidence:
         self._numbers.clear()
         self._came_at.clear()
 
+    def restart(self) -> None:
+        """Forget the readings, but not how they come."""
+        self.begin(self._age)
+
     def add(self, received_at: Instant) -> int:
         """Take a reading; number of the SYNC that it answers with lag 0. 0: it is the second one of that."""
         mark = self._syncs.nearest(Instant(received_at - self._age))
@@ -60,18 +66,21 @@ class OrderEvidence:
 
     def delays(self, lag: int) -> list[int]:
         """Of the readings with this lag; none if they would answer a SYNC that was never on the bus, or is
-        yet to come. Below 0: they answer later SYNCs."""
+        yet to come. Below 0: they answer later SYNCs, and few come sooner than their frame can, which are
+        others' that were held up."""
         marks = self._syncs.marks
         first = marks[0].number + lag
         end = len(marks)
         delays: list[int] = []
+        too_soon = 0
         for number, came_at in zip(self._numbers, self._came_at, strict=True):
             place = number - first
             on_bus_at = marks[place].on_bus_at if 0 <= place < end else None
-            if on_bus_at is None or (lag < 0 and came_at - on_bus_at < self._soonest):
+            if on_bus_at is None:
                 return []
+            too_soon += lag < 0 and came_at - on_bus_at < self._soonest
             delays.append(came_at - on_bus_at)
-        return delays
+        return delays if RARE * too_soon <= len(delays) else []
 
     def usual_delays(self, lag: int) -> list[int]:
         """The same, without those of single readings that were held up."""
@@ -85,12 +94,10 @@ class OrderEvidence:
         """The lag, if the readings leave one of ``least_lag``, ... ``lags`` - 1; ``deviation_ns``: of
         delays as they were; ``untidy``: frames are held up now and then."""
         of_lags = [self.delays(lag) for lag in range(least_lag, min(lags, LAGS_MAX))]
-        squares = [_squares(delays) if delays else -1.0 for delays in of_lags]
-        possible = [each for each in squares if each >= 0.0]
-        if not possible or len(self) < 2:
+        deviations = [_deviation(delays) for delays in of_lags if delays]
+        if not deviations or len(self) < 2:
             return None
-        floor = float(max(deviation_ns, RESOLUTION_NS, self._syncs.error_ns // 3)) ** 2
-        variance = max(floor, min(possible) / (len(self) - 1))
+        variance = max(deviation_ns, RESOLUTION_NS, self._syncs.error_ns // 3, min(deviations)) ** 2.0
         outlying = OUTLYING_UNTIDY if untidy else OUTLYING
         misfits = [_misfit(delays, variance, outlying) if delays else -1.0 for delays in of_lags]
         least = min(each for each in misfits if each >= 0.0)
@@ -98,9 +105,11 @@ class OrderEvidence:
         return least_lag + left[0] if len(left) == 1 else None
 
 
-def _squares(delays: list[int]) -> float:
+def _deviation(delays: list[int]) -> float:
+    """That of most of them, from how far half of them lie off the middle: not of those held up."""
     middle = sorted(delays)[len(delays) // 2]
-    return sum(float(delay - middle) ** 2 for delay in delays)
+    off = sorted(abs(delay - middle) for delay in delays)
+    return DEVIATION_PER_HALF * off[len(off) // 2]
 
 
 def _misfit(delays: list[int], variance: float, outlying: float) -> float:

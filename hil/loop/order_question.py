@@ -87,6 +87,8 @@ class OrderQuestion:
         """Numbers of those that have gone out for it."""
         self._next_probe = 0
         """Number of the first SYNC that may be a probe."""
+        self._missing = 0
+        """SYNCs that had not been heard by the last reading."""
 
     def put(self) -> None:
         """It begins."""
@@ -98,6 +100,14 @@ class OrderQuestion:
         """Weigh readings that come ``age`` after a SYNC, from here on; ``answered``: see :meth:`miss`."""
         self.miss(answered)
         self.evidence.begin(age)
+
+    def weigh(self, received_at: Instant) -> int:
+        """See :meth:`OrderEvidence.add`. A SYNC that was not heard breaks the count of those from which on
+        another delay is reckoned: readings before it say nothing of those behind."""
+        if self._missing != self._syncs.missing and not self.phase_known:
+            self.evidence.restart()
+        self._missing = self._syncs.missing
+        return self.evidence.add(received_at)
 
     def miss(self, answered: int) -> None:
         """A reading is missing after that of SYNC ``answered``."""
@@ -186,9 +196,10 @@ class OrderQuestion:
 
     def sooner(self) -> int:
         """By how many SYNCs a reading may be a later one's: no reading comes sooner than its frame can."""
-        if self._syncs.basis in STAMPED_LATE or not self.phase_known:
+        if self._syncs.basis in STAMPED_LATE:
             return 0
-        return max(0, self._usual.high - self._soonest) // self._period
+        longest = self._usual.high if self.phase_known else max(self.evidence.delays(0), default=0)
+        return max(0, longest - self._soonest) // self._period
 
     def lag(self, lags: int, *, beyond: bool, untidy: bool) -> int | None:
         """With which readings follow their SYNCs, if it can be told: of ``lags``, 0, 1, ..., or below 0.
@@ -252,4 +263,5 @@ class OrderQuestion:
         if self._speaks_against(miss):
             return None
         delays = self.evidence.usual_delays(0) if self.evidence.delays(0) else []
-        return lag_to_resemble(delays, self._usual, self._period, self._alike_least)
+        lag = lag_to_resemble(delays, self._usual, self._period, self._alike_least)
+        return lag if lag is None or self.evidence.delays(lag) else None

@@ -251,7 +251,7 @@ def lag_to_resemble(delays: Sequence[int], usual: UsualDelays, period: Duration,
         return None
     lag = (usual.low - low + period // 2) // period
     off = low + lag * period - usual.low
-    return lag if lag >= 0 and abs(off) <= tolerance else None
+    return lag if abs(off) <= tolerance else None
 
 
 def middle_of(ages: Sequence[int], period: Duration) -> int:
