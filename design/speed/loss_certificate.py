@@ -8,7 +8,7 @@ sample was due. The plant is that of the design. Through a loss
                   filter, after losses and detected steps too, lie in :class:`GainBoxes`
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,10 +20,14 @@ from servobench.design.sampled.loss_patterns import Pattern
 from servobench.design.sampled.lossy_loop import LossyLoop, LossyPeriods, Period, with_entry
 from servobench.design.speed.hinf_design import HinfDesign
 from servobench.design.speed.hinf_loop import HinfLoop
-from servobench.design.speed.predictor_design import PredictorDesign, losses_gain
+from servobench.design.speed.predictor_design import PredictorDesign, Sample, losses_gain, samples_gain
 from servobench.design.speed.predictor_gains import GainBoxes
 from servobench.design.speed.predictor_loop import PredictorLoop
 from servobench.design.speed.predictor_plant import FILTERED, of_state
+
+_PERIODS_MAX = 9
+"""Periods of a pattern with steps, two rounds at least: by the seventh sample a step is forgotten, and a gain
+costs the cube of them."""
 
 Attempt = Callable[[int], SampledAnalysis]
 
@@ -66,11 +70,36 @@ def lossy_hinf(loop: HinfLoop, losses_max: int) -> LossyLoop:
 
 def predictor_losses(made: PredictorDesign, losses_max: int) -> SampledAnalysis:
     """Analyse a predictor with at most so many losses in a row; patterns are found with the quiet filter's
-    gains."""
+    gains, then which samples of the worst count as steps of the load."""
     loop = lossy_predictor(made, losses_max)
     analysis = analyse_loop(loop, (False,))
-    gains = [losses_gain(made, losses_of(pattern)) for pattern in (analysis.worst.pattern, *analysis.regular)]
-    return replace(analysis, worst=replace(analysis.worst, gain=max(gains)))
+    patterns = {tuple(losses_of(each)) for each in (analysis.worst.pattern, *analysis.regular)}
+    worst = max(sorted(patterns), key=lambda losses: losses_gain(made, losses))
+    _, gain = worst_samples(made, worst, losses_max)
+    return replace(analysis, worst=replace(analysis.worst, gain=gain))
+
+
+def worst_samples(
+    made: PredictorDesign, losses: Sequence[int], losses_max: int
+) -> tuple[tuple[Sample, ...], float]:
+    """Return the samples of largest gain found near the pattern ``losses``, and that gain, rad/s per N m.
+
+    A step seen once in a few rounds of the pattern, then single changes of the worst.
+    """
+    quiet: tuple[Sample, ...] = tuple((lost, False) for lost in losses)
+    tried = {quiet: samples_gain(made, quiet)}
+    for rounds in range(1, max(2, _PERIODS_MAX // (sum(losses) + len(losses))) + 1):
+        *before, (lost, _) = quiet * rounds
+        tried[(*before, (lost, True))] = samples_gain(made, (*before, (lost, True)))
+    worst = max(tried, key=lambda samples: tried[samples])
+    for place, (lost, step) in enumerate(worst):
+        others = [(lost, not step), (lost - 1, step), (lost + 1, step)]
+        for other in others:
+            if 0 <= other[0] <= losses_max:
+                changed = (*worst[:place], other, *worst[place + 1 :])
+                tried[changed] = samples_gain(made, changed)
+    worst = max(tried, key=lambda samples: tried[samples])
+    return worst, tried[worst]
 
 
 def lossy_predictor(made: PredictorDesign, losses_max: int) -> LossyLoop:

@@ -250,7 +250,7 @@ def _largest(keeps: Callable[[float], bool], low: float, high: float) -> float |
 
 
 _SETTLED = 300
-"""Rounds after which the covariance repeats itself."""
+"""Samples after which the covariance repeats itself."""
 
 
 def predictor_robustness(made: PredictorDesign) -> LoopRobustness:
@@ -284,19 +284,35 @@ def predictor_robustness(made: PredictorDesign) -> LoopRobustness:
     )
 
 
+Sample = tuple[int, bool]
+"""A received one: losses before it, and whether it counts as a step of the load."""
+
+
 def losses_gain(made: PredictorDesign, losses: Sequence[int]) -> float:
     """Return the L2 gain if so many samples are lost before each received one, again and again, rad/s per N
     m.
 
     The gains are the quiet filter's steady ones; inf: unstable.
     """
-    kalman, walk = made.request.kalman, made.walks.quiet
-    loop, P = PredictorLoop(made.prediction), kalman.settled(walk)
-    for _ in range(_SETTLED):
-        chain: list[Operation] = []
-        for lost in losses:
+    return samples_gain(made, [(lost, False) for lost in losses])
+
+
+def samples_gain(made: PredictorDesign, samples: Sequence[Sample]) -> float:
+    """Return the L2 gain if ``samples`` come again and again, rad/s per N m; inf: unstable."""
+    kalman, walks = made.request.kalman, made.walks
+    quiet, bold = kalman.settled(walks.quiet), kalman.settled(walks.bold)
+    gains: list[Array] = []
+    for _ in range(math.ceil(_SETTLED / len(samples))):
+        gains.clear()
+        for lost, step in samples:
             for _ in range(lost + 1):
-                P = kalman.predicted(P, walk)
-            chain += [*loop.chain(None)] * lost + loop.chain(of_state(kalman.gain(P)))
-            P = kalman.corrected(P)
+                quiet, bold = kalman.predicted(quiet, walks.quiet), kalman.predicted(bold, walks.bold)
+            quiet = bold if step else quiet
+            gains.append(of_state(kalman.gain(quiet)))
+            quiet, bold = kalman.corrected(quiet), kalman.corrected(bold)
+    loop = PredictorLoop(made.prediction)
+    lost_period = loop.chain(None)
+    chain: list[Operation] = []
+    for (lost, _), L in zip(samples, gains, strict=True):
+        chain += lost_period * lost + loop.chain(L)
     return loop.gain(chain)
