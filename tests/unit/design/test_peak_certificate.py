@@ -29,8 +29,9 @@ def test_a_loop_that_never_switches_is_certified_by_what_one_simulation_shows() 
 def test_a_peak_long_after_the_step_is_found_too() -> None:
     """A slow loop with an integral: its error still grows after the 40 periods of the search."""
     analysis = analysed(33)
+    attacked = attack(drawn_loop(np.random.default_rng([40, 33])), np.random.default_rng([41, 33]))
     assert analysis.peak_certified is not None
-    assert analysis.peak_certified < 1.001 * analysis.peak_found
+    assert attacked <= analysis.peak_certified < 1.001 * analysis.peak_found
 
 
 @pytest.mark.parametrize(("seed", "ratio_max"), [(0, 1.12), (47, 1.12)])
