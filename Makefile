@@ -154,13 +154,14 @@ edits: $(TOOLS) compile
 	@EDITS=$(EDITS) $(BIN)/pytest tests/scenario/test_campaign_identity.py -k no_edit
 
 # The wheel's core has a stable ABI, so one interpreted wheel serves every Python.
+stranger: SECONDS = 900
 stranger: $(TOOLS) $(CORE)
 	@rm -rf build/stranger && mkdir -p build/stranger
 	@SERVOBENCH_PURE=1 $(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir build/stranger .
 	@$(PYTHON) -m venv build/stranger/venv
 	@build/stranger/venv/bin/pip install --quiet "$$(echo build/stranger/*.whl)[all]" pytest
-	@STRANGER=$(abspath build/stranger/venv/bin) timeout $(SECONDS) $(BIN)/pytest tests/scenario/test_readme.py \
-	  -k "word_by_word or hil_init or stranger"
+	@STRANGER=$(abspath build/stranger/venv/bin) timeout $(SECONDS) $(BIN)/pytest -o timeout=350 --durations=20 --durations-min=5 \
+	  tests/scenario/test_readme.py -k "word_by_word or hil_init or stranger"
 
 test-dask: $(TOOLS) compile
 	@$(BIN)/pytest tests/dask

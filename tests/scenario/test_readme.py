@@ -25,9 +25,10 @@ FOLLOWED = [
 TUTORIALS = {"tutorial-pytest.md", "tutorial-commissioning.md", "tutorial-review.md"}
 REAL_TIME = {"tutorial-commissioning.md", "tutorial-pytest.md"}
 """They use a hub: not beside what else is measured in real time."""
-TIMEOUT_S = 110
 STRANGER = os.environ.get("STRANGER")
 """Scripts of an environment with an installed wheel, from which hil is taken (``make stranger``)."""
+TIMEOUT_S = 330 if STRANGER else 110
+"""The stranger's wheel is interpreted, and each of its commands is a process of its own."""
 MISUSE: type[Exception] = typer.BadParameter.__bases__[0]
 
 SAMPLE = """

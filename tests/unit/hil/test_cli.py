@@ -17,6 +17,7 @@ from servobench.hil.configuration.motor_file import LING2012
 from servobench.hil.machine.doctor import Capability
 from servobench.hil.machine.stopping import Interrupted
 from servobench.hil.recording.logger_process import RecordingFailed
+from servobench.hil.rows.seal import SEALED
 from servobench.hil.terminal.options import node_ids, serial_numbers
 from servobench.hil.verdict.plain_values import from_plain
 from servobench.hil.verdict.summary import Summary
@@ -61,13 +62,12 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     stand_ins = {
         "servobench.hil.execution.bench": ("run_bench", found.run_bench),
         "servobench.hil.execution.simulated_drives": ("simulate", found.simulate),
-        "servobench.hil.rows.seal": ("check_seal", lambda _folder: "sealed"),
     }
     for name, (function, stand_in) in stand_ins.items():
         module = ModuleType(name)
         setattr(module, function, stand_in)
         monkeypatch.setitem(sys.modules, name, module)
-    sys.modules["servobench.hil.rows.seal"].SEALED = "sealed"  # type: ignore[attr-defined]
+    monkeypatch.setattr("servobench.hil.rows.seal.check_seal", lambda _folder: SEALED)
     return found
 
 
