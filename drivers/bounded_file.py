@@ -67,7 +67,9 @@ class NoSuchFile(BadInput):
 
     def __str__(self) -> str:
         kind = self.what[:1].upper() + self.what[1:]
-        place = ": ".join(part for part in (self.source, self.key) if part and part != self.value)
+        # The name of an argument, JOURNAL or MOTOR.toml, tells nothing that the kind of file does not.
+        source = "" if self.source.partition(".")[0].isupper() and not self.key else self.source
+        place = ": ".join(part for part in (source, self.key) if part and part != self.value)
         text = f"{place + ': ' if place else ''}{kind} not found: {self.value}"
         return printable(f"{text}; {self.remedy}" if self.remedy else text)
 
@@ -155,7 +157,9 @@ def _opened(path: Path, what: str, named_by: NamedBy | None, size_max_bytes: int
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             kind = _kind(status.st_mode)
-            raise BadInput(blamed.source, blamed.key, kind, f"a {what}, a regular file", f"see {path}")
+            inside = path / f"{what.split()[0]}.toml"
+            remedy = f"did you mean {inside}?" if inside.is_file() else f"see {path}"
+            raise BadInput(blamed.source, blamed.key, kind, f"a {what}, a regular file", remedy)
         if status.st_size > size_max_bytes:
             _refuse_size(path, what, status.st_size, size_max_bytes)
         with open(descriptor, "rb", closefd=False) as file:

@@ -31,7 +31,7 @@ class BadInput(BenchError):
     key: str
     """Dotted path of the key, e.g. ``drive.axis1.node``; empty if the whole file is meant."""
     value: Any
-    """The value found; ``MISSING`` if there was none."""
+    """The value found; ``MISSING``, or None of an option, if there was none."""
     expected: str
     """The accepted values."""
     remedy: str = ""
@@ -42,7 +42,7 @@ class BadInput(BenchError):
     def __str__(self) -> str:
         key, value = _shortened(self.key), _shortened(repr(self.value))
         place = f"{self.source}: {key}" if key else self.source
-        found = "missing" if self.value is MISSING else f"found {value}"
+        found = "missing" if self.value is MISSING or self.value is None else f"found {value}"
         text = f"{place}: {found}, expected {_shortened(self.expected)}"
         return printable(f"{text}; {_shortened(self.remedy)}" if self.remedy else text)
 

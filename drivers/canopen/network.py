@@ -201,12 +201,11 @@ class CanopenNetwork(canopen.Network):
         )
         if self.status(node_id).heartbeat_at is not None:
             heard = "its heartbeat is there, but it answers no SDO"
-        return NoAnswer(
-            f"{title} does not answer",
-            heard,
-            "check that it is powered, its node id, the bit rate and the wiring; "
-            f"hil scan --bus {self.link.name} shows who is there",
-        )
+        bus = self.link.name
+        cure = "check that it is powered, its node id, the bit rate and the wiring"
+        if bus.startswith("hub:"):
+            cure = f"start a drive there: hil simulate --bus {bus} --node {node_id}"
+        return NoAnswer(f"{title} does not answer", heard, f"{cure}; hil scan --bus {bus} shows who is there")
 
     def watch(self, node_id: int, timeout_ns: Duration) -> None:
         """Note the node as lost (``status(node_id).lost_at``) if it is silent for longer; 0: no watch."""

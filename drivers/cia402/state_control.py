@@ -61,7 +61,8 @@ class StateControl:
     def __init__(self, objects: RemoteObjects, name: str, told: LastStatusword) -> None:
         self.objects = objects
         self.network = objects.network
-        self.title = f"{name} (node {objects.node_id} on {objects.network.link.name})"
+        node, bus = f"node {objects.node_id}", objects.network.link.name
+        self.title = f"{node} on {bus}" if name == node else f"{name} ({node} on {bus})"
         """The drive's name in errors."""
         self.set_point: SetPointFrames | None = None
         """Frames that carry the controlword by RPDO; None before the PDOs are mapped."""

@@ -116,9 +116,9 @@ def with_controllers(config: BenchConfig, asked: Sequence[str]) -> BenchConfig:
     for text in asked:
         axis, _, name = text.partition("=")
         if axis not in drives or not name:
-            axes = ", ".join(config.axes)
-            expected = f"AXIS=FILE.py:NAME, AXIS=MODULE:NAME or AXIS=FILE.toml, and of the axes: {axes}"
-            raise BadInput("--controller", "", text, expected)
+            expected = "AXIS=FILE.py:NAME, AXIS=MODULE:NAME or AXIS=FILE.toml"
+            remedy = f"the axes of this bench: {', '.join(config.axes)}"
+            raise BadInput("--controller", "", text, expected, remedy)
         if name.endswith(".toml"):
             controller = load_controller(Path(name), NamedBy("--controller", "", text))
         else:

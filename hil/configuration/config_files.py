@@ -67,6 +67,9 @@ def translate(
     error: ValidationError, source: str, raw: Mapping[str, Any], model: type[BaseModel]
 ) -> list[BadInput]:
     """Return the faults of ``raw``, read from ``source``, as found by ``model``."""
+    if other := _other_kind(raw, model):
+        expected = f"a file with {', '.join(f'[{key}]' for key in sorted(_required(model)))}"
+        return [BadInput(source, "", f"a {other}", expected)]
     details = [
         item
         for item in error.errors(include_url=False)
@@ -75,6 +78,26 @@ def translate(
     errors = [_translate_one(detail, source, raw, model) for detail in details]
     meant = {key for item in errors if (key := _meant_key(item))}
     return [item for item in errors if not (item.value is MISSING and item.key in meant)]
+
+
+_KINDS: Final = {
+    "bench file": {"bench", "drive"},
+    "motor file": {"motor", "mechanics", "rating"},
+    "sweep": {"campaign"},
+    "network file": {"network"},
+}
+"""Kind of file -> the tables that it holds, and no other kind all of them."""
+
+
+def _other_kind(raw: Mapping[str, Any], model: type[BaseModel]) -> str:
+    """Return the kind of file that ``raw`` is, if ``model`` knows none of its tables; else empty."""
+    if set(raw) & set(model.model_fields):
+        return ""
+    return next((kind for kind, tables in _KINDS.items() if tables <= set(raw)), "")
+
+
+def _required(model: type[BaseModel]) -> set[str]:
+    return {name for name, field in model.model_fields.items() if field.is_required()}
 
 
 def _lacks_valid_items(detail: ErrorDetails) -> bool:
@@ -93,7 +116,8 @@ def _meant_key(item: BadInput) -> str | None:
 def shown(value: Any) -> Any:
     """Return ``value`` itself, or a short word for a table or list that is too long for a line."""
     if isinstance(value, Mapping):
-        return f"a table of {len(value)} keys" if len(repr(value)) > VALUE_SHOWN_MAX else dict(value)
+        keys = f"{len(value)} keys" if len(value) != 1 else "one key"
+        return f"a table of {keys}" if len(repr(value)) > VALUE_SHOWN_MAX else dict(value)
     if isinstance(value, list) and len(repr(value)) > VALUE_SHOWN_MAX:
         return f"a list of {len(value)}"
     return value

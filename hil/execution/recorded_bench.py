@@ -37,9 +37,12 @@ from servobench.hil.rows.records_file import read_metadata
 from servobench.hil.rows.run_files import (
     BENCH_FILE,
     BENCH_START,
+    EVENTS_FILE,
     FIRST_CYCLE,
     FIRST_CYCLE_EPOCH,
+    FRAMES_FILE,
     RECORDS_FILE,
+    not_a_recording,
 )
 from servobench.hil.verdict.limits import VerdictLimits
 from servobench.hil.verdict.summary import Summary
@@ -251,7 +254,9 @@ _UNKNOWN_END = "the end of the run is not known: whoever recorded it was ended b
 def refuse_whole(folder: Path) -> None:
     """Raise BadInput unless ``folder`` holds a recording without a summary."""
     if not (folder / BENCH_FILE).is_file():
-        raise BadInput("RUN", "", str(folder), f"the folder of a run, with its {BENCH_FILE}")
+        raise not_a_recording(folder, BENCH_FILE)
+    if not any((folder / name).exists() for name in (RECORDS_FILE, EVENTS_FILE, FRAMES_FILE)):
+        raise not_a_recording(folder, RECORDS_FILE)
     try:
         read_summary(folder)
     except BadInput:

@@ -181,7 +181,7 @@ def stop_drives(network: CanopenNetwork, nodes: Sequence[int]) -> list[NodeStopp
     if not stops:
         raise NoAnswer(
             f"no drive on {network.link.name} answers",
-            "nobody tells a statusword 6041h",
+            "no node has told its statusword, 6041h",
             "a drive that does not answer is stopped at its supply; hil scan shows who is there",
         )
     deadline = network.deadline_after(_LIMIT)

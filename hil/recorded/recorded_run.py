@@ -28,7 +28,14 @@ from servobench.hil.reviewing.review import Review
 from servobench.hil.rows.recording_plan import ReviewPlan
 from servobench.hil.rows.records import DIGESTED_TO_FORMAT_2, FATE_SAMPLE, Rows
 from servobench.hil.rows.records_file import read_metadata, read_records
-from servobench.hil.rows.run_files import BENCH_FILE, FIRST_CYCLE, FORMAT, RECORDS_FILE, SUMMARY_FILE
+from servobench.hil.rows.run_files import (
+    BENCH_FILE,
+    FIRST_CYCLE,
+    FORMAT,
+    RECORDS_FILE,
+    SUMMARY_FILE,
+    not_a_recording,
+)
 from servobench.hil.rows.seal import NOT_CHECKED, seal_of
 from servobench.hil.verdict.summary import Summary
 
@@ -83,7 +90,7 @@ def open_run(folder: Path, *, unsealed: bool = False) -> RecordedRun:
         folder = folder.parent
     for name in (BENCH_FILE, RECORDS_FILE):
         if not (folder / name).is_file():
-            raise BadInput("RUN", "", str(folder), f"the folder of a run, with its {name}")
+            raise not_a_recording(folder, name)
     if not (folder / SUMMARY_FILE).is_file():
         expected = f"a run with its {SUMMARY_FILE}"
         raise BadInput("RUN", "", str(folder), expected, "hil recover ends it")

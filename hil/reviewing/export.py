@@ -31,7 +31,7 @@ from servobench.hil.rows.records_file import (
     is_whole,
     refuse_later_format,
 )
-from servobench.hil.rows.run_files import RECORDS_FILE
+from servobench.hil.rows.run_files import RECORDS_FILE, not_a_recording
 from servobench.hil.rows.seal import NOT_CHECKED, check_seal
 
 CHUNK_ROWS: Final = 1 << 17
@@ -50,7 +50,7 @@ class RecordedRows:
         files that are not as they were recorded, unless ``unsealed``."""
         self.path = folder / RECORDS_FILE
         if not self.path.is_file():
-            raise BadInput(str(folder), "", "no records.arrow", "the folder of a recording")
+            raise not_a_recording(folder, RECORDS_FILE)
         if not is_whole(self.path):
             remedy = f"once it has ended: hil recover {folder}"
             raise BadInput(

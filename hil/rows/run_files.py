@@ -1,6 +1,9 @@
 """Names, format and time origin of the files in a run's folder."""
 
+from pathlib import Path
 from typing import Final
+
+from servobench.drivers.errors import BadInput
 
 FORMAT: Final = "4"
 """Version of the run's folder in docs/recording.md; increases when a reader must know. Up to 3 a recording
@@ -46,3 +49,8 @@ LOGGER_LOG = "logger.log"
 """The logger's standard error."""
 RESERVE_FILE = ".reserve"
 """Disk space reserved for the end; locked by the recorder."""
+
+
+def not_a_recording(folder: Path, lacks: str) -> BadInput:
+    """Return the error for a folder without the file ``lacks`` of a recording."""
+    return BadInput(str(folder), "", f"no {lacks}", "the folder of a recording", "hil runs DIR lists them")

@@ -34,7 +34,9 @@ def init(
     )  # fmt: skip
     for name in files:
         if (target / name).exists():
-            raise BadInput("DIR", "", str(target / name), "a folder without this file")
+            raise BadInput(
+                "DIR", "", str(target / name), "a folder without this file", "no file is overwritten"
+            )
     with writing("DIR", target):
         for name in files:
             (target / name).parent.mkdir(parents=True, exist_ok=True)

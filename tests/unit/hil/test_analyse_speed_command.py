@@ -104,7 +104,7 @@ GAINS = "K1,K2 in A/A and A s/rad, or K1,K2,K3 with the integral gain in A/rad, 
           for text in ("1", "1,2,3,4", "1;2", "0,nan", "inf,1", "")),
         (
             ("--gain", "0,1"),
-            "--delay-ms: found None, expected the constant delay, ms; or give --period-ms and the network",
+            "--delay-ms: missing, expected the constant delay, ms; or give --period-ms and the network",
         ),
         *((("--gain", "0,1", "--delay-ms", "1", option, value),
            f"{option}: found '{value}', expected --period-ms with it, the sampling period")

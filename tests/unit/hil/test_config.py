@@ -391,3 +391,9 @@ def test_a_bad_fault_plan_is_named() -> None:
     error = errors_of(edited("faults", value={"los": [{"probability": 0.1}]}))[0]
     assert error.source.startswith(SOURCE)
     assert "los" in error.key
+
+
+def test_a_file_of_another_kind_is_called_by_its_kind() -> None:
+    motor = tomllib.loads((ROOT / "examples/motors/ling2012.toml").read_text())
+    error = only_error_of(motor)
+    assert (error.value, error.expected) == ("a motor file", "a file with [bench], [drive]")

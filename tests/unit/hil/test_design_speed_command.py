@@ -176,7 +176,7 @@ TARGET = "--target: found 'sampled', expected --network and --method exact with 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ("", "hil design speed: found None, expected --gamma or --error-percent, --delay-ms or --network, or "
+        ("", "hil design speed: missing, expected --gamma or --error-percent, --delay-ms or --network, or "
              "one of each"),
         ("--gamma 1 --error-percent 2",
          "--error-percent: found 2.0, expected either --gamma or --error-percent"),

@@ -182,11 +182,17 @@ Spoil = Callable[[Path], object]
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (lambda at: (at / "bench.toml").unlink(), "expected the folder of a run, with its bench.toml"),
-        (lambda at: (at / "records.arrow").unlink(), "expected the folder of a run, with its records.arrow"),
+        (
+            lambda at: (at / "bench.toml").unlink(),
+            "{0}: found 'no bench.toml', expected the folder of a recording; hil runs DIR lists them",
+        ),
+        (
+            lambda at: (at / "records.arrow").unlink(),
+            "{0}: found 'no records.arrow', expected the folder of a recording; hil runs DIR lists them",
+        ),
         (
             lambda at: (at / "summary.json").unlink(),
-            "expected a run with its summary.json; hil recover ends it",
+            "RUN: found '{0}', expected a run with its summary.json; hil recover ends it",
         ),
     ],
 )
@@ -194,7 +200,7 @@ def test_what_is_no_whole_run_is_refused(folder: Path, spoil: Spoil, told: str) 
     spoil(folder)
     with pytest.raises(BadInput) as caught:
         open_run(folder)
-    assert str(caught.value) == f"RUN: found '{folder}', {told}"
+    assert str(caught.value) == told.format(folder)
 
 
 @pytest.mark.parametrize(

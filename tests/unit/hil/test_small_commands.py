@@ -154,6 +154,7 @@ def test_a_run_is_recovered_by_its_own_bench(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(report, "print_run", lambda config, done: print(config.bench.name, done.as_json()))
     text = BENCH.read_text().replace('"motors/', f'"{BENCH.parent}/motors/')
     (tmp_path / "bench.toml").write_text(text.replace('"faults/', f'"{BENCH.parent}/faults/'))
+    (tmp_path / "events.jsonl").touch()
     told = hil("recover", tmp_path)
     assert (told.exit_code, told.stdout) == (0, "ling2012 {'cycles': 7}\n")
     assert json.loads(hil("recover", tmp_path, "--json").stdout) == {"cycles": 7}
@@ -162,8 +163,12 @@ def test_a_run_is_recovered_by_its_own_bench(tmp_path: Path, monkeypatch: pytest
 
 def test_what_is_no_run_is_not_recovered(tmp_path: Path) -> None:
     told = hil("recover", tmp_path)
-    expected = "expected the folder of a run, with its bench.toml"
-    assert (told.exit_code, told.stderr) == (2, f"hil: error: RUN: found '{tmp_path}', {expected}\n")
+    told_of = "hil: error: {}: found 'no {}', expected the folder of a recording; hil runs DIR lists them\n"
+    assert (told.exit_code, told.stderr) == (2, told_of.format(tmp_path, "bench.toml"))
+    (tmp_path / "bench.toml").write_text(BENCH.read_text())  # of a bench that was never run
+    told = hil("recover", tmp_path)
+    assert (told.exit_code, told.stderr) == (2, told_of.format(tmp_path, "records.arrow"))
+    assert [path.name for path in tmp_path.iterdir()] == ["bench.toml"]
 
 
 # ---- init ---------------------------------------------------------------------------------------------
@@ -193,7 +198,7 @@ def test_a_first_bench_is_the_example_s(tmp_path: Path, monkeypatch: pytest.Monk
 def test_no_file_is_written_over(tmp_path: Path) -> None:
     (tmp_path / "motor.toml").write_text("mine")
     told = hil("init", tmp_path)
-    expected = "expected a folder without this file"
+    expected = "expected a folder without this file; no file is overwritten"
     there = tmp_path / "motor.toml"
     assert (told.exit_code, told.stderr) == (2, f"hil: error: DIR: found '{there}', {expected}\n")
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
