@@ -23,7 +23,10 @@ RETRY_EVERY: Final = Duration(130 * NS_PER_US)
 """A frame of 8 bytes at 1 Mbit/s: no room becomes free faster for long."""
 RETRY_AT_MOST: Final = Duration(NS_PER_MS)
 """Limit after 4 ms without room. Drivers of serial adapters free their queue in a kernel thread, to which a
-bench with real-time priority on one processor must leave time: at 130 us it never ran."""
+bench with real-time priority on one processor must leave time: at 130 us it never ran. Gaps differ by up to a
+half: retries in step with another program that sends as regularly would meet its frames alone."""
+_SPREAD: Final = 0.618033988749895
+"""Golden ratio: its multiples, less their whole parts, lie evenly over any stretch of retries."""
 STUCK_AFTER: Final = Duration(NS_PER_S)
 """No queue of a sound bus stands still for ten thousand frames. A watched drive stops by itself before."""
 ROOM: Final = 512
@@ -41,6 +44,7 @@ class SendQueue:
         """When the bus last took a frame, or the first of these began to wait."""
         self.given_up = 0
         """Frames never sent: a newer one with their identifier came, or it was too late."""
+        self._retries = 0
         self._classes: tuple[deque[WireFrame], ...] = (deque(), deque(), deque())
 
     def __len__(self) -> int:
@@ -79,7 +83,10 @@ class SendQueue:
 
     def retry_at(self, now: Instant) -> Instant:
         """Return when to offer a refused frame again: the longer nothing was taken, the later."""
-        return Instant(now + min(RETRY_AT_MOST, max(RETRY_EVERY, (now - self.blocked_since) // 4)))
+        self._retries += 1
+        longest = min(RETRY_AT_MOST, (now - self.blocked_since) // 4)
+        gap = round(longest * (1.0 - 0.5 * (self._retries * _SPREAD % 1.0)))
+        return Instant(now + max(RETRY_EVERY, gap))
 
     def went(self, now: Instant) -> None:
         """Remove the first one: the bus took it."""

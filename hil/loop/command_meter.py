@@ -32,6 +32,7 @@ from servobench.hil.loop.syncs import ECHO_ERROR, LATE_WITHOUT_BOUND, STAMPED_LA
 FOLLOWED_MAX: Final = 256
 """Commands followed at a time: more than there are cycles for which a row waits, the longest horizon and
 :data:`UNHEARD_MAX` together."""
+NEVER_YET: Final = Instant(-(1 << 62))
 ECHO_CYCLES: Final = 2
 """A command's echo is there within so many cycles, or it is of no use to wait for it."""
 REPLACED_CYCLES: Final = 5
@@ -74,6 +75,7 @@ class CommandMeter:
         """Whether changes are told with a stamp."""
         self._unordered = False
         """Whether commands have overtaken one another on the way, by the drive's own stamps."""
+        self._last_told: tuple[Instant, SyncMark | None] = (NEVER_YET, None)
         self._exact: SyncMark | None = None
         """The last SYNC with an exact telling."""
         self._seen_since = Instant(0)
@@ -93,6 +95,8 @@ class CommandMeter:
             leaving = followed[self._past]
             if leaving.possible:
                 self._before_raw = leaving.raw
+            elif not (leaving.sent.unsent or leaving.was_there(self._settled_by(*self._last_told))):
+                self._before_raw = None  # no telling has shown yet whether it is followed
             self._past += 1
         while self._past and (self._asked or len(followed) > FOLLOWED_MAX):
             del followed[0]
@@ -105,6 +109,7 @@ class CommandMeter:
         """The drive followed ``demand_raw`` at an instant from ``since`` to ``until``; ``sync``: the SYNC
         that it is of, None if that is not known."""
         self._telling = True
+        self._last_told = since, sync
         if sync is not None and self._at_syncs:
             self._note_sync(sync)
         if demand_raw == self._steady_raw and self._goes_on(demand_raw, since, until, sync):
@@ -120,6 +125,9 @@ class CommandMeter:
         self._note_possible(equal)
         self._note_steady(equal, until)
         if equal[0] < 0:
+            for past in range(self._past):
+                if self._followed[past].raw == demand_raw:
+                    self._followed[past].possible = True
             return
         if len(equal) == 1:
             self._note_acting(self._followed[equal[0]], until, sync)
@@ -151,8 +159,6 @@ class CommandMeter:
                 command.stamped_from = since
             self._stamping = True
             self._reach(equal[0], until)
-
-    # ---- what a telling shows -----------------------------------------------------------------------------
 
     def _goes_on(self, demand_raw: int, since: Instant, until: Instant, sync: SyncMark | None) -> bool:
         """A demand that does not change, without a look at all the commands that have it."""
@@ -270,10 +276,7 @@ class CommandMeter:
     def _note_not_yet(self, place: int, since: Instant, sync: SyncMark | None) -> None:
         """No command newer than the one at ``place`` was followed at ``since``."""
         followed = self._followed
-        settled = Instant(since - self._echo_error)
-        if self._at_syncs:
-            previous = None if sync is None else self._syncs.end_before(sync)
-            settled = Instant(-(1 << 62)) if previous is None else Instant(previous - self._echo_error)
+        settled = self._settled_by(since, sync)
         for newer in range(max(place + 1, self._past), len(followed)):
             command = followed[newer]
             if not command.was_there(since):
@@ -286,6 +289,13 @@ class CommandMeter:
                 command.passes = self._passes_until(command, sync)
                 if command.passes <= self._passes.least:
                     command.not_before_usual = since
+
+    def _settled_by(self, since: Instant, sync: SyncMark | None) -> Instant:
+        """What was there by then, and is not followed in a telling of these, was passed over."""
+        if self._at_syncs:
+            previous = None if sync is None else self._syncs.end_before(sync)
+            return NEVER_YET if previous is None else Instant(previous - self._echo_error)
+        return Instant(since - self._echo_error)
 
     def _passes_until(self, command: FollowedCommand, sync: SyncMark) -> int:
         """SYNCs from the first one at which a command was there to ``sync``, that one included."""
@@ -343,8 +353,6 @@ class CommandMeter:
             self._seen_since = sync.handed_at if sync.on_bus_at is None else sync.on_bus_at
         self._exact = sync
 
-    # ---- fates --------------------------------------------------------------------------------------------
-
     def outcome(self, sequence: int, now: int) -> Sending | None:
         """What became of the command of cycle ``sequence``, seen from cycle ``now``; None while it is open.
 
@@ -368,8 +376,9 @@ class CommandMeter:
         self._asked += 1
         sent = command.sent
         return Sending(
-            sent.raw, sent.handed_at, sent.on_bus_at, fate, self._acts_after(command, fate), command.acts_by
-        )
+            sent.raw, sent.handed_at, sent.on_bus_at, fate,
+            command.acts_after(fate, in_order=not self._unordered), command.acts_by,
+        )  # fmt: skip
 
     def _outcome_unseen(self, command: FollowedCommand, age: int) -> CommandFate | None:
         """Of a command that no telling was certainly of, after ``age`` cycles."""
@@ -388,10 +397,3 @@ class CommandMeter:
             if age < UNHEARD_MAX:
                 return None
         return CommandFate.NOT_IDENTIFIABLE if self._telling else CommandFate.NOT_MEASURED
-
-    def _acts_after(self, command: FollowedCommand, fate: CommandFate) -> Instant | None:
-        """The latest instant known at which it did not act yet."""
-        if fate is not CommandFate.ACTING:
-            passed = command.passed and command.replaced and not command.possible
-            return command.not_before if passed else None
-        return command.acts_after(in_order=not self._unordered)

@@ -96,11 +96,13 @@ class FollowedCommand:
             return sent.handed_at
         return Instant(on_bus_at - self.late_most)
 
-    def acts_after(self, *, in_order: bool) -> Instant:
-        """The latest instant known at which it did not act yet, of one that acts.
+    def acts_after(self, fate: CommandFate, *, in_order: bool) -> Instant | None:
+        """The latest instant known at which it did not act yet, of one with that fate.
 
         An older command that was followed later shows nothing by itself: it may have come twice.
         """
+        if fate is not CommandFate.ACTING:
+            return self.not_before if self.passed and self.replaced and not self.possible else None
         known = self.first_there
         for at in (self.stamped_from, self.not_before_usual if in_order else None):
             if at is not None and known < at and (self.acts_by is None or at <= self.acts_by):

@@ -27,10 +27,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=1, help="the seed of the first; the others follow")
     parser.add_argument("--seed", type=int, help="only this one")
     parser.add_argument("--hub", action="store_true", help="in real time, as processes on a hub")
+    parser.add_argument("--flood", action="store_true", help="another program floods the adapter")
     given = parser.parse_args()
     first, runs = (given.first, given.runs) if given.seed is None else (given.seed, 1)
     if not given.hub:
-        sys.exit(_draw(simulated.run, first, runs, given.seconds))
+        run = simulated.run_flooded if given.flood else simulated.run
+        sys.exit(_draw(run, first, runs, given.seconds))
     with TemporaryDirectory() as folder, HubRuns(Path(folder)) as on_hub:
         sys.exit(_draw(on_hub.run, first, runs, given.seconds))
 

@@ -69,6 +69,19 @@ def drawn(seed: int, *, real_time: bool = False) -> Outages:
     return Outages(tables, draw.random() < 0.5 and not real_time)
 
 
+def flooded(seed: int) -> Outages:
+    """The bench of ``seed`` whose adapter another program floods, from the beginning or later: there is room
+    for a moment in each of its periods."""
+    draw, outages = Random(f"flood {seed}"), drawn(seed)
+    tables, period_us = outages.tables, outages.tables["loop"]["period_us"]
+    every_s = draw.choice((0.0005, 0.001, 0.002, 1e-6 * period_us, draw.uniform(0.0002, 0.003)))
+    flood = {"every_s": every_s, "duration_s": every_s * (1.0 - draw.choice((0.05, 0.1, 0.3)))}
+    begin_s = draw.choice((0.0, 0.4))
+    tables["bench"]["duration_s"] = 2.5  # a bus that takes nothing for a second is down
+    tables["faults"] = {"full_queue": [flood | {"from_s": begin_s}]}
+    return outages
+
+
 def _drive(node: int, mode: str, controller: dict[str, Any], draw: Random) -> dict[str, Any]:
     return {
         "node": node,

@@ -27,6 +27,7 @@ class Outcome:
     seed: int
     passed: bool = False
     status: int | None = None
+    reason: str = ""
     rows: int = 0
     missed: int = 0
     not_sent: int = 0
@@ -37,6 +38,7 @@ class Outcome:
         """Figures of a run, and what must be true of them whatever befell it."""
         verdict, wrong = summary.verdict, self.wrong
         self.passed, self.status, self.rows = verdict.passed, verdict.exit_status, rows.size
+        self.reason = verdict.reason
         self.missed = int((rows["fate"] == MISSED).sum())
         self.not_sent = int((rows["command_fate"] == NOT_SENT).sum())
         if verdict.exit_status not in STATUSES:

@@ -16,7 +16,7 @@ from servobench.hil.execution import bench
 from servobench.hil.execution.world import World, WorldPlan
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.faults.outage_bus import Outages as AdapterOutages
-from tests.outages.drawn import Outages, drawn
+from tests.outages.drawn import Outages, drawn, flooded
 from tests.outages.outcome import Outcome
 from tests.scenario.foreign_node import beside_the_bench
 from tests.scenario.processes import EXAMPLES
@@ -35,9 +35,20 @@ STATUSWORD: Final = 0x380
 """TPDO 3, which tells each change of it."""
 
 
-def run(seed: int) -> Outcome:
-    """The drawn bench of ``seed``."""
-    outcome, plan = Outcome(seed), drawn(seed)
+STUCK: Final = "has taken no frame for a second"
+
+
+def run_flooded(seed: int) -> Outcome:
+    """The flooded bench of ``seed``: there is room again and again, so the bus is never down."""
+    outcome = run(seed, flooded(seed))
+    if STUCK in outcome.reason:
+        outcome.wrong.append(f"taken for a bus that is down: {outcome.reason}")
+    return outcome
+
+
+def run(seed: int, plan: Outages | None = None) -> Outcome:
+    """The drawn bench of ``seed``, or ``plan``."""
+    outcome, plan = Outcome(seed), plan or drawn(seed)
     config = bench_from(plan.tables, f"seed {seed}", EXAMPLES)
     drives: list[SimulatedServo] = []
     try:

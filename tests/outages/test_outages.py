@@ -13,6 +13,13 @@ def test_a_run_through_outages_tells_what_happened_and_leaves_no_drive_turning(s
     assert simulated.run(seed).wrong == []
 
 
+@pytest.mark.parametrize("seed", [3, 14, 24, 36])
+def test_a_run_beside_a_flood_finds_the_room_that_there_is(seed: int) -> None:
+    """The first three were told that the bus is down: retries were in step with the flood. In the last a
+    command that acted was told lost."""
+    assert simulated.run_flooded(seed).wrong == []
+
+
 @pytest.mark.xdist_group("real time")
 def test_the_same_in_real_time(tmp_path: Path) -> None:
     with HubRuns(tmp_path) as runs:
