@@ -133,6 +133,7 @@ PyObject *PyFloat_FromDouble(double);
 long long PyLong_AsLongLong(PyObject *);
 unsigned long long PyLong_AsUnsignedLongLong(PyObject *);
 PyObject *PyLong_FromLongLong(long long);
+PyObject *PyLong_FromUnsignedLongLong(unsigned long long);
 PyObject *PyBool_FromLong(long);
 int PyObject_IsTrue(PyObject *);
 int PyBytes_AsStringAndSize(PyObject *, char **, Py_ssize_t *);

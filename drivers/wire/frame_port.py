@@ -27,7 +27,7 @@ class WireFrame(Record):
     """A classical CAN data or remote frame."""
 
     __match_args__ = ("can_id", "data", "extended", "remote", "remote_length")
-    __slots__ = (*__match_args__, "handed_at")
+    __slots__ = (*__match_args__, "handed_at", "wire_id")
 
     def __init__(
         self,
@@ -45,6 +45,8 @@ class WireFrame(Record):
         self.remote: Final = remote
         self.remote_length: Final = remote_length
         """DLC of a remote frame; not used for a data frame."""
+        self.wire_id: Final = can_id << 2 | remote << 1 | extended
+        """Identifier and format as one number: the simulated bus reads it at once."""
         self.handed_at = UNTOLD
         """When its sender handed it over, if noted. The echo on a simulated bus or a hub carries it, and so
         identifies its frame. Never on the wire, and not compared."""

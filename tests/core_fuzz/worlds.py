@@ -33,6 +33,7 @@ from servobench.virtual_bus.core.native import (
     Hold,
     HostPlace,
     InnerLoops,
+    PdoCodec,
     Port,
     Queue,
     Route,
@@ -50,6 +51,7 @@ from servobench.virtual_bus.drive.firmware import Firmware, FirmwareParameters, 
 from servobench.virtual_bus.drive.load_table import LoadTable
 from servobench.virtual_bus.frame import Frame
 from tests.core_fuzz.fates import ODD, Refused, drawn_judge, odd_number
+from tests.core_fuzz.pdos import pdos
 from tests.core_fuzz.streams import streams
 from tests.motors import AZAIZ, LING
 
@@ -68,6 +70,12 @@ AWRY: Final[tuple[object, ...]] = (
     ...,
 )
 ACTIONS: Final = 40
+CALLED: Final[tuple[Callable[..., Any], ...]] = (
+    *(clipped, sine_cosine, user_position, wire_bits, native.random_runs, frame_row, RegularStream, Ring),
+    *(BusLoad, HeldFrames, HostPlace, Port, Segment, SimulatedClock, Timeline, PdoCodec, UniformNumbers),
+    *(Strike, Hold, Queue, Route, EntryBlock, Fates),
+)
+"""Functions and types of the cores."""
 
 
 def frames(draw: random.Random) -> None:
@@ -302,23 +310,9 @@ def misuse(draw: random.Random) -> None:
     timeline = Timeline()
     segment, held, place = Segment(timeline, 500_000), HeldFrames(), HostPlace(timeline)
     port = Port(segment, 1, "port", place)
-    calls: list[Callable[..., Any]] = [clipped, sine_cosine, user_position, wire_bits, native.random_runs]
     descriptor = os.memfd_create("fuzz")
     ring = Ring(descriptor, FRAME.size, 4, bool)
     os.close(descriptor)
-    calls += [
-        frame_row,
-        RegularStream,
-        Ring,
-        BusLoad,
-        HeldFrames,
-        HostPlace,
-        Port,
-        Segment,
-        SimulatedClock,
-        Timeline,
-    ]
-    calls += [UniformNumbers, Strike, Hold, Queue, Route, EntryBlock, Fates]
     faults = (
         Strike("loss", (0, 9)),
         Hold((0, 9), True),
@@ -328,8 +322,21 @@ def misuse(draw: random.Random) -> None:
         Fates(None, 0, 0),
     )
     stream = RegularStream(1, 0, 64, NS_PER_MS, False, False)
-    own = (inner, timeline, segment, held, place, port, BusLoad(), SimulatedClock(timeline), ring, stream)
-    calls += [
+    codec = PdoCodec([(None, 1 + number, number) for number in range(3)], draw.random() < 0.5)
+    own = (
+        codec,
+        inner,
+        timeline,
+        segment,
+        held,
+        place,
+        port,
+        BusLoad(),
+        SimulatedClock(timeline),
+        ring,
+        stream,
+    )
+    calls: list[Callable[..., Any]] = [
         getattr(each, name)
         for each in (*own, *faults)
         for name in dir(each)
@@ -337,7 +344,7 @@ def misuse(draw: random.Random) -> None:
     ]
     table = pack("=3d", 0.0, 1.0, 2.0)
     for _ in range(100):
-        call = draw.choice(calls)
+        call = draw.choice([*CALLED, *calls])
         odd = [
             *AWRY,
             *ODD,
@@ -363,4 +370,4 @@ def misuse(draw: random.Random) -> None:
             continue
 
 
-WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring, streams)
+WORLDS: Final = (frames, drive, random_runs, misuse, bus, ring, streams, pdos)

@@ -3,6 +3,7 @@
 #include "arguments.h"
 #include "faults.h"
 #include "host_place.h"
+#include "pdo_image.h"
 #include "rotation.h"
 #include "types.h"
 #include "wire_bits.h"
@@ -93,6 +94,10 @@ static const ShownNumber shown_numbers[] = {
     {"BURST", BURST},
     {"PERIODIC", PERIODIC},
     {"FIRST", FIRST},
+    {"GAP", GAP},
+    {"UNSIGNED", UNSIGNED},
+    {"SIGNED", SIGNED},
+    {"REAL", REAL},
 };
 
 typedef struct ShownType {
@@ -111,6 +116,7 @@ static const ShownType shown_types[] = {
     {&port_spec, "Port", &port_type},
     {&held_spec, "HeldFrames", &held_type},
     {&place_spec, "HostPlace", &place_type},
+    {&codec_spec, "PdoCodec", NULL},
     {&numbers_spec, "UniformNumbers", &numbers_type},
     {&strike_spec, "Strike", &strike_type},
     {&hold_spec, "Hold", &hold_type},

@@ -5,6 +5,7 @@ from typing import Any, Protocol, Self
 
 from servobench.drivers.timebase import Duration, Instant
 from servobench.drivers.wire.frame_port import WireFrame
+from servobench.virtual_bus.device.object_dictionary import Variable
 
 SOURCES_DIGEST: str
 """Digest of the C sources of the core (servobench.design.core.build)."""
@@ -548,6 +549,25 @@ class Fates:
 
     def tally(self, way: int, /) -> tuple[int, int]:
         """Frames seen, those delayed."""
+
+GAP: int
+UNSIGNED: int
+SIGNED: int
+REAL: int
+
+class PdoCodec:
+    """The objects mapped into a PDO, and its octets."""
+
+    def __new__(cls, fields: Sequence[tuple[Variable | None, int, int]], provided: bool, /) -> Self:
+        """``fields``: a variable, its bits, and the kind of its numbers: GAP, UNSIGNED, SIGNED or REAL.
+        ``provided``: a variable may have a provider, which is asked in place of its value. Error: ValueError
+        for more than 64 bits in all."""
+
+    def pack(self) -> bytes:
+        """Sample the variables. Error: ValueError for a value that has no room."""
+
+    def unpack(self, data: bytes, /) -> tuple[Any, ...]:
+        """The values of the variables. Error: ValueError for fewer octets."""
 
 class FrameJudge(Protocol):
     """See servobench.virtual_bus.bus.judge."""

@@ -16,11 +16,11 @@ static uint64_t arbitration_field(uint64_t can_id, bool extended, bool remote)
     return can_id << 21 | (uint64_t)remote << 20;
 }
 
-enum { CAN_ID, DATA, EXTENDED, REMOTE, REMOTE_LENGTH, ATTRIBUTES };
+enum { WIRE_ID, DATA, REMOTE_LENGTH, ATTRIBUTES };
 
 static PyObject *attribute(PyObject *object, int which)
 {
-    static const char *const spelt[ATTRIBUTES] = {"can_id", "data", "extended", "remote", "remote_length"};
+    static const char *const spelt[ATTRIBUTES] = {"wire_id", "data", "remote_length"};
     static PyObject *names[ATTRIBUTES];
     if (names[which] == NULL && (names[which] = PyUnicode_InternFromString(spelt[which])) == NULL)
         return NULL;
@@ -34,16 +34,6 @@ static bool read_integer(PyObject *object, int which, int64_t *value)
     if (read != NULL)
         Py_DecRef(read);
     return well;
-}
-
-static bool read_flag(PyObject *object, int which, bool *value)
-{
-    PyObject *read = attribute(object, which);
-    int truth = read == NULL ? -1 : PyObject_IsTrue(read);
-    if (read != NULL)
-        Py_DecRef(read);
-    *value = truth > 0;
-    return truth >= 0;
 }
 
 static bool read_data(PyObject *object, WireFrame *frame)
@@ -69,11 +59,13 @@ static bool read_data(PyObject *object, WireFrame *frame)
 /* `frame` borrows the reference to `object`. */
 bool read_frame(PyObject *object, WireFrame *frame)
 {
-    int64_t can_id, dlc;
+    int64_t wire_id, dlc;
     frame->object = object;
-    if (!read_integer(object, CAN_ID, &can_id) || !read_flag(object, EXTENDED, &frame->extended)
-        || !read_flag(object, REMOTE, &frame->remote) || !read_data(object, frame))
+    if (!read_integer(object, WIRE_ID, &wire_id) || !read_data(object, frame))
         return false;
+    int64_t can_id = wire_id < 0 ? -1 : wire_id >> 2;
+    frame->remote = wire_id & 2;
+    frame->extended = wire_id & 1;
     if (!frame->remote)
         dlc = frame->length;
     else if (!read_integer(object, REMOTE_LENGTH, &dlc))

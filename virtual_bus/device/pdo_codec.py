@@ -1,16 +1,10 @@
-"""PDO mappings compiled: from mapping words to a packer and an unpacker (CiA 301, 7.4.8, 7.5.2.36).
+"""PDO mappings compiled: from mapping words to a packer and an unpacker (core/pdo_image.c)."""
 
-Where every object sits on byte borders and is of a type that :mod:`struct` knows, one Struct does
-it; otherwise the PDO is handled as one integer of up to 64 bits, little-endian, the first object
-lowest.
-"""
-
-import struct
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, STRUCT_CODES
-from servobench.virtual_bus.device.encoding import decode, encode
+from servobench.drivers.canopen.data_types import REAL_BITS, SIGNED_BITS
+from servobench.virtual_bus.core.native import GAP, REAL, SIGNED, UNSIGNED, PdoCodec
 from servobench.virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from servobench.virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
@@ -64,60 +58,23 @@ def byte_length(fields: Sequence[Field]) -> int:
 
 
 def compile_packer(fields: Sequence[Field]) -> Callable[[], bytes]:
-    """A function that samples the variables of a TPDO into its bytes."""
-    variables = [field.variable for field in fields if field.variable is not None]
-    layout = _struct_layout(fields)
-    if layout is None:
-        return lambda: _pack_bits(fields)
-    pack = layout.pack
-    if all(variable.provider is None for variable in variables):
-        return lambda: pack(*[variable.value for variable in variables])
-    return lambda: pack(*[v.value if v.provider is None else v.provider() for v in variables])
+    """A function that samples the variables of a TPDO into its bytes. ValueError: one is too large."""
+    return _codec(fields).pack
 
 
 def compile_unpacker(fields: Sequence[Field]) -> Callable[[bytes], Sequence[Any]]:
     """A function that takes an RPDO's bytes (at least its length) into one value for each variable."""
-    layout = _struct_layout(fields)
-    return layout.unpack_from if layout is not None else lambda data: _unpack_bits(fields, data)
+    return _codec(fields).unpack
 
 
-def _struct_layout(fields: Sequence[Field]) -> struct.Struct | None:
-    codes = "<"
-    for field in fields:
-        if field.variable is None:
-            if field.bits % 8:
-                return None
-            codes += f"{field.bits // 8}x"
-        elif field.variable.data_type in STRUCT_CODES:
-            codes += STRUCT_CODES[field.variable.data_type]
-        else:
-            return None
-    return struct.Struct(codes)
+def _codec(fields: Sequence[Field]) -> PdoCodec:
+    asked = any(field.variable is not None and field.variable.provider is not None for field in fields)
+    return PdoCodec([(field.variable, field.bits, _kind(field.variable)) for field in fields], asked)
 
 
-def _pack_bits(fields: Sequence[Field]) -> bytes:
-    image, shift = 0, 0
-    for field in fields:
-        if field.variable is not None:
-            raw = int.from_bytes(encode(field.variable.data_type, field.variable.read()), "little")
-            image |= (raw & ((1 << field.bits) - 1)) << shift
-        shift += field.bits
-    return image.to_bytes(byte_length(fields), "little")
-
-
-def _unpack_bits(fields: Sequence[Field], data: bytes) -> list[Any]:
-    image, values = int.from_bytes(data, "little"), []
-    for field in fields:
-        raw = image & ((1 << field.bits) - 1)
-        image >>= field.bits
-        if field.variable is not None:
-            values.append(_from_bits(field.variable, raw, field.bits))
-    return values
-
-
-def _from_bits(variable: Variable, raw: int, bits: int) -> Any:
+def _kind(variable: Variable | None) -> int:
+    if variable is None:
+        return GAP
     if variable.data_type in REAL_BITS:
-        return decode(variable.data_type, raw.to_bytes(bits // 8, "little"))
-    if variable.data_type in SIGNED_BITS and raw >> (bits - 1):
-        return raw - (1 << bits)
-    return raw
+        return REAL
+    return SIGNED if variable.data_type in SIGNED_BITS else UNSIGNED
