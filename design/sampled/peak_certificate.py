@@ -58,14 +58,14 @@ _UNITS_AT = 1.2
 _DECAY_PARTS = (0.85, 0.5, 0.2)
 """Shares of the decay certified: the faster the functions fall, the larger steps may be left out of the
 hull."""
-_SHARES = (0.08, 0.03, 0.01)
+_SHARES = (0.25, 0.08, 0.03, 0.01)
 """Shares of the largest error that a ball of r may add to it."""
-_STATES_MAX = 5000
+_STATES_MAX = 15_000
 """States of all S_i together, for one share."""
-_HELD_MAX = 20_000_000
+_HELD_MAX = 60_000_000
 """Limit of hull points compared with candidates, for one share: some 30 s of processor time."""
-_REFINED = 0.05
-"""Share of that limit up to which a smaller r is tried: it takes some twenty times as many."""
+_REFINED = 0.6
+"""Share of that limit, times that of r, up to which a smaller r is tried: it takes some ten times as many."""
 _WIDE_PART = 0.1
 """Share of the decay at which the functions enclose least: what they enclose need not be stepped."""
 _CORNERS_SHARE = 0.5
@@ -119,7 +119,7 @@ def _bound(loop: HeldLoop, L: Array, norm: _Norm, wide: _Norm, peak_found: float
         closed = tube.close()
         peak_found = tube.reached
         best = PeakBound(min(best.certified, tube.bound()) if closed else best.certified, peak_found)
-        if not closed or tube.compared > _REFINED * _HELD_MAX:
+        if not closed or tube.compared > _REFINED * share * _HELD_MAX:
             break
     assert best is not None
     return best
