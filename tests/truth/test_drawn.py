@@ -172,6 +172,14 @@ def test_readings_of_a_phase_that_is_not_known_may_be_those_of_later_syncs(
     assert verdict.readings.uncertain < unsure
 
 
+@pytest.mark.parametrize("seed", [200203, 200212])
+def test_a_demand_behind_a_blackout_may_be_that_of_before(seed: int) -> None:
+    """The last command that was lost in it equalled the one that the drive followed, which had not been told:
+    it was told acting."""
+    verdict = judged(drawn_plan(seed), 560)
+    assert verdict.wrong == {}, verdict.examples
+
+
 def test_a_feature_that_is_left_out_changes_no_other() -> None:
     for seed in range(30):
         plan = drawn_plan(seed)

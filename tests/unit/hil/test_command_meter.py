@@ -38,15 +38,18 @@ def meter_on(echoes: EchoBasis, heard: int = 0) -> tuple[CommandMeter, SyncLog]:
     return CommandMeter(HORIZON, syncs), syncs
 
 
-def play(raws: list[int], acting: list[int | None], *, every: int = 1) -> list[Sending]:
-    """``acting[n]``: from which SYNC on command n is in force; None: lost. Told every ``every`` SYNCs."""
+def play(
+    raws: list[int], acting: list[int | None], *, every: int = 1, silent: range = range(0)
+) -> list[Sending]:
+    """``acting[n]``: from which SYNC on command n is in force; None: lost. Told every ``every`` SYNCs, but
+    for those of ``silent``."""
     meter, syncs = meter_on(EchoBasis.BUS)
     settled: list[Sending] = []
     waiting = list(range(len(raws)))
     for number in range(len(raws) + HORIZON + 1):
         in_force = [n for n, since in enumerate(acting) if since is not None and since <= number]
         mark = syncs.heard(number, sync_at(number)) if number else syncs.marks[-1]
-        if number % every == 0:
+        if number % every == 0 and number not in silent:
             meter.told(raws[max(in_force)] if in_force else AT_REST, sync_at(number), sync_at(number), mark)
         if number < len(raws):
             meter.sent(command(number, raws[number]))
@@ -90,6 +93,15 @@ def test_a_command_that_is_passed_over_is_told_and_its_neighbours_are_not_blamed
     unknown = CommandFate.NOT_IDENTIFIABLE
     assert fates(settled) == [unknown if number == 2 else CommandFate.ACTING for number in range(6)]
     assert (settled[2].acts_after, settled[2].acts_by) == (sync_at(3), None)
+
+
+def test_what_was_followed_before_a_silence_longer_than_the_window_may_be_any_command_of_then() -> None:
+    """The second acted, and was never told; the last of those lost equals it."""
+    raws = [1, 2, *range(10, 38), 2, 3, 4]
+    acting = [1, 2, *[None] * 29, 32, 33]
+    settled = play(raws, acting, silent=range(2, 31))
+    assert fates(settled)[1:31] == [CommandFate.NOT_IDENTIFIABLE] * 30
+    assert fates(settled)[31:] == [CommandFate.ACTING] * 2
 
 
 def test_a_delay_beyond_the_next_sync_is_seen_as_late_not_as_lost() -> None:
