@@ -11,6 +11,8 @@ from typing import Any
 from servobench.drivers.canopen.objects import RemoteObjects
 from servobench.drivers.canopen.objects301 import Cia301
 from servobench.drivers.cia402.drive_setup import read_identity
+from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.cia402.supervision import Release
 from servobench.drivers.errors import BadInput, BenchError, PeerFault
 from servobench.drivers.sheets.dictionary import LoadedDictionary, load_dictionary
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration
@@ -149,7 +151,7 @@ def _finish(session: Session, result: Commissioned) -> None:
                 if result.error is None or result.error.exit_status != PeerFault.exit_status:
                     result.error = failure
     finally:
-        result.disturbances = session.guard.end(session.clock_now)
+        result.disturbances = session.drives.end()
         network.fall_silent()
         network.watch(session.request.node, Duration(0))
         with suppress(OSError):  # a line that found no room was told when it was written
@@ -191,14 +193,17 @@ def _write(session: Session, result: Commissioned) -> None:
 def _rest(session: Session, left: DriveLeft) -> None:
     if not session.configured:
         return
-    release = session.drive.release()
-    left.at_rest = release.at_rest or None
-    left.disabled = (release.at_rest and release.state in DISABLED) or None
-    left.evidence = release.evidence
-    if release.unwatched:
-        session.dialog.tell(f"{session.drive.name}: {release.unwatched}")
-    if not release.at_rest:
-        session.dialog.tell(f"the drive is not confirmed at rest: {release.evidence}")
+
+    def note(drive: ServoDrive, release: Release) -> None:
+        left.at_rest = release.at_rest or None
+        left.disabled = (release.at_rest and release.state in DISABLED) or None
+        left.evidence = release.evidence
+        if release.unwatched:
+            session.dialog.tell(f"{drive.name}: {release.unwatched}")
+        if not release.at_rest:
+            session.dialog.tell(f"the drive is not confirmed at rest: {release.evidence}")
+
+    session.drives.let_go([session.drive], note, stopped=())  # each step has stopped it already
 
 
 def _put_back(session: Session, left: DriveLeft) -> None:

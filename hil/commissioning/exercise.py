@@ -16,12 +16,12 @@ from servobench.hil.commissioning.excitation import SpeedReference, TimedTorque
 from servobench.hil.commissioning.identify import Array
 from servobench.hil.commissioning.request import MotionLimits
 from servobench.hil.control.compensation import Arrival
-from servobench.hil.execution.bus_guard import BusGuard
+from servobench.hil.execution.drive_session import DriveSession
 from servobench.hil.execution.segments import sync_log
 from servobench.hil.loop.axis import Axis, AxisParts
 from servobench.hil.loop.axis_roles import Controller
 from servobench.hil.loop.context import Context, SetPoint
-from servobench.hil.loop.loop import Loop, LoopTiming
+from servobench.hil.loop.loop import LoopTiming
 from servobench.hil.loop.pace import OwnSync
 from servobench.hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from servobench.hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
@@ -192,7 +192,7 @@ class Exerciser:
     check_stop: Callable[[], None]
     """Called then; raises the error that makes the caller stop the drive."""
     energy: EnergyMeter
-    guard: BusGuard
+    drives: DriveSession
 
     @property
     def period_s(self) -> float:
@@ -242,13 +242,12 @@ class Exerciser:
         axis = self._axis(controller, safety, reference, syncs, records)
         pump, clock = self.network.frame_pump, self.network.clock
         pace = OwnSync(pump, clock, self.timing.period, [syncs])
-        loop = Loop(pump, clock, [axis], pace, self.timing, self.guard.attend)
         # A reading that is still on its way from before would be taken for the answer to the first SYNC.
         self.network.pump(Instant(clock.now() + self.timing.settle))
         self.port.take_readings()
         self.port.begin()
         try:
-            self.guard.arm({None: syncs}, self.timing.period)
+            loop = self.drives.cycle(pump, [axis], pace, self.timing, {None: syncs})
             loop.calibrate()
             loop.run(
                 duration_s(duration),
@@ -258,7 +257,7 @@ class Exerciser:
             )
         finally:
             self.port.end()
-        self.guard.calm()  # the SYNCs of other steps are not counted
+        self.drives.guard.calm()  # the SYNCs of other steps are not counted
         self.check_stop()
         return recording_of(records)
 

@@ -35,7 +35,7 @@ from servobench.hil.commissioning.ramps import set_ramps, within_ramps, write_mo
 from servobench.hil.commissioning.recording import SessionLog
 from servobench.hil.commissioning.request import CommissionRequest, MotionLimits, cautious
 from servobench.hil.configuration.config import Guard
-from servobench.hil.execution.bus_guard import BusGuard
+from servobench.hil.execution.drive_session import DriveSession
 from servobench.hil.execution.segments import timing_without_bench
 from servobench.hil.execution.world import World
 from servobench.hil.loop.loop import LoopTiming
@@ -101,7 +101,7 @@ class Session:
         self.drive = ServoDrive(network, request.node, "drive")
         self.objects = self.drive.objects
         rules = Guard(allow=request.allow)
-        self.guard = BusGuard({None: network}, [self.drive], rules, self._tell, world.error_frames)
+        self.drives = DriveSession(world, {None: network}, [self.drive], rules, self._tell)
         self.found = Findings()
         self.configured = False
         self.energy = EnergyMeter()
@@ -284,7 +284,7 @@ class Session:
             notes += refused
         notes += set_ramps(self.objects, findings, mode, self.most_told)
         self._port = DrivePort(self.drive, mode, findings.period / NS_PER_S, braking_rad_s2)
-        self.guard.arm({}, findings.period)
+        self.drives.guard.arm({}, findings.period)
         return notes
 
     def most_told(self, index: int) -> int | None:
@@ -318,7 +318,7 @@ class Session:
         self.check_temperature()
         with self.gaps.while_enabled(), self.stop.armed():
             try:
-                self.drive.enable(self.deadline(ENABLE_LIMIT_S))
+                self.drives.enable(self.drive, ENABLE_LIMIT_S)
                 yield
                 self.check_stop()
             finally:
@@ -331,7 +331,7 @@ class Session:
         with self.enabled():
             yield Exerciser(
                 self.network, self.port, self.timing(), within,
-                self.stop, self.check_stop, self.energy, self.guard,
+                self.stop, self.check_stop, self.energy, self.drives,
             )  # fmt: skip
 
     def check_temperature(self) -> None:

@@ -11,6 +11,7 @@ from servobench.drivers.canopen.pdo import DONE
 from servobench.drivers.cia402.follow_watch import Lapse
 from servobench.drivers.cia402.servo import ServoDrive
 from servobench.drivers.cia402.state_control import FAULTY
+from servobench.drivers.cia402.supervision import Release
 from servobench.drivers.errors import BenchError, PeerFault
 from servobench.drivers.sheets.dictionary import LoadedDictionary
 from servobench.drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
@@ -19,14 +20,13 @@ from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.configuration.quantities import odd_values
 from servobench.hil.execution import assembly, segments
 from servobench.hil.execution.assembly import AxisCode, axis_code, check_axes
-from servobench.hil.execution.bus_guard import BusGuard
 from servobench.hil.execution.conclusion import Conclusion, distrust, made_twice, timing_report
+from servobench.hil.execution.drive_session import DriveSession
 from servobench.hil.execution.drives import (
     connect,
     data_sheets,
     drive_settings,
     identity_notes,
-    stop_all,
     stop_each,
     write_commissioned,
 )
@@ -54,8 +54,6 @@ from servobench.virtual_bus.faults.fault_log import FaultLog
 if TYPE_CHECKING:
     from servobench.virtual_bus.drive.servo import SimulatedServo
 
-ENABLE_TIMEOUT_S = 2.0
-"""A drive that charges its DC link or releases a brake takes a second or so."""
 RUNS_FOLDER = Path("runs")
 
 
@@ -170,12 +168,12 @@ class _Run:
             for name in config.axes
         ]
         self._load = LoadMachines(config, self._network, recorder, self.servos)
-        self._guard = BusGuard(
+        self._session = DriveSession(
+            world,
             self._networks,
             self._drives,
             config.guard,
             recorder.event,
-            world.error_frames,
             own_sync=config.loop.sync == "own",
             repeated=made_twice(config.faults),
         )
@@ -244,9 +242,10 @@ class _Run:
             )
             for number, drive in enumerate(self._drives)
         ]
-        self._guard.arm(syncs, timing.period, self._axes, config.drive)
-        chore = self._guard.attending(self._load.chore)
-        loop = Loop(self._master, world.clock, self._axes, pace, timing, chore)
+        loop = self._session.cycle(
+            self._master, self._axes, pace, timing, syncs,
+            delays_of=self._axes, bench=config.drive, chore=self._load.chore,
+        )  # fmt: skip
         with segments.sync_producer(config.loop.sync, world.link.bus, timing.period):
             self._calibrate_and_run(loop, timing)
 
@@ -258,7 +257,7 @@ class _Run:
         self._watch.confirm(self._network)
         self._enabled_from = self.world.clock.now()
         for drive in self._drives:
-            drive.enable(self._network.deadline_after(duration_s(ENABLE_TIMEOUT_S)))
+            self._session.enable(drive)
             self._note_state(drive)
             self._tell_guard(drive)
         self.stop.check()
@@ -330,7 +329,7 @@ class _Run:
             realtime_factor=(ended.ended_at - ended.started_at) / max(took, 1),
             network_notes=self.certificates.notes,
             load_machine=self._load.figures(),
-            timing=timing_report(self._axes, self._syncs, self._guard.counts),
+            timing=timing_report(self._axes, self._syncs, self._session.guard.counts),
             distrust=doubts,
         )
 
@@ -360,28 +359,26 @@ class _Run:
     def _release(self) -> None:
         """Release the drives: every way out of a run leads through here."""
         self._enter("stopping")
-        self._guard.calm()
         if errors := self.world.error_frames():
             self._say(f"{errors} error frames on the bus", "WARN")
         if trouble := self.world.trouble():
             self._say(trouble, "WARN")
-        self.world.faults.stop()
-        stop_all(self._drives)
-        self._load.take_off(self._say)  # a disabled drive holds no shaft against a load
-        for drive in self._drives:
-            release = drive.release()
-            self.conclusion.released(drive, release)
-            if release.rested_at is not None:
-                self.recorder.event(release.rested_at, "INFO", f"{drive.name}: at rest")
-            self._note_state(drive)
-            trouble = release.unwatched if release.at_rest else f"not confirmed at rest: {release.evidence}"
-            if trouble:
-                self._say(f"{drive.name}: {trouble}", "ERROR")
+        # A disabled drive holds no shaft against a load.
+        self._session.let_go(self._drives, self._note_release, unload=lambda: self._load.take_off(self._say))
         if self._enabled_from is not None:
             for drive in self._drives:
                 self.conclusion.told(drive, self._enabled_from, self._zero)
-        self.conclusion.disturbed(self._guard.end(self.world.clock.now(), self._zero))
+        self.conclusion.disturbed(self._session.end(self._zero))
         self.progress("stopped", self.config.bench.duration_s)
+
+    def _note_release(self, drive: ServoDrive, release: Release) -> None:
+        self.conclusion.released(drive, release)
+        if release.rested_at is not None:
+            self.recorder.event(release.rested_at, "INFO", f"{drive.name}: at rest")
+        self._note_state(drive)
+        trouble = release.unwatched if release.at_rest else f"not confirmed at rest: {release.evidence}"
+        if trouble:
+            self._say(f"{drive.name}: {trouble}", "ERROR")
 
     def _enter(self, phase: str) -> None:
         self.progress(phase, 0.0)

@@ -7,20 +7,21 @@ from typing import Final
 
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.servo import ServoDrive
+from servobench.drivers.cia402.supervision import Release
 from servobench.drivers.errors import BadInput, BenchError, PeerFault
-from servobench.drivers.timebase import NS_PER_S, Duration, Instant, duration_s, utc_stamp
+from servobench.drivers.timebase import NS_PER_S, Duration, Instant, utc_stamp
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.configuration.config import Guard
 from servobench.hil.configuration.motor_file import LING2012
-from servobench.hil.execution.bench import ENABLE_TIMEOUT_S, RUNS_FOLDER
-from servobench.hil.execution.bus_guard import BusGuard
+from servobench.hil.execution.bench import RUNS_FOLDER
 from servobench.hil.execution.conclusion import distrust, made_twice, timing_report
-from servobench.hil.execution.drives import connect, stop_all
+from servobench.hil.execution.drive_session import DriveSession
+from servobench.hil.execution.drives import connect
 from servobench.hil.execution.segments import sync_log
 from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.loop.axis import Axis
-from servobench.hil.loop.loop import Loop, LoopOutcome
+from servobench.hil.loop.loop import LoopOutcome
 from servobench.hil.loop.pace import OwnSync
 from servobench.hil.loop.syncs import SyncLog
 from servobench.hil.machine.progress import Progress
@@ -96,12 +97,12 @@ class Measurement:
             Subject(ServoDrive(self._network, node), world.clock, request) for node in request.nodes
         ]
         drives = [subject.drive for subject in self._subjects]
-        self._guard = BusGuard(
+        self._session = DriveSession(
+            world,
             {None: self._network},
             drives,
             Guard(allow=request.allow),
             self._tell,
-            world.error_frames,
             repeated=made_twice(request.faults),
         )
         world.tell_troubles(self._tell)
@@ -149,8 +150,7 @@ class Measurement:
         self._axes = [subject.join(number, syncs, self._say) for number, subject in enumerate(self._subjects)]
         pump = self._network.frame_pump
         pace = OwnSync(pump, world.clock, timing.period, [syncs], world.faults.host_stall)
-        self._guard.arm({None: syncs}, timing.period, self._axes)
-        loop = Loop(pump, world.clock, self._axes, pace, timing, self._guard.attend)
+        loop = self._session.cycle(pump, self._axes, pace, timing, {None: syncs}, delays_of=self._axes)
         self._progress("calibrating", 0.0)
         loop.calibrate()
         self._stop.check()
@@ -175,7 +175,7 @@ class Measurement:
         self._progress("enabling", 0.0)
         for subject in self._subjects:
             drive = subject.drive
-            drive.enable(self._network.deadline_after(duration_s(ENABLE_TIMEOUT_S)))
+            self._session.enable(drive)
             subject.notes.append(f"commands are watched by {drive.supervise_commands()}")
             subject.notes.append(f"its mode is watched by {drive.watch.mode_watch}")
             self._stop.check()
@@ -189,17 +189,15 @@ class Measurement:
         """Finish on every way out: rest, restore everything. Return failures in words."""
         self._progress("putting back", 0.0)
         network, failures = self._network, []
-        self._guard.calm()
-        self._world.faults.stop()
-        enabled = self._request.enable
-        stop_all([subject.drive for subject in self._subjects if subject.configured and enabled])
-        for subject in self._subjects:
-            if subject.configured:
-                release = subject.drive.release()
-                if release.unwatched:
-                    self._say(f"{subject.drive.name}: {release.unwatched}")
-                if not release.at_rest:
-                    failures.append(f"{subject.drive.name} is not confirmed at rest: {release.evidence}")
+
+        def note(drive: ServoDrive, release: Release) -> None:
+            if release.unwatched:
+                self._say(f"{drive.name}: {release.unwatched}")
+            if not release.at_rest:
+                failures.append(f"{drive.name} is not confirmed at rest: {release.evidence}")
+
+        drives = [subject.drive for subject in self._subjects if subject.configured]
+        self._session.let_go(drives, note, stopped=drives if self._request.enable else ())
         network.putting_back = True
         for node, journal in network.journals.items():
             try:
@@ -214,7 +212,7 @@ class Measurement:
             network.watch(node, Duration(0))
             journal.close()
         network.fall_silent()
-        self._disturbances = self._guard.end(network.clock.now())
+        self._disturbances = self._session.end()
         for text in failures:
             self._say(text)
         if not failures:
@@ -250,7 +248,7 @@ class Measurement:
             host=stages.host_stages(all_rows[0], echoes),
             drives=drives,
             network=network and network.model_copy(update={"clocks": clocks_by_node(drives)}),
-            timing=timing_report(self._axes, {self._request.bus: syncs}, self._guard.counts),
+            timing=timing_report(self._axes, {self._request.bus: syncs}, self._session.guard.counts),
             surplus=syncs.surplus,
             distrust=distrust(self._axes, self._timing.period),
             disturbances=self._disturbances,

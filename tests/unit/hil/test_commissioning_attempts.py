@@ -58,7 +58,8 @@ class Bench:
             pump=self._pump,
             deadline_after=lambda duration: duration,
         )
-        mine.guard = SimpleNamespace(arm=lambda syncs, period: self.notes.append(f"armed {syncs} {period}"))
+        arm = lambda syncs, period: self.notes.append(f"armed {syncs} {period}")  # noqa: E731
+        mine.drives = SimpleNamespace(guard=SimpleNamespace(arm=arm))
         mine.gaps = SimpleNamespace(begin=lambda: self.notes.append("gaps"), cause_of=lambda failure: failure)
         mine.world = SimpleNamespace(real_time=False)
         mine.log = SimpleNamespace(write=lambda: self.notes.append(threading.current_thread().name))

@@ -14,6 +14,7 @@ from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.commissioning import exercise
 from servobench.hil.commissioning.exercise import EnergyMeter, Exerciser, speed_limits, torque_limits
 from servobench.hil.commissioning.request import Nameplate, motion_limits
+from servobench.hil.execution.drive_session import DriveSession
 from servobench.hil.loop.axis_roles import Controller
 from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
 from servobench.hil.loop.pace import CALIBRATION_SYNCS
@@ -81,14 +82,16 @@ class Bench:
         monkeypatch.setattr(exercise, "sync_log", lambda *_: log)
         self._note(monkeypatch, self.bus, "send_sync", "SYNC")
         network = SimpleNamespace(frame_pump=self.bus, clock=self.bus, pump=self._settle)
-        guard = SimpleNamespace(
-            attend=lambda _now: self.notes.append("attend"),
-            arm=lambda _syncs, period: self.notes.append(f"arm, {period} ns"),
+        drives: Any = DriveSession.__new__(DriveSession)
+        drives._world = SimpleNamespace(clock=self.bus)
+        drives.guard = SimpleNamespace(
+            attending=lambda _chore: lambda _now: self.notes.append("attend"),
+            arm=lambda _syncs, period, *_: self.notes.append(f"arm, {period} ns"),
             calm=lambda: self.notes.append("calm"),
         )
         self.exerciser = Exerciser(
             cast(Any, network), cast(Any, self.port), TIMING, LIMITS, lambda: self.stop_asked,
-            self._check_stop, EnergyMeter(), cast(Any, guard),
+            self._check_stop, EnergyMeter(), drives,
         )  # fmt: skip
 
     def _note(self, monkeypatch: pytest.MonkeyPatch, owner: object, name: str, text: str) -> None:

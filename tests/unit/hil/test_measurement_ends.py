@@ -8,6 +8,8 @@ import pytest
 
 from servobench.drivers.cia402.supervision import Release
 from servobench.drivers.errors import PeerFault
+from servobench.hil.execution import drive_session
+from servobench.hil.execution.drive_session import DriveSession
 from servobench.hil.measuring import measure
 from servobench.hil.measuring.measure import Measurement
 
@@ -40,20 +42,23 @@ class Ends:
             "subjects": self.subjects,
             "say": self.said.append,
             "progress": lambda stage, _seconds: self.done.append(stage),
-            "guard": SimpleNamespace(
-                calm=lambda: self.done.append("calm"), end=lambda at: self.done.append(("end", at))
-            ),
             "world": SimpleNamespace(
+                clock=network.clock,
                 faults=SimpleNamespace(
                     stop=lambda: self.done.append("no faults"), finish=lambda: self.done.append("finish")
-                )
+                ),
             ),
         }
+        session: Any = DriveSession.__new__(DriveSession)
+        session._world, self.measurement._session = parts["world"], session
+        session.guard = SimpleNamespace(
+            calm=lambda: self.done.append("calm"), end=lambda at, _zero: self.done.append(("end", at))
+        )
         for name, part in parts.items():
             setattr(self.measurement, f"_{name}", part)
         monkeypatch.setattr(measure, "restore", self._restore)
         monkeypatch.setattr(
-            measure,
+            drive_session,
             "stop_all",
             lambda drives: self.done.append(("stop", [drive.node_id for drive in drives])),
         )
