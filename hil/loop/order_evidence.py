@@ -8,6 +8,7 @@ With the right lag the delays of readings are as even as the network has them, w
 in the SYNCs is in them too. SYNCs at equal distances say nothing.
 """
 
+import math
 from typing import Final
 
 from servobench.drivers.timebase import Duration, Instant
@@ -22,8 +23,6 @@ EXCLUDING: Final = 12.0
 """A lag is none if another is e^12, 160 000 times, likelier: it is asked hundreds of times in a run."""
 OUTLYING: Final = 6.0
 """Deviations beyond which a reading weighs no more: one alone, e^18 against e^0, decides by a probe."""
-DEVIATION_PER_HALF: Final = 1.5
-"""The deviation of a normal spread is so many times what half of its values keep within."""
 OUTLYING_UNTIDY: Final = 4.0
 """The same where frames are held up now and then: two readings decide, at e^8 each."""
 
@@ -106,10 +105,8 @@ class OrderEvidence:
 
 
 def _deviation(delays: list[int]) -> float:
-    """That of most of them, from how far half of them lie off the middle: not of those held up."""
     middle = sorted(delays)[len(delays) // 2]
-    off = sorted(abs(delay - middle) for delay in delays)
-    return DEVIATION_PER_HALF * off[len(off) // 2]
+    return math.sqrt(sum(float(delay - middle) ** 2 for delay in delays) / max(1, len(delays) - 1))
 
 
 def _misfit(delays: list[int], variance: float, outlying: float) -> float:

@@ -160,13 +160,13 @@ def test_what_nothing_explains_is_not_taken_for_what_was(seed: int, cycles: int,
     assert verdict.readings.uncertain < unsure
 
 
-@pytest.mark.parametrize(("seed", "cycles", "unsure"), [(200416, 1235, 700), (200402, 200, 90)])
+@pytest.mark.parametrize(("seed", "cycles", "unsure"), [(200416, 1235, 700), (300108, 60, 110)])
 def test_readings_of_a_phase_that_is_not_known_may_be_those_of_later_syncs(
     seed: int, cycles: int, unsure: int
 ) -> None:
-    """A gateway's delay that ended, and 1 in 16 readings held up: reckoned from the SYNC before, and
-    only those before that were weighed. 119 rows were placed 24 periods off or told lost, by one uneven SYNC;
-    89 two periods off, with SYNCs that were not heard among those that were counted."""
+    """A gateway's delay that ended: reckoned from the SYNC before, and only those before that were weighed.
+    119 rows were placed 24 periods off or told lost, by one uneven SYNC. Copies among few readings are in
+    their deviation: told by what half of them keep within, 81 rows were wrong."""
     verdict = judged(drawn_plan(seed), cycles)
     assert verdict.wrong == {}, verdict.examples
     assert verdict.readings.uncertain < unsure
