@@ -19,7 +19,7 @@ def recover(
     A whole recording is never touched. Exit status: 0 recovered, 2 nothing to recover, 5 the disk is full.
     """
     from servobench.hil.configuration.bench_file import load_bench
-    from servobench.hil.execution.recorded_bench import recover_run, refuse_whole
+    from servobench.hil.execution.recovered_run import recover_run, refuse_whole
     from servobench.hil.terminal.report import print_run
 
     refuse_whole(run)

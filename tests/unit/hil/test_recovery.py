@@ -183,4 +183,4 @@ def test_a_run_that_is_still_recorded_is_not_touched(run: Path) -> None:
 def test_another_folder_is_bad_input(tmp_path: Path) -> None:
     status, said = recover(tmp_path)
     assert status == 2
-    assert "the folder of a run" in said
+    assert "the folder of a recording" in said
