@@ -14,7 +14,7 @@ from servobench.drivers.errors import PeerFault
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.execution import bench as bench_module
 from servobench.hil.execution.bench import run_bench
-from servobench.hil.execution.bus_guard import BusGuard
+from servobench.hil.execution.drive_session import DriveSession
 from servobench.hil.recording.logger_process import RecordingFailed
 from servobench.hil.recording.recorder import Recorder, start_recording
 from servobench.hil.recording.tail import TAIL_FILE, read_tail
@@ -145,10 +145,10 @@ def test_a_logger_killed_before_a_drive_is_enabled_lets_none_be_enabled(tmp_path
 def test_a_run_that_cannot_be_set_up_leaves_a_recording_that_has_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, status: int
 ) -> None:
-    def refused(*_: object, **_options: object) -> BusGuard:
+    def refused(*_: object, **_options: object) -> DriveSession:
         raise error
 
-    monkeypatch.setattr(bench_module, "BusGuard", refused)
+    monkeypatch.setattr(bench_module, "DriveSession", refused)
     told: list[Summary] = []
     with pytest.raises(type(error)):
         run_bench(

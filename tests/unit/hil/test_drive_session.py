@@ -77,16 +77,21 @@ def test_all_are_stopped_before_the_load_goes_and_the_first_is_let_go() -> None:
 @pytest.mark.parametrize("error", [LimitExceeded("too fast"), KeyboardInterrupt(), ZeroDivisionError()])
 @pytest.mark.parametrize("where", ["unload", "released"])
 def test_whatever_fails_on_the_way_out_each_drive_is_let_go(error: BaseException, where: str) -> None:
-    def fail(*_: object) -> None:
-        raise error
+    released: list[str] = []
+
+    def fail() -> None:
+        if where == "unload":
+            raise error
+
+    def take(drive: ServoDrive, _release: Release) -> None:
+        released.append(drive.name)
+        if where == "released":
+            raise error
 
     with hosted() as host:
         with pytest.raises(type(error)):
-            host.session.let_go(
-                host.drives,
-                fail if where == "released" else lambda _drive, _release: None,
-                unload=fail if where == "unload" else lambda: None,
-            )
+            host.session.let_go(host.drives, take, unload=fail)
+        assert released == [drive.name for drive in host.drives]
         assert host.states() == OFF
 
 
