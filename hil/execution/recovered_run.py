@@ -24,12 +24,18 @@ from servobench.hil.rows.run_files import (
     FIRST_CYCLE,
     FIRST_CYCLE_EPOCH,
     FRAMES_FILE,
+    LOGGER_LOG,
     RECORDS_FILE,
+    RERUN_FILE,
+    RESERVE_FILE,
+    SEAL_FILE,
     not_a_recording,
 )
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import RunOutcome
 
+_OF_A_LOGGER = (RECORDS_FILE, EVENTS_FILE, FRAMES_FILE, LOGGER_LOG, RERUN_FILE, SEAL_FILE, RESERVE_FILE)
+"""One that is killed before the first cycle leaves some of these beside the bench file."""
 _UNKNOWN_END = "the end of the run is not known: whoever recorded it was ended before it"
 
 
@@ -37,7 +43,7 @@ def refuse_whole(folder: Path) -> None:
     """Raise BadInput unless ``folder`` holds a recording without a summary."""
     if not (folder / BENCH_FILE).is_file():
         raise not_a_recording(folder, BENCH_FILE)
-    if not any((folder / name).exists() for name in (RECORDS_FILE, EVENTS_FILE, FRAMES_FILE)):
+    if not any((folder / name).exists() for name in _OF_A_LOGGER):
         raise not_a_recording(folder, RECORDS_FILE)
     try:
         read_summary(folder)

@@ -256,7 +256,7 @@ def test_a_command(tmp_path: Path) -> None:
     assert [line.split()[0] for line in same.splitlines()] == [told] * 2
     differing = json.loads(made.hil("digest", one, other, "--json", status=1))["digests"]
     assert differing[one] == told != differing[other]
-    assert "RUN" in made.hil("digest", str(tmp_path), status=2)
+    assert "the folder of a recording" in made.hil("digest", str(tmp_path), status=2)
 
 
 @pytest.mark.parametrize(

@@ -257,6 +257,9 @@ def test_what_a_release_shows_is_told(unwatched: str, at_rest: bool, told: list[
     session = SimpleNamespace(
         configured=True,
         drive=SimpleNamespace(name="axis", release=lambda: release),
+        drives=SimpleNamespace(
+            let_go=lambda drives, released, stopped: [released(each, each.release()) for each in drives]
+        ),
         dialog=SimpleNamespace(tell=said.append),
     )
     _rest(cast(Session, session), left)

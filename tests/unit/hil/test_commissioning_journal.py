@@ -139,7 +139,7 @@ def test_a_spoilt_line_in_the_middle_is_refused(tmp_path: Path) -> None:
 
 
 def test_no_file_and_no_place(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="JOURNAL"):
+    with pytest.raises(BadInput, match="Journal not found"):
         read_journal(tmp_path / "absent.jsonl")
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInput, match="a place for the journal"):

@@ -66,6 +66,9 @@ class Bench:
         session = Session.__new__(Session)
         session.stop = cast(EmergencyStop, self.stop)
         session.drive = cast(Any, self.drive)
+        session.drives = cast(
+            Any, SimpleNamespace(enable=lambda drive, limit_s: drive.enable(round(limit_s * NS_PER_S)))
+        )
         session.dialog = cast(Any, SimpleNamespace(tell=self.told.append))
         session.network = cast(Any, SimpleNamespace(deadline_after=lambda duration: duration))
         session.gaps = cast(Any, SimpleNamespace(while_enabled=nullcontext))
