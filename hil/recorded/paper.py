@@ -19,18 +19,17 @@ from servobench.hil.recording.whole_figures import in_view
 SUFFIXES: Final = (".svg", ".pdf", ".png")
 _COLORS: Final = ("#1f5fa8", "#2e7d32", "#c2571a", "#6a4fa0")
 _GREY, _RED, _GRID, _SHADE = "#7a7f87", "#c8442c", "#e3e6ea", "#eceef1"
-_SPEED: Final = (
-    ("speed", "Speed [r/min]", ("speed/reference", "speed/measured")),
-    ("error", "Speed error [r/min]", ("error/error",)),
+_PLOTS: Final = (
+    ("speed", "Speed [r/min]", ("speed/reference", "speed/measured"), 2.0),
+    ("error", "Speed error [r/min]", ("error/error",), 1.3),
+    ("position", "Position [rad]", ("position/reference", "position/measured"), 2.0),
+    ("position_error", "Position error [rad]", ("position_error/error",), 1.3),
+    ("torque", "Torque [N m]", ("torque/load", "torque/measured"), 1.5),
+    ("delay", "Delay [us]", ("delay/delay",), 1.2),
 )
-_POSITION: Final = (
-    ("position", "Position [rad]", ("position/reference", "position/measured")),
-    ("position_error", "Position error [rad]", ("position_error/error",)),
-)
-_BELOW: Final = (
-    ("torque", "Torque [N m]", ("torque/load", "torque/measured")),
-    ("delay", "Delay [us]", ("delay/delay",)),
-)
+"""With their heights, beside each other's."""
+_INCHES: Final = 6.4 / 6.0
+"""Height of a plot of height 1, with its share of margins."""
 _RUG: Final = 0.035
 """Height of the marks of dropouts, as a share of the plot's."""
 _RUG_WIDTH: Final = 0.6
@@ -38,19 +37,20 @@ _RUG_WIDTH: Final = 0.6
 
 
 def paper_figure(run: RunSignals) -> Figure:
-    """Four plots over one time axis, those of all axes in each; light, for print.
+    """Speed and position, as axes are given them, each with its error, torque and delay over one time axis.
 
-    What was read is interrupted where no reading came, and each dropout is marked. An error's limit is drawn
-    where it is judged; where an error is not counted the plot is shaded.
+    Light, for print. What was read is interrupted where no reading came, and each dropout is marked. An
+    error's limit is drawn where it is judged; where an error is not counted the plot is shaded.
     """
-    figure = Figure(figsize=(7.2, 6.4), layout="constrained")
+    plots = [each for each in _PLOTS if run.axes_in(each[0])]
+    heights = [height for _, _, _, height in plots]
+    figure = Figure(figsize=(7.2, _INCHES * sum(heights)), layout="constrained")
     FigureCanvasAgg(figure)
-    plots = (*(_POSITION if run.by_position else _SPEED), *_BELOW)
-    axes = figure.subplots(len(plots), 1, sharex=True, height_ratios=[2, 1.3, 1.5, 1.2])
-    for ax, (plot, title, paths) in zip(axes, plots, strict=True):
-        for place, name in enumerate(run.axes):
+    axes = figure.subplots(len(plots), 1, sharex=True, height_ratios=heights)
+    for ax, (plot, title, paths, _) in zip(axes, plots, strict=True):
+        for name in run.axes_in(plot):
             for path in paths:
-                _draw(ax, run, name, path, _COLORS[place % len(_COLORS)])
+                _draw(ax, run, name, path)
         if "error" in plot:
             _draw_judged(ax, run, plot)
         ax.set_ylabel(title, fontsize="small")
@@ -66,23 +66,27 @@ def paper_figure(run: RunSignals) -> Figure:
     return figure
 
 
-def _draw(ax: Any, run: RunSignals, name: str, path: str, color: str) -> None:
+def _draw(ax: Any, run: RunSignals, name: str, path: str) -> None:
     envelope = run.signals.get(f"{name}/{path}")
     if envelope is None:
         return
     asked = path not in READ_SERIES
     points = envelope.points()
     times, values = points if asked else run.gaps[name].interrupt(points, run.last_cycle)
-    word = path.partition("/")[2]
+    plot, _, word = path.partition("/")
     of = f"{name}: " if len(run.axes) > 1 else ""
     ax.plot(
         times / NS_PER_S,
         values,
-        color=_GREY if asked else color,
+        color=_GREY if asked else _color(run, name),
         linewidth=0.9 if asked else 0.8,
         drawstyle="steps-post" if asked else "default",
-        label=None if asked and name != run.axes[0] else (word if asked else of + word),
+        label=None if asked and name != run.axes_in(plot)[0] else (word if asked else of + word),
     )
+
+
+def _color(run: RunSignals, name: str) -> str:
+    return _COLORS[run.axes.index(name) % len(_COLORS)]
 
 
 def _mark_dropouts(ax: Any, run: RunSignals) -> None:
@@ -112,7 +116,7 @@ def _draw_judged(ax: Any, run: RunSignals, plot: str) -> None:
     """Draw the limits of an error where they hold, and shade where it is not counted."""
     reach = largest = max(run.shown_error(plot).values(), default=0.0)
     labels = {"limit": "limit" if len(run.axes) == 1 else "limits", "settling": "not counted"}
-    for place, name in enumerate(run.axes):
+    for name in run.axes_in(plot):
         times, sizes = run.limit(name, plot)
         if times.size and (run.window_s == (None, None) or in_view(float(np.nanmin(sizes)), largest)):
             reach = max(reach, float(np.nanmax(sizes)))
@@ -120,7 +124,7 @@ def _draw_judged(ax: Any, run: RunSignals, plot: str) -> None:
             ax.plot(
                 times / NS_PER_S,
                 signed,
-                color=_RED if len(run.axes) == 1 else _COLORS[place % len(_COLORS)],
+                color=_RED if len(run.axes) == 1 else _color(run, name),
                 linewidth=0.8,
                 linestyle="--",
                 label=labels.pop("limit", "_"),

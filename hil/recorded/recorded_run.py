@@ -113,7 +113,8 @@ class RunSignals:
     def __init__(self, run: RecordedRun, begin_s: float | None = None, end_s: float | None = None) -> None:
         """``begin_s``, ``end_s``: the run time of which signals are kept; the figures are those of all."""
         self.axes = run.axes
-        self.by_position = any(axis.quantity == "position" for axis in run.review.axes)
+        self.by_position = {axis.name for axis in run.review.axes if axis.quantity == "position"}
+        """Axes that are given positions."""
         self.deadline_ns = run.config.loop.deadline
         self.period_ns = run.config.loop.period
         self.review = Review(run.review)
@@ -137,12 +138,19 @@ class RunSignals:
             self.last_cycle = max(self.last_cycle, int(rows["due_at"][-1]) - first_cycle)
         for number, name in enumerate(self.axes):
             mine = rows if len(self.axes) == 1 else rows[rows["axis"] == number]
-            due_at = mine["due_at"] - first_cycle
-            mine = mine[(due_at >= self._begin) & (due_at <= self._end)]
+            if self.window_s != (None, None):  # a copy of whole rows
+                due_at = mine["due_at"] - first_cycle
+                mine = mine[(due_at >= self._begin) & (due_at <= self._end)]
             self.gaps[name].add(mine["due_at"] - first_cycle, mine["fate"] != FATE_SAMPLE)
-            positions = position_lines_of(mine) if self.by_position else ()
+            positions = position_lines_of(mine) if name in self.by_position else ()
             for path, times, values in (*main_lines_of(mine, 1.0), *positions):
                 self.signals.setdefault(f"{name}/{path}", Envelope()).add(times - first_cycle, values)
+
+    def axes_in(self, plot: str) -> list[str]:
+        """Return the axes that a plot shows: speeds and positions those that are given them, others all."""
+        if plot in ("speed", "error"):
+            return [name for name in self.axes if name not in self.by_position]
+        return [name for name in self.axes if name in self.by_position or not plot.startswith("position")]
 
     @property
     def delays(self) -> dict[str, TimeHistogram]:
@@ -185,7 +193,7 @@ class RunSignals:
         far as all of it there; r/min or rad, by axis."""
         if self.window_s == (None, None):
             return self.counted_error(plot)
-        shown = {name: self.signals.get(f"{name}/{plot}/error") for name in self.axes}
+        shown = {name: self.signals.get(f"{name}/{plot}/error") for name in self.axes_in(plot)}
         return {name: each.largest() or 0.0 for name, each in shown.items() if each is not None}
 
     def counted_error(self, plot: str = "error") -> dict[str, float]:

@@ -1,8 +1,10 @@
 """Where the limits of an error hold in a run, and the lines that show them.
 
-speed_error_peak_percent_max  ----|  settling  |------------------------
-after_load_percent_max                               ---------   after a change of load
-drawn: the tighter            ----              -----_________---
+    speed_error_peak_percent_max  ----|  settling  |------------------------
+    after_load_percent_max                               ---------   after a change of load
+    drawn: the tighter            ----              -----_________---
+
+No limit holds while a speed settles after a step of its reference.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,8 +1,10 @@
 """Gaps between readings, in bounded memory: where the line of what was read has to be interrupted.
 
-readings    . . . .         . . .
-cycles      | | | | | | | | | | |
-gap                 |------>|       begins where the first reading is due that did not come
+    readings    . . . .         . . .
+    cycles      | | | | | | | | | | |
+    gap                 |------>|       begins where the first reading is due that did not come
+
+Of many gaps the longest of each bucket is kept, as of any envelope.
 """
 
 import numpy as np

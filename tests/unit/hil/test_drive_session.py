@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import pytest
 
 from servobench.drivers.canopen.network import CanopenNetwork
+from servobench.drivers.canopen.nmt_states import NmtCommand
 from servobench.drivers.cia402.drive_setup import DriveSettings
 from servobench.drivers.cia402.profile import State
 from servobench.drivers.cia402.servo import ServoDrive
@@ -14,6 +15,7 @@ from servobench.drivers.errors import DriveInFault, LimitExceeded, PeerFault
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from servobench.drivers.wire.adapters import parse_bus_spec
 from servobench.hil.configuration.config import Guard
+from servobench.hil.execution.bus_guard import ForeignTraffic
 from servobench.hil.execution.drive_session import DriveSession
 from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.write_lists import RUN
@@ -32,7 +34,7 @@ class Hosted:
         self.drives = [ServoDrive(self.network, node) for node in (1, 2)]
         self.told: list[str] = []
         self.session = DriveSession(
-            world, {None: self.network}, self.drives, Guard(on_mode="stop"), self._tell
+            world, {None: self.network}, self.drives, Guard(on_mode="stop", on_boot="stop"), self._tell
         )
         for drive in self.drives:
             drive.connect(self.network.deadline_after(Duration(NS_PER_S)))
@@ -105,12 +107,18 @@ def test_only_those_named_are_told_to_stop_and_a_drive_that_was_not_enabled_is_l
         assert host.states() == OFF
 
 
-def test_on_the_way_out_the_guard_reports_and_ends_nothing() -> None:
-    """A foreign stop of the node in mid-run is an end; while the drives are let go it is a note."""
+def restart(host: Hosted) -> None:
+    """The second drive starts anew: a boot-up message, on which the guard of ``hosted`` ends a run."""
+    host.network.command(NmtCommand.RESET_NODE, 2)
+    host.network.frame_pump.pump(host.network.deadline_after(Duration(NS_PER_S)))
+
+
+def test_on_the_way_out_the_guard_tells_what_would_end_a_run() -> None:
+    with hosted() as host, pytest.raises(ForeignTraffic, match="node 2 started"):
+        restart(host)
     with hosted() as host:
-        host.session.guard.calm()
-        host.session.let_go(host.drives, lambda _drive, _release: None)
-        assert host.session.end() == ()
+        host.session.let_go(host.drives, lambda _drive, _release: None, unload=lambda: restart(host))
+        assert any("node 2 started" in text for text in host.told)
 
 
 def test_a_drive_that_cannot_be_enabled_says_so() -> None:

@@ -57,7 +57,7 @@ def lines(ax: Any) -> list[tuple[str, str, str, float, float, str]]:
 def test_one_axis_has_four_plots_of_what_was_asked_and_what_was() -> None:
     figure: Any = paper_figure(signals_of(made_run(rows()), 0.1, 0.4))
     speed, error, torque, delay = figure.axes
-    assert tuple(figure.get_size_inches()) == (7.2, 6.4)
+    assert tuple(figure.get_size_inches()) == pytest.approx((7.2, 6.4))
     assert [ax.get_ylabel() for ax in figure.axes] == [
         "Speed [r/min]",
         "Speed error [r/min]",
@@ -253,6 +253,28 @@ def test_an_axis_with_a_position_to_reach_is_drawn_by_its_position() -> None:
     assert told == ["Position [rad]", "Position error [rad]", "Torque [N m]"]
     assert [(line[0], line[4]) for line in lines(position)] == [("reference", 2.0), ("measured", 1.75)]
     assert [(line[0], line[4]) for line in lines(error)] == [("error", 0.25), ("limit", 0.5), ("", -0.5)]
+
+
+def test_speeds_and_positions_have_plots_of_their_own_where_axes_are_given_either() -> None:
+    run = made_run(rows(2), ["axis1", "axis2"])
+    first, second = run.review.axes
+    run = replace(run, review=replace(run.review, axes=(first, replace(second, quantity="position"))))
+    figure: Any = paper_figure(signals_of(run))
+    drawn = {ax.get_ylabel(): [line[:2] for line in lines(ax)] for ax in figure.axes}
+    assert drawn == {
+        "Speed [r/min]": [("reference", GREY), ("axis1: measured", FIRST)],
+        "Speed error [r/min]": [("axis1: error", FIRST)],
+        "Position [rad]": [("reference", GREY), ("axis2: measured", SECOND)],
+        "Position error [rad]": [("axis2: error", SECOND)],
+        "Torque [N m]": [
+            ("load", GREY),
+            ("axis1: measured", FIRST),
+            ("", GREY),
+            ("axis2: measured", SECOND),
+        ],
+        "Delay [us]": [("axis1: delay", FIRST), ("axis2: delay", SECOND), ("deadline", RED)],
+    }
+    assert figure.get_size_inches()[1] == pytest.approx(6.4 * 9.3 / 6.0)
 
 
 def test_what_was_not_measured_is_not_drawn() -> None:

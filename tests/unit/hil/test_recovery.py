@@ -113,6 +113,17 @@ def test_events_of_a_logger_that_had_only_begun_the_records_are_put_into_run_tim
     assert told == [{"at_ns": -100_000, "track": "phase", "state": "enabling"}, {"at_ns": 0, "begin": True}]
 
 
+@pytest.mark.parametrize("left", ["logger.log", "seal", ".reserve"])
+def test_a_run_that_was_killed_before_its_first_row_is_ended(tmp_path: Path, left: str) -> None:
+    """What its logger makes first shows that a run began; a bench file alone does not."""
+    (tmp_path / "bench.toml").write_text(load_bench(BENCH).resolved_text())
+    assert recover(tmp_path)[0] == 2
+    (tmp_path / left).touch()
+    status, said = recover(tmp_path, "--json")
+    assert status == 0
+    assert json.loads(said)["cycles"] == 0
+
+
 def test_run_rrd_is_made_anew_from_the_other_files(run: Path) -> None:
     before = json.loads(recover(run, "--json")[1])
     rows = np.concatenate(list(read_records(run / "records.arrow")))
