@@ -17,7 +17,7 @@ def analysed(seed: int) -> SampledAnalysis:
 
 
 def test_a_loop_that_never_switches_is_certified_by_what_one_simulation_shows() -> None:
-    """Issue 40: certified 912.7 for 23.91, for the input held before counted that is replaced at once."""
+    """Certified was 912.7 for 23.91: the input held before counted, which is replaced at once."""
     loop = HeldLoop(speed_model(LING, current_bandwidth_hz=53.8321), np.array([0.0, -0.1]), HISTORY)
     analysis = with_peak(analyse_loop(loop))
     rest = 1.0 / (0.1 * LING.torque_constant_nm_a + LING.viscous_friction_nm_s)
@@ -32,6 +32,15 @@ def test_a_peak_long_after_the_step_is_found_too() -> None:
     attacked = attack(drawn_loop(np.random.default_rng([40, 33])), np.random.default_rng([41, 33]))
     assert analysis.peak_certified is not None
     assert attacked <= analysis.peak_certified < 1.001 * analysis.peak_found
+
+
+@pytest.mark.parametrize("seed", [1, 34])
+def test_a_peak_between_two_samples_is_certified_as_closely_as_it_is_attacked(seed: int) -> None:
+    """Two loops that never switch, whose error overshoots; the attack knows their closed form alone."""
+    analysis = analysed(seed)
+    attacked = attack(drawn_loop(np.random.default_rng([40, seed])), np.random.default_rng([41, seed]))
+    assert analysis.peak_certified is not None
+    assert attacked <= analysis.peak_certified < 1.0005 * attacked
 
 
 @pytest.mark.parametrize(("seed", "ratio_max"), [(0, 1.12), (47, 1.12)])
