@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -256,25 +255,6 @@ def test_a_long_run_has_an_envelope_beside_its_rows(tmp_path: Path) -> None:
     assert numbers(path, "/axis1/speed/reference")[0].size == 20_000
 
 
-def test_no_line_crosses_a_gap_neither_of_the_rows_nor_of_the_envelope(tmp_path: Path) -> None:
-    """20 s, half a second of them without a reading; single ones are gaps of the rows alone."""
-    rows = plain_rows(20_000, fate=np.where(np.arange(20_000) % 100 == 7, 1, 0))
-    rows["fate"][5_000:5_500] = 1
-    path = write_run(plan_for(tmp_path), rows, events=())
-    for line in ("speed/measured", "error/error", "torque/measured"):
-        assert len(gaps_in(path, f"/axis1/{line}")) == 196, "one point at the begin of each"
-        assert gaps_in(path, f"/overview/axis1/{line}") == [5_000.0]
-    for line in ("speed/reference", "torque/command"):
-        assert gaps_in(path, f"/overview/axis1/{line}") == []
-
-
-def gaps_in(path: Path, entity: str) -> Any:
-    """Instants without a number, ms."""
-    times, values = columns(path, entity, "Scalars:scalars")
-    missing = np.isnan(np.array(values, np.float64)[:, 0])
-    return (np.array(times)[missing] / NS_PER_MS).tolist()
-
-
 def test_dropouts_have_a_lane_by_cause(tmp_path: Path) -> None:
     rows = plain_rows(8, fate=[0, 1, 1, 0, 2, 3, 0, FATE_MISSED])
     path = write_run(plan_for(tmp_path), rows, events=())
@@ -360,7 +340,7 @@ def test_a_run_without_a_cycle_still_shows_its_events(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("width", "expected"), [(1, 1), (900, 1), (1_001, 2), (2_000, 2), (6_000, 10), (21_000, 50)]
 )
-def test_bars_haveround_widths(width: int, expected: int) -> None:
+def test_bars_have_round_widths(width: int, expected: int) -> None:
     assert round_width(width) == expected * NS_PER_US
 
 

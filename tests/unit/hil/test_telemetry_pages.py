@@ -305,3 +305,22 @@ def test_the_end_is_an_event_with_how_many_limits_were_kept(results: str, level:
     verdict = replace(summary.verdict, limits=checks)
     expected = text.replace("why", verdict.reason).rstrip("; ")
     assert _end_event(Instant(7), replace(summary, verdict=verdict)) == TextEvent(Instant(7), level, expected)
+
+
+def test_no_line_crosses_a_gap_neither_of_the_rows_nor_of_the_envelope(tmp_path: Path) -> None:
+    """20 s, half a second of them without a reading; single ones are gaps of the rows alone."""
+    rows = plain_rows(20_000, fate=np.where(np.arange(20_000) % 100 == 7, 1, 0))
+    rows["fate"][5_000:5_500] = 1
+    path = write(plan_for(tmp_path), np.array_split(rows, 2))
+    for line in ("speed/measured", "error/error", "torque/measured"):
+        assert len(gaps_in(path, f"/axis1/{line}")) == 196, "one point at the begin of each"
+        assert gaps_in(path, f"/overview/axis1/{line}") == [5_000.0]
+    for line in ("speed/reference", "torque/command"):
+        assert gaps_in(path, f"/overview/axis1/{line}") == []
+
+
+def gaps_in(path: Path, entity: str) -> Any:
+    """Instants without a number, ms."""
+    times, values = columns(path, entity, "Scalars:scalars")
+    missing = np.isnan(np.array(values, np.float64)[:, 0])
+    return (np.array(times)[missing] / NS_PER_MS).tolist()
