@@ -26,6 +26,7 @@ pytest.register_assert_rewrite("tests.contract", "tests.scenario", "tests.truth"
 TRIES = 3
 LEFT_OUT_MAX = 3
 REAL_TIME = "real time"
+UNIT = Path(__file__).parent / "unit"
 ON_LINUX = {Path(__file__).parent / each for each in ("can", "vcan")}
 _witness: Witness | None = None
 """One for each worker, made when it is first needed."""
@@ -40,19 +41,24 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give the tests in real time their further tries."""
+    """Give the tests in real time their further tries; they go first, then all but the quick unit tests."""
     for item in items:
         if _is_in_real_time(item):
             item.add_marker(pytest.mark.flaky(reruns=TRIES - 1, condition=_is_excused))
+    long = {item.path for item in items if item.get_closest_marker("long")}
+    items.sort(
+        key=lambda item: (not _is_in_real_time(item), UNIT in item.path.parents and item.path not in long)
+    )
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """The first worker gets the largest group, which is that of real time."""
+    """Hand out file by file, so that what a module sets up is set up once; to the first worker real time."""
     if config.getoption("dist") != "loadgroup":
         return None
+    config.option.loadscopereorder = False
     scheduler = import_module("xdist.scheduler").LoadGroupScheduling(config, log)
-    schedule = scheduler.schedule
+    group_of, schedule = scheduler._split_scope, scheduler.schedule
 
     def begin_with_the_first() -> None:
         by_name = sorted(scheduler.assigned_work.items(), key=lambda entry: str(entry[0].gateway.id))
@@ -60,6 +66,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
         schedule()
 
     scheduler.schedule = begin_with_the_first
+    # a test without a group is a scope of its own there
+    scheduler._split_scope = lambda node_id: group_of(node_id).partition("::")[0]
     return scheduler
 
 

@@ -9,6 +9,7 @@ import re
 import textwrap
 import types
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -232,6 +233,7 @@ def _text(model: type[BaseModel], name: str, field: FieldInfo) -> str:
     return " ".join(_plain(text).split()).replace("|", "\\|")
 
 
+@cache  # the source of a class is found by parsing its whole file
 def _docstrings(model: type) -> dict[str, str]:
     """Attribute -> the string below it."""
     if not issubclass(model, BaseModel) or model is BaseModel:

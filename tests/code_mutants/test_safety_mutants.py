@@ -41,7 +41,6 @@ def named(file: str, function: str, becomes: str) -> tuple[Guarded, Mutant]:
     raise AssertionError(f"no mutant of {function} becomes {becomes}")
 
 
-@pytest.mark.xdist_group("code mutants")
 @pytest.mark.parametrize(("file", "function", "becomes"), NAMED)
 def test_a_mutant_is_killed(shop: Workshop, file: str, function: str, becomes: str) -> None:
     guarded, mutant = named(file, function, becomes)
@@ -49,7 +48,6 @@ def test_a_mutant_is_killed(shop: Workshop, file: str, function: str, becomes: s
     assert "failed" in shop.said(), "by a test, not by what kept it from running"
 
 
-@pytest.mark.xdist_group("code mutants")
 def test_a_mutant_that_no_test_sees_survives_and_the_original_comes_back(shop: Workshop) -> None:
     guarded, mutant = named("hil/loop/safety.py", "SafetyGuard.limit", "max(demand, low)")
     elsewhere = ["tests/unit/drivers/test_command_watch.py"]
@@ -59,7 +57,6 @@ def test_a_mutant_that_no_test_sees_survives_and_the_original_comes_back(shop: W
         shop.check(["tests/unit/absent.py"])
 
 
-@pytest.mark.xdist_group("code mutants")
 def test_a_run_without_end_is_ended(shop: Workshop) -> None:
     endless = shop.folder / "test_endless.py"
     endless.write_text("import subprocess\n\ndef test_it():\n    subprocess.run(['sleep', '600'])\n")

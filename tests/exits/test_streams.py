@@ -21,7 +21,6 @@ from tests.unit.hil.recorded_runs import short_run
 
 SEED: Final = int(os.environ.get("SEED", "36"))
 DRAWN: Final = int(os.environ.get("STREAMS", "6"))
-pytestmark = pytest.mark.xdist_group("streams")
 REDIRECTIONS: Final = {
     "gone": '"$@" | true; exit ${PIPESTATUS[0]}',
     "full": '"$@" >/dev/full',

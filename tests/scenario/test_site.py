@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("site"), pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 
 ROOT = Path(__file__).parents[2]
 CODE = re.compile(r"^( *)(```|~~~).*?^\1\2|^ {4,}(?!\$).*?$|`[^`\n]*`", re.DOTALL | re.MULTILINE)

@@ -28,8 +28,6 @@ from servobench.design.papers.azaiz2007 import (
 )
 from servobench.design.statespace import StateSpace
 
-pytestmark = pytest.mark.xdist_group("azaiz2007")
-
 STEP_S = 1e-4
 UNLIKE = {"q": {"overshoot_percent"}, "d": {"modulus_margin"}}
 """0 % is no figure to be near to; M_m of K_d is a misprint (DISAGREEMENTS)."""

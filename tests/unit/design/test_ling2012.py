@@ -20,8 +20,6 @@ from servobench.design.papers.ling2012 import (
     table2_row,
 )
 
-pytestmark = pytest.mark.xdist_group("ling2012")
-
 
 def test_printed_controller() -> None:
     found = published_design()

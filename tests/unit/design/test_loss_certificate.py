@@ -28,7 +28,7 @@ from servobench.hil.control.load_filter import FilterNoise, LoadFilter
 from servobench.hil.studies.speed.dynamic import loss_certificate, loss_figures
 from tests.unit.design.test_predictor import KALMAN, NOISE_RAD_S, PERIOD_S, PLANT, REQUEST
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("loss certificate")]
+pytestmark = pytest.mark.long
 
 F = PLANT.feedback(330.0, 5900.0)
 WALKS = Walks(0.66, 1.4)

@@ -34,7 +34,7 @@ from servobench.design.sampled.value_map import ValueMap
 from tests.motors import LING
 from tests.unit.design.random_loops import random_bounds
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("sampled")]
+pytestmark = pytest.mark.long
 MODEL, H = speed_model(LING), 0.01
 K = np.array([0.0, -0.0212])
 

@@ -12,7 +12,7 @@ from servobench.design.sampled.loss_patterns import slowest_pattern, worst_gain
 from servobench.design.speed.sampled_design import least_sampled_gain
 from servobench.design.speed.speed_design import SpeedDesign, least_gain
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("sampled design")]
+pytestmark = pytest.mark.long
 
 NETWORK = SampledNetwork(Strategy.ARRIVAL, 0.002, 1, 0.001)
 

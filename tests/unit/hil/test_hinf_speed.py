@@ -13,7 +13,7 @@ from servobench.hil.execution.network_guard import Certificates
 from tests.floor_runs import LOAD_AT_S, Case, lost_ratio
 from tests.shaft_run import ShaftRun, run_watched
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("hinf speed")]
+pytestmark = pytest.mark.long
 
 FILE = Path("examples/controllers/ling2012-hinf.toml")
 CASE = Case("ling2012", LING2012.model_dump(mode="json"), 1e-3)

@@ -16,7 +16,7 @@ from servobench.hil.execution.network_guard import Certificates
 from tests.floor_runs import LOAD_AT_S, PERIOD_S, Case, lost_ratio
 from tests.shaft_run import ShaftRun, run_watched
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("predictor design")]
+pytestmark = pytest.mark.long
 
 FILE = Path("examples/controllers/ling2012-predictor.toml")
 CASE = Case("ling2012", LING2012.model_dump(mode="json"), 1e-3)

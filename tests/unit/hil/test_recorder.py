@@ -26,7 +26,7 @@ from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import record_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("recorder")]
+pytestmark = pytest.mark.long
 
 CYCLES = 500
 

@@ -29,7 +29,7 @@ from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 from tests.unit.hil.test_telemetry import RPM
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("recovery")]
+pytestmark = pytest.mark.long
 
 BENCH = Path(__file__).parents[3] / "examples" / "ling2012.toml"
 PERIOD_S = 0.001
