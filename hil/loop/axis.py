@@ -212,9 +212,9 @@ class Axis:
         for change in self._changes.take(self._drive.take_demand_changes(), spread=self.by_stamp.spread):
             while tellings and tellings[0].received_at < change.received_at:
                 self._take_telling(tellings.pop(0))
-            at, error_ns = self.by_stamp.clock.place(change.device_time_ns), self.by_stamp.map_error_ns
+            at, error_ns = self.by_stamp.changed_at(change.device_time_ns)
             if at - error_ns <= change.received_at:
-                self.commands.changed(change.demand_raw, at, Duration(error_ns))
+                self.commands.changed(change.demand_raw, at, error_ns)
         for telling in tellings:
             self._take_telling(telling)
 

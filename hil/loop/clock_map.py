@@ -81,6 +81,10 @@ class ClockMap:
         """Of a placed instant: the resolution of a stamp and four standard deviations of the line."""
         return self.resolution + int(4.0 * math.sqrt(self._offset_var))
 
+    def since_last(self, device_ns: int) -> int:
+        """How long after the last stamp that the line has followed this one is, on the drive's clock."""
+        return device_ns - self._device_ns
+
     def place(self, device_ns: int) -> Instant:
         """The host's instant of a device stamp. Needs :attr:`ready`."""
         passed = device_ns - self._device_ns

@@ -125,9 +125,8 @@ class CommandMeter:
         self._note_possible(equal)
         self._note_steady(equal, until)
         if equal[0] < 0:
-            for past in range(self._past):
-                if self._followed[past].raw == demand_raw:
-                    self._followed[past].possible = True
+            for older in self._followed[: self._past]:
+                older.possible = older.possible or older.raw == demand_raw
             return
         if len(equal) == 1:
             self._note_acting(self._followed[equal[0]], until, sync)
@@ -135,7 +134,8 @@ class CommandMeter:
         self._exclude(equal[0], sync)
 
     def changed(self, demand_raw: int, at: Instant, error: Duration) -> None:
-        """The drive began to follow ``demand_raw`` at ``at``, which is right within ``error``."""
+        """The drive began to follow ``demand_raw`` at ``at``, which is right within ``error``. Where commands
+        come twice, or newer ones were there and frames overtake, it may have been before, and untold."""
         self._telling = True
         self._steady_raw = None
         since, until = Instant(at - error), Instant(at + error)
@@ -155,8 +155,8 @@ class CommandMeter:
         if len(equal) == 1:
             command = followed[equal[0]]
             self._note_acting(command, until, None)
-            if command.stamped_from is None or since < command.stamped_from:
-                command.stamped_from = since
+            if not (self._unordered or (self.patient and self._any_there(equal[0] + 1, since))):
+                command.stamped_from = min(since, command.stamped_from or since)
             self._stamping = True
             self._reach(equal[0], until)
 

@@ -4,7 +4,10 @@ The map of the drive's clock, the steps by which its stamps advance, and what ma
 (:mod:`servobench.hil.loop.residuals`): all learned while calibrating, and followed from reading to reading.
 """
 
+import math
+from bisect import insort
 from collections import deque
+from itertools import combinations
 from typing import Final
 
 from servobench.drivers.timebase import NS_PER_US, Duration, Instant
@@ -21,6 +24,47 @@ LEARNED_MAX: Final = 64
 """Readings of a calibration that are remembered: as many as it has SYNCs at the most."""
 
 
+PHASES_MAX: Final = 64
+"""Of changes behind a SYNC that are compared: as many as a period of 2 ms has ticks of 62.5 us, in whole
+microseconds."""
+
+
+class LatchSteps:
+    """The steps by which the stamps of changes advance, which those of SYNCs need not show.
+
+    A drive that latches stamps at the ticks of its inner loops stamps a change up to a tick late. Its SYNCs
+    lie at one phase of the ticks, as long as they come at equal distances.
+
+        ticks     |       |       |       |       |       |
+        stamps    s       c               s               c      all a whole number of ticks apart
+    """
+
+    def __init__(self) -> None:
+        self.most: int | None = None
+        """None: only changes show them, as no SYNCs came at other distances."""
+        self._step = 0
+        """0: no change has shown one yet. Those that come with a SYNC show none, and are off as that is."""
+        self._phases = [0]
+        """Different ones, in order."""
+        self._unit = 0
+
+    @property
+    def step(self) -> int:
+        """The longest that they may be, ns."""
+        return self._step if self.most is None else min(self._step, self.most)
+
+    def add(self, phase_ns: int, resolution: Duration) -> None:
+        """A change was stamped so long after a SYNC; ``resolution``: of stamps, as far as it is known."""
+        phases = self._phases
+        if 0 < self.step <= 2 * resolution or phase_ns in phases or len(phases) == PHASES_MAX:
+            return
+        insort(phases, phase_ns)
+        self._unit = math.gcd(self._unit, phase_ns)
+        rounding = 2 * max(resolution, self._unit)  # each phase is the difference of two stamps
+        apart = (later - earlier for earlier, later in combinations(phases, 2))
+        self._step = min((gap for gap in apart if gap >= rounding), default=self._unit)
+
+
 class DriveStamps:
     """What is known of the stamps of one drive."""
 
@@ -31,6 +75,7 @@ class DriveStamps:
         ``echoes_late``: it may be stamped any time after."""
         self.clock = ClockMap(resolution)
         self.residuals = Residuals(echo_error / 3.0)
+        self._changes = LatchSteps()
         self.resolution = resolution
         """As given, or as the steps of the stamps have shown while learning."""
         self._echo_error = echo_error
@@ -63,6 +108,12 @@ class DriveStamps:
         """Of a stamp from its SYNC."""
         return self.residuals.change_ns**2 + self.resolution**2 / 12.0
 
+    def change_error_ns(self, device_ns: int) -> int:
+        """By how much the map may misplace a change with this stamp, which shows its own steps."""
+        clock, changes = self.clock, self._changes
+        changes.add(clock.since_last(device_ns), clock.resolution)
+        return clock.error_ns + max(0, changes.step - clock.resolution)
+
     def learn(self, device_ns: int, mark: SyncMark, on_bus_at: Instant) -> None:
         """Take a stamp that can only be of the SYNC of ``mark``."""
         residuals, learned = self.residuals, self._learned
@@ -77,6 +128,8 @@ class DriveStamps:
         handed = list(self._handed)
         self._coarsen(step_of(evenly_spaced(handed, self._period) if self._heard_late else handed))
         residuals.learn(residuals_of(pairs), self.unmapped_ns)
+        if mark.handed_at != on_bus_at:  # a SYNC of our own, at a distance that was drawn
+            self._changes.most = residuals.reach
         if residuals.spread:
             self.clock.start_anew(pairs, residuals.variance_ns2(self.unmapped_ns))
 

@@ -234,7 +234,8 @@ class ReadbackTie:
         if placed is not None and placed.mark.number == number:
             return placed.since
         mark = self._mark(number)
-        return Instant((mark.handed_at if mark.on_bus_at is None else mark.on_bus_at) - self._syncs.error_ns)
+        ended_at = mark.handed_at if mark.on_bus_at is None else mark.on_bus_at - mark.late_ns
+        return Instant(ended_at - self._syncs.error_ns)
 
     def _until(self, number: int, readback: Readback) -> Instant:
         """No drive sampled at this SYNC later, if ``readback`` is of it or of one before."""

@@ -194,10 +194,11 @@ class StampAttribution:
         health.judge(delay, self._transit, error_ns, unstamped_ns)
         return Sample(mark.sequence, reading, sampled_at, error_ns + unstamped_ns, True)
 
-    @property
-    def map_error_ns(self) -> int:
-        """How far an instant that the map places may be off, a delay that all SYNCs have aside."""
-        return self.clock.error_ns + self._residuals.reach
+    def changed_at(self, device_ns: int) -> tuple[Instant, Duration]:
+        """When a demand with this stamp changed, and by how much that may be off, a delay that all SYNCs have
+        aside. A map that lags a clock of another rate is off by what all residuals have in common."""
+        at = Instant(self.clock.place(device_ns) - self._residuals.middle)
+        return at, Duration(self.stamps.change_error_ns(device_ns) + self._residuals.reach)
 
     # ---- clocks that were set -----------------------------------------------------------------------------
 

@@ -60,7 +60,8 @@ class SyncMark:
         """Whether ``on_bus_at`` is certainly this SYNC's."""
         self.late_ns = 0
         """By how much it may have ended before ``on_bus_at``, as its echo took so much longer from the
-        hand-over than the quickest of the last ones: it waited in front of the bus, or was stamped late."""
+        hand-over than the quickest of the last ones: it waited in front of the bus, or was stamped late. One
+        of another node: as its distances from the others differ."""
         self.unsent = False
         """Whether it never went out, as the bus had no room for it."""
 
@@ -110,7 +111,7 @@ class SyncLog:
         self._echo_error = ECHO_ERROR[echoes]
         self._echoes_late = echoes in STAMPED_LATE
         self._ways = Extremes()
-        """From the hand-over of a SYNC to its echo."""
+        """From the hand-over of a SYNC to its echo; of another node's, what their distances are off."""
         self._counted = 0
         self._last_on_bus = Instant(-(1 << 62))
         self._heard_ns = 0
@@ -159,7 +160,11 @@ class SyncLog:
         if self.marks:
             periods = (at - self._last_on_bus + self._period // 2) // self._period
             self.missing += max(0, periods - 1)
-        return self._end_of_other(sequence, at)
+            if self._echoes_late and periods > 0:
+                self._ways.add(abs(at - self._last_on_bus - periods * self._period))
+        mark = self._end_of_other(sequence, at)
+        mark.late_ns = self._ways.high + self._ways.slack()
+        return mark
 
     def stray(self, at: Instant) -> None:
         """A SYNC that nobody here expects ended on the bus."""

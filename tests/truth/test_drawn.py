@@ -180,6 +180,25 @@ def test_a_demand_behind_a_blackout_may_be_that_of_before(seed: int) -> None:
     assert verdict.wrong == {}, verdict.examples
 
 
+@pytest.mark.parametrize(
+    ("seed", "cycles"),
+    [
+        *(
+            (300052, 770),
+            (200263, 230),
+        ),  # the clock's map lagged: a rate that changed, or was taken for another
+        *((400074, 270), (300083, 10)),  # stamps of a tick, or of 250 us, that SYNCs at equal distances hide
+        *((300038, 10), (140019, 500), (400071, 420)),  # commands that came twice, and told once
+        *((165, 90), (300137, 970)),  # SYNCs stamped late, whose own reading was lost
+    ],
+)
+def test_a_command_acts_in_the_interval_that_is_told(seed: int, cycles: int) -> None:
+    """137, 122, 489, 3, 2, 10, 1, 17 and 3 of 1500 or 3000 lay outside."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert verdict.commands.told_acting > 0
+    assert verdict.wrong == {}, verdict.examples
+
+
 def test_a_feature_that_is_left_out_changes_no_other() -> None:
     for seed in range(30):
         plan = drawn_plan(seed)

@@ -5,6 +5,7 @@ import pytest
 from servobench.drivers.exchange import DemandChange
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.axis_roles import Controller
+from servobench.hil.loop.clock_map import STAMP_RESOLUTION
 from servobench.hil.loop.context import Context, SetPoint, TorqueSetPoint
 from servobench.hil.loop.order_question import PROBE_AFTER
 from servobench.hil.loop.samples import CommandFate
@@ -199,7 +200,8 @@ def test_a_change_is_told_between_the_readbacks_before_and_after_it() -> None:
     rig.axis.settle_all(3 + HORIZON)
     sending = rig.records[0].sending
     assert sending is not None
-    error = rig.axis.by_stamp.clock.error_ns
+    # Three SYNCs at equal distances show no steps of its stamps, and this is the first change: 700 us apart.
+    error = rig.axis.by_stamp.clock.error_ns + 700_000 - STAMP_RESOLUTION
     assert sending.fate is CommandFate.ACTING
     assert (sending.acts_after, sending.acts_by) == (began - error, began + error)
 

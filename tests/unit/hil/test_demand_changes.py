@@ -73,6 +73,32 @@ def test_a_change_that_is_told_twice_moves_no_instant() -> None:
     assert told(meter.outcome(0, 1)) == (ACTING, first - ERROR, first + ERROR)
 
 
+@pytest.mark.parametrize(
+    ("patient", "newer", "exact"), [(False, True, True), (True, False, True), (True, True, False)]
+)
+def test_a_change_behind_a_newer_command_may_be_the_second_of_its_command(
+    patient: bool, newer: bool, exact: bool
+) -> None:
+    """Where frames of the drive may be lost or overtaken: what told of the first and of the newer command."""
+    meter = meter_with(5, 6) if newer else meter_with(5)
+    meter.patient = patient
+    at = Instant(on_bus_at(1) + 100_000)
+    meter.changed(5, at, ERROR)
+    assert told(meter.outcome(0, HORIZON)) == (ACTING, at - ERROR if exact else on_bus_at(0), at + ERROR)
+
+
+def test_once_commands_have_come_twice_a_change_may_be_the_second_of_its_command() -> None:
+    meter = meter_with(5, 6)
+    for number, raw in ((0, 5), (1, 6), (1, 5)):  # 5 again, behind 6
+        meter.changed(raw, Instant(on_bus_at(number) + 10_000 + 100_000 * (raw == 5)), ERROR)
+    meter.sent(command(2, 7))
+    at = Instant(on_bus_at(2) + 100_000)
+    meter.changed(7, at, ERROR)
+    meter.outcome(0, HORIZON)
+    meter.outcome(1, HORIZON)
+    assert told(meter.outcome(2, HORIZON)) == (ACTING, on_bus_at(2), at + ERROR)
+
+
 def test_commands_that_a_change_passes_over_were_not_seen_to_be_lost() -> None:
     """A drive that tells changes may have followed one for less than it takes to tell."""
     meter = meter_with(5, 6, 7)

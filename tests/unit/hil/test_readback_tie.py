@@ -62,3 +62,19 @@ def test_a_demand_behind_a_sync_that_was_not_heard_may_be_of_it(unsent: bool) ->
     else:
         assert telling.sync is None
         assert telling.since <= at(1) < at(2) <= telling.until
+
+
+@pytest.mark.parametrize("late_ns", [0, 400_000])
+def test_a_sync_that_is_stamped_late_may_have_ended_as_much_earlier(late_ns: int) -> None:
+    """Its own reading was lost, so that nothing else tells when the drive sampled."""
+    syncs = SyncLog(Duration(0), PERIOD, EchoBasis.KERNEL)
+    tie = ReadbackTie(syncs, PERIOD, 20)
+    for number in range(1, 40):
+        syncs.heard(number, Instant(at(number) + (late_ns if number % 2 else 0)))
+    received_at = Instant(at(38) + READING_AFTER)
+    tie.reading(Sample(38, reading_at(received_at), at(38), 0, True), received_at, False)
+    for number, count in ((38, 1), (39, 1)):
+        told_at = Instant(at(number) + late_ns + DEMAND_AFTER)
+        tellings = tie.take([Readback(7, told_at, count)], at_end=number == 39)
+    assert tellings[-1].since <= at(39)
+    assert tellings[-1].since > at(38) or late_ns
