@@ -75,9 +75,12 @@ def serving(command: Sequence[str], ends_with: Sequence[int] = (0,)) -> Iterator
         assert process.returncode in ends_with, said
 
 
-def start_run(bench: Path, bus: str, folder: Path, *options: str) -> subprocess.Popen[str]:
-    """``hil run --json`` in the background, with the processes that a user's has."""
-    return in_background([*HIL, *_run_command(bench, bus, folder), *options])
+def start_run(
+    bench: Path, bus: str, folder: Path, *options: str, by: Sequence[str] = HIL
+) -> subprocess.Popen[str]:
+    """``hil run --json`` in the background, with the processes that a user's has; ``by`` :func:`hil`: forked,
+    for a test that asks only what the command hears, says and leaves."""
+    return in_background([*by, *_run_command(bench, bus, folder), *options])
 
 
 def _run_command(bench: Path, bus: str, folder: Path) -> list[str]:

@@ -4,7 +4,7 @@ import os
 import signal
 import subprocess
 import termios
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -126,15 +126,18 @@ def witness(bus: str) -> Iterator[Witness]:
         watching.close()
 
 
-def command(bus: str, out: Path) -> list[str]:
+def command(bus: str, out: Path, by: Sequence[str]) -> list[str]:
     return [
-        *HIL, "commission", "--bus", bus, "--node", "1", "--out", str(out), "--yes",
+        *by, "commission", "--bus", bus, "--node", "1", "--out", str(out), "--yes",
         "--period-us", "4000", "--heartbeat-timeout-ms", str(TIMEOUT_MS),
     ]  # fmt: skip
 
 
-def start(bus: str, out: Path, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
-    return in_background(command(bus, out), stdin, subprocess.DEVNULL)
+def start(
+    bus: str, out: Path, stdin: int = subprocess.DEVNULL, by: Sequence[str] = HIL
+) -> subprocess.Popen[str]:
+    """By :func:`hil`: forked, where it is neither stopped nor killed, nor has a terminal."""
+    return in_background(command(bus, out, by), stdin, subprocess.DEVNULL)
 
 
 def restore(out: Path) -> subprocess.CompletedProcess[str]:
@@ -146,7 +149,7 @@ def test_a_stop_signal_ends_in_rest_with_everything_put_back(tmp_path: Path, num
     bus = hub_name(f"commission-{number.name.lower()}")
     with simulated_drive(bus), witness(bus) as watching:
         before = watching.memory()
-        process = start(bus, tmp_path)
+        process = start(bus, tmp_path, by=hil())
         watching.until_turning()
         at = watching.now()
         process.send_signal(number)
@@ -228,7 +231,7 @@ def test_a_journal_that_waits_forbids_another_commissioning_over_it(tmp_path: Pa
         process.kill()
         process.communicate(timeout=20)
         watching.time_to_rest(at, 1e-3 * TIMEOUT_MS + STOP_S + MARGIN_S, asking=True)
-        again = run_command(command(bus, tmp_path))
+        again = run_command(command(bus, tmp_path, hil()))
         assert again.returncode == 2, again.stderr
         assert "hil restore" in again.stderr
         assert restore(tmp_path).returncode == 0
@@ -238,7 +241,7 @@ def test_a_lost_bus_ends_it_and_names_what_puts_things_back(tmp_path: Path) -> N
     bus = hub_name("commission-lost")
     with simulated_drive(bus) as drive:
         with witness(bus) as watching:
-            process = start(bus, tmp_path)
+            process = start(bus, tmp_path, by=hil())
             watching.until_turning()
         os.kill(broker_of(bus), signal.SIGKILL)
         _, said = process.communicate(timeout=30)

@@ -11,6 +11,7 @@ from servobench.drivers.cia402.profile import State
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.pytest_plugin import StartDrive
 from tests.scenario.processes import broker_of, changed_bench, long_bench, loop_of, observer, start_run
+from tests.warm.start import hil
 
 pytestmark = [pytest.mark.servo_bus("hub"), pytest.mark.xdist_group("real time")]
 
@@ -30,7 +31,7 @@ def test_a_stop_signal_ends_in_rest_with_the_recording_whole(
     folder = tmp_path / "run"
     servo_process(1)
     with observer(servo_bus) as watching:
-        process = start_run(long_bench(tmp_path), servo_bus, folder)
+        process = start_run(long_bench(tmp_path), servo_bus, folder, by=hil())
         watching.until_turning(TURNING_RAD_S)
         at = watching.now()
         process.send_signal(number)
@@ -47,7 +48,7 @@ def test_a_stop_signal_ends_in_rest_with_the_recording_whole(
 
 def test_a_stop_signal_is_heard_while_no_drive_answers(servo_bus: str, tmp_path: Path) -> None:
     bench = changed_bench(tmp_path, connect_timeout_s=60.0)
-    process = start_run(bench, servo_bus, tmp_path / "run")
+    process = start_run(bench, servo_bus, tmp_path / "run", by=hil())
     assert process.stderr is not None
     assert process.stderr.readline() == "connecting\n"
     process.send_signal(signal.SIGINT)
@@ -99,7 +100,7 @@ def test_a_drive_that_dies_ends_the_run_with_a_named_fault(
     folder = tmp_path / "run"
     drive = servo_process(1)
     with observer(servo_bus) as watching:
-        process = start_run(long_bench(tmp_path), servo_bus, folder)
+        process = start_run(long_bench(tmp_path), servo_bus, folder, by=hil())
         watching.until_turning(TURNING_RAD_S)
         drive.kill()
         out, said = process.communicate(timeout=20)
@@ -119,7 +120,7 @@ def test_a_lost_bus_ends_the_run_and_the_drive_process(
 ) -> None:
     drive = servo_process(1)
     with observer(servo_bus) as watching:
-        process = start_run(long_bench(tmp_path), servo_bus, tmp_path / "run")
+        process = start_run(long_bench(tmp_path), servo_bus, tmp_path / "run", by=hil())
         watching.until_turning(TURNING_RAD_S)
     os.kill(broker_of(servo_bus), signal.SIGKILL)  # as a pulled cable ends the bus for all
     _, said = process.communicate(timeout=20)

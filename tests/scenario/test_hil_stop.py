@@ -21,7 +21,7 @@ from tests.warm.start import hil
 def test_a_run_in_another_process_ends_at_rest_and_says_why(tmp_path: Path) -> None:
     bus = hub_name("stop")
     with simulated_drive(bus):
-        process = start_run(long_bench(tmp_path), bus, tmp_path / "run")
+        process = start_run(long_bench(tmp_path), bus, tmp_path / "run", by=hil())
         with observer(bus) as watching:
             watching.until_turning(20.0)
         done = run_command([*hil(), "stop", "--bus", bus, "--json"])

@@ -182,7 +182,7 @@ def test_on_every_way_out_the_brake_is_opened(
 ) -> None:
     bus = hub_name("way")
     with simulated_drive(bus) as drive:
-        process = start_run(bench(tmp_path, instrument.terminal.path, 60.0), bus, tmp_path / "run")
+        process = start_run(bench(tmp_path, instrument.terminal.path, 60.0), bus, tmp_path / "run", by=hil())
         instrument.loaded()
         if way == "drive killed":
             drive.kill()
@@ -198,7 +198,7 @@ def test_an_instrument_that_goes_away_ends_the_run_with_the_drive_at_rest(
 ) -> None:
     bus = hub_name("gone")
     with simulated_drive(bus), observer(bus) as watching:
-        process = start_run(bench(tmp_path, instrument.terminal.path, 60.0), bus, tmp_path / "run")
+        process = start_run(bench(tmp_path, instrument.terminal.path, 60.0), bus, tmp_path / "run", by=hil())
         watching.until_turning(TURNING_RAD_S)
         instrument.loaded()
         instrument.terminal.unplug()

@@ -10,6 +10,7 @@ import pytest
 from servobench.drivers.cia402.profile import State
 from tests.scenario.processes import EXAMPLES, hub_name, long_bench, observer, run, simulated_drive, start_run
 from tests.scenario.serial_processes import adapter_process
+from tests.warm.start import hil
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -49,7 +50,7 @@ def test_an_adapter_pulled_out_in_mid_run_is_a_named_fault_and_the_drive_stops_b
 ) -> None:
     bus = hub_name("pulled")
     with simulated_drive(bus), observer(bus) as watching, adapter_process(bus) as adapter:
-        process = start_run(long_bench(tmp_path), adapter.bus, tmp_path / "run")
+        process = start_run(long_bench(tmp_path), adapter.bus, tmp_path / "run", by=hil())
         watching.until_turning(TURNING_RAD_S)
         at = watching.now()
         adapter.pull_out()
@@ -67,7 +68,7 @@ def test_an_adapter_pulled_out_in_mid_run_is_a_named_fault_and_the_drive_stops_b
 def test_an_adapter_stopped_by_ctrl_c_ends_like_an_unplugged_one(tmp_path: Path) -> None:
     bus = hub_name("ended")
     with simulated_drive(bus), observer(bus) as watching, adapter_process(bus) as adapter:
-        process = start_run(long_bench(tmp_path), adapter.bus, tmp_path / "run")
+        process = start_run(long_bench(tmp_path), adapter.bus, tmp_path / "run", by=hil())
         watching.until_turning(TURNING_RAD_S)
         adapter.process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=20)
