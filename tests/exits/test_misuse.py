@@ -25,6 +25,7 @@ from tests.scenario.processes import (
     start_run,
     summary_of,
 )
+from tests.warm.start import hil
 
 SEED, RUNS = 5, 15
 
@@ -147,7 +148,7 @@ def test_a_run_passes_only_with_a_recording_that_holds_its_seal(tmp_path: Path) 
     bench = with_hooks(changed_bench(tmp_path), "output", "pass")
     bench.write_text(bench.read_text(encoding="utf-8").partition("[verdict]")[0], encoding="utf-8")
     asked = ["run", str(bench), "--bus", "simulated", "--record", str(tmp_path / "run")]
-    done = run_command(python_command("servobench.hil.cli", *asked))
+    done = run_command([*hil(), *asked])
     summary = read_summary(tmp_path / "run")
     assert done.returncode == summary.verdict.exit_status == 0, done.stderr
     assert read_back(summary) == summary
@@ -241,7 +242,7 @@ def test_a_damaged_process_is_no_defect_of_the_program(
     """Its parent is made of nothing that is in it, and prints an object of its own."""
     bench = with_hooks(changed_bench(tmp_path), where, way)
     asked = ["run", str(bench), "--bus", "simulated", "--no-record", "--json"]
-    done = run_command(python_command("servobench.hil.cli", *asked))
+    done = run_command([*hil(), *asked])
     assert done.returncode == 3, done.stderr
     assert f"hil: error: {said}" in done.stderr
     verdict = json.loads(done.stdout)["verdict"]

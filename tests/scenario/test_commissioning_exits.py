@@ -126,7 +126,7 @@ def witness(bus: str) -> Iterator[Witness]:
         watching.close()
 
 
-def command(bus: str, out: Path, by: Sequence[str]) -> list[str]:
+def command(bus: str, out: Path, by: Sequence[str] = HIL) -> list[str]:
     return [
         *by, "commission", "--bus", bus, "--node", "1", "--out", str(out), "--yes",
         "--period-us", "4000", "--heartbeat-timeout-ms", str(TIMEOUT_MS),
