@@ -52,6 +52,7 @@ def test_published_design_certified() -> None:
     assert all(each.min_margin > 0.0 for each in found)
 
 
+@pytest.mark.long
 def test_an_asked_order_is_found() -> None:
     """In random stable loops up to 0.8 of their largest delay, of orders 0 to 4; 200 by ``bench_design``."""
     draw = np.random.default_rng(5)
@@ -86,6 +87,7 @@ def test_an_unstable_loop_has_no_certificate() -> None:
         certified_gain(MODEL, MODEL.loop([0.0, -0.0212], 0.2), 0)
 
 
+@pytest.mark.long
 def test_order_0_of_random_loops_beside_a_spectrum_and_a_sweep() -> None:
     """Unstable: never certified. Stable: never below the sweep, and the units of its size."""
     draw = np.random.default_rng(13)

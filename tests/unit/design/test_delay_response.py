@@ -67,6 +67,7 @@ def test_peak_of_the_printed_loop() -> None:
     assert step_peak(loop) == pytest.approx(118.29513, rel=1e-6)
 
 
+@pytest.mark.long
 def test_peak_without_delay_is_scipy_s() -> None:
     loop = MODEL.loop([0.0, -0.3], 0.0)
     system = ScipySystem(loop.A + loop.BK, loop.E[:, None], loop.C[None], [[0.0]])
@@ -82,6 +83,7 @@ def test_no_loop_is_below_the_floor(delay_s: float, share: float, current: float
     assert peak >= peak_floor_rad_s(MOTOR, delay_s) * (1.0 - 1e-9)
 
 
+@pytest.mark.long
 def test_an_unstable_loop_has_no_peak() -> None:
     limit_s = largest_stable_delay_s(MODEL.loop(K, 0.0))
     assert math.isinf(step_peak(MODEL.loop(K, 1.001 * limit_s)))

@@ -60,6 +60,7 @@ def test_gamma_min_of_badly_scaled_plants() -> None:
     assert gamma_min(PLANTS["d"]) == pytest.approx(0.6463218, rel=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(40))
 def test_the_controller_holds_what_its_gamma_promises(seed: int) -> None:
     plant = random_plant(seed)

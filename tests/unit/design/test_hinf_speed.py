@@ -73,6 +73,7 @@ def shaft_response(delay_s: float, omega: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.array(load), np.array(command)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delay_s", [0.4e-3, 1.1e-3, 3.1e-3, 19.1e-3])
 def test_the_norm_is_that_of_a_sweep_of_scalar_functions(delay_s: float) -> None:
     found = design_controller(asked(delay_s), WEIGHTS)
@@ -161,6 +162,7 @@ def made() -> HinfDesign:
     return design_hinf(REQUEST)
 
 
+@pytest.mark.long
 def test_the_design_keeps_what_was_asked(made: HinfDesign) -> None:
     found = hinf_robustness(made)
     assert made.controller.order < made.found.K.order
@@ -176,6 +178,7 @@ def test_the_design_keeps_what_was_asked(made: HinfDesign) -> None:
     assert late.spectral_radius() >= 1.0
 
 
+@pytest.mark.long
 def test_margins_are_where_the_loop_becomes_unstable(made: HinfDesign) -> None:
     factor = 10.0 ** (made.loop().margins().gain_margin_db / 20.0)
     for by, stable in ((0.99 * factor, True), (1.01 * factor, False)):
@@ -187,6 +190,7 @@ def test_margins_are_where_the_loop_becomes_unstable(made: HinfDesign) -> None:
         assert (HinfLoop(made.controller, weaker, 1.1e-3).spectral_radius() < 1.0) is stable
 
 
+@pytest.mark.long
 def test_what_cannot_be_kept_is_refused() -> None:
     with pytest.raises(InfeasibleDesign, match="torque noise"):
         design_hinf(replace(REQUEST, command_noise_nm=1e-7))

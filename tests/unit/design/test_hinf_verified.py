@@ -61,6 +61,7 @@ KINDS: list[tuple[Callable[[int], GeneralisedPlant], range]] = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("made", "seed"),
     [(made, seed) for made, seeds in KINDS for seed in seeds],

@@ -26,6 +26,7 @@ def test_a_loop_that_never_switches_is_certified_by_what_one_simulation_shows() 
     assert analysis.peak_found <= analysis.peak_certified < 1.001 * analysis.peak_found
 
 
+@pytest.mark.long
 def test_a_peak_long_after_the_step_is_found_too() -> None:
     """A slow loop with an integral: its error still grows after the 40 periods of the search."""
     analysis = analysed(33)
@@ -34,6 +35,7 @@ def test_a_peak_long_after_the_step_is_found_too() -> None:
     assert attacked <= analysis.peak_certified < 1.001 * analysis.peak_found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 34])
 def test_a_peak_between_two_samples_is_certified_as_closely_as_it_is_attacked(seed: int) -> None:
     """Two loops that never switch, whose error overshoots; the attack knows their closed form alone."""
@@ -43,6 +45,7 @@ def test_a_peak_between_two_samples_is_certified_as_closely_as_it_is_attacked(se
     assert attacked <= analysis.peak_certified < 1.0005 * attacked
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "ratio_max"), [(0, 1.12), (47, 1.12)])
 def test_no_attack_exceeds_the_bound_of_a_switched_loop(seed: int, ratio_max: float) -> None:
     """More by ``python -m tests.benchmarks.attack_peaks``; these two were at 1.16 and 2.3."""

@@ -88,6 +88,7 @@ def test_without_noise_the_plant_without_delay_answers_a_reference(delay_s: floa
         assert np.min(np.abs(poles - pole)) < 1e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("inertia", "more_s"), [(1.0, 0.0), (0.7, 0.0), (1.3, 0.3e-3)])
 def test_the_noise_figure_is_that_of_a_long_trial(inertia: float, more_s: float) -> None:
     found, delay_s = prediction(), 1.1e-3 + more_s
@@ -164,6 +165,7 @@ def made() -> PredictorDesign:
     return design_predictor(REQUEST)
 
 
+@pytest.mark.long
 def test_the_design_keeps_what_was_asked(made: PredictorDesign) -> None:
     found = predictor_robustness(made)
     assert found.delay_margin_s >= 0.5e-3
@@ -177,6 +179,7 @@ def test_the_design_keeps_what_was_asked(made: PredictorDesign) -> None:
     assert found.gain < losses[0] < losses[1] < math.inf
 
 
+@pytest.mark.long
 def test_its_noise_with_false_steps_is_within_what_was_asked(made: PredictorDesign) -> None:
     noise = np.random.default_rng(8).normal(0.0, NOISE_RAD_S, 20_000)
     trial = load_step(made.prediction, AdaptiveFilter(KALMAN, made.walks), 0.0, len(noise), noise_rad_s=noise)

@@ -26,6 +26,7 @@ def _sensitivity(r: float, L: float, K: StateSpace, omega: np.ndarray) -> np.nda
     return np.asarray(1.0 / np.abs(1.0 + loop))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("K", [Q.controller, Q_REDUCED.controller, from_zpk([-200.0], [0.0], 0.9)])
 @pytest.mark.parametrize("spread", [0.1, 0.5, 0.8])
 @pytest.mark.parametrize("weighted", [False, True])
@@ -52,6 +53,7 @@ def _gain_of(found: Worst, K: StateSpace) -> float:
     return float(_sensitivity(found.resistance_ohm, found.inductance_h, K, at)[0])
 
 
+@pytest.mark.long
 def test_a_narrow_peak_between_the_first_frequencies_is_found() -> None:
     """A lightly damped pair in K lifts |S| over a thousandth of an octave."""
     pair = np.roots([1.0, 2e-5 * 3333.0, 3333.0**2])
@@ -122,6 +124,7 @@ def real_mu_upper_bound(M: np.ndarray, starts: int = 3) -> float:
     return best
 
 
+@pytest.mark.long
 def test_mu_bound_against_exact_cases() -> None:
     assert real_mu_upper_bound(np.diag([0.5 + 0j, -0.8])) == pytest.approx(0.8, rel=1e-3)
     rotation_like = np.array([[0.0, 1.0], [-1.0, 0.0]], dtype=complex)

@@ -17,6 +17,7 @@ from servobench.design.sampled.sequence_inequalities import Inequalities, exchan
 from tests.motors import LING
 
 
+@pytest.mark.long
 def test_what_is_held_for_a_moment_under_the_worst_pattern_still_counts() -> None:
     """At a delay of 1.017 periods the worst pattern holds the oldest sample for 0.017 of one only, another
     for the whole: a certificate in units of the worst alone found nothing."""

@@ -37,6 +37,7 @@ def test_it_cannot_be_less_than_what_inertia_alone_makes_of_the_load() -> None:
     assert found > 0.044 / LING.inertia_kg_m2 * 0.9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_certified_is_never_below_brute_force_nor_far_above(seed: int) -> None:
     """All sequences of a few periods; more seeds in ``bench_design peaks``."""

@@ -50,6 +50,7 @@ def test_no_reading_is_misplaced_and_none_uncertain_once_the_delays_are_known(
     assert max(outcome.uncertain, default=0) <= 50, "calibration had another delay"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("drift_ppm", [0.0, 1000.0])
 @pytest.mark.parametrize("step_ns", [-350_000, 200_000, 800_000, 2_000_000, 10**9, 37_000])
 @pytest.mark.parametrize("name", DELAYS)
@@ -114,6 +115,7 @@ def test_two_stamps_for_one_sync_are_an_alarm() -> None:
 # ---- drives without a clock -----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("loss", [0.0, 0.02, 0.3])
 def test_by_order_nothing_is_misplaced_while_the_drive_answers_before_the_next_sync(loss: float) -> None:
     def lateness(_n: int, r: random.Random) -> int:

@@ -74,6 +74,7 @@ def runner(tmp_path: Path, bus: str = "simulated", host: Host | None = None) -> 
     return BenchRunner(bus, its, tmp_path, EXAMPLES)
 
 
+@pytest.mark.long
 def test_a_run_is_asked_for_as_the_test_says(runs: Runs, tmp_path: Path) -> None:
     controllers: Any = {"axis1": object()}
     bench = runner(tmp_path)
@@ -93,6 +94,7 @@ def test_a_run_is_asked_for_as_the_test_says(runs: Runs, tmp_path: Path) -> None
     assert bench(LING).folder == tmp_path / "run-2"
 
 
+@pytest.mark.long
 def test_an_error_passes_with_its_recording_or_is_the_one_expected(runs: Runs, tmp_path: Path) -> None:
     runs.error = BusDown("the bus is down")
     bench = runner(tmp_path)

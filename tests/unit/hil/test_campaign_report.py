@@ -248,6 +248,7 @@ def test_a_cell_is_a_link_to_its_run(tmp_path: Path) -> None:
     assert links <= set(places)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("rows", "named"), [(20, True), (21, False)])
 def test_beyond_two_hundred_cells_no_number_is_written(rows: int, named: bool) -> None:
     values = np.zeros((rows, 10))

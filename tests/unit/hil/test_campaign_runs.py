@@ -155,6 +155,7 @@ def test_as_many_workers_as_there_are_cores_if_none_are_said(
     assert rows.asked == [(range(3), len(os.sched_getaffinity(0)))]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("rows")
 def test_a_campaign_whose_seal_ends_as_a_kill_leaves_it_says_so(
     sweep: Callable[..., Path], tmp_path: Path
@@ -198,6 +199,7 @@ def test_rows_are_stored_when_five_seconds_of_them_came(
     assert stored(tmp_path / "out") == files
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seconds", "count"), [(3.9, 2), (4.0, 2), (4.1, 3), (100.0, 9)])
 def test_time_that_is_up_ends_it_and_it_goes_on_where_its_runs_end(
     rows: Rows, sweep: Callable[..., Path], tmp_path: Path, seconds: float, count: int

@@ -84,6 +84,7 @@ def test_without_a_steady_run_before_the_step_nothing_is_seen() -> None:
     assert meter_of(loaded(12.0, 0.0)).gain_seen is None, "no step"
 
 
+@pytest.mark.long
 def test_the_figures_do_not_depend_on_the_chunks() -> None:
     rows = loaded(12.0)
     rows["velocity_rad_s"] += np.random.default_rng(1).normal(0.0, 0.1, COUNT)

@@ -86,6 +86,7 @@ def holds(outcome: Sending, acts_at: int | None) -> bool:
     return acts_at is not None and outcome.acts_after <= acts_at * TICK <= outcome.acts_by
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("acts_at_syncs", [False, True])
 def test_what_is_told_holds_in_every_history_that_shows_the_same(acts_at_syncs: bool) -> None:
     choices = random.Random(5)

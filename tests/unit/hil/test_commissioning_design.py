@@ -71,6 +71,7 @@ def test_the_load_moves_the_speed_as_far_as_is_said() -> None:
     assert outcome.figures["crossing_rad_s"] == pytest.approx(controller["proportional_nm_s_rad"] / J)
 
 
+@pytest.mark.long
 def test_noise_of_the_speed_makes_at_most_a_twentieth_of_the_rated_torque() -> None:
     quiet, gains = suggested()
     assert not any("noise" in line for line in quiet.lines)
@@ -81,6 +82,7 @@ def test_noise_of_the_speed_makes_at_most_a_twentieth_of_the_rated_torque() -> N
     assert f"the velocity's noise allows {0.05 * RATED_NM / noise:.3g} N m s/rad" in noisy.lines[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("reading_us", "period_us"), [(400.0, 1000), (449.0, 1000), (451.0, 2000), (1400.0, 4000)]
 )
@@ -92,6 +94,7 @@ def test_the_period_is_the_shortest_in_which_the_reading_is_there_and_the_comman
     assert outcome.figures["period_us"] == period_us
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rating", "speed_rpm", "share"),
     [

@@ -98,6 +98,7 @@ def test_its_page_has_the_steps_the_states_and_the_shaft(commissioned: Path) -> 
     assert max(map(len, results)) <= 52, "a cell shows one line, and cuts off what is longer"
 
 
+@pytest.mark.long
 def test_its_positions_are_those_of_the_frames(tmp_path: Path) -> None:
     """Of a shaft that has turned: the same at the same instants, but for one unit."""
     unknown_world(4, tmp_path, last_step="polarity")

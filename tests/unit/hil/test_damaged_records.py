@@ -78,6 +78,7 @@ CASES: dict[str, tuple[Callable[[pa.Table], pa.Table], str]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_what_stands_for_nothing_is_refused_by_every_reader(run: Path, tmp_path: Path, case: str) -> None:
     change, told = CASES[case]
@@ -91,6 +92,7 @@ def test_what_stands_for_nothing_is_refused_by_every_reader(run: Path, tmp_path:
     assert shown.exit_code == 0, "its frames can be shown all the same"
 
 
+@pytest.mark.long
 def test_a_batch_of_twenty_million_rows_is_refused_before_it_is_unpacked(run: Path, tmp_path: Path) -> None:
     """On disk it has a few megabytes."""
     rows = 20 * BATCH_ROWS_MAX

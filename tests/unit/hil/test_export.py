@@ -147,6 +147,7 @@ def test_without_asammdf_mf4_is_refused_with_the_command_that_mends_it(
     assert sorted(path.name for path in run.iterdir()) == [RECORDS_FILE]
 
 
+@pytest.mark.long
 def test_the_memory_that_is_held_is_bounded(run: Path) -> None:
     """Batches are joined up to CHUNK_ROWS, however many there are."""
     table = table_of(run)

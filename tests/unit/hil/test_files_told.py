@@ -35,6 +35,7 @@ def loader(name: str) -> Callable[[dict[str, Any]], object]:
     return lambda tables: validated(model, tables, name)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FILES)
 def test_what_is_told_of_a_bad_file(name: str) -> None:
     tables = tomllib.loads((EXAMPLES / name).read_text(encoding="utf-8"))

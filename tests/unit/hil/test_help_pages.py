@@ -34,6 +34,7 @@ def _flat(text: str) -> str:
     return re.sub(r"[\s│]+", "", text)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", list(_pages()), ids=" ".join)
 def test_nothing_in_brackets_is_eaten_as_markup(words: tuple[str, ...]) -> None:
     command = _command(words)

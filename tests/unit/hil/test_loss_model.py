@@ -93,6 +93,7 @@ def test_the_intervals_hold_the_truth_about_as_often_as_they_say() -> None:
     assert 0.88 <= np.mean(held) <= 1.0  # 95 % of 60: below 53 once in a thousand
 
 
+@pytest.mark.long
 def test_losses_without_memory_are_called_independent() -> None:
     truth = Parameters(0.0, 1.0, 1.0, 0.1)
     found = fit(chain(truth, 10_000, seed=1))

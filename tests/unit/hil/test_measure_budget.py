@@ -28,6 +28,7 @@ def test_what_is_refused_names_the_shortest_period_that_is_not(enable: bool, nod
         affordable(replace(asked, period_us=math.floor(0.99 * int(told))))
 
 
+@pytest.mark.long
 def test_with_less_room_the_position_comes_seldom_before_anything_is_refused() -> None:
     told = []
     for period_us in range(20_000, SHORTEST, -10):
@@ -40,6 +41,7 @@ def test_with_less_room_the_position_comes_seldom_before_anything_is_refused() -
     assert list(dict.fromkeys(told)) == [(False, 1), (False, 4), (False, 10)]
 
 
+@pytest.mark.long
 def test_drives_that_follow_torques_tell_them_on_change_where_there_is_room() -> None:
     told = []
     for period_us in range(20_000, SHORTEST, -10):

@@ -174,6 +174,7 @@ def test_a_line_is_interrupted_where_no_reading_came_and_each_dropout_is_marked(
     assert "dropout" in [text.get_text() for text in speed.get_legend().get_texts()]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("batch", [1, 7, 1_000_000])
 @pytest.mark.parametrize("seed", range(5))
 def test_whichever_way_rows_come_the_dropouts_are_those_of_a_plain_loop(seed: int, batch: int) -> None:
@@ -191,6 +192,7 @@ def test_whichever_way_rows_come_the_dropouts_are_those_of_a_plain_loop(seed: in
     assert [(at // 10**6, round(ns / 10**6)) for at, ns in zip(begins, lasted, strict=True)] == expected
 
 
+@pytest.mark.long
 def test_of_many_dropouts_in_a_long_run_those_are_gaps_that_can_be_seen() -> None:
     """200 s at 1 kHz: two drawn points are some 60 ms apart, one lost reading in 20 is none to be seen."""
     many = plain_rows(200_000, reference=100.0, velocity=98.0)

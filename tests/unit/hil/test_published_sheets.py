@@ -165,6 +165,7 @@ ALIKE = "Siemens WITTENSTEIN Beckhoff HEIDENHAIN Kollmorgen"
 """Makers of servo motors: amperes and volts between terminals, rms."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "old", "new", "told"),
     [

@@ -25,6 +25,7 @@ def spared() -> Iterator[None]:
     sys.modules["colorsys"], sys.excepthook = colorsys, hook
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("line", "named"),
     [

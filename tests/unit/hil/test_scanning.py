@@ -95,6 +95,7 @@ def text(*commands: str) -> Iterator[str]:
         yield f"$ hil {command}\n{done.output}exit status {done.exit_code}\n"
 
 
+@pytest.mark.long
 def test_what_is_told_of_buses_and_adapters(on: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         scanning, "find_adapters", lambda: Adapters(KERNEL, SERIAL, ("pcan:PCAN_USBBUS1",), ("bench",))

@@ -116,6 +116,7 @@ def by_the_definition(rows: Rows) -> SpeedError:
     )
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=200)
 @given(st.lists(st.tuples(cells, st.integers(1, 15)), min_size=1, max_size=12))
 def test_any_run_agrees_with_the_definition(parts: list[tuple[tuple[float, float, float, int], int]]) -> None:

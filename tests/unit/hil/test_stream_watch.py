@@ -108,6 +108,7 @@ def test_an_answer_to_a_sync_of_another_that_this_host_did_not_hear_is_nobodys(e
         assert found == [FORGED], (number, every)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("every", [1, 10])
 @pytest.mark.parametrize("delay", [DELAY // 10, DELAY, 2 * DELAY])
 def test_an_answer_to_an_irregular_sync_that_was_not_heard_is_nobodys(every: int, delay: int) -> None:

@@ -26,6 +26,7 @@ def heard(
     return came
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("expected_us", [250, 1000, 1003, 10_000])
 def test_the_period_is_found_whatever_befalls_the_syncs(expected_us: int) -> None:
     draw = random.Random(expected_us)
@@ -43,6 +44,7 @@ def test_a_producer_that_stood_still_at_times_has_its_period_all_the_same() -> N
         assert abs(found / NS_PER_US - 1000.0) < PERIOD_ERROR_MAX * 1000.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("true_us", [500, 800, 976, 1024, 1100, 1500, 2000, 3000, 10_000])
 def test_another_period_is_seen(true_us: int) -> None:
     draw = random.Random(true_us)

@@ -307,6 +307,7 @@ def test_the_end_is_an_event_with_how_many_limits_were_kept(results: str, level:
     assert _end_event(Instant(7), replace(summary, verdict=verdict)) == TextEvent(Instant(7), level, expected)
 
 
+@pytest.mark.long
 def test_no_line_crosses_a_gap_neither_of_the_rows_nor_of_the_envelope(tmp_path: Path) -> None:
     """20 s, half a second of them without a reading; single ones are gaps of the rows alone."""
     rows = plain_rows(20_000, fate=np.where(np.arange(20_000) % 100 == 7, 1, 0))

@@ -130,6 +130,7 @@ def test_every_frame_of_a_block_from_the_server_counts() -> None:
     assert (entry.frames, entry.first, entry.last) == (len(lines), 1, len(lines))
 
 
+@pytest.mark.long
 def test_a_transfer_without_end_does_not_fill_the_memory() -> None:
     def endless() -> Iterable[LogFrame]:
         yield LogFrame(1, 0, "", 0x601, bytes.fromhex("2000200000000000"))

@@ -122,6 +122,7 @@ def written_by_a_recorder(folder: Path, seed: int) -> None:
         (folder / INDEX_FILE).write_bytes(index[: dice.randrange(len(index))])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("indexed", [False, True])
 @pytest.mark.parametrize("seed", range(15))
 def test_a_window_has_the_lines_of_the_whole(tmp_path: Path, seed: int, indexed: bool) -> None:
