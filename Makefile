@@ -170,7 +170,7 @@ test-vcan: $(TOOLS) compile
 	@.ci/test-vcan $(BIN)/pytest tests/vcan
 
 test-can: $(TOOLS) compile
-	@.ci/test-can $(BIN)/pytest -o timeout=600 $(if $(CORE),-m "not long") tests/can
+	@.ci/test-can $(BIN)/pytest -o timeout=600 $(if $(CORE),-m "not long") tests/can tests/vcan/test_bus_contract.py
 
 SECONDS ?= 300
 
