@@ -47,7 +47,12 @@ def _draw(run: Callable[[int], Outcome], first: int, runs: int, seconds: float) 
         outcome = run(seed)
         statuses[str(outcome.status)] += 1
         sums.update(
-            rows=outcome.rows, missed=outcome.missed, not_sent=outcome.not_sent, passed=outcome.passed
+            rows=outcome.rows,
+            missed=outcome.missed,
+            not_sent=outcome.not_sent,
+            passed=outcome.passed,
+            no_room=outcome.no_room,
+            refused=outcome.refused,
         )
         sums["wrong"] += bool(outcome.wrong)
         for text in outcome.wrong:
@@ -59,6 +64,11 @@ def _draw(run: Callable[[int], Outcome], first: int, runs: int, seconds: float) 
         f"{sums['missed']} cycles without SYNC, {sums['not_sent']} commands not sent; "
         f"{sums['wrong']} runs broke something"
     )
+    if sums["refused"]:
+        print(
+            f"the flood left no room within half a period for {sums['no_room']} SYNCs; "
+            f"a sender that offers each but once would have lost {sums['refused']}"
+        )
     return sums["wrong"] > 0
 
 

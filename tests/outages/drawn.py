@@ -26,6 +26,12 @@ class Outages:
     beyond_the_run: bool
     """The adapter does not become sound where the run ends: its drives are stopped through it as it is."""
 
+    def room_after_s(self, at_s: float) -> float:
+        """How long a sender waits at ``at_s`` for room beside the flood of :func:`flooded`; 0: it does not."""
+        (flood,) = self.tables["faults"]["full_queue"]
+        periods, into_s = divmod(at_s - flood["from_s"], flood["every_s"])
+        return max(0.0, flood["duration_s"] - into_s) if periods >= 1 else 0.0
+
 
 def drawn(seed: int, *, real_time: bool = False) -> Outages:
     """One or two axes, in torque or speed, with up to four outages; ``real_time``: at periods that a busy

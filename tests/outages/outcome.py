@@ -31,6 +31,12 @@ class Outcome:
     rows: int = 0
     missed: int = 0
     not_sent: int = 0
+    due_at: list[int] = field(default_factory=list)
+    """Each row's, ns."""
+    no_room: int = 0
+    """Rows for whose SYNC a flood left no room in time, whoever would have offered it."""
+    refused: int = 0
+    """Rows whose SYNC a sender would not have got rid of that offers it once, when it is due."""
     wrong: list[str] = field(default_factory=list)
     """What it did not hold, in words."""
 
@@ -40,6 +46,7 @@ class Outcome:
         self.passed, self.status, self.rows = verdict.passed, verdict.exit_status, rows.size
         self.reason = verdict.reason
         self.missed = int((rows["fate"] == MISSED).sum())
+        self.due_at = rows["due_at"].tolist()
         self.not_sent = int((rows["command_fate"] == NOT_SENT).sum())
         if verdict.exit_status not in STATUSES:
             wrong.append(f"status {verdict.exit_status}: {verdict.reason}")

@@ -40,7 +40,19 @@ STUCK: Final = "has taken no frame for a second"
 
 def run_flooded(seed: int) -> Outcome:
     """The flooded bench of ``seed``: there is room again and again, so the bus is never down."""
-    outcome = run(seed, flooded(seed))
+    plan, zeros, start = flooded(seed), list[Instant](), AdapterOutages.start
+
+    def begin(outages: AdapterOutages, now: Instant) -> None:
+        zeros.append(now)
+        start(outages, now)
+
+    with patch.object(AdapterOutages, "start", begin):
+        outcome = run(seed, plan)
+    patience_s = plan.tables["loop"]["period_us"] / 2e6
+    for due_at in outcome.due_at if zeros else []:
+        wait_s = plan.room_after_s((due_at - zeros[0]) / NS_PER_S)
+        outcome.refused += wait_s > 0.0
+        outcome.no_room += wait_s > patience_s
     if STUCK in outcome.reason:
         outcome.wrong.append(f"taken for a bus that is down: {outcome.reason}")
     return outcome
