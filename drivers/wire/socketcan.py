@@ -34,6 +34,10 @@ from servobench.drivers.wire.socketcan_stamps import (
 RECEIVE_BUFFER_BYTES = 4 << 20
 """Some 5000 frames; the kernel's default holds under 300, and drops the rest."""
 
+_PRIORITY = 6
+"""TC_PRIO_INTERACTIVE (linux/pkt_sched.h), the highest without privilege. Linux gives CAN interfaces
+pfifo_fast, whose first band has a queue of its own and goes first: who fills the others' leaves it room."""
+
 _FRAME = Struct("=IB3x8s")
 """struct can_frame: identifier with flags, length, data."""
 _SO_RCVBUFFORCE = 33
@@ -194,6 +198,7 @@ class StampedSocketcanBus(SocketcanBus):
                 opened.close()
             raise
         self._enlarge_buffer()
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_PRIORITY, _PRIORITY)
         with suppress(OSError):  # a kernel without them: the software stamps stay
             self.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPING, HARDWARE_STAMPS)
         self.frame_port = SocketcanPort(self.socket, MonotonicClock(), receive_own_messages, channel)

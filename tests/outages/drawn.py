@@ -27,7 +27,7 @@ class Outages:
     """The adapter does not become sound where the run ends: its drives are stopped through it as it is."""
 
     def room_after_s(self, at_s: float) -> float:
-        """How long a sender waits at ``at_s`` for room beside the flood of :func:`flooded`; 0: it does not."""
+        """How long a sender waits for room at ``at_s`` beside the flood of :func:`flooded`; 0: not at all."""
         (flood,) = self.tables["faults"]["full_queue"]
         periods, into_s = divmod(at_s - flood["from_s"], flood["every_s"])
         return max(0.0, flood["duration_s"] - into_s) if periods >= 1 else 0.0

@@ -2,10 +2,15 @@
 bit rate are the kernel's (drivers/net/can/dev), no test's.
 """
 
+import errno
 import fcntl
 import os
+import select
+import socket
 import subprocess
 import termios
+import threading
+import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,14 +43,16 @@ STATES = [
     (b"sb255255\r", "is bus-off"),
 ]
 """What an adapter's firmware says (drivers/net/can/slcan), and a part of what is told."""
+FLOOD_ID, COMMANDS = 0x7FF, range(0x201, 0x209)
+"""Fewer than the interface's queue holds."""
 
 
 @contextmanager
-def driver_of(adapter: RunningAdapter, bitrate: int = RATE) -> Iterator[str]:
-    """The kernel's interface of ``adapter``, up."""
+def driver_of(port: str, bitrate: int = RATE) -> Iterator[str]:
+    """The kernel's interface of the adapter at ``port``, up."""
     if os.geteuid():
         pytest.skip("a line discipline needs root")
-    line = os.open(adapter.port, os.O_RDWR | os.O_NOCTTY)
+    line = os.open(port, os.O_RDWR | os.O_NOCTTY)
     try:
         try:
             fcntl.ioctl(line, termios.TIOCSETD, pack("i", _N_SLCAN))
@@ -96,7 +103,7 @@ def test_what_the_driver_tells_of_its_controller_and_bus_off_without_restart(
     adapter: RunningAdapter, peer: can.BusABC
 ) -> None:
     """Off the bus the interface has no carrier: the kernel takes each frame, and drops it."""
-    with driver_of(adapter) as name, bench_on(name) as (link, told):
+    with driver_of(adapter.port) as name, bench_on(name) as (link, told):
         for line, part in STATES:
             adapter.terminal.write(line)
             watch_until(link, told, part)
@@ -128,7 +135,7 @@ def test_bus_off_for_good_ends_a_run_and_what_it_says_brings_the_adapter_back(
     def strike(_watching: Observer) -> None:
         adapter.terminal.write(STATES[-1][0])
 
-    with driver_of(adapter) as name:
+    with driver_of(adapter.port) as name:
         assert [link_advice(link, RATE) for link in can_links() if link.name == name] == [[]]
         with simulated_drive(far):
             ended = struck(far, tmp_path, strike, passes=False, adapter=name)
@@ -146,8 +153,62 @@ def test_bus_off_for_good_ends_a_run_and_what_it_says_brings_the_adapter_back(
         print(f"at rest after {ended.rest_s:.2f} s; {ended.missed} missed, {ended.lost} lost or late")
 
 
+def test_another_program_that_fills_the_queue_leaves_the_bench_room_and_the_right_of_way() -> None:
+    """The adapter takes nothing: the terminal's buffers are full, and then the interface's queue."""
+    far, port = os.openpty()
+    tty.setraw(port)
+    opens = threading.Thread(target=_read_until, args=(far, b"O\r"), daemon=True)
+    opens.start()
+    try:
+        with driver_of(os.ttyname(port)) as name, bench_on(name) as (link, told):
+            opens.join(PATIENCE_MS / 1000)
+            before = _flood_until_refused(name)
+            for can_id in COMMANDS:
+                link.send(can_id, b"")
+            assert (link.sent_frames, link.needs_watching, told) == (len(COMMANDS), False, [])
+            ids = _ids_at(far, before + len(COMMANDS))
+    finally:
+        os.close(far)
+        os.close(port)
+    overtaken = len(ids) - 1 - max(ids.index(can_id) for can_id in COMMANDS)
+    assert overtaken >= len(COMMANDS), "frames of the other that had waited for longer"
+
+
+def _flood_until_refused(name: str) -> int:
+    """How many frames a program got rid of that offers them as fast as it can, until half a second brought
+    it no room."""
+    sent, refused = 0, 0
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as other:
+        other.bind((name,))
+        while refused < 50:
+            try:
+                other.send(pack("=IB3x8x", FLOOD_ID, 0), socket.MSG_DONTWAIT)
+                sent, refused = sent + 1, 0
+            except OSError as error:
+                if error.errno not in (errno.ENOBUFS, errno.EAGAIN):
+                    raise
+                refused += 1
+                CLOCK.sleep_until(after(10))
+    return sent
+
+
+def _read_until(terminal: int, words: bytes) -> None:
+    text = b""
+    while words not in text:
+        text += os.read(terminal, 64)
+
+
+def _ids_at(terminal: int, wanted: int) -> list[int]:
+    """Identifiers of so many frames, as the driver writes them there."""
+    ends, text = after(PATIENCE_MS), b""
+    while text.count(b"t") < wanted and CLOCK.now() < ends:
+        if select.select([terminal], [], [], 0.1)[0]:
+            text += os.read(terminal, 4096)
+    return [int(line[1:4], 16) for line in text.split(b"\r") if line.startswith(b"t") and len(line) > 3]
+
+
 def test_a_serial_adapter_that_is_pulled_out_is_an_end(adapter: RunningAdapter) -> None:
-    with driver_of(adapter) as name, bench_on(name) as (link, _):
+    with driver_of(adapter.port) as name, bench_on(name) as (link, _):
         adapter.terminal.unplug()
         with pytest.raises(BusDown, match="the adapter was unplugged"):
             link.recv(after(PATIENCE_MS))
@@ -156,7 +217,7 @@ def test_a_serial_adapter_that_is_pulled_out_is_an_end(adapter: RunningAdapter) 
 def test_another_bit_rate_than_the_wire_has_is_named_before_anything_moves(
     channel: str, adapter: RunningAdapter, peer: can.BusABC, tmp_path: Path
 ) -> None:
-    with driver_of(adapter, RATE // 2) as name, simulated_drive(f"socketcan:{channel}"):
+    with driver_of(adapter.port, RATE // 2) as name, simulated_drive(f"socketcan:{channel}"):
         _ids(peer)  # the drive has asked whether its node-ID is taken
         command = [*hil(), "run", str(changed_bench(tmp_path)), "--bus", f"socketcan:{name}"]
         ran = subprocess.run(command, capture_output=True, text=True, timeout=END_LIMIT_S, check=False)
