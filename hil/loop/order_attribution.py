@@ -159,8 +159,7 @@ class OrderAttribution:
             self._ask(self._usual.low)
         elif self._in_question.phase_known and not self._in_question.is_like(received_at, self._lags()):
             return None
-        number = self._in_question.weigh(received_at)
-        return self._mark(number) if number else None
+        return self._mark(number) if (number := self._in_question.weigh(received_at)) else None
 
     def _pass_over(self, mark: SyncMark, received_at: Instant) -> None:
         """``mark`` has its reading; what of SYNCs between it and the last one that have none?"""
@@ -180,9 +179,9 @@ class OrderAttribution:
         self._in_question.follow(age, self._answered)
 
     def _lags(self) -> int:
-        """Of so many SYNCs one reading may be: the one before it, and those since the last certain one that
-        have none."""
-        return 1 + self._open.since(self._known) + self._in_question.odd
+        """How many SYNCs a reading may answer: the one before, and others since the last certain one."""
+        missing = self._open.since(self._known) + self._syncs.unheard_since(self._mark(self._known))
+        return 1 + missing + self._in_question.odd
 
     def _weigh(self, mark: SyncMark, received_at: Instant) -> SyncMark:
         """The SYNC that a reading answers, if ``mark`` is the one before it."""
@@ -198,9 +197,10 @@ class OrderAttribution:
                 self._give_up(mark.number)
             return mark
         self._settle(lag)
-        answered = self._mark(mark.number - lag)
-        self._answered = answered.number - 1 if lag else self._answered
-        return answered
+        if lag:
+            mark, heard = self._syncs.before_place(mark.place - lag)
+            self._answered = mark.number - heard
+        return mark
 
     def _settle(self, lag: int) -> None:
         """Readings answer the SYNC before, or one ``lag`` earlier."""
@@ -233,8 +233,8 @@ class OrderAttribution:
         self._in_question.rest(number + ASK_AGAIN_AFTER)
         self._beyond = True
         self._tell(
-            "it cannot be told which SYNCs its readings answer, as their delays changed or spread and"
-            " it has no stamp beside the speed: they are marked uncertain"
+            "it cannot be told which SYNCs its readings answer, as their delays changed or spread and it has"
+            " no stamp beside the speed: they are marked uncertain"
         )
 
     def _sample(self, reading: Reading, mark: SyncMark, *, certain: bool, waits: bool = False) -> Sample:

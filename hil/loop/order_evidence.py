@@ -12,7 +12,7 @@ import math
 from typing import Final
 
 from servobench.drivers.timebase import Duration, Instant
-from servobench.hil.loop.syncs import SyncLog
+from servobench.hil.loop.syncs import SyncLog, SyncMark
 from servobench.hil.loop.usual_delays import RARE, RESOLUTION_NS
 
 WATCHED: Final = 64
@@ -21,6 +21,8 @@ LAGS_MAX: Final = 32
 """Lags that are told apart."""
 EXCLUDING: Final = 12.0
 """A lag is none if another is e^12, 160 000 times, likelier: it is asked hundreds of times in a run."""
+HALF: Final = 2
+"""While no more than one of so many comes too soon for a lag, it is none to decide for, but possible yet."""
 OUTLYING: Final = 6.0
 """Deviations beyond which a reading weighs no more: one alone, e^18 against e^0, decides by a probe."""
 OUTLYING_UNTIDY: Final = 4.0
@@ -35,17 +37,17 @@ class OrderEvidence:
         self._syncs = syncs
         self._soonest = transit - syncs.error_ns
         self._age = 0
-        self._numbers: list[int] = []
-        """Of each reading, the SYNC that it answers with lag 0."""
+        self._places: list[int] = []
+        """Of each reading, the place of the SYNC that it answers with lag 0."""
         self._came_at: list[Instant] = []
 
     def __len__(self) -> int:
-        return len(self._numbers)
+        return len(self._places)
 
     def begin(self, age: int) -> None:
         """Weigh readings that come ``age`` after a SYNC."""
         self._age = age
-        self._numbers.clear()
+        self._places.clear()
         self._came_at.clear()
 
     def restart(self) -> None:
@@ -55,31 +57,41 @@ class OrderEvidence:
     def add(self, received_at: Instant) -> int:
         """Take a reading; number of the SYNC that it answers with lag 0. 0: it is the second one of that."""
         mark = self._syncs.nearest(Instant(received_at - self._age))
-        if mark is None or mark.on_bus_at is None or (self._numbers and mark.number <= self._numbers[-1]):
+        if mark is None or mark.on_bus_at is None or (self._places and mark.place <= self._places[-1]):
             return 0
-        self._numbers.append(mark.number)
+        self._places.append(mark.place)
         self._came_at.append(received_at)
-        if len(self._numbers) > WATCHED:
-            del self._numbers[0], self._came_at[0]
+        if len(self._places) > WATCHED:
+            del self._places[0], self._came_at[0]
         return mark.number
 
     def delays(self, lag: int) -> list[int]:
-        """Of the readings with this lag; none if they would answer a SYNC that was never on the bus, or is
-        yet to come. Below 0: they answer later SYNCs, and few come sooner than their frame can, which are
-        others' that were held up."""
-        marks = self._syncs.marks
-        first = marks[0].number + lag
-        end = len(marks)
-        delays: list[int] = []
-        too_soon = 0
-        for number, came_at in zip(self._numbers, self._came_at, strict=True):
-            place = number - first
-            on_bus_at = marks[place].on_bus_at if 0 <= place < end else None
-            if on_bus_at is None:
+        """Those with this lag whose SYNC was heard; none if the readings cannot have it. Below 0 they answer
+        later SYNCs, and few come sooner than their frame can, which are others' that were held up."""
+        delays = _known(self._delays(lag, self._by_place()))
+        return delays if self._may_have(lag, delays, RARE) else []
+
+    def _by_place(self) -> dict[int, SyncMark]:
+        return {mark.place: mark for mark in self._syncs.marks}
+
+    def _delays(self, lag: int, by_place: dict[int, SyncMark]) -> list[int | None]:
+        """Of each reading with this lag; None where its SYNC was not heard. None at all if they would answer
+        a SYNC that was never on the bus, or is yet to come."""
+        of_another, oldest = self._syncs.of_another, self._syncs.marks[0].place
+        delays: list[int | None] = []
+        for place, came_at in zip(self._places, self._came_at, strict=True):
+            mark = by_place.get(place - lag)
+            if mark is not None and mark.on_bus_at is not None:
+                delays.append(came_at - mark.on_bus_at)
+            elif place - lag < oldest or not (of_another if mark is None else mark.hidden):
                 return []
-            too_soon += lag < 0 and came_at - on_bus_at < self._soonest
-            delays.append(came_at - on_bus_at)
-        return delays if RARE * too_soon <= len(delays) else []
+            else:
+                delays.append(None)
+        return delays
+
+    def _may_have(self, lag: int, delays: list[int], few: int) -> bool:
+        """Whether at most one of so ``few`` readings comes sooner with this lag than its frame can."""
+        return lag >= 0 or few * sum(delay < self._soonest for delay in delays) <= len(delays)
 
     def usual_delays(self, lag: int) -> list[int]:
         """The same, without those of single readings that were held up."""
@@ -92,16 +104,23 @@ class OrderEvidence:
     def verdict(self, least_lag: int, lags: int, deviation_ns: int, untidy: bool) -> int | None:
         """The lag, if the readings leave one of ``least_lag``, ... ``lags`` - 1; ``deviation_ns``: of
         delays as they were; ``untidy``: frames are held up now and then."""
-        of_lags = [self.delays(lag) for lag in range(least_lag, min(lags, LAGS_MAX))]
-        deviations = [_deviation(delays) for delays in of_lags if delays]
-        if not deviations or len(self) < 2:
+        by_place = self._by_place()
+        of_lags = {lag: self._delays(lag, by_place) for lag in range(least_lag, min(lags, LAGS_MAX))}
+        known = {lag: _known(delays) for lag, delays in of_lags.items() if delays}
+        likely = [lag for lag, delays in known.items() if delays and self._may_have(lag, delays, RARE)]
+        if not likely or len(self) < 2:
             return None
-        variance = max(deviation_ns, RESOLUTION_NS, self._syncs.error_ns // 3, min(deviations)) ** 2.0
-        outlying = OUTLYING_UNTIDY if untidy else OUTLYING
-        misfits = [_misfit(delays, variance, outlying) if delays else -1.0 for delays in of_lags]
-        least = min(each for each in misfits if each >= 0.0)
-        left = [lag for lag, each in enumerate(misfits) if 0.0 <= each <= least + EXCLUDING]
-        return least_lag + left[0] if len(left) == 1 else None
+        least_deviation = min(_deviation(known[lag]) for lag in likely)
+        variance = max(deviation_ns, RESOLUTION_NS, self._syncs.error_ns // 3, least_deviation) ** 2.0
+        most = (OUTLYING_UNTIDY if untidy else OUTLYING) ** 2 / 2.0
+        misfits = {
+            lag: _misfits(of_lags[lag], delays, variance, most)
+            for lag, delays in known.items()
+            if self._may_have(lag, delays, HALF)
+        }
+        best = min(likely, key=lambda lag: _mean(misfits[lag]))
+        others = (each for lag, each in misfits.items() if lag != best)
+        return best if all(_excess(each, misfits[best]) > EXCLUDING for each in others) else None
 
 
 def _deviation(delays: list[int]) -> float:
@@ -109,8 +128,24 @@ def _deviation(delays: list[int]) -> float:
     return math.sqrt(sum(float(delay - middle) ** 2 for delay in delays) / max(1, len(delays) - 1))
 
 
-def _misfit(delays: list[int], variance: float, outlying: float) -> float:
-    """The logarithm of how much likelier even delays would be."""
-    middle = sorted(delays)[len(delays) // 2]
-    most = outlying**2
-    return sum(min(float(delay - middle) ** 2 / variance, most) for delay in delays) / 2.0
+def _misfits(delays: list[int | None], known: list[int], variance: float, most: float) -> list[float | None]:
+    """Of each reading, the logarithm of how much likelier even delays would be."""
+    middle = sorted(known)[len(known) // 2] if known else 0
+    return [
+        None if delay is None else min(float(delay - middle) ** 2 / variance / 2.0, most) for delay in delays
+    ]
+
+
+def _known(delays: list[int | None]) -> list[int]:
+    return [delay for delay in delays if delay is not None]
+
+
+def _mean(misfits: list[float | None]) -> float:
+    known = [each for each in misfits if each is not None]
+    return sum(known) / len(known)
+
+
+def _excess(misfits: list[float | None], least: list[float | None]) -> float:
+    """By how much ``misfits`` exceed the ``least``, of the readings that both know."""
+    both = zip(misfits, least, strict=True)
+    return sum(each - other for each, other in both if each is not None and other is not None)

@@ -185,12 +185,14 @@ class OrderQuestion:
         nearest = self._syncs.nearest(Instant(received_at - self._usual.middle))
         if nearest is None:
             return False
-        marks = self._syncs.marks
-        first = marks[0].number
-        for lag in range(-self.sooner(), lags):
-            place = nearest.number - lag - first
-            on_bus_at = marks[place].on_bus_at if 0 <= place < len(marks) else None
-            if on_bus_at is not None and self._usual.holds(received_at - on_bus_at - lag * self._period):
+        least = -self.sooner()
+        for mark in reversed(self._syncs.marks):
+            lag = nearest.place - mark.place
+            if lag >= lags:
+                break
+            if mark.on_bus_at is None or lag < least:
+                continue
+            if self._usual.holds(received_at - mark.on_bus_at - lag * self._period):
                 return True
         return False
 

@@ -296,6 +296,15 @@ class SyncLog:
         """The last SYNC of a cycle; None if it is not remembered."""
         return next((mark for mark in reversed(self.marks) if mark.sequence == sequence), None)
 
+    def before_place(self, place: int) -> tuple[SyncMark, bool]:
+        """The last SYNC up to ``place``, and whether it is that of the place itself, which was heard then."""
+        mark = next((mark for mark in reversed(self.marks) if mark.place <= place), self.marks[0])
+        return mark, mark.place == place
+
+    def unheard_since(self, mark: SyncMark) -> int:
+        """How many SYNCs of another node are missing behind ``mark``."""
+        return self.missing - (mark.place - mark.number)
+
     def nearest(self, at: Instant) -> SyncMark | None:
         """The SYNC whose end on the bus is nearest to ``at``."""
         best: SyncMark | None = None

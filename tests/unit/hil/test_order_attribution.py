@@ -286,3 +286,27 @@ def test_two_readings_in_one_period_are_those_of_two_syncs_though_the_second_has
     for number in range(last + 1, last + 1 + KEPT):
         assert placed(rig.answered(number, delay=short)) == (number, True)
     assert not rig.order.question.open
+
+
+def test_a_shift_beyond_a_sync_that_was_not_heard_is_counted_with_it() -> None:
+    """An uneven host, a SYNC of another node that is not heard, and readings that come a period later."""
+    rig = Rig()
+    uneven = [0, 70_000, -50_000, 30_000, -80_000, 60_000, -20_000, 90_000, -60_000, 40_000]
+    ends = [0]
+    for number, late in enumerate(uneven * 3, start=2):
+        ends.append(number * PERIOD + late)
+    heard = [end for place, end in enumerate(ends[1:], start=2) if place != 6]
+    grown = 4
+    came = [end + DELAY + (PERIOD if place >= grown else 0) for place, end in enumerate(ends[1:], start=2)]
+    frames = sorted([(end, True) for end in heard] + [(at, False) for at in came])
+    placed_in: list[Sample] = []
+    for at, is_sync in frames:
+        if is_sync:
+            rig.log.heard(rig.log.counted + 1, Instant(at))
+        elif sample := rig.comes(at):
+            placed_in.append(sample)
+    certain = [sample for sample in placed_in if sample.certain]
+    delays = {round((sample.reading.received_at - sample.sampled_at) / PERIOD, 2) for sample in certain}
+    assert delays <= {0.24, 1.24}
+    assert 1.24 in delays
+    assert rig.told == [f"its readings come {(PERIOD + DELAY) // 1000} us after their SYNC now"]
