@@ -30,6 +30,7 @@ from servobench.hil.terminal.adapter import adapter
 from servobench.hil.terminal.campaign import campaign
 from servobench.hil.terminal.commands import (
     PanelGroup,
+    PlainGroup,
     add_commands,
     as_command,
     leave_only,
@@ -73,14 +74,16 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     no_args_is_help=True,
 )
-reproduce = typer.Typer(name="reproduce", help="Reproduce the results of the papers.", no_args_is_help=True)
+reproduce = typer.Typer(
+    name="reproduce", cls=PlainGroup, help="Reproduce the results of the papers.", no_args_is_help=True
+)
 add_commands(reproduce, azaiz2007, ling2012)
 
-design = typer.Typer(name="design", help="Design a controller.", no_args_is_help=True)
+design = typer.Typer(name="design", cls=PlainGroup, help="Design a controller.", no_args_is_help=True)
 add_commands(design, current, hinf, pid, design_speed.speed)
 
 analyse = typer.Typer(
-    name="analyse", help="Analyse a loop: exact and certified figures.", no_args_is_help=True
+    name="analyse", cls=PlainGroup, help="Analyse a loop: exact and certified figures.", no_args_is_help=True
 )
 add_commands(analyse, analyse_speed.speed)
 
@@ -159,6 +162,12 @@ def run(asked: RunOptions) -> None:
     Exit status: 0 passed, or no limits set; 1 not passed; 2 bad input; 3 bus, drive or safety; 4 not
     trustworthy, or disturbed by others; 5 not recorded; 6 cut short or not measured; 130 ended by a signal.
     docs/exit-status.md
+
+    Examples:
+      hil run bench.toml
+      hil run bench.toml --record runs/monday
+      hil run bench.toml --seed 2 --record runs/tuesday
+      hil run bench.toml --bus socketcan:can0   # a real drive
     """
     run_object = RunObject(asked.as_json)
     with reported_errors(run_object.failed, "hil run"):
@@ -236,7 +245,11 @@ def _bench_to_run(asked: RunOptions) -> "BenchConfig":
 
 
 def doctor(as_json: JsonOption = False) -> None:
-    """Check what this machine can do, and print the command that cures each lack."""
+    """Check what this machine can do, and print the command that cures each lack.
+
+    Examples:
+      hil doctor
+    """
     from servobench.hil.machine.doctor import print_checks, run_checks
 
     checks = run_checks()

@@ -34,6 +34,7 @@ _FILES = (
     "relative to the bench file. `[faults]` holds the tables of a [fault plan](faults.md), or `plan`, the "
     "path of one or of a run's `faults.jsonl`."
 )
+_EXAMPLES = re.compile(r"^Examples:\n((?: +\S.*\n)+)", re.MULTILINE)
 _BOUNDS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
 
@@ -106,6 +107,7 @@ def commands_page() -> str:
     lines = ["# Commands", "", "`hil COMMAND --help` says the same.", ""]
     for words, command in _commands(typer.main.get_command(app), ("hil",)):
         text = re.sub(r"\\\[", "[", inspect.cleandoc(command.help or ""))
+        text = _EXAMPLES.sub(lambda found: f"```sh\n{textwrap.dedent(found[1])}```\n", f"{text}\n")
         lines += [f"## {' '.join(words)}", "", text, ""]
         rows = [_parameter(item) for item in command.params if item.name != "help"]
         if rows:

@@ -29,6 +29,9 @@ def adapter(
     """Emulate an SLCAN adapter: a serial port here, a CAN bus there, until Ctrl-C unplugs it.
 
     Prints the name of its serial port on stdout; use it with --bus slcan:PORT.
+
+    Examples:
+      hil adapter --bus hub:lab --link serial   # until Ctrl-C
     """
     from servobench.drivers.timebase import MonotonicClock
     from servobench.drivers.wire.adapters import shared_bus

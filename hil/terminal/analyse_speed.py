@@ -101,6 +101,9 @@ def speed(asked: AnalysisOptions) -> None:
     """Compute stability, gain and largest delay of a speed loop: exact, certified, sampled, and by chance.
 
     Gains are from load torque to speed error, rad/s per N m; the load step is one of 1 N m.
+
+    Examples:
+      hil analyse speed motor.toml --gain 0,-0.02 --delay-ms 10
     """
     gains, parameters = _gain_of(asked.gain), rigid_motor(asked.motor)
     network = _network(asked)

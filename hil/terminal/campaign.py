@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from typer.core import TyperGroup
 
 from servobench.hil.machine.extras import MissingExtra, is_installed
 from servobench.hil.machine.parent_process import messages, results, tell_parent
-from servobench.hil.terminal.commands import add_commands, end_with
+from servobench.hil.terminal.commands import PlainGroup, add_commands, end_with
 from servobench.hil.terminal.options import JsonOption, flag, valued
 from servobench.hil.terminal.output import columns, echo, say, say_written
 from servobench.hil.verdict.verdict import ExitStatus
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from servobench.hil.campaign.campaign import Campaign, CampaignProgress
 
 
-class SweepGroup(TyperGroup):
+class SweepGroup(PlainGroup):
     """Lets a sweep file take the place of a command: ``hil campaign SWEEP.toml``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -64,6 +63,9 @@ def run(
     Exit status: 0 run to its end, whatever the runs' outcomes; 2 bad input; 130 ended by a signal, --resume
     goes on. With --against certificate: 7 a counter-example ended it; 6 no run was within the premises. 1:
     your own check (the table own of the sweep) reports a run. docs/campaigns.md
+
+    Examples:
+      hil campaign sweep.toml
     """
     from servobench.hil.campaign.campaign import run_campaign
     from servobench.hil.campaign.plan import CampaignPlan
@@ -94,7 +96,11 @@ def run(
 
 def report(folder: DirArgument, as_json: JsonOption = False) -> None:
     """Write DIR/report.html: rates with their intervals, heat maps, worst cases, influences; and
-    DIR/campaign.rrd, which hil view opens."""
+    DIR/campaign.rrd, which hil view opens.
+
+    Examples:
+      hil campaign report campaigns/first
+    """
     from servobench.drivers.written_file import written
     from servobench.hil.campaign.campaign import Campaign
     from servobench.hil.campaign.report import write_report
@@ -130,6 +136,9 @@ def replay(
     """Repeat one run of a campaign with everything recorded; its digest must be that of the campaign.
 
     Exit status: that of the run's verdict; 70 if the digest is another.
+
+    Examples:
+      hil campaign replay campaigns/first --run 3
     """
     from servobench.hil.campaign.campaign import Campaign
 

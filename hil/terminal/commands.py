@@ -5,6 +5,7 @@ parameter that is a dataclass: a command with many options passes them on as one
 """
 
 import inspect
+import re
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from typing import Any, Final, NoReturn
 
 import typer
 from typer import Abort, BadParameter, Exit
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command_name
 
 from servobench.drivers.errors import BenchError
@@ -82,7 +83,31 @@ PANELS: Final = ("Run", "Inspect", "Commission", "Design", "Review")
 """Panels of ``hil --help``, the most used first."""
 
 
-class PanelGroup(TyperGroup):
+def _without_values(options: list[Any]) -> list[Any]:
+    """Show no value beside flags that typer itself adds: it writes ``<bool>`` there."""
+    for option in options:
+        if getattr(option, "is_bool_flag", False) and option.metavar is None:
+            option.metavar = ""
+    return options
+
+
+class PlainCommand(TyperCommand):
+    """Shows no value beside ``--help``."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return arguments and options."""
+        return _without_values(super().get_params(ctx))
+
+
+class PlainGroup(TyperGroup):
+    """Shows no value beside ``--help``."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return arguments and options."""
+        return _without_values(super().get_params(ctx))
+
+
+class PanelGroup(PlainGroup):
     """Lists commands by panel, in the order of :data:`PANELS`."""
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -99,7 +124,7 @@ def add_commands(group: typer.Typer, *functions: Callable[..., None], panel: str
     place = group.info.name
     for function in functions:
         words = function.__name__ if place in (None, "hil") else f"{place} {function.__name__}"
-        group.command(rich_help_panel=panel)(as_command(function, f"hil {words}"))
+        group.command(cls=PlainCommand, rich_help_panel=panel)(as_command(function, f"hil {words}"))
 
 
 def leave_only(app: typer.Typer, words: Sequence[str]) -> None:
@@ -136,8 +161,14 @@ def as_command(function: Callable[..., None], words: str = "this") -> Callable[.
 
     options = list(_options(function))
     vars(command)["__signature__"] = inspect.Signature(options)
+    command.__doc__ = _reflowed(inspect.getdoc(function) or "")
     command.__annotations__ = {option.name: option.annotation for option in options}
     return command
+
+
+def _reflowed(text: str) -> str:
+    """Return ``text`` with each paragraph in one line, which the terminal breaks, but for indented lines."""
+    return re.sub(r"(?<=\S)\n(?=\S)", " ", text)
 
 
 def _options(taker: Callable[..., Any]) -> Iterator[inspect.Parameter]:

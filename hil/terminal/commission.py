@@ -91,6 +91,10 @@ def commission(asked: CommissionOptions) -> None:
 
     Exit status: 0 done, 1 a step failed or the end came early, 2 bad input, 3 bus or drive fault, 4 done, and
     disturbed by others.
+
+    Examples:
+      hil commission --bus simulated --node 1 --rehearse 7 --out lab --yes
+      hil commission --bus socketcan:can0 --node 1 --out lab   # a real drive
     """
     from servobench.hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
 
@@ -133,7 +137,11 @@ def restore(
     bus: Annotated[str | None, bus_option("The bus, if its name has changed since.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Undo every change of a commissioning or a measurement, after a crash or a lost bus."""
+    """Undo every change of a commissioning or a measurement, after a crash or a lost bus.
+
+    Examples:
+      hil restore lab/journal.jsonl   # a real drive
+    """
     from servobench.hil.commissioning.commission import run_restore
 
     outcome: dict[str, Any] = run_restore(journal, bus)
@@ -155,7 +163,11 @@ def rehearse(
     ] = 0.0,
     bitrate: BitrateOption = 1_000_000,
 ) -> None:
-    """Simulate an unknown drive, with faults in its settings, until Ctrl-C."""
+    """Simulate an unknown drive, with faults in its settings, until Ctrl-C.
+
+    Examples:
+      hil rehearse --bus hub:other --node 1 --seed 7 --nameplate plate.toml &
+    """
     from servobench.hil.commissioning.rehearsal import rehearse as serve_unknown
 
     serve_unknown(

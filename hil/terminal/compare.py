@@ -30,6 +30,9 @@ def compare(
 
     Exit status: 0 compared, or within the tolerances; 1 a tolerance is exceeded; 2 bad input; 6 a figure with
     a tolerance is not measured in both runs.
+
+    Examples:
+      hil compare runs/monday runs/tuesday
     """
     folders = ([baseline] if baseline is not None else []) + runs
     if len(folders) < 2:

@@ -78,7 +78,11 @@ class CurrentDesignOptions:
 
 
 def current(asked: CurrentDesignOptions) -> None:
-    """Design a current controller: synthesis, reduction, sampling, margins and robustness."""
+    """Design a current controller: synthesis, reduction, sampling, margins and robustness.
+
+    Examples:
+      hil design current motor.toml --axis q --sample-rate-hz 16000 --out q.toml
+    """
     from servobench.design.hinf.reduction import Method
     from servobench.drivers.errors import BadInput
     from servobench.drivers.rotation import RAD_S_PER_RPM

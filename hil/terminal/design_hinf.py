@@ -20,7 +20,11 @@ def hinf(
     as_json: JsonOption = False,
 ) -> None:
     r"""Compute the central controller of x' = A x + B \[w; u], \[z; y] = C x + D \[w; u] for ||z/w|| <
-    gamma."""
+    gamma.
+
+    Examples:
+      hil design hinf plant.toml   # a plant of your own
+    """
     from servobench.design.hinf.synthesis import gamma_min, synthesise, verified_norm
     from servobench.hil.configuration.design_files import load_plant
     from servobench.hil.terminal.current_report import print_current

@@ -44,7 +44,11 @@ class PidOptions:
 
 
 def pid(asked: PidOptions) -> None:
-    """Tune a PID speed loop: Td from the current loop, the crossover from the phase margin and the delay."""
+    """Tune a PID speed loop: Td from the current loop, the crossover from the phase margin and the delay.
+
+    Examples:
+      hil design pid motor.toml
+    """
     from servobench.design.speed.speed_pid import pid_by_rule
     from servobench.drivers.written_file import write_file
     from servobench.hil.studies.speed.controller_text import controller_text

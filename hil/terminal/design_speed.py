@@ -101,6 +101,9 @@ def speed(asked: SpeedDesignOptions) -> None:
     least gain, and whether it suffices. A network's delay is that of [Ling2012] (2.13), and the loop as it
     runs is certified as well. A predictor and an H-infinity controller are designed for a delay or a network:
     for the least peak after the load step.
+
+    Examples:
+      hil design speed motor.toml --delay-ms 2 --load-nm 0.5   # some minutes
     """
     static = asked.structure == "static"
     if static:

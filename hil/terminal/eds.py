@@ -31,6 +31,9 @@ def eds(
     """Read an EDS, DCF, XDD or XDC: the device's use for a bench, and the repairs needed to read the file.
 
     Exit status: 0 it can serve a bench, 1 it cannot (the output says why), 2 the file cannot be read.
+
+    Examples:
+      hil eds drive.eds --plan
     """
     from servobench.drivers.sheets.dictionary import load_dictionary
     from servobench.drivers.sheets.fitness import assess

@@ -21,6 +21,9 @@ def export(
 
     Exit status: 0 written; 2 no recording, an unfinished one, or a file that cannot be written; 5 the disk is
     full.
+
+    Examples:
+      hil export runs/monday --to csv
     """
     from servobench.hil.reviewing.export import export_run
     from servobench.hil.rows.seal import doubt

@@ -19,6 +19,9 @@ def fault(
     """Show a drive's state and its faults in words: 603Fh, 1001h and 1003h.
 
     Exit status: 0 no fault, 1 in fault, 2 bad input, 3 no answer, or the fault stays in spite of --reset.
+
+    Examples:
+      hil fault --bus hub:lab --node 1
     """
     from servobench.hil.execution.world import drive_network
     from servobench.hil.inspecting.drive_fault import look_at_fault

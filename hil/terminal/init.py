@@ -22,9 +22,13 @@ def init(
     ] = Path(),
     examples: Annotated[bool, flag("--examples", "Write every example instead, in DIR/examples.")] = False,
 ) -> None:
-    """Write a first bench: bench.toml, motor.toml, controller.py and test_controller.py.
+    """Write a first bench: bench.toml, motor.toml, controller.py, test_controller.py and sweep.toml.
 
     An existing file is never overwritten.
+
+    Examples:
+      hil init
+      hil init --examples
     """
     source = examples_folder() if examples else examples_folder() / FIRST
     target = folder / "examples" if examples else folder
@@ -44,5 +48,6 @@ def init(
     say_written(target)
     if not examples:
         typer.echo(f"Next, in {target.resolve()}:" if folder != Path() else "Next:")
-        typer.echo("  hil run bench.toml    the closed loop in simulated time, recorded, with its verdict")
-        typer.echo("  pytest                test the controller with lost readings and a silent drive")
+        typer.echo("  hil run bench.toml        close the loop in simulated time, record and judge it")
+        typer.echo("  pytest                    test the controller with lost readings and a silent drive")
+        typer.echo("  hil campaign sweep.toml   run the bench with losses and a tolerance of the inertia")

@@ -77,6 +77,9 @@ def measure(asked: MeasureOptions) -> None:
 
     Exit status: 0 measured, 1 not trustworthy, 2 bad input, 3 bus or drive fault, 4 disturbed by others, 130
     ended by a signal.
+
+    Examples:
+      hil measure --bus simulated --node 1 --cycles 1000 --out network.toml
     """
     from servobench.drivers.rotation import RAD_S_PER_RPM
     from servobench.hil.execution.bench import RUNS_FOLDER

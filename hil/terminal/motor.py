@@ -10,7 +10,7 @@ import typer
 
 from servobench.drivers.errors import BadInput
 from servobench.hil.studies.motor.figures import FIGURES, GROUPS, SheetFigure, missing, option, ways
-from servobench.hil.terminal.commands import add_commands
+from servobench.hil.terminal.commands import PlainGroup, add_commands
 from servobench.hil.terminal.options import JsonOption, MotorArgument, flag, motor_file, valued
 from servobench.hil.terminal.output import columns, put, say_written
 
@@ -18,7 +18,10 @@ if TYPE_CHECKING:
     from servobench.design.motor import PmsmParameters
 
 motor = typer.Typer(
-    name="motor", help="Make a motor file from a data sheet, or show its figures.", no_args_is_help=True
+    name="motor",
+    cls=PlainGroup,
+    help="Make a motor file from a data sheet, or show its figures.",
+    no_args_is_help=True,
 )
 
 
@@ -49,6 +52,9 @@ def new(
 
     Contradictory figures are refused, with the convention in which they would agree. On a terminal, missing
     ones are asked for.
+
+    Examples:
+      hil motor new m.toml --poles 8 --r-line-ohm 2 --l-line-mh 5 --kt-nm-arms 1
     """
     from servobench.drivers.written_file import write_file
     from servobench.hil.studies.motor.sheet import SOURCE, Sheet, motor_text
@@ -116,7 +122,11 @@ def show(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show figures derived from a motor file, in a data sheet's terms; torque over speed as a picture."""
+    """Show figures derived from a motor file, in a data sheet's terms; torque over speed as a picture.
+
+    Examples:
+      hil motor show motor.toml
+    """
     from servobench.design.motor_figures import motor_figures
 
     parameters = motor_file(path).parameters

@@ -31,6 +31,10 @@ def picture(
     """Draw a recorded run: the page that a user sees first, without a window; or a figure for a paper.
 
     Exit status: 0 drawn, 2 bad input, 3 the viewer cannot run here.
+
+    Examples:
+      hil picture runs/monday monday.png
+      hil picture runs/monday monday.svg --paper
     """
     if span is not None and at is None:
         raise BadInput("--span", "", f"{span:g}", "--at beside it: about which instant")

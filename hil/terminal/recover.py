@@ -17,6 +17,9 @@ def recover(
 
     Its missing summary is written from its rows, and its files are cut after their last whole entries.
     A whole recording is never touched. Exit status: 0 recovered, 2 nothing to recover, 5 the disk is full.
+
+    Examples:
+      hil recover runs/killed   # a run that was killed
     """
     from servobench.hil.configuration.bench_file import load_bench
     from servobench.hil.execution.recovered_run import recover_run, refuse_whole

@@ -19,7 +19,11 @@ def azaiz2007(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Reproduce [Azaiz2007]: both current controllers, their margins, and the drive of Fig. 4."""
+    """Reproduce [Azaiz2007]: both current controllers, their margins, and the drive of Fig. 4.
+
+    Examples:
+      hil reproduce azaiz2007 --figures figures
+    """
     from servobench.design.papers.azaiz2007 import reproduce
 
     results, designs, runs = reproduce()
@@ -92,7 +96,11 @@ def ling2012(
     as_json: JsonOption = False,
 ) -> None:
     """Reproduce [Ling2012]: Table 2 by every method, the printed controller, and Cases 1 to 3 on the
-    bench."""
+    bench.
+
+    Examples:
+      hil reproduce ling2012 --figures figures   # some minutes
+    """
     if motor is not None:
         _for_motor(motor, figures, as_json)
         return

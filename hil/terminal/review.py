@@ -38,6 +38,10 @@ def review(
 
     A controller's certificate counts too: a run with --allow-uncertified outside its certificate does not
     pass here. Exit status: see docs/exit-status.md; 2 for an incomplete recording.
+
+    Examples:
+      hil review runs/monday
+      hil review runs/monday --report monday.html
     """
     from servobench.hil.recorded.judgement import judge_run
     from servobench.hil.recorded.recorded_run import open_run

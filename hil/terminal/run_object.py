@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from typer.core import TyperCommand
 
 from servobench.hil.machine.parent_process import results, tell_parent
+from servobench.hil.terminal.commands import PlainCommand
 from servobench.hil.verdict.summary import Summary, summary_without_run
 from servobench.hil.verdict.verdict import ExitStatus, Finding, VerdictKind, outcome_of_status
 
@@ -77,7 +77,7 @@ def not_begun(status: int, text: str) -> None:
     RunObject(sys.argv[1:2] == ["run"] and "--json" in sys.argv).failed(status, text)
 
 
-class RunCommand(TyperCommand):
+class RunCommand(PlainCommand):
     """Prints the object for an invalid command line too."""
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:

@@ -39,6 +39,9 @@ def runs(
     Each is checked against its seal, which reads all of its files; --unsealed is quicker.
 
     Exit status: 0, even if there is none; 2 for a DIR that is no folder.
+
+    Examples:
+      hil runs
     """
     from servobench.hil.reviewing.run_index import RunFilter, list_runs
 

@@ -28,7 +28,13 @@ def scan(
     ] = 1.5,
     as_json: JsonOption = False,
 ) -> None:
-    """List the adapters of this machine; with --bus, the nodes on a bus, without disturbing it."""
+    """List the adapters of this machine; with --bus, the nodes on a bus, without disturbing it.
+
+    Examples:
+      hil scan
+      hil scan --bus hub:lab
+      hil scan --bus socketcan:can0   # a real drive
+    """
     from servobench.drivers.canopen.nmt_states import UNCONFIGURED
     from servobench.drivers.errors import BadInput
     from servobench.drivers.timebase import duration_s

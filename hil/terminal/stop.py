@@ -21,6 +21,9 @@ def stop(
     """Bring drives to rest by quick stop and disable them, even if another master is on the bus.
 
     Exit status: 0 all at rest and disabled, 2 bad input, 3 a drive is not, or does not answer.
+
+    Examples:
+      hil stop --bus hub:lab
     """
     from servobench.hil.execution.world import drive_network
     from servobench.hil.inspecting.stopping import stop_drives

@@ -62,6 +62,10 @@ def trace(
     """Decode a CANopen bus: NMT, SYNC, EMCY, heartbeats, SDO transfers, PDOs in SI units, LSS, error frames.
 
     Times are in s since the first cycle of a recording, or since the first frame of a log.
+
+    Examples:
+      hil trace runs/monday --from 0.2 --to 0.21 --kind sync,pdo
+      hil trace --live --bus socketcan:can0   # a real bus
     """
     from servobench.hil.reviewing.trace.trace_entry import TraceSelection
 

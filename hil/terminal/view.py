@@ -19,6 +19,9 @@ def view(
     """Open a recorded run or commissioning in the Rerun viewer; without a display, say how to see it.
 
     Exit status: 0 opened, or explained; 2 bad input; 3 the viewer does not open at --at.
+
+    Examples:
+      hil view runs/monday   # a window
     """
     if span is not None and at is None:
         raise BadInput("--span", "", f"{span:g}", "--at beside it: about which instant")

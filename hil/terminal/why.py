@@ -46,6 +46,9 @@ def why(
     cycles, what was injected or seen just before, the frames around, and the command that opens the viewer.
 
     Exit status: as docs/exit-status.md has it; 2 for what is no whole recording.
+
+    Examples:
+      hil why runs/monday
     """
     from servobench.hil.recorded.explanation import Bursts, explain
     from servobench.hil.recorded.judgement import judge_run

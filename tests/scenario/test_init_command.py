@@ -25,7 +25,7 @@ def test_a_first_bench_runs_and_its_tests_pass(tmp_path: Path) -> None:
     status, text = _init(str(folder))
     assert status == 0, text
     assert {path.name for path in folder.iterdir()} == {
-        "bench.toml", "motor.toml", "controller.py", "test_controller.py"
+        "bench.toml", "motor.toml", "controller.py", "test_controller.py", "sweep.toml"
     }  # fmt: skip
     assert "hil run bench.toml" in text
     environment = {**quiet_environment(), "PYTHONDONTWRITEBYTECODE": "1"}

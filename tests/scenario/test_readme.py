@@ -180,6 +180,23 @@ def examples(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def typed(commands: str, folder: Path, seconds: float = TIMEOUT_S) -> str:
+    """Have bash run ``commands``, with a folder of its own for hubs; return what was printed."""
+    with tempfile.TemporaryDirectory(prefix="hub-") as place:  # a socket's path has to be short
+        done = subprocess.run(
+            ["bash", "-c", commands],
+            cwd=folder,
+            env={**environment(), "XDG_RUNTIME_DIR": place},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=seconds,
+            check=False,
+        )
+    assert done.returncode == 0, f"{commands}\n{done.stdout}"
+    return done.stdout
+
+
 @pytest.mark.parametrize(
     "path",
     [
@@ -190,37 +207,53 @@ def examples(tmp_path: Path) -> Path:
 )
 def test_a_document_is_followed_word_by_word(path: Path, examples: Path) -> None:
     parts = blocks(path.read_text(encoding="utf-8"))
-    with tempfile.TemporaryDirectory(prefix="hub-") as place:  # a socket's path has to be short
-        done = subprocess.run(
-            ["bash", "-c", script(parts)],
-            cwd=examples,
-            env={**environment(), "XDG_RUNTIME_DIR": place},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            timeout=TIMEOUT_S,
-            check=False,
-        )
-    assert done.returncode == 0, done.stdout
-    said = {squeezed(line) for line in done.stdout.splitlines()}
+    printed = typed(script(parts), examples)
+    said = {squeezed(line) for line in printed.splitlines()}
     missing = [
         line for block in parts if block.mark == "printed" for line in block.printed() if line not in said
     ]
-    assert missing == [], f"{done.stdout}\nnot said: {missing}"
+    assert missing == [], f"{printed}\nnot said: {missing}"
+
+
+NOT_RUN = (
+    "a real drive",
+    "a real bus",
+    "a window",
+    "some minutes",
+    "a plant of your own",
+    "was killed",
+    "Ctrl-C",
+)
+"""Ends of the comments behind examples of ``--help`` that need what a bare machine has not."""
+
+
+def examples_of_help(command: Any, panels: tuple[str, ...]) -> list[str]:
+    """What ``--help`` of the commands of these panels shows typed, in the order of ``hil --help``."""
+    context = command.make_context("hil", ["--version"], resilient_parsing=True)
+    lines = []
+    for name in command.list_commands(context):
+        if command.panel_of(name) in panels:
+            inner = command.commands[name]
+            for each in getattr(inner, "commands", {name: inner}).values():
+                lines += re.findall(r"^ +(hil .*)$", each.help or "", re.MULTILINE)
+    return [line for line in lines if not line.endswith(NOT_RUN)]
+
+
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize(
+    "panels", [("Run", "Inspect", "Review"), ("Commission", "Design")], ids=lambda panels: panels[0]
+)
+@pytest.mark.xdist_group("real time")
+def test_what_help_shows_typed_works_in_an_empty_folder(panels: tuple[str, ...], tmp_path: Path) -> None:
+    app_command: Any = typer.main.get_command(app)
+    lines = ["hil init", *(line for line in examples_of_help(app_command, panels) if line != "hil init")]
+    typed(script([Block("\n".join(lines) + "\n", "sh", "runs")]), tmp_path, 380)
 
 
 def test_what_hil_init_tells_to_type_works(tmp_path: Path) -> None:
-    def typed(command: str, folder: Path) -> str:
-        done = subprocess.run(
-            ["bash", "-c", command], cwd=folder, env=environment(), capture_output=True, text=True,
-            timeout=TIMEOUT_S, check=False,
-        )  # fmt: skip
-        assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
-        return done.stdout + done.stderr
-
     told = typed("hil init mybench", tmp_path)
     commands = re.findall(r"^  (\S.*?)   ", told, re.MULTILINE)
-    assert [command.split()[0] for command in commands] == ["hil", "pytest"]
+    assert [command.split()[0] for command in commands] == ["hil", "pytest", "hil"]
     for command in commands:
         typed(command, tmp_path / "mybench")
 

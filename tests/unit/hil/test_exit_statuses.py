@@ -2,13 +2,15 @@
 
 import importlib
 import pkgutil
+import re
 from collections import defaultdict
 from collections.abc import Iterator
+from pathlib import Path
 
 import servobench.drivers
 import servobench.hil
 from servobench.drivers.errors import BenchError
-from servobench.hil.verdict.verdict import ExitStatus
+from servobench.hil.verdict.verdict import ExitStatus, VerdictKind
 
 STATUSES = {
     ExitStatus.FAILED: {"Abandoned"},
@@ -49,3 +51,13 @@ def test_every_error_ends_a_command_with_the_status_of_its_kind() -> None:
 
 def test_statuses_are_those_of_the_documents() -> None:
     assert [int(status) for status in ExitStatus] == [0, 1, 2, 3, 4, 5, 6, 7, 70, 130]
+
+
+def test_the_page_of_statuses_is_that_of_the_code() -> None:
+    """A line for each outcome that a run may have, with its status; every status has a line."""
+    page = (Path(__file__).parents[3] / "docs/exit-status.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| (?:`([^`]+)`)? ?\|", page, re.MULTILINE)
+    outcomes = {(str(int(kind.exit_status)), str(kind)) for kind in VerdictKind}
+    of_a_finding = (str(int(VerdictKind.DISTURBED.exit_status)), str(VerdictKind.DISTURBED))
+    assert {row for row in rows if row[1]} == outcomes - {of_a_finding}
+    assert {status for status, _ in rows} == {str(int(status)) for status in ExitStatus}

@@ -30,6 +30,10 @@ def _command(words: tuple[str, ...]) -> object:
     return command
 
 
+def _examples(words: tuple[str, ...]) -> list[str]:
+    return re.findall(r"^ +(hil .*)$", getattr(_command(words), "help", None) or "", re.MULTILINE)
+
+
 def _flat(text: str) -> str:
     return re.sub(r"[\s│]+", "", text)
 
@@ -50,5 +54,23 @@ def test_nothing_in_brackets_is_eaten_as_markup(words: tuple[str, ...]) -> None:
 @pytest.mark.parametrize("words", list(_pages()), ids=" ".join)
 def test_what_takes_no_value_shows_none(words: tuple[str, ...]) -> None:
     page = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "160"}).stdout
-    own = [line for line in page.splitlines() if not re.search("--help|-completion", line)]  # typer adds them
-    assert "<bool>" not in "".join(own)
+    assert "--help" in page
+    assert "<bool>" not in page
+
+
+LEAVES = [words for words in _pages() if not hasattr(_command(words), "commands")]
+
+
+@pytest.mark.parametrize("words", LEAVES, ids=" ".join)
+def test_a_command_shows_itself_typed_each_in_a_line_of_a_narrow_terminal(words: tuple[str, ...]) -> None:
+    examples = _examples(words)
+    assert examples
+    page = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "80"}).stdout
+    assert [line for line in examples if line not in page] == []
+    assert {line.split()[1] for line in examples} == {words[0]}
+
+
+@pytest.mark.parametrize("words", LEAVES, ids=" ".join)
+def test_a_paragraph_is_broken_by_the_terminal_alone(words: tuple[str, ...]) -> None:
+    told, _, _ = (getattr(_command(words), "help", None) or "").partition("\nExamples:")
+    assert re.findall(r"\S\n\S", told.strip()) == []

@@ -173,10 +173,11 @@ def test_what_is_no_run_is_not_recovered(tmp_path: Path) -> None:
 
 # ---- init ---------------------------------------------------------------------------------------------
 
-FIRST = {"bench.toml", "motor.toml", "controller.py", "test_controller.py"}
+FIRST = {"bench.toml", "motor.toml", "controller.py", "test_controller.py", "sweep.toml"}
 NEXT = [
-    "  hil run bench.toml    the closed loop in simulated time, recorded, with its verdict",
-    "  pytest                test the controller with lost readings and a silent drive",
+    "  hil run bench.toml        close the loop in simulated time, record and judge it",
+    "  pytest                    test the controller with lost readings and a silent drive",
+    "  hil campaign sweep.toml   run the bench with losses and a tolerance of the inertia",
 ]
 
 
