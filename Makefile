@@ -6,8 +6,8 @@
 #   make test        the tests that need no SocketCAN
 #   make unit        the unit tests of one room, ROOM=drivers, virtual_bus, design or hil
 #   make edits       edit the files of a campaign EDITS times between its runs: no row may rest on another content
-#   make stranger    what README, tutorials and hil init tell to type, from a wheel installed in an environment of its
-#                    own for PYTHON, in a bare folder, for at most SECONDS of tests
+#   make stranger    what README, documents, hil init and --help show typed, from a wheel installed in an environment
+#                    of its own, in a bare folder: on the oldest and on the newest Python of this machine (PYTHONS)
 #   make test-dask   campaigns on a Dask cluster of this machine
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make test-can    the tests on two CAN controllers of one bus: CAN0=can0 CAN1=can1, or emulated by QEMU
@@ -43,6 +43,7 @@
 #   make compile     compile what has changed of the hot modules; test and bench do it by themselves
 #   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command leaves them unused)
 #   make wheel       sdist and wheel for this Python, compiled, into dist/
+#   make wheels      sdist, and from it a wheel for each of PYTHONS, each tried in an environment with nothing else
 #   make docs        the documentation as a site, into build/site; strict: a link that leads nowhere fails
 #   make lock        renew the lock files from pyproject.toml (UPGRADE=1: newest versions)
 #   make clean       remove the virtual environment and the tools' caches
@@ -53,6 +54,9 @@ BIN    := $(VENV)/bin
 
 PEERS   ?= .venv-bench
 
+# Each Python that is served and that this machine has, the oldest first.
+PYTHONS ?= $(shell .ci/pythons)
+
 RUNTIME := $(VENV)/.runtime
 TOOLS   := $(VENV)/.tools
 
@@ -61,7 +65,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup core core-debug core-fuzz compile pure wheel demo check format test unit edits stranger test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench instructions docs lock clean
+.PHONY: help setup core core-debug core-fuzz compile pure wheel wheels demo check format test unit edits stranger test-dask test-vcan test-can truth swarm rehearsals sheets mistakes strangers outages mutate pictures exits bench instructions docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -124,6 +128,9 @@ wheel: $(TOOLS) $(CORE)
 	  cp build/wheel/*.whl dist; echo "auditwheel gives it no manylinux tag; see build/wheel.log" >&2; }
 	@ls -sh dist
 
+wheels: $(TOOLS)
+	@BIN=$(BIN) .ci/wheels $(PYTHONS)
+
 demo: $(RUNTIME) $(CORE)
 	@$(BIN)/hil run examples/ling2012.toml
 	@test -e drivers/compiled.json || echo "Interpreted; make compile (some minutes, once) makes it several times faster."
@@ -153,15 +160,8 @@ EDITS ?= 1000
 edits: $(TOOLS) compile
 	@EDITS=$(EDITS) $(BIN)/pytest tests/scenario/test_campaign_identity.py -k no_edit
 
-# The wheel's core has a stable ABI, so one interpreted wheel serves every Python.
-stranger: SECONDS = 900
-stranger: $(TOOLS) $(CORE)
-	@rm -rf build/stranger && mkdir -p build/stranger
-	@SERVOBENCH_PURE=1 $(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir build/stranger .
-	@$(PYTHON) -m venv build/stranger/venv
-	@build/stranger/venv/bin/pip install --quiet "$$(echo build/stranger/*.whl)[all]" pytest
-	@STRANGER=$(abspath build/stranger/venv/bin) timeout $(SECONDS) $(BIN)/pytest -o timeout=350 --durations=20 --durations-min=5 \
-	  tests/scenario/test_readme.py -k "word_by_word or hil_init or stranger"
+stranger: $(TOOLS) compile
+	@BIN=$(BIN) .ci/stranger $(firstword $(PYTHONS)) $(lastword $(PYTHONS))
 
 test-dask: $(TOOLS) compile
 	@$(BIN)/pytest tests/dask

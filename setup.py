@@ -209,6 +209,17 @@ class BuildGroups(build_ext):
         return digests
 
 
+class PackBuilt(build_ext):
+    """Packs what is compiled beside the sources as it is."""
+
+    def run(self) -> None:
+        built = [path for room in ROOMS for path in (ROOMS_BELOW / room).rglob(f"*{SUFFIX}")]
+        for path in (*built, ROOMS_BELOW / MANIFEST):
+            target = Path(self.build_lib, path.relative_to(ROOT))
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, target)
+
+
 class WithExamples(build_py):
     """``hil init`` writes examples from a wheel as from a checkout."""
 
@@ -236,15 +247,19 @@ class NoteLack(WithExamples):
         Path(self.build_lib, PACKAGE, MANIFEST).write_text(json.dumps({"lack": self.lack}))
 
 
+def is_compiled() -> bool:
+    """Whether each hot module is compiled beside its source, from that source."""
+    build = look(ROOMS_BELOW)
+    return not build.why and build.sources == {path for group in GROUPS.values() for path in group}
+
+
 def compile_in_place() -> None:
     """Bring what is compiled beside the sources up to date, if that is possible."""
     lack = compiler_lack()
     if lack is not None:
         remove_compiled()
         print(f"Not compiled: {lack}. Everything works, interpreted and slower.")
-    elif (build := look(ROOMS_BELOW)).why or build.sources != {
-        path for group in GROUPS.values() for path in group
-    }:
+    elif not is_compiled():
         setup(ext_modules=extensions(), cmdclass={"build_ext": BuildGroups})
 
 
@@ -252,6 +267,9 @@ def build_wheel() -> None:
     """A wheel with compiled modules, or one without that tells why."""
     for left in (ROOT / "build").glob("lib*"):  # modules that are no more would be packed too
         shutil.rmtree(left)
+    if is_compiled():
+        setup(cmdclass={"build_ext": PackBuilt, "build_py": WithExamples}, distclass=WithCore)
+        return
     lack = f"{PURE} was set" if os.environ.get(PURE) else compiler_lack()
     if lack is None:
         setup(ext_modules=extensions(), cmdclass={"build_ext": BuildGroups, "build_py": WithExamples})
