@@ -19,7 +19,7 @@ from servobench.drivers.wire.adapters import SIMULATED
 from servobench.hil.configuration.config_axis import DriveConfig
 from servobench.hil.configuration.config_files import F, Section, load_file
 from servobench.hil.configuration.network_file import stamp_resolutions_us
-from servobench.hil.configuration.quantities import HeartbeatTimeout, Torque
+from servobench.hil.configuration.quantities import WHOLE, HeartbeatTimeout, Torque
 from servobench.hil.configuration.references import Load, Reference
 from servobench.hil.configuration.toml_text import toml_text
 from servobench.hil.loop.syncs import HORIZON_MAX
@@ -90,7 +90,9 @@ def load_background(path: Path, named_by: NamedBy | None = None) -> tuple[Stream
     return tuple(entry.stream for entry in file.background)
 
 
-BitRate = Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000]
+BitRate = Annotated[
+    Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000], WHOLE
+]
 """The bit rates of CiA 301 5.1, and 100 kbit/s, which is common."""
 Rule = Literal["tell", "stop"]
 """Reaction of the bus guard."""
@@ -114,7 +116,7 @@ class LoadMachineConfig(Section):
     axis: str | None = None
     """The axis with the machine on its shaft; default: the only axis."""
     baud: int = Field(default=BAUD, ge=300, le=921_600)
-    channel: Literal[1, 2] = 1
+    channel: Annotated[Literal[1, 2], WHOLE] = 1
     """Channel of a DSP7000 with two."""
     torque_unit: Literal["N.m", "N.cm", "N.mm", "kg.cm", "g.cm", "oz.in", "oz.ft", "lb.in", "lb.ft"] = "N.m"
     """Unit of its display."""

@@ -6,15 +6,16 @@ network with it. A simulated drive runs the current controller that ``hil design
 """
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from servobench.design.statespace import StateSpace, from_zpk
 from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.errors import BadInput
 from servobench.hil.configuration.config_files import Section, load_file
 from servobench.hil.configuration.quantities import (
+    WHOLE,
     Coefficient,
     Inductance,
     Inertia,
@@ -41,11 +42,17 @@ class DesignPlant(Section):
 class CurrentLoop(Section):
     """``current_loop``: the drive's, as the design saw it, and the range of the certificates."""
 
-    order: Literal[1] = 1
+    order: Annotated[Literal[1], WHOLE] = 1
     """A PI that cancels the pole of the winding makes it first order."""
     bandwidth_hz: float = Field(gt=0)
     bandwidth_min_hz: float = Field(gt=0)
     bandwidth_max_hz: float = Field(gt=0)
+
+    @model_validator(mode="after")
+    def _lies_in_its_range(self) -> Self:
+        if not self.covers(self.bandwidth_hz):
+            raise ValueError("bandwidth_hz: from bandwidth_min_hz to bandwidth_max_hz")
+        return self
 
     def covers(self, bandwidth_hz: float) -> bool:
         """Return True if the certificates hold for a drive whose current loop has ``bandwidth_hz``."""

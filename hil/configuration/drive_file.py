@@ -12,9 +12,10 @@ from servobench.drivers.bounded_file import NamedBy
 from servobench.drivers.canopen.objects301 import FIRST_OBJECT
 from servobench.drivers.cia402.scaling import ScaleOverride
 from servobench.hil.configuration.config_files import Section, load_file
+from servobench.hil.configuration.quantities import WHOLE
 from servobench.hil.write_lists import RUN
 
-Sign = Literal[-1, 1]
+Sign = Annotated[Literal[-1, 1], WHOLE]
 
 
 class DriveMarks(Section):
@@ -64,7 +65,7 @@ class SetObject(Section):
 class StopOfDrive(Section):
     """``[stop]``: how the drive stops if its quick stop ramp cannot be used."""
 
-    option: Literal[1, 2, 3] = 2
+    option: Annotated[Literal[1, 2, 3], WHOLE] = 2
     """605Ah and 605Eh: the slow down ramp, the quick stop ramp, or the current limit."""
 
 

@@ -6,10 +6,11 @@ drives, from a hundredth of a watt to a megawatt: a value outside is most often 
 """
 
 from collections.abc import Iterator
-from typing import Annotated, Any, NamedTuple, get_args
+from typing import Annotated, Any, Final, NamedTuple, get_args
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, BeforeValidator, Field
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
 
 from servobench.hil.configuration.toml_text import key_text
 
@@ -21,6 +22,14 @@ class Usual(NamedTuple):
     most: float
 
 
+def _whole(value: Any) -> Any:
+    if isinstance(value, bool | float):  # they equal a number of a Literal
+        raise PydanticCustomError("whole", "a whole number")
+    return value
+
+
+WHOLE: Final = BeforeValidator(_whole)
+"""Mark of a Literal of whole numbers."""
 Resistance = Annotated[float, Field(ge=1e-6, le=1e5), Usual(1e-3, 200.0)]
 """ohm"""
 Inductance = Annotated[float, Field(ge=1e-9, le=10.0), Usual(1e-6, 0.5)]
