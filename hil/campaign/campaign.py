@@ -23,7 +23,7 @@ from servobench.hil.campaign.store import RunStore, open_campaign, plan_in, sche
 from servobench.hil.campaign.worker import Finished, NotTheSame, Row, Workshop
 from servobench.hil.machine.stopping import StopRequest, stop_signals
 from servobench.hil.reviewing.certificate_meter import CertificateState
-from servobench.hil.verdict.claim import claim
+from servobench.hil.verdict.arguments import checked
 from servobench.hil.verdict.verdict import ExitStatus
 
 STORED_EVERY_NS: Final = 5 * NS_PER_S
@@ -78,6 +78,7 @@ class Campaign:
         values: NDArray[Any] = self.table.column(name).to_numpy()
         return values
 
+    @checked
     def at(self, axis: GridAxis, place: int) -> NDArray[np.bool_]:
         """Return (n,) True for runs with the ``place``-th value of an axis."""
         value = axis.labels[place] if axis.numbers is None else axis.numbers[place]
@@ -101,6 +102,7 @@ class Campaign:
         numbers = np.arange(self.table.num_rows)
         return numbers < (numbers.size if adaptive is None else adaptive.round_runs)
 
+    @checked
     def failure_rate(self, confidence: float | None = None) -> ConfidenceInterval:
         """Return the failure rate of a campaign with one point; otherwise see :meth:`pass_rate`."""
         if not self.adaptive:
@@ -110,6 +112,7 @@ class Campaign:
         confidence = confidence or self.plan.sweep.stop.confidence
         return weighted_rate(self.column("weight")[counts], failed[counts], confidence)
 
+    @checked
     def pass_rate(self, point: int = 0, confidence: float | None = None) -> ConfidenceInterval:
         """Return the pass rate at a point of the grid; ``confidence``: default that of the sweep file.
 
@@ -122,7 +125,7 @@ class Campaign:
         of_runs = anytime if self.sequential else clopper_pearson
         return of_runs(int(passed.sum()), passed.size, confidence)
 
-    @claim
+    @checked
     def assert_pass_rate(self, *, at_least: float, confidence: float = 0.95) -> None:
         """Assert that at every point of the grid the true pass rate is at least ``at_least``.
 
@@ -184,6 +187,7 @@ class Campaign:
             )
             raise NothingCertified(f"no run could be held against a certificate: {by_state}")
 
+    @checked
     def replay(self, number: int, record: Path | None = None) -> Finished:
         """Repeat run ``number`` with everything recorded; ``record``: where, default below the campaign. Its
         check, if any, sees the recording.
@@ -247,6 +251,7 @@ class Enough:
         return all(anytime(passed, replicates, confidence).width <= width for passed in self._passed)
 
 
+@checked
 def run_campaign(
     sweep: str | os.PathLike[str] | CampaignPlan,
     out: str | os.PathLike[str],

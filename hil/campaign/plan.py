@@ -27,6 +27,7 @@ from servobench.hil.campaign.identity import Identity, SourceFiles, program
 from servobench.hil.campaign.sweep_file import RUNS_MAX, Draw, OwnFunctions, SweepFile, Vary, sweep_from
 from servobench.hil.configuration.bench_file import Bench
 from servobench.hil.configuration.config import BenchConfig
+from servobench.hil.verdict.arguments import checked
 
 Changes = dict[str, Any]
 
@@ -109,12 +110,14 @@ class CampaignPlan:
         """Number of runs with known draws; those of later ones depend on their rows."""
         return self.count if self.rounds is None else self.rounds.known
 
+    @checked
     def drawn(self, number: int) -> Drawn:
         """Return the draw of run ``number``, below :attr:`known`."""
         if self.rounds is not None:
             return self.rounds.drawn(number)
         return Drawn(tuple(self._even[number // self.points].tolist()), 1.0, True)
 
+    @checked
     def run(self, number: int, drawn: Drawn | None = None) -> PlannedRun:
         """Return run ``number``, counted from 0; ``drawn``: result of :meth:`drawn`, if already known."""
         drawn = drawn or self.drawn(number)
@@ -131,6 +134,7 @@ class CampaignPlan:
             labels[each.key] = float(changes[each.key])
         return PlannedRun(number, point, replicate, seed, changes, labels, drawn.weight, drawn.counts)
 
+    @checked
     def point_title(self, point: int) -> str:
         """Describe a point of the grid; empty if there is only one."""
         labels = self.run(point).labels

@@ -22,7 +22,7 @@ from servobench.hil.execution.device_files import DeviceFiles
 from servobench.hil.execution.world import World, WorldPlan, open_world
 from servobench.hil.testing.hosted import DriveHost, DriveProcess, DriveWish
 from servobench.hil.testing.wire import Wire, intended_frames
-from servobench.hil.verdict.claim import claim
+from servobench.hil.verdict.arguments import check_arguments, checked
 from servobench.hil.write_lists import RIG
 from servobench.virtual_bus.drive.servo import SimulatedServo
 from servobench.virtual_bus.drive.servo_parameters import DriveParameters
@@ -86,10 +86,12 @@ class DriveRig:
             speed_max_rad_s=motor.rated_speed_rad_s,
         )
 
+    @checked
     def deadline(self, seconds: float) -> Instant:
         """Return the instant ``seconds`` from now, for the methods of :attr:`client`."""
         return self.network.deadline_after(duration_s(seconds))
 
+    @checked
     def wait(self, seconds: float) -> None:
         """Let time pass; frames are taken in, and the heartbeat goes out."""
         self.network.pump(self.deadline(seconds))
@@ -99,9 +101,11 @@ class DriveRig:
 
         Returns objects that the drive lacks or did not take, in words.
         """
+        check_arguments("configure", DriveSettings, changes)
         self.client.connect(self.deadline(ENABLE_LIMIT_S))
         return self.client.configure(replace(self.settings, **changes))
 
+    @checked
     def allow_write(self, index: int, sub: int = 0) -> None:
         """Let the test write an object that neither the set-up nor a move needs, by ``client.objects``.
 
@@ -118,6 +122,7 @@ class DriveRig:
             self.configure(**changes)
         self.client.enable(self.deadline(ENABLE_LIMIT_S))
 
+    @checked
     def run(self, seconds: float, torque_nm: float | Callable[[Reading], float] = 0.0) -> list[Reading]:
         """Run cycles of SYNC, readings, and a torque set-point in response to each; return the readings.
 
@@ -141,7 +146,7 @@ class DriveRig:
         """Read the drive's state now by SDO."""
         return self.client.control.read_state()
 
-    @claim
+    @checked
     def assert_reaches(self, state: State, *, within_s: float) -> float:
         """Assert that the drive comes into ``state``; return after how long it was seen there, s."""
         began, seen = self.clock.now(), list[str]()
@@ -160,7 +165,7 @@ class DriveRig:
                 )
             self.network.pump(Instant(self.clock.now() + _POLL_NS))
 
-    @claim
+    @checked
     def assert_stays(self, state: State, *, for_s: float) -> None:
         """Assert that the drive is in ``state`` now and does not leave it."""
         began = self.clock.now()
@@ -174,6 +179,7 @@ class DriveRig:
                 )
             self.network.pump(Instant(self.clock.now() + _POLL_NS))
 
+    @checked
     def assert_no_unintended_frame(self, *, allow: tuple[str, ...] = ()) -> None:
         """Assert that only regular frames of master and drive were on the wire since :meth:`Wire.clear`.
 
@@ -183,6 +189,7 @@ class DriveRig:
         """
         self.wire.assert_only(intended_frames(self.network.node_id, self.node, self._plan_written()), allow)
 
+    @checked
     def assert_controlwords(self, *words: int) -> None:
         """Assert that the host sent these controlwords and no others since :meth:`Wire.clear`.
 

@@ -11,6 +11,7 @@ from servobench.drivers.rotation import RPM_PER_RAD_S
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US
 from servobench.hil.reviewing.network_meter import LossRuns
 from servobench.hil.rows.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
+from servobench.hil.verdict.arguments import checked
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -65,6 +66,7 @@ class AxisHistory:
         """The largest |reference|: 100 % of speed percentages, as in the summary of a run."""
         return float(np.abs(self.reference_rad_s).max(initial=0.0))
 
+    @checked
     def window(self, from_s: float, until_s: float) -> Flags:
         """Return the cycles with a usable reading in [from_s, until_s)."""
         inside: Flags = self.sampled & (self.time_s >= from_s) & (self.time_s < until_s)

@@ -16,6 +16,7 @@ from servobench.drivers.timebase import NS_PER_MS, Instant, MonotonicClock, dura
 from servobench.hil.configuration.bench_file import PathLike, faults_from, load_faults
 from servobench.hil.configuration.motor_file import LING2012, MotorFile, load_motor
 from servobench.hil.configuration.toml_text import toml_text
+from servobench.hil.verdict.arguments import check_arguments
 from servobench.virtual_bus.child_python import python_command, python_environment
 from servobench.virtual_bus.hosting.injection import Faults
 
@@ -39,6 +40,10 @@ class DriveWish:
     """File for the stores of 1010h and LSS."""
     seed: int = 0
     bitrate_bit_s: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        wish = {key: getattr(self, key) for key in self.__slots__}
+        check_arguments("servo_drive", type(self), wish)
 
     @property
     def motor_file(self) -> MotorFile:

@@ -29,7 +29,7 @@ from servobench.hil.rows.seal import SEALED, check_seal
 from servobench.hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 from servobench.hil.testing.history import AxisHistory, Stretch
 from servobench.hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wire
-from servobench.hil.verdict.claim import claim
+from servobench.hil.verdict.arguments import checked
 from servobench.hil.verdict.summary import Summary
 from servobench.hil.verdict.verdict import RunVerdict, VerdictKind
 
@@ -41,12 +41,12 @@ R = TypeVar("R")
 
 def _claim(method: Callable[Concatenate["Run", P], R]) -> Callable[Concatenate["Run", P], R]:
     """Wrap an assertion so that a failure names the recording."""
-    checked = claim(method)
+    checking = checked(method)
 
     @wraps(method)
     def told(run: "Run", /, *given: P.args, **named: P.kwargs) -> R:
         try:
-            return checked(run, *given, **named)
+            return checking(run, *given, **named)
         except AssertionError as error:
             place = run.place
             raise AssertionError(str(error).removesuffix(place) + place) from None

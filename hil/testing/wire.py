@@ -29,7 +29,7 @@ from servobench.hil.execution.drives import data_sheets
 from servobench.hil.reviewing.trace.run_trace import RecordedBus
 from servobench.hil.rows.frame_names import frame_name
 from servobench.hil.rows.run_files import FRAMES_FILE
-from servobench.hil.verdict.claim import claim
+from servobench.hil.verdict.arguments import checked
 
 __tracebackhide__ = True
 """Hides this file from pytest's tracebacks: a failed assertion is shown where the test makes it."""
@@ -111,6 +111,7 @@ class Wire:
         """Discard the frames seen so far."""
         self.frames.clear()
 
+    @checked
     def find(self, pattern: str, *, sent: bool | None = None) -> list[SeenFrame]:
         """Return the frames that match; ``sent``: only the host's (True) or only the others' (False)."""
         matches = _compiled(pattern).fullmatch
@@ -118,12 +119,13 @@ class Wire:
             frame for frame in self.frames if (sent is None or frame.sent is sent) and matches(frame.text)
         ]
 
+    @checked
     def between(self, from_s: float, until_s: float) -> "Wire":
         """Return the part of [from_s, until_s), counted from ``zero``."""
         first, end = (self.zero + round(limit * NS_PER_S) for limit in (from_s, until_s))
         return Wire(self.zero, [frame for frame in self.frames if first <= frame.at < end], self.recording)
 
-    @claim
+    @checked
     def assert_seen(self, pattern: str, *, times: int | None = None, sent: bool | None = None) -> None:
         """Assert that a frame matches; ``times``: exactly this many do."""
         frames = self.find(pattern, sent=sent)
@@ -132,14 +134,14 @@ class Wire:
         if times is not None and len(frames) != times:
             raise AssertionError(f"{len(frames)} frames {pattern}, {times} expected{self._list(frames)}")
 
-    @claim
+    @checked
     def assert_none(self, pattern: str, *, sent: bool | None = None) -> None:
         """Assert that no frame matches."""
         frames = self.find(pattern, sent=sent)
         if frames:
             raise AssertionError(f"{len(frames)} frames {pattern}, none expected{self._list(frames)}")
 
-    @claim
+    @checked
     def assert_sequence(self, *patterns: str, sent: bool | None = None) -> None:
         """Assert that matching frames come in this order; others may be between them."""
         place = 0

@@ -1,76 +1,121 @@
-"""Checks the arguments of a claim: one that no outcome could break is refused at once.
+"""Checks the arguments of public functions by their annotations.
 
-Every comparison with NaN is false: a NaN limit would hold for any run, like no limit.
+Every comparison with NaN is false: a NaN limit would hold for any run, like no limit; and no frame is of a
+flag that is no bool. Both would make a claim that no outcome could break.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from enum import Enum
 from functools import cache, wraps
-from inspect import Parameter, Signature, signature
+from inspect import Parameter, signature
 from numbers import Real
-from typing import Any, Final, ParamSpec, TypeVar, get_type_hints
+from types import UnionType
+from typing import Any, Final, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-RATES: Final = frozenset({"assert_pass_rate"})
-"""Claims whose numbers are shares, of (0, 1]: a rate of at least 0 says nothing, and none is above 1."""
-ENDLESS: Final = frozenset({"until_s"})
-"""Numbers that may be infinite: to the end."""
+
+class Range(NamedTuple):
+    """Numbers that an argument may have."""
+
+    expected: str
+    holds: Callable[[float], bool]
+    endless: bool = False
+    """Infinity is one: to the end."""
+
+
+NOT_NEGATIVE: Final = Range("no negative number", lambda number: number >= 0.0)
+ENDLESS: Final = Range(NOT_NEGATIVE.expected, NOT_NEGATIVE.holds, endless=True)
+SIGNED: Final = Range("a finite number", lambda number: True)
+COUNT: Final = Range("a number above 0", lambda number: number > 0.0)
+SHARE: Final = Range("a share above 0 and not above 1", lambda number: 0.0 < number <= 1.0)
+"""A rate of at least 0 says nothing, and none is above 1."""
+ONE_SIDED: Final = Range("a share above 0.5 and not above 1", lambda number: 0.5 < number <= 1.0)
+RANGES: Final = {
+    "until_s": ENDLESS,
+    "between.from_s": SIGNED,
+    "between.until_s": SIGNED,
+    "run.torque_nm": SIGNED,
+    "workers": COUNT,
+    "confidence": SHARE,
+    "assert_pass_rate.at_least": SHARE,
+    "assert_pass_rate.confidence": ONE_SIDED,
+}
+"""By argument, or function and argument; else :data:`NOT_NEGATIVE`."""
+_PLAIN: Final = (str, bool, type(None))
 _hints = cache(get_type_hints)
 _signature = cache(signature)
 
 
-def claim(method: Callable[P, R]) -> Callable[P, R]:
-    """Wrap ``method``, a claim, in a check of its arguments by their annotations.
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """Wrap a public function in a check of its arguments.
 
-    Numbers are finite and not negative (:data:`RATES`, :data:`ENDLESS`), counts are whole, ``from_s`` is
-    before ``until_s``, and of texts there is at least one. Raises ValueError or TypeError, which name the
-    claim and its argument.
+    Raises ValueError or TypeError, which name function and argument.
     """
 
-    @wraps(method)
-    def checked(*given: P.args, **named: P.kwargs) -> R:
+    @wraps(function)
+    def checking(*given: P.args, **named: P.kwargs) -> R:
         __tracebackhide__ = True
-        asked = _signature(method)
-        _check(method.__name__, asked, asked.bind(*given, **named).arguments, _hints(method))
-        return method(*given, **named)
+        arguments = _signature(function).bind(*given, **named).arguments
+        check_arguments(function.__name__, function, arguments)
+        return function(*given, **named)
 
-    return checked
+    return checking
 
 
-def _check(name: str, asked: Signature, arguments: dict[str, Any], hints: dict[str, Any]) -> None:
-    for key, parameter in asked.parameters.items():
-        value = arguments.get(key, ())
-        if parameter.kind is Parameter.VAR_POSITIONAL and hints[key] is str and not value:
+def check_arguments(name: str, function: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
+    """Check ``arguments`` by the annotations of ``function``; ``name``: as its user knows it.
+
+    Numbers are finite and in their :data:`RANGES`, counts are whole, ``from_s`` is before ``until_s``, of
+    texts there is at least one, and texts, flags and states are of their type.
+    """
+    hints = _hints(function)
+    for key, parameter in _signature(function).parameters.items():
+        several = parameter.kind is Parameter.VAR_POSITIONAL
+        if several and hints[key] is str and not arguments.get(key):
             raise ValueError(f"{name}: no {key} given, at least one expected")
-        kinds = _kinds(hints.get(key))
-        if key in arguments and value is not None and kinds & {int, float}:
-            _check_number(f"{name}: {key}", value, kinds, name in RATES, key in ENDLESS)
-    bounds = {"from_s": 0.0, "until_s": math.inf} | arguments
+        if key in arguments and key in hints:
+            for value in arguments[key] if several else (arguments[key],):
+                _check(name, key, value, hints[key])
+    bounds = {"from_s": -math.inf, "until_s": math.inf} | dict(arguments)
     if not bounds["from_s"] < bounds["until_s"]:
         raise ValueError(
             f"{name}: from_s = {bounds['from_s']:g} is not before until_s = {bounds['until_s']:g}"
         )
 
 
-def _kinds(hint: Any) -> set[Any]:
-    """Return the types of a union, or the one type."""
-    return set(getattr(hint, "__args__", (hint,)))
+def _check(name: str, key: str, value: Any, hint: Any) -> None:
+    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    place = f"{name}: {key}"
+    if float in kinds or int in kinds:
+        if value is None and type(None) in kinds:
+            return
+        if not (callable(value) and any(get_origin(kind) is not None for kind in kinds)):
+            _check_number(place, value, float not in kinds, RANGES.get(f"{name}.{key}") or RANGES.get(key))
+    elif kinds == (tuple[str, ...],):
+        if not isinstance(value, tuple | list) or not all(isinstance(each, str) for each in value):
+            raise TypeError(f"{place}: found {value!r}, expected texts in a tuple")
+    elif all(_is_plain(kind) for kind in kinds) and not isinstance(value, kinds):
+        expected = " or ".join(kind.__name__ for kind in kinds if kind is not type(None))
+        raise TypeError(f"{place}: found {value!r}, expected {expected}")
 
 
-def _check_number(place: str, value: Any, kinds: set[Any], share: bool, endless: bool) -> None:
+def _is_plain(kind: Any) -> bool:
+    return kind in _PLAIN or (isinstance(kind, type) and issubclass(kind, Enum))
+
+
+def _check_number(place: str, value: Any, whole: bool, allowed: Range | None) -> None:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError(f"{place}: found {value!r}, expected a number")
-    number = float(value)
+    number, numbers = float(value), allowed or NOT_NEGATIVE
     expected = ""
-    if math.isnan(number) or (math.isinf(number) and not endless):
+    if math.isnan(number) or (math.isinf(number) and not numbers.endless):
         expected = "a finite number"
-    elif float not in kinds and not number.is_integer():
+    elif whole and not number.is_integer():
         expected = "a whole number"
-    elif share and not 0.0 < number <= 1.0:
-        expected = "a share above 0 and not above 1"
-    elif number < 0.0:
-        expected = "no negative number"
+    elif not numbers.holds(number):
+        expected = numbers.expected
     if expected:
         raise ValueError(f"{place}: found {value!r}, expected {expected}")
