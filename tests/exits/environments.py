@@ -61,6 +61,11 @@ _BACK: Final = (
     " if (which == CLOCK_REALTIME) now->tv_sec -= back++ * 60; return status; }\n"
 )
 """Sets the wall clock back by another minute each time that it is asked for."""
+_SUSPENDED: Final = (
+    'set -m; "$@" & all=-$!; for again in $(seq $((4 + SEED % 8))); do kill -STOP -- $all || break;'
+    " sleep 0.2; kill -CONT -- $all; sleep 0.3; done 2>/dev/null; wait $!"
+)
+"""The whole group of processes, as Ctrl-Z and fg, or a machine that sleeps, do it."""
 _FOLDER: Final = "$PLACE/$'\\xff\\n a'"
 
 ENVIRONMENTS: Final = {
@@ -118,5 +123,6 @@ ENVIRONMENTS: Final = {
     "a fifth of a processor": _grouped("cpu", "cpu.cfs_quota_us", "20000"),
     "one processor": Environment('exec taskset -c 0 "$@"'),
     "addresses as they are": Environment('exec setarch -R "$@"'),
+    "suspended and resumed": Environment(_SUSPENDED),
     "a session of its own, no stdin": Environment('exec setsid -w "$@" <&-'),
 }
