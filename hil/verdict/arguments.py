@@ -17,7 +17,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class Range(NamedTuple):
+class ArgumentRange(NamedTuple):
     """Numbers that an argument may have."""
 
     expected: str
@@ -26,13 +26,13 @@ class Range(NamedTuple):
     """Infinity is one: to the end."""
 
 
-NOT_NEGATIVE: Final = Range("no negative number", lambda number: number >= 0.0)
-ENDLESS: Final = Range(NOT_NEGATIVE.expected, NOT_NEGATIVE.holds, endless=True)
-SIGNED: Final = Range("a finite number", lambda number: True)
-COUNT: Final = Range("a number above 0", lambda number: number > 0.0)
-SHARE: Final = Range("a share above 0 and not above 1", lambda number: 0.0 < number <= 1.0)
+NOT_NEGATIVE: Final = ArgumentRange("no negative number", lambda number: number >= 0.0)
+ENDLESS: Final = ArgumentRange(NOT_NEGATIVE.expected, NOT_NEGATIVE.holds, endless=True)
+SIGNED: Final = ArgumentRange("a finite number", lambda number: True)
+COUNT: Final = ArgumentRange("a number above 0", lambda number: number > 0.0)
+SHARE: Final = ArgumentRange("a share above 0 and not above 1", lambda number: 0.0 < number <= 1.0)
 """A rate of at least 0 says nothing, and none is above 1."""
-ONE_SIDED: Final = Range("a share above 0.5 and not above 1", lambda number: 0.5 < number <= 1.0)
+ONE_SIDED: Final = ArgumentRange("a share above 0.5 and not above 1", lambda number: 0.5 < number <= 1.0)
 RANGES: Final = {
     "until_s": ENDLESS,
     "between.from_s": SIGNED,
@@ -106,7 +106,7 @@ def _is_plain(kind: Any) -> bool:
     return kind in _PLAIN or (isinstance(kind, type) and issubclass(kind, Enum))
 
 
-def _check_number(place: str, value: Any, whole: bool, allowed: Range | None) -> None:
+def _check_number(place: str, value: Any, whole: bool, allowed: ArgumentRange | None) -> None:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError(f"{place}: found {value!r}, expected a number")
     number, numbers = float(value), allowed or NOT_NEGATIVE

@@ -22,7 +22,7 @@ def ended_as_documented(ended: Ended) -> Iterator[str]:
         yield f"the host's process ended with {ended.ran.case.status}"
     told = ended.ran.told["verdict"]["exit_status"]
     if told not in ended.ran.statuses:
-        yield f"told as {told}"
+        yield f"told as {told}: {ended.ran.told['verdict']['reason']}"
 
 
 def the_drive_rests(ended: Ended) -> Iterator[str]:
