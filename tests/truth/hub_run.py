@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from servobench.hil.rows.run_files import RECORDS_FILE
 from servobench.hil.testing.hosted import DriveProcess
 from servobench.hil.testing.wire import pdo_plans
 from servobench.virtual_bus.bus.hub_place import HubPlace
-from tests.scenario.processes import RUN_TIMEOUT_S, loop_of, start_run
+from tests.scenario.processes import HIL, RUN_TIMEOUT_S, loop_of, start_run
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.hub_listener import heard, listening
 from tests.truth.hub_truth import Spacings, hub_truth, sync_spacings
@@ -50,12 +51,17 @@ class HubOutcome:
 
 
 def run_beside_a_listener(
-    plan: Plan, cycles: int, folder: Path, drive_faults: str = "", stalls: Stalls | None = None
+    plan: Plan,
+    cycles: int,
+    folder: Path,
+    drive_faults: str = "",
+    stalls: Stalls | None = None,
+    by: Sequence[str] = HIL,
 ) -> HubOutcome:
     """``hil run`` and ``hil simulate`` for ``cycles`` planned cycles of ``plan``.
 
     ``folder``: of the run's files. ``drive_faults``: TOML, a fault plan of the drives' side. ``stalls``: of
-    host, drives and the hub's broker.
+    host, drives and the hub's broker. ``by``: see :func:`start_run`; stalls need processes of its own.
     """
     config = bench_config(plan, cycles, on_hub=True)
     hub = f"truth-{os.getpid()}"
@@ -64,14 +70,18 @@ def run_beside_a_listener(
     with listening(hub, folder / FRAMES), _producer(plan, hub):
         drives = DriveProcess(_simulate(hub, plan.axes, folder, drive_faults), folder / "drives.log")
         try:
-            process = start_run(bench, f"hub:{hub}", folder / "run")
-            broker = int(HubPlace(hub).alive.read_text())
-            with stalling(stalls, [loop_of(process.pid), drives.pid, broker]):
+            process = start_run(bench, f"hub:{hub}", folder / "run", by=by)
+            victims = _victims(hub, process.pid, drives.pid) if stalls else ()
+            with stalling(stalls, victims):
                 out, said = process.communicate(timeout=RUN_TIMEOUT_S + config.bench.duration_s)
         finally:
             drives.stop()
     summary = json.loads(out) if out.strip() else {}
     return _outcome(config, folder, process.returncode, said, summary)
+
+
+def _victims(hub: str, host: int, drives: int) -> list[int]:
+    return [loop_of(host), drives, int(HubPlace(hub).alive.read_text())]
 
 
 def _producer(plan: Plan, hub: str) -> AbstractContextManager[None]:

@@ -8,6 +8,7 @@ import pytest
 from servobench.drivers.cia402.pdo_planner import mode_plan
 from servobench.drivers.cia402.pdo_plans import PlanWish
 from servobench.drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from tests.scenario.processes import HIL
 from tests.stillness import Untrue
 from tests.truth.hub_listener import FRAME_DTYPE, FrameTable
 from tests.truth.hub_run import HubOutcome, run_beside_a_listener
@@ -15,6 +16,7 @@ from tests.truth.hub_truth import OutOfOrder, Spacings, hub_truth, sync_spacings
 from tests.truth.plans import Plan
 from tests.truth.rows import LOST, TOLD_DTYPE, USED, Told
 from tests.truth.stalls import Stalls
+from tests.warm.start import hil
 
 CYCLES = 2_000
 UNCERTAIN_MAX, UNCERTAIN_STALLED_MAX = 0.05, 0.15
@@ -36,7 +38,7 @@ def test_what_a_run_on_a_hub_tells_is_what_happened(axes: int, stalls: Stalls | 
     three axes."""
     period_us = 2000 if stalls and axes == 3 else 1000
     plan = Plan("hub", axes=axes, period_us=period_us, commands=stalls is not None)
-    found = run_beside_a_listener(plan, CYCLES, tmp_path, stalls=stalls)
+    found = run_beside_a_listener(plan, CYCLES, tmp_path, stalls=stalls, by=HIL if stalls else hil())
 
     assert_it_happened(found, axes)
     assert found.readings.uncertain <= (UNCERTAIN_STALLED_MAX if stalls else UNCERTAIN_MAX) * axes * CYCLES
@@ -52,7 +54,7 @@ def test_what_a_run_at_the_syncs_of_a_further_client_tells_is_what_happened(
     """At equal distances, but for how late the machine wakes their producer, as a kernel's timer makes them;
     and with jitter. No frame is lost on a hub, so no reading is, of no axis."""
     plan = Plan("hub", axes=axes, sync="foreign", producer_jitter_us=jitter_us)
-    found = run_beside_a_listener(plan, CYCLES, tmp_path)
+    found = run_beside_a_listener(plan, CYCLES, tmp_path, by=hil())
 
     assert_it_happened(found, axes)
     assert found.readings.false_losses == 0
