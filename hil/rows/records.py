@@ -1,8 +1,8 @@
 """The packed form of a :class:`CycleRecord`: one row of fixed size, little endian, on every machine.
 
 This is the one place that knows the layout. :data:`COLUMNS` lists each field with its type and meaning; the
-rows of the ring, the columns of ``records.arrow`` and the table of docs/recording.md follow from it. A new
-field is a line there, and one at the same place of :func:`row_of`.
+rows of the ring, the columns of ``records.arrow`` and the documentation's page of columns follow from it.
+A new field is a line there, and one at the same place of :func:`row_of`.
 """
 
 import math

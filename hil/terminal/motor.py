@@ -54,7 +54,7 @@ def new(
     ones are asked for.
 
     Examples:
-      hil motor new m.toml --poles 8 --r-line-ohm 2 --l-line-mh 5 --kt-nm-arms 1
+      hil motor new m.toml --poles 8   # status 2: it says what is missing
     """
     from servobench.drivers.written_file import write_file
     from servobench.hil.studies.motor.sheet import SOURCE, Sheet, motor_text
