@@ -14,6 +14,7 @@ from servobench.hil.pytest_plugin import StartDrive
 from servobench.hil.rows.records_file import read_metadata, read_records
 from servobench.hil.rows.run_files import FIRST_CYCLE
 from tests.scenario.processes import (
+    HIL,
     broker_of,
     changed_bench,
     logger_of,
@@ -24,6 +25,7 @@ from tests.scenario.processes import (
     summary_of,
 )
 from tests.scenario.test_exit_paths import MARGIN_S, QUICK_STOP_S, TURNING_RAD_S
+from tests.warm.start import hil
 
 pytestmark = [pytest.mark.servo_bus("hub"), pytest.mark.xdist_group("real time")]
 
@@ -54,7 +56,8 @@ def test_what_a_killed_process_costs(
     with observer(servo_bus) as watching:
         # a cycle is recorded when its fate is known: after so many periods at the latest
         bench = changed_bench(tmp_path, duration_s=60.0, horizon_periods=5)
-        process = start_run(bench, servo_bus, folder)
+        own = victim in ("host", "logger")
+        process = start_run(bench, servo_bus, folder, by=HIL if own else hil())
         watching.until_turning(TURNING_RAD_S)
         at = watching.now()
         if victim == "host":
