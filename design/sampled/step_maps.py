@@ -9,8 +9,8 @@ moves neither it nor its slope). So for any tau in a cell, and any epsilon > 0,
                   + (1 + 1/epsilon) sum_s r (R_s' P R_s + |Z_s|^2) (Delta_s xi)^2
 
 with R_s and Z_s the bounds of the departure of the state and of the output, r the number of open
-windows; for the square of a norm is convex. Where windows overlap, the ordered corners suffice: a cell's
-ordered half is their hull.
+windows; for the square of a norm is convex. Where windows overlap, order cuts a cell: the corners of what is
+left count, some of them between the instants of a window's own grid.
 
 The rate a of the current loop may lie anywhere between two: the disturbance does not reach the current,
 so state and output are affine in e^{-a t}, the response to i_q - u at the begin and to every Delta_s.
@@ -19,7 +19,7 @@ Its chord between the two rates is bounded in the same way, each such response a
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +36,8 @@ _SUBCELL_TURN = 0.2
 """Norm of |A| times the width of the part of a cell on which |F''| is bounded from its value at one end."""
 _CELLS_MAX = 512
 """Cells of one window."""
+_SAME_S = 1e-15
+"""Difference of two instants that are one: ends of a window are rounded to 1e-19 s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,19 +95,38 @@ def corners_of(loop: SwitchedLoop, family: Family, coordinates: Array, target: f
         times, bends, outputs = _grid(loop, window, coordinates[:, :n], share)
         grids.append(times)
         bounds.append((bends, outputs))
-    places = [
-        chosen
-        for chosen in itertools.product(*(range(len(grid)) for grid in grids))
-        if all(grids[k][chosen[k]] <= grids[k + 1][chosen[k + 1]] + 1e-15 for k in range(len(chosen) - 1))
-    ]
-    count, windows = len(places), len(grids)
-    times_s, all_bends = np.zeros((count, windows)), np.zeros((count, windows, n))
-    outputs_s = np.zeros((count, windows))
-    for row, chosen in enumerate(places):
-        for s, place in enumerate(chosen):
-            times_s[row, s] = grids[s][place]
+    corners = list(_ordered(family.windows, grids))
+    count, windows = len(corners), len(grids)
+    all_bends, outputs_s = np.zeros((count, windows, n)), np.zeros((count, windows))
+    for row, chosen in enumerate(corners):
+        for s, time_s in enumerate(chosen):
+            # between two instants of a grid the bound of the later covers their cell
+            place = min(int(np.searchsorted(grids[s], time_s - _SAME_S)), len(grids[s]) - 1)
             all_bends[row, s], outputs_s[row, s] = bounds[s][0][place], bounds[s][1][place]
-    return Corners(family, times_s, all_bends, outputs_s, differences)
+    return Corners(family, np.array(corners).reshape(count, windows), all_bends, outputs_s, differences)
+
+
+def _ordered(windows: Sequence[Window], grids: Sequence[Array]) -> Iterator[tuple[float, ...]]:
+    """Yield the corners of the ordered parts of all cells.
+
+    A cell is a box of one interval of each grid. Where windows overlap, order cuts it: at a corner of what is
+    left, samples that begin to act together do so at an instant of the grid of one of them.
+    """
+    count = len(windows)
+    for cuts in itertools.product((False, True), repeat=max(0, count - 1)):
+        ends = [place + 1 for place, cut in enumerate(cuts) if cut]
+        groups = list(itertools.pairwise([0, *ends, count])) if count else []
+        instants = []
+        for begin, end in groups:
+            first_s = max(window.first_s for window in windows[begin:end])
+            last_s = min(window.last_s for window in windows[begin:end])
+            own = np.unique(np.concatenate(grids[begin:end]))
+            instants.append(own[(own >= first_s) & (own <= last_s)])
+        for chosen in itertools.product(*instants):
+            # of two groups at one instant another choice of groups has the corner
+            if all(one + _SAME_S < other for one, other in itertools.pairwise(chosen)):
+                sizes = [end - begin for begin, end in groups]
+                yield tuple(np.repeat(chosen, sizes).tolist())
 
 
 def _grid(loop: SwitchedLoop, window: Window, coordinates: Array, share: float) -> tuple[Array, Array, Array]:
