@@ -59,6 +59,7 @@ from servobench.hil.terminal.simulate import simulate
 from servobench.hil.terminal.stop import stop
 from servobench.hil.terminal.supervision import is_supervised, supervised, unsupervised
 from servobench.hil.terminal.trace import trace
+from servobench.hil.terminal.verify import verify
 from servobench.hil.terminal.view import missing_display, view
 from servobench.hil.terminal.why import why
 
@@ -266,6 +267,7 @@ add_commands(app, view, why, review, runs, compare, picture, export, recover, pa
 app.add_typer(campaign, rich_help_panel="Run")
 for group in (design, analyse, motor, reproduce):
     app.add_typer(group, rich_help_panel="Design")
+add_commands(app, verify, panel="Design")
 
 
 def main() -> None:

@@ -102,10 +102,15 @@ def worst_samples(
     return worst, tried[worst]
 
 
+def filter_gains(made: PredictorDesign, losses_max: int) -> list[list[Array]]:
+    """Return the corners of the box of all gains L (4,) of the filter, after 0, 1 .. losses."""
+    boxes = GainBoxes(made.request.kalman, made.walks, losses_max)
+    return [boxes.corners(lost) for lost in range(losses_max + 1)]
+
+
 def lossy_predictor(made: PredictorDesign, losses_max: int) -> LossyLoop:
     """Return the loop with every gain that its filter may have."""
     own, request = PredictorLoop(made.prediction), made.request
-    boxes = GainBoxes(request.kalman, made.walks, losses_max)
     losses = range(losses_max + 1)
 
     def period(L: Array | None) -> tuple[Operation, ...]:
@@ -114,7 +119,7 @@ def lossy_predictor(made: PredictorDesign, losses_max: int) -> LossyLoop:
     periods = LossyPeriods(
         period(None),
         tuple(period(_quiet_gain(made, lost)) for lost in losses),
-        tuple(tuple(map(period, boxes.corners(lost))) for lost in losses),
+        tuple(tuple(map(period, corners)) for corners in filter_gains(made, losses_max)),
     )
     # the oldest command is the one in force
     return LossyLoop(own.model, request.period_s, request.delay_s, periods, own.size - 1)

@@ -28,6 +28,8 @@ _ROUNDING = 1e-4
 
 Rows = Annotated[tuple[Annotated[tuple[Coefficient, ...], Field(strict=False)], ...], Field(strict=False)]
 
+FilterGains = Annotated[tuple[Rows, ...], Field(strict=False)]
+
 
 class DesignPlant(Section):
     """The motor as the design saw it."""
@@ -104,6 +106,8 @@ class SequenceProof(Section):
     """Matrices of the quadratic function of each node at which a sample has just come
     (``design/sampled/sequence_graph.py``), in the coordinates of ``design/sampled/held_loop.py``; for a
     predictor and H-infinity in those of ``design/speed/loss_certificate.py``."""
+    digest: str | None = None
+    """SHA-256 over the whole table [controller] but this key, as ``hil design`` wrote it."""
 
 
 class LossCertificate(Section):
@@ -115,6 +119,13 @@ class LossCertificate(Section):
 
     losses_in_a_row_max: int = Field(ge=0)
     solver: str
+    speed_filter_hz: float | None = Field(default=None, gt=0)
+    """Corner of the filter behind the drive's speed; a predictor's own key has it."""
+    dead_time_us: float | None = Field(default=None, ge=0)
+    """Dead time of the drive, likewise."""
+    filter_gains: FilterGains | None = None
+    """Corners of the hull of all gains of a predictor's filter, [speed, filtered speed, load] each, after
+    0, 1 .. lost samples."""
     sequences: SequenceProof
 
     @property

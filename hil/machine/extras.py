@@ -13,6 +13,7 @@ EXTRAS: Final = {
     "scipy": "design",
     "cvxpy": "design",
     "clarabel": "design",
+    "flint": "design",
     "matplotlib": "report",
     "distributed": "campaign",
     "asammdf": "mf4",

@@ -1,6 +1,8 @@
 """The file of a speed controller: its gain, its design conditions, and its proofs."""
 
 import math
+import tomllib
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from servobench.design.motor import PmsmParameters
 from servobench.design.sampled.analysis import SampledAnalysis
 from servobench.design.sampled.bandwidth_range import BandwidthRange
 from servobench.design.sampled.held_loop import SampledNetwork, Strategy
+from servobench.design.verify.digest import digest_of
 from servobench.drivers.timebase import US_PER_S
 from servobench.hil.configuration.config_files import Section
 from servobench.hil.configuration.controller_files import (
@@ -67,8 +70,13 @@ def _constant(result: DesignResult) -> dict[str, object]:
 
 
 def controller_text(controller: Section) -> str:
-    """Return the file that a bench names as ``controller``."""
-    return toml_text({"controller": controller.model_dump(mode="json", exclude_none=True)})
+    """Return the file that a bench names as ``controller``, with the digest of its certificate."""
+    table = controller.model_dump(mode="json", exclude_none=True)
+    sequences = (table.get("certificate") or {}).get("sequences")
+    if sequences is not None:
+        text = toml_text({"controller": table})
+        sequences["digest"] = digest_of(tomllib.loads(text, parse_float=Decimal)["controller"])
+    return toml_text({"controller": table})
 
 
 def _made_for(result: DesignResult) -> MadeFor:

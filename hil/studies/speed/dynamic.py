@@ -12,7 +12,12 @@ from servobench.design.motor import PmsmParameters
 from servobench.design.sampled.analysis import SampledAnalysis
 from servobench.design.speed.hinf_design import HinfDesign, design_hinf, hinf_robustness, uncertainty_norm
 from servobench.design.speed.loop_robustness import LoopRobustness
-from servobench.design.speed.loss_certificate import hinf_losses, predictor_losses, with_losses
+from servobench.design.speed.loss_certificate import (
+    filter_gains,
+    hinf_losses,
+    predictor_losses,
+    with_losses,
+)
 from servobench.design.speed.predictor_design import (
     PredictorDesign,
     PredictorRequest,
@@ -100,14 +105,14 @@ def loss_figures(attempts: Sequence[SampledAnalysis]) -> dict[str, Any]:
     }
 
 
-def loss_certificate(attempts: Sequence[SampledAnalysis]) -> LossCertificate | None:
-    """Return the table of a controller file."""
+def loss_certificate(attempts: Sequence[SampledAnalysis], **premises: Any) -> LossCertificate | None:
+    """Return the table of a controller file. ``premises``: of the proof, beyond the file's other keys."""
     certified = certified_of(attempts)
     sequences = None if certified is None else sequence_proof(certified)
     if certified is None or sequences is None:
         return None
     return LossCertificate(
-        losses_in_a_row_max=certified.network.losses_max, solver=SOLVER, sequences=sequences
+        losses_in_a_row_max=certified.network.losses_max, solver=SOLVER, sequences=sequences, **premises
     )
 
 
@@ -139,6 +144,10 @@ class DynamicResult(ABC):
     @abstractmethod
     def analysed(self, losses_max: int) -> SampledAnalysis:
         """Analyse every sequence with at most so many samples lost in a row. Raises NoSolution."""
+
+    @abstractmethod
+    def premises(self) -> dict[str, Any]:
+        """Return the keys of the certificate that the proof rests on, beyond those of the controller."""
 
     @abstractmethod
     def controller(self) -> Section:
@@ -187,7 +196,7 @@ class DynamicResult(ABC):
             "inertia_kg_m2": request.motor.inertia_kg_m2,
             "viscous_friction_nm_s": request.motor.viscous_friction_nm_s,
             "made_for": self._made_for(),
-            "certificate": loss_certificate(self.losses),
+            "certificate": loss_certificate(self.losses, **self.premises()),
             "figures": LoopFigures(
                 load_nm=request.load_nm,
                 norm=norm,
@@ -252,6 +261,13 @@ class HinfResult(DynamicResult):
     def analysed(self, losses_max: int) -> SampledAnalysis:
         return hinf_losses(self.design, losses_max)
 
+    def premises(self) -> dict[str, Any]:
+        request = self.design.request
+        return {
+            "speed_filter_hz": request.speed_filter_hz,
+            "dead_time_us": short(request.dead_time_s * US_PER_S),
+        }
+
     def controller(self) -> HinfSection:
         """Return the controller; the matrices keep all their digits, as they integrate exactly."""
         request, c = self.design.request, self.design.controller
@@ -298,6 +314,13 @@ class PredictorResult(DynamicResult):
 
     def analysed(self, losses_max: int) -> SampledAnalysis:
         return predictor_losses(self.design, losses_max)
+
+    def premises(self) -> dict[str, Any]:
+        certified = certified_of(self.losses)
+        if certified is None:
+            return {}
+        boxes = filter_gains(self.design, certified.network.losses_max)
+        return {"filter_gains": [[corner[1:].tolist() for corner in corners] for corners in boxes]}
 
     def controller(self) -> PredictorController:
         request = self.design.request

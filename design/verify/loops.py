@@ -1,0 +1,238 @@
+"""The loop of a controller's file, rebuilt from its numbers, which are read as the rationals that they are.
+
+    xi' = F xi + E d, z = C xi       between two operations; d: load torque, z: speed error
+
+Each step from one sample to the next is a chain of operations on xi: a jump, or a flow of some length.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any
+
+from flint import arb, arb_mat
+
+from servobench.design.verify.balls import cut, number, unit
+
+Operation = tuple[str, Any]
+"""("jump", J) or ("flow", length in us)."""
+
+
+@dataclass(frozen=True, slots=True)
+class RebuiltStep:
+    """A period from node to node.
+
+    ``windows``: (back, first us, last us) of each sample that begins to act in it, the oldest first; or else
+    ``chains``: its operations, one chain for each corner of the filter's gain.
+    """
+
+    source: int
+    target: int
+    windows: tuple[tuple[int, Decimal, Decimal], ...] = ()
+    chains: tuple[tuple[Operation, ...], ...] = ()
+
+    @property
+    def delivers(self) -> bool:
+        """True if a sample begins to act."""
+        return bool(self.windows or self.chains)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RebuiltLoop:
+    """xi' = F xi + E d, z = C xi between two operations; the last entry of xi counts within a period only."""
+
+    F: arb_mat
+    E: arb_mat
+    C: arb_mat
+    period_us: Decimal
+    size: int
+    kept: int
+    count: int
+    """Nodes; 0 is that of a sample that has just begun to act, or the newest of these."""
+    steps: list[RebuiltStep]
+    idle: tuple[Operation, ...]
+    """A period in which no sample begins to act."""
+    applying: list[arb_mat]
+    """The jump when the sample of so many periods ago begins to act."""
+    inputs: list[list[arb]]
+    """The row of xi, at the begin of the period, that is the input then; the input in force comes last."""
+
+
+def motor_of(file: dict[str, Any]) -> tuple[arb, arb, arb, arb]:
+    """Return rate of the current loop, 1/s, J, B and K_t."""
+    made = file["made_for"]
+    plant = {key: number(value) for key, value in made["plant"].items()}
+    rate = plant["resistance_ohm"] / plant["inductance_q_h"]
+    if "current_loop" in made:
+        rate = 2 * arb.pi() * number(made["current_loop"]["bandwidth_hz"])
+    return rate, plant["inertia_kg_m2"], plant["viscous_friction_nm_s"], plant["torque_constant_nm_a"]
+
+
+def state_feedback(file: dict[str, Any]) -> RebuiltLoop:
+    """Rebuild the loop of u = K x over a network: xi = [x, w, v_0 .. v_m]."""
+    made, K = file["made_for"], [number(entry) for entry in file["gain"]]
+    rate, J, B, Kt = motor_of(file)
+    n, zero = len(K), arb(0)
+    A = [[-rate, zero, zero], [Kt / J, -B / J, zero], [zero, arb(1), zero]]
+    F = arb_mat([[*row[:n], rate if i == 0 else zero] for i, row in enumerate(A[:n])] + [[zero] * (n + 1)])
+    E, C = ([[zero], [value], [zero], [zero]][: n + 1] for value in (1 / J, arb(1)))
+    h, T, D = Decimal(made["period_us"]), Decimal(made["delay_max_us"]), made["losses_in_a_row_max"]
+    arrival = made["strategy"] == "arrival"
+    latest = T if arrival else Decimal(made["agreed_delay_us"])
+    behind = max(0, math.ceil(latest / h) - 1) if arrival else int(latest // h)
+    offset, size = latest - behind * h, n + 2 + behind
+    sampled = unit(size, *((place, place - 1) for place in range(n + 2, size)))
+    sampled[n + 1] = [*K, *[zero] * (size - n)]
+    begin: Operation = ("jump", arb_mat(sampled))
+    applying = [arb_mat(unit(size, (n, n + 1 + back))) for back in range(behind + 1)]
+    if arrival:
+        count = D + 1 + behind
+        steps = [step for node in range(count) for step in arrivals(node, count, behind, offset, h)]
+    else:
+        count = 1 if made["strategy"] == "history" else D + 1
+        chain = (begin, ("flow", offset), ("jump", applying[behind]), ("flow", h - offset))
+        steps = [RebuiltStep(node, 0, chains=(chain,)) for node in range(count)]
+        steps += [RebuiltStep(node, node + 1) for node in range(count - 1)]
+    inputs = [sampled[n + 1], *(unit(size)[n + back] for back in range(1, behind + 1)), unit(size)[n]]
+    idle: tuple[Operation, ...] = (begin, ("flow", h))
+    return RebuiltLoop(F, arb_mat(E), arb_mat(C), h, size, size - 1, count, steps, idle, applying, inputs)
+
+
+def arrivals(node: int, count: int, behind: int, offset: Decimal, h: Decimal) -> Iterator[RebuiltStep]:
+    """Yield the steps from the node at which the acting sample was taken ``node`` + 1 periods ago."""
+    last = node == count - 1  # one of D + 1 samples comes
+    if not last:
+        yield RebuiltStep(node, node + 1)
+    windows = [
+        (back, Decimal(0), offset if back == behind else h) for back in range(min(node, behind), -1, -1)
+    ]
+    for through in range(1, len(windows) + 1):
+        chosen = tuple(windows[:through])
+        yield RebuiltStep(node, chosen[-1][0], chosen)
+        if through > 1 and chosen[0][0] == behind and not last and offset < h:
+            yield RebuiltStep(
+                node, chosen[-1][0], chosen[1:]
+            )  # the oldest is lost, the next comes after its last instant
+
+
+def shaft(rate: arb, J: arb, B: arb, filter_hz: Any) -> tuple[arb_mat, arb_mat]:
+    """Return A (4, 4) and B (4, 1) of torque, speed, filtered speed and load."""
+    f, zero = 2 * arb.pi() * number(filter_hz), arb(0)
+    A = [[-rate, zero, zero, zero], [1 / J, -B / J, zero, -1 / J], [zero, f, -f, zero], [zero] * 4]
+    return arb_mat(A), arb_mat([[rate], [zero], [zero], [zero]])
+
+
+def of_samples(
+    file: dict[str, Any], A: arb_mat, B: arb_mat, size: int, command: int, delay: Decimal,
+    sampled: Sequence[Sequence[arb_mat]], lost: arb_mat, end: Sequence[Operation] = (),
+) -> RebuiltLoop:  # fmt: skip
+    """Return the loop xi = [T, omega, w | u in force | ...], commands from place ``command`` on.
+
+    ``delay``: from a sample to its command's instant, us; ``sampled``: the jumps of a sample after 0, 1 ..
+    losses, one for each corner of its gain; ``end``: what follows at a period's end.
+    """
+    h = Decimal(file["made_for"]["period_us"])
+    behind = int(delay // h)
+    offset = delay - behind * h
+    F = arb_mat([[*(A[i, j] for j in range(3)), B[i, 0]] for i in range(3)] + [[0, 0, 0, 0]])
+    E, C = ([[arb(0)], [entry], [arb(0)], [arb(0)]] for entry in (A[1, 3], arb(1)))
+    acting = arb_mat(unit(size, (3, command + behind)))
+    after: tuple[Operation, ...] = (("flow", offset), ("jump", acting), ("flow", h - offset), *end)
+    came: list[tuple[tuple[Operation, ...], ...]] = [
+        tuple((("jump", J), *after) for J in corners) for corners in sampled
+    ]
+    count = len(came)
+    steps = [RebuiltStep(node, 0, chains=chains) for node, chains in enumerate(came)]
+    steps += [RebuiltStep(node, node + 1) for node in range(count - 1)]
+    idle = (("jump", lost), *after)
+    return RebuiltLoop(F, arb_mat(E), arb_mat(C), h, size, size - 1, count, steps, idle, [], [])
+
+
+def hinf(file: dict[str, Any]) -> RebuiltLoop:
+    """Rebuild the loop of x+ = A x + B e + L u, u = C x + D e: xi = [.. | x | e held | commands]."""
+    proof = file["certificate"]
+    A = [[number(entry) for entry in row] for row in file["A"]]
+    B, L, C = ([number(entry) for entry in file[key]] for key in "BLC")
+    D = number(file["D"])
+    delay = Decimal(file["made_for"]["delay_max_us"]) + Decimal(proof["dead_time_us"])
+    m, behind = len(C), int(delay // Decimal(file["made_for"]["period_us"]))
+    held, command = 4 + m, 5 + m
+    size = command + behind + 1
+
+    def jump(*, came: bool) -> arb_mat:
+        rows = unit(size, *((place, place - 1) for place in range(command + 1, size)))
+        error = [arb(-1 if came and j == 2 else 1 if not came and j == held else 0) for j in range(size)]
+        state = unit(size)[4:held]
+        rows[held] = error
+        rows[command] = [
+            sum((c * x[j] for c, x in zip(C, state, strict=True)), D * error[j]) for j in range(size)
+        ]
+        for i in range(m):
+            rows[4 + i] = [
+                sum(
+                    (a * x[j] for a, x in zip(A[i], state, strict=True)),
+                    B[i] * error[j] + L[i] * rows[command][j],
+                )
+                for j in range(size)
+            ]
+        return arb_mat(rows)
+
+    plant = shaft(*motor_of(file)[:3], proof["speed_filter_hz"])
+    sampled = [[jump(came=True)]] * (proof["losses_in_a_row_max"] + 1)
+    return of_samples(file, *plant, size, command, delay, sampled, jump(came=False))
+
+
+def predictor(file: dict[str, Any]) -> RebuiltLoop:
+    """Rebuild the loop of a filter, a prediction and a feedback: xi = [.. | x^ (4) | commands]."""
+    own = (number(file[key]) for key in ("current_bandwidth_hz", "inertia_kg_m2", "viscous_friction_nm_s"))
+    bandwidth_hz, inertia, friction = own
+    A, B = shaft(2 * arb.pi() * bandwidth_hz, inertia, friction, file["speed_filter_hz"])
+    kT, kw = number(file["torque_gain"]), number(file["speed_gain_nm_s_rad"])
+    F = arb_mat([[kT, kw, arb(0), -1 - kT]])
+    h, delay = Decimal(file["made_for"]["period_us"]), Decimal(file["made_for"]["delay_max_us"])
+    delay += Decimal(file["dead_time_us"])
+    behind, offset = int(delay // h), delay % h
+    command, count = 8, behind + 2
+    size = command + count
+
+    def step(length: Decimal) -> tuple[arb_mat, arb_mat]:
+        """Return the model's transition and input under a command that is held for ``length`` us."""
+        rate = arb_mat(
+            [[*row, entry] for row, (entry,) in zip(A.tolist(), B.tolist(), strict=True)] + [[0] * 5]
+        )
+        both = (rate * (number(length) / 10**6)).exp()
+        return cut(both, 4), arb_mat([[both[i, 4]] for i in range(4)])
+
+    ahead, entered = step(offset)
+    columns = {behind: entered}
+    whole, input_ = step(h)
+    for place in range(behind - 1, -1, -1):
+        ahead = whole * ahead
+        columns = {key: whole * column for key, column in columns.items()}
+        columns[place] = input_
+    of_state, of_commands = F * ahead, {key: (F * column)[0, 0] for key, column in columns.items()}
+
+    def jump(gains: Sequence[arb]) -> arb_mat:
+        rows = unit(size, *((place, place - 1) for place in range(command + 1, size)))
+        for i, gain in enumerate(gains):
+            rows[4 + i][2] += gain
+            rows[4 + i][6] -= gain
+        rows[command] = [
+            -sum((of_state[0, i] * rows[4 + i][j] for i in range(4)), of_commands.get(j - command, arb(0)))
+            for j in range(size)
+        ]
+        return arb_mat(rows)
+
+    (first, held), (second, fresh) = step(offset), step(h - offset)
+    follows = unit(size)
+    for i in range(4):
+        follows[4 + i][4:8] = [(second * first)[i, j] for j in range(4)]
+        follows[4 + i][command + behind] += fresh[i, 0]
+        follows[4 + i][command + behind + 1] += (second * held)[i, 0]
+    corners = file["certificate"]["filter_gains"]
+    sampled = [[jump([arb(0), *map(number, gains)]) for gains in each] for each in corners]
+    plant = shaft(*motor_of(file)[:3], file["speed_filter_hz"])
+    return of_samples(
+        file, *plant, size, command, delay, sampled, jump([arb(0)] * 4), [("jump", arb_mat(follows))]
+    )
