@@ -19,6 +19,9 @@ def verify(
     """Prove the certificates of controllers' files anew, from their digits, with every rounding enclosed.
 
     Exit status: 0 proved, 1 a figure is not proved or a file was changed, 2 a file has no such certificate.
+
+    Examples:
+      hil verify predictor.toml   # what hil design speed wrote
     """
     from servobench.hil.studies.speed.verification import verified
 
