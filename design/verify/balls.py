@@ -8,7 +8,6 @@ factorisation's own rounding have been taken off (Rump, BIT Numerical Mathematic
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -96,8 +95,8 @@ def rounded(matrix: arb_mat) -> Ball:
 
 
 def number(entry: Any) -> arb:
-    """Return the ball of a decimal number of the file, or of a double."""
-    return arb(fmpq(*Decimal(entry).as_integer_ratio()))
+    """Return the ball of a number: a decimal of the file, a fraction, or a double."""
+    return arb(fmpq(*entry.as_integer_ratio()))
 
 
 def of_rows(rows: Sequence[Sequence[Any]]) -> arb_mat:
@@ -107,7 +106,7 @@ def of_rows(rows: Sequence[Sequence[Any]]) -> arb_mat:
 
 def of_doubles(matrix: np.ndarray) -> arb_mat:
     """Return exact doubles as balls."""
-    return of_rows([[Decimal(each) for each in row] for row in matrix.tolist()])
+    return of_rows(matrix.tolist())
 
 
 def require_positive(matrix: Ball, where: str) -> None:

@@ -12,7 +12,7 @@ from flint import arb
 from servobench.design.verify.balls import NotProved, number
 from servobench.design.verify.loops import hinf, predictor, state_feedback
 from servobench.design.verify.proofs import Timed
-from servobench.design.verify.windowed import Windowed
+from servobench.design.verify.windowed import ROOM, Windowed
 
 _KINDS = {"state_feedback": state_feedback, "hinf": hinf, "predictor": predictor}
 _CLAIMS = (
@@ -37,17 +37,21 @@ def table_of(path: Path) -> dict[str, Any]:
         return dict(tomllib.load(file, parse_float=Decimal)["controller"])
 
 
-def claims_of(controller: dict[str, Any]) -> Iterator[Claim]:
-    """Check what a certificate over sequences claims. Raises KeyError for a controller without one."""
+def claims_of(controller: dict[str, Any], room: float = ROOM) -> Iterator[Claim]:
+    """Check what a certificate over sequences claims; ``room``: see :class:`Windowed`.
+
+    Raises KeyError for a controller without one.
+    """
     claims = controller["certificate"]["sequences"]
     loop = _KINDS[controller["kind"]](controller)
-    way = Windowed if any(step.windows for step in loop.steps) else Timed
+    windowed = any(step.windows for step in loop.steps)
     for key, matrices, unit in _CLAIMS:
         value = number(claims[key])
         gain, decay = (value, arb(0)) if key == "gain_certified" else (None, value)
         refused = ""
         try:
-            way(loop, claims[matrices], gain, decay).prove()
+            of_file = loop, claims[matrices], gain, decay
+            (Windowed(*of_file, room) if windowed else Timed(*of_file)).prove()
         except NotProved as error:
             refused = str(error)
         except ZeroDivisionError:  # python-flint's, of a ball that holds a singular matrix

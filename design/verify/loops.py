@@ -8,7 +8,7 @@ Each step from one sample to the next is a chain of operations on xi: a jump, or
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from decimal import Decimal
+from fractions import Fraction
 from typing import Any
 
 from flint import arb, arb_mat
@@ -29,7 +29,7 @@ class RebuiltStep:
 
     source: int
     target: int
-    windows: tuple[tuple[int, Decimal, Decimal], ...] = ()
+    windows: tuple[tuple[int, Fraction, Fraction], ...] = ()
     chains: tuple[tuple[Operation, ...], ...] = ()
 
     @property
@@ -45,7 +45,7 @@ class RebuiltLoop:
     F: arb_mat
     E: arb_mat
     C: arb_mat
-    period_us: Decimal
+    period_us: Fraction
     size: int
     kept: int
     count: int
@@ -77,9 +77,9 @@ def state_feedback(file: dict[str, Any]) -> RebuiltLoop:
     A = [[-rate, zero, zero], [Kt / J, -B / J, zero], [zero, arb(1), zero]]
     F = arb_mat([[*row[:n], rate if i == 0 else zero] for i, row in enumerate(A[:n])] + [[zero] * (n + 1)])
     E, C = ([[zero], [value], [zero], [zero]][: n + 1] for value in (1 / J, arb(1)))
-    h, T, D = Decimal(made["period_us"]), Decimal(made["delay_max_us"]), made["losses_in_a_row_max"]
+    h, T, D = Fraction(made["period_us"]), Fraction(made["delay_max_us"]), made["losses_in_a_row_max"]
     arrival = made["strategy"] == "arrival"
-    latest = T if arrival else Decimal(made["agreed_delay_us"])
+    latest = T if arrival else Fraction(made["agreed_delay_us"])
     behind = max(0, math.ceil(latest / h) - 1) if arrival else int(latest // h)
     offset, size = latest - behind * h, n + 2 + behind
     sampled = unit(size, *((place, place - 1) for place in range(n + 2, size)))
@@ -99,21 +99,20 @@ def state_feedback(file: dict[str, Any]) -> RebuiltLoop:
     return RebuiltLoop(F, arb_mat(E), arb_mat(C), h, size, size - 1, count, steps, idle, applying, inputs)
 
 
-def arrivals(node: int, count: int, behind: int, offset: Decimal, h: Decimal) -> Iterator[RebuiltStep]:
+def arrivals(node: int, count: int, behind: int, offset: Fraction, h: Fraction) -> Iterator[RebuiltStep]:
     """Yield the steps from the node at which the acting sample was taken ``node`` + 1 periods ago."""
     last = node == count - 1  # one of D + 1 samples comes
     if not last:
         yield RebuiltStep(node, node + 1)
     windows = [
-        (back, Decimal(0), offset if back == behind else h) for back in range(min(node, behind), -1, -1)
+        (back, Fraction(0), offset if back == behind else h) for back in range(min(node, behind), -1, -1)
     ]
     for through in range(1, len(windows) + 1):
         chosen = tuple(windows[:through])
         yield RebuiltStep(node, chosen[-1][0], chosen)
         if through > 1 and chosen[0][0] == behind and not last and offset < h:
-            yield RebuiltStep(
-                node, chosen[-1][0], chosen[1:]
-            )  # the oldest is lost, the next comes after its last instant
+            # the oldest is lost, and the next comes after its last instant
+            yield RebuiltStep(node, chosen[-1][0], chosen[1:])
 
 
 def shaft(rate: arb, J: arb, B: arb, filter_hz: Any) -> tuple[arb_mat, arb_mat]:
@@ -124,7 +123,7 @@ def shaft(rate: arb, J: arb, B: arb, filter_hz: Any) -> tuple[arb_mat, arb_mat]:
 
 
 def of_samples(
-    file: dict[str, Any], A: arb_mat, B: arb_mat, size: int, command: int, delay: Decimal,
+    file: dict[str, Any], A: arb_mat, B: arb_mat, size: int, command: int, delay: Fraction,
     sampled: Sequence[Sequence[arb_mat]], lost: arb_mat, end: Sequence[Operation] = (),
 ) -> RebuiltLoop:  # fmt: skip
     """Return the loop xi = [T, omega, w | u in force | ...], commands from place ``command`` on.
@@ -132,7 +131,7 @@ def of_samples(
     ``delay``: from a sample to its command's instant, us; ``sampled``: the jumps of a sample after 0, 1 ..
     losses, one for each corner of its gain; ``end``: what follows at a period's end.
     """
-    h = Decimal(file["made_for"]["period_us"])
+    h = Fraction(file["made_for"]["period_us"])
     behind = int(delay // h)
     offset = delay - behind * h
     F = arb_mat([[*(A[i, j] for j in range(3)), B[i, 0]] for i in range(3)] + [[0, 0, 0, 0]])
@@ -155,8 +154,8 @@ def hinf(file: dict[str, Any]) -> RebuiltLoop:
     A = [[number(entry) for entry in row] for row in file["A"]]
     B, L, C = ([number(entry) for entry in file[key]] for key in "BLC")
     D = number(file["D"])
-    delay = Decimal(file["made_for"]["delay_max_us"]) + Decimal(proof["dead_time_us"])
-    m, behind = len(C), int(delay // Decimal(file["made_for"]["period_us"]))
+    delay = Fraction(file["made_for"]["delay_max_us"]) + Fraction(proof["dead_time_us"])
+    m, behind = len(C), int(delay // Fraction(file["made_for"]["period_us"]))
     held, command = 4 + m, 5 + m
     size = command + behind + 1
 
@@ -190,13 +189,13 @@ def predictor(file: dict[str, Any]) -> RebuiltLoop:
     A, B = shaft(2 * arb.pi() * bandwidth_hz, inertia, friction, file["speed_filter_hz"])
     kT, kw = number(file["torque_gain"]), number(file["speed_gain_nm_s_rad"])
     F = arb_mat([[kT, kw, arb(0), -1 - kT]])
-    h, delay = Decimal(file["made_for"]["period_us"]), Decimal(file["made_for"]["delay_max_us"])
-    delay += Decimal(file["dead_time_us"])
+    h, delay = Fraction(file["made_for"]["period_us"]), Fraction(file["made_for"]["delay_max_us"])
+    delay += Fraction(file["dead_time_us"])
     behind, offset = int(delay // h), delay % h
     command, count = 8, behind + 2
     size = command + count
 
-    def step(length: Decimal) -> tuple[arb_mat, arb_mat]:
+    def step(length: Fraction) -> tuple[arb_mat, arb_mat]:
         """Return the model's transition and input under a command that is held for ``length`` us."""
         rate = arb_mat(
             [[*row, entry] for row, (entry,) in zip(A.tolist(), B.tolist(), strict=True)] + [[0] * 5]

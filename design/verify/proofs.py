@@ -10,7 +10,7 @@ below 1; a flow is cut into parts until both hold.
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from decimal import Decimal
+from fractions import Fraction
 from typing import Any
 
 from flint import arb, arb_mat
@@ -64,7 +64,7 @@ class Proof(ABC):
         """Return e^{2 alpha t}."""
         return (2 * self.decay * number(self.loop.period_us) / 10**6 * periods).exp()
 
-    def flow(self, length_us: Decimal, spread: bool = False) -> tuple[arb_mat, arb_mat, arb_mat, int]:
+    def flow(self, length_us: Fraction, spread: bool = False) -> tuple[arb_mat, arb_mat, arb_mat, int]:
         """Return Phi, W, Q of a part of a flow, and how many parts. ``spread``: at gain/(1 + eps)^{1/2}."""
         loop, m, length = self.loop, self.loop.F.nrows(), number(length_us) / 10**6
         if self.gain is None:
@@ -96,7 +96,7 @@ class Timed(Proof):
 
     def __init__(self, loop: RebuiltLoop, rows: Sequence[Any], gain: arb | None, decay: arb) -> None:
         super().__init__(loop, rows, gain, decay)
-        self._flows: dict[Decimal, tuple[arb_mat, arb_mat, arb_mat, int]] = {}
+        self._flows: dict[Fraction, tuple[arb_mat, arb_mat, arb_mat, int]] = {}
 
     def prove(self) -> None:
         for source, target, idle, step in self.edges:
@@ -115,7 +115,7 @@ class Timed(Proof):
         kind, what = operation
         return arb_mat(what.transpose() * S * what) if kind == "jump" else self._over(S, what)
 
-    def _over(self, S: arb_mat, length_us: Decimal, parts_max: int = PARTS_MAX) -> arb_mat:
+    def _over(self, S: arb_mat, length_us: Fraction, parts_max: int = PARTS_MAX) -> arb_mat:
         """Return the value before a flow, S after it; by its halves where its disturbance reaches too far."""
         size = self.loop.size
         if length_us not in self._flows:

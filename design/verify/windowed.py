@@ -10,7 +10,7 @@ of a square cell is the hull of its ordered corners.
 import itertools
 import math
 from collections.abc import Sequence
-from decimal import Decimal
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -42,8 +42,12 @@ CELLS_MAX = 4096
 class Windowed(Proof):
     """Of a loop whose samples may begin to act at any instant of their windows."""
 
-    def __init__(self, loop: RebuiltLoop, rows: Sequence[Any], gain: arb | None, decay: arb) -> None:
+    def __init__(
+        self, loop: RebuiltLoop, rows: Sequence[Any], gain: arb | None, decay: arb, room: float = ROOM
+    ) -> None:
+        """``room``: in place of :data:`ROOM`; with a larger one less is proved, never more."""
         super().__init__(loop, rows, gain, decay)
+        self._room = room
         k, n = loop.kept, loop.F.nrows() - 1
         mean = rounded(sum(self.P[1:], self.P[0]) / len(self.P)).mid
         L = np.eye(loop.size) * math.sqrt(mean[-1, -1])
@@ -53,12 +57,12 @@ class Windowed(Proof):
         self._white = joined([rounded(turn.transpose() * each * turn)[None] for each in self.P])
         squares = [[float(P[i, i].upper()) for i in range(n)] for P in self.P]
         self._sizes = np.sqrt(np.array(squares)) * GREATER
-        self._flows: dict[tuple[Decimal, bool], tuple[Ball, Ball, Ball, int]] = {}
+        self._flows: dict[tuple[Fraction, bool], tuple[Ball, Ball, Ball, int]] = {}
         self._small, self._energy = self._departures()
         self._pairs = self._differences()
         ends = {at for step in loop.steps for _, *window in step.windows for at in window}
-        marks = {Decimal(0), loop.period_us, *ends}
-        self._grid = [Decimal(0)]
+        marks = {Fraction(0), loop.period_us, *ends}
+        self._grid = [Fraction(0)]
         self._bends: list[tuple[np.ndarray, float]] = []
         for first, last in itertools.pairwise(sorted(marks)):
             self._divide(first, last)
@@ -89,7 +93,7 @@ class Windowed(Proof):
         """Return a map of xi in good coordinates."""
         return rounded(self._L * J * self._inverse)
 
-    def _turned_flow(self, length_us: Decimal, spread: bool) -> tuple[Ball, Ball, Ball, int]:
+    def _turned_flow(self, length_us: Fraction, spread: bool) -> tuple[Ball, Ball, Ball, int]:
         """Return the matrices of a flow in good coordinates."""
         key = length_us, spread
         if key not in self._flows:
@@ -113,7 +117,7 @@ class Windowed(Proof):
             return J.T @ S @ J
         return self._flowed(S, [what], spread)
 
-    def _flowed(self, S: Ball, lengths_us: Sequence[Decimal], spread: bool) -> Ball:
+    def _flowed(self, S: Ball, lengths_us: Sequence[Fraction], spread: bool) -> Ball:
         """Return the values (.., N, n, n) before flows, one for each of N or one for all."""
         unique = sorted(set(lengths_us))
         parts = max(self._turned_flow(length, spread)[3] for length in unique)
@@ -158,18 +162,17 @@ class Windowed(Proof):
             B = step * B
         return np.array(largest), np.array(energy)
 
-    def _bend(self, first: Decimal, last: Decimal) -> tuple[np.ndarray, float]:
+    def _bend(self, first: Fraction, last: Fraction) -> tuple[np.ndarray, float]:
         """Return how far the state at the period's end, and the error's norm, depart from their chord."""
         h, parts = self.loop.period_us, len(self._small)
-        low = max(0, math.floor((h - last) / h * parts) - 1)
-        high = min(parts, math.ceil((h - first) / h * parts) + 1)
+        low, high = math.floor((h - last) / h * parts), math.ceil((h - first) / h * parts)
         share = float((last - first) / 10**6) ** 2 / 8.0 * GREATER
         return share * self._small[low:high].max(axis=0), share * math.sqrt(self._energy[high]) * GREATER
 
-    def _differences(self) -> list[tuple[Decimal, Decimal, dict[int, float]]]:
+    def _differences(self) -> list[tuple[Fraction, Fraction, dict[int, float]]]:
         """Return for each open window the largest |Delta xi| where xi' P_i xi is 1, by the target j."""
         inverse = np.linalg.inv(self._white.mid)
-        found: dict[tuple[Decimal, Decimal], dict[int, float]] = {}
+        found: dict[tuple[Fraction, Fraction], dict[int, float]] = {}
         for source, target, _, step in self.edges:
             for (_, first, last), row in zip(step.windows, self._rows(step), strict=True):
                 if first < last:
@@ -189,13 +192,13 @@ class Windowed(Proof):
             before = now
         return rows
 
-    def _divide(self, first: Decimal, last: Decimal) -> None:
+    def _divide(self, first: Fraction, last: Fraction) -> None:
         """Add cells so narrow that the departure is small beside xi' P xi."""
         bend, output = self._bend(first, last)
         sizes = self._sizes @ bend + (output if self.gain is not None else 0.0)
         open_ = [by_target for low, high, by_target in self._pairs if low <= first and last <= high]
         shares = (sizes[target] * size for by_target in open_ for target, size in by_target.items())
-        if max(shares, default=0.0) > ROOM * EPS:
+        if max(shares, default=0.0) > self._room * EPS:
             if len(self._grid) > CELLS_MAX:
                 raise NotProved(f"more than {CELLS_MAX} cells")
             middle = (first + last) / 2
@@ -221,7 +224,7 @@ class Windowed(Proof):
         return self._spread(S, step, targets, places) if spread else S
 
     def _earlier(
-        self, S: Ball, places: np.ndarray, first: Decimal, last: Decimal, spread: bool
+        self, S: Ball, places: np.ndarray, first: Fraction, last: Fraction, spread: bool
     ) -> tuple[Ball, np.ndarray]:
         """Return the values at each instant of an earlier window, before those of S (.., N, n, n)."""
         ends = self._grid.index(last)
@@ -258,7 +261,7 @@ class Windowed(Proof):
                 total = total + (row.T @ row).times(square[..., None, None])
         return total
 
-    def _size(self, targets: Sequence[int], place: int, last: Decimal) -> np.ndarray:
+    def _size(self, targets: Sequence[int], place: int, last: Fraction) -> np.ndarray:
         """Return the square of the departure on the cells beside an instant of a window that ends with
         ``last``, for each target."""
         total = np.zeros(len(targets))

@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 
 from servobench.design.sampled.analysis import analyse_loop
 from servobench.design.verify.balls import Ball, NotProved, require_positive
-from servobench.design.verify.file import claims_of
+from servobench.design.verify.file import claims_of, table_of
 from servobench.hil.cli import app
 from tests.benchmarks.attack_peaks import DrawnLoop
 from tests.benchmarks.verify_certificates import certified_loops, false_claims, table_of_loop
@@ -96,6 +96,13 @@ def test_drawn_certificates_are_proved_and_false_claims_of_them_are_not() -> Non
         table = table_of_loop(drawn, analysis)
         assert [claim.refused for claim in claims_of(table)] == ["", ""], drawn
         assert all(claim.refused for claim in claims_of(false_claims(table, analysis))), drawn
+
+
+def test_what_lies_between_two_instants_of_a_grid_counts() -> None:
+    """In cells as wide as the windows the departure from a chord is beyond every slack."""
+    table = table_of(CONTROLLERS / "network-k.toml")
+    assert [claim.refused for claim in claims_of(table)] == ["", ""]
+    assert all(claim.refused for claim in claims_of(table, room=1e9))
 
 
 def test_order_cuts_the_cells_of_windows_that_overlap() -> None:
