@@ -15,6 +15,7 @@ from servobench.hil.campaign.campaign import Campaign
 from servobench.hil.campaign.figures import PEAK, CellMap, cell_maps, failure_line, figures_of, worst_runs
 from servobench.hil.campaign.plan import GridAxis
 from servobench.hil.reviewing.html_page import html_page, html_table
+from servobench.hil.verdict.summary_text import number
 
 CELLS_NAMED_MAX = 200
 """Beyond this the numbers do not fit the cells of a heat map."""
@@ -81,7 +82,7 @@ def _pairs(pairs: list[dict[str, Any]]) -> str:
     rows = []
     for each in pairs:
         change = each["peak_percent_second_less_first"]
-        shift = f"{_number(change['mean'])} % ({_number(change['low'])} to {_number(change['high'])})"
+        shift = f"{number(change['mean'])} % ({number(change['low'])} to {number(change['high'])})"
         shift = shift if change["mean"] is not None else "-"
         shown = [
             each[key] for key in ("first", "second", "pairs", "passed_first_alone", "passed_second_alone")
@@ -92,13 +93,13 @@ def _pairs(pairs: list[dict[str, Any]]) -> str:
 
 def _point(each: dict[str, Any]) -> tuple[Any, ...]:
     rates = (_percent(each[key]) for key in ("rate", "low", "high"))
-    peaks = (_number(value) for value in each[f"{PEAK}_q95"].values())
+    peaks = (number(value) for value in each[f"{PEAK}_q95"].values())
     return each["point"] or "all", each["runs"], each["passed"], *rates, *peaks
 
 
 def _quantiles(figures: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
     for name, each in figures["quantiles"].items():
-        values = (_number(each[key]) for key in ("50 %", "95 %", "largest"))
+        values = (number(each[key]) for key in ("50 %", "95 %", "largest"))
         yield name, each["unit"], each["runs"], *values
 
 
@@ -107,7 +108,7 @@ def _sensitivity(figures: dict[str, Any]) -> str:
     rows = []
     for key, each in figures.items():
         of_passing, of_peak = (
-            (_percent(one["share_of_variance"]), _number(one["rank_correlation"])) for one in each.values()
+            (_percent(one["share_of_variance"]), number(one["rank_correlation"])) for one in each.values()
         )
         rows.append((key, *of_passing, *of_peak))
     return "<h2>What matters</h2>" + html_table(titles, rows)
@@ -117,8 +118,8 @@ def _worst(done: Campaign, worst: list[dict[str, Any]]) -> str:
     rows = []
     for each in worst:
         command = f"hil campaign replay {done.folder} --run {each['run']}"
-        keys = ", ".join(f"{key} = {_number(each[key])}" for key in done.plan.run(0).labels)
-        rows.append((each["run"], keys, each["seed"], each["outcome"], _number(each[PEAK]), command))
+        keys = ", ".join(f"{key} = {_value(each[key])}" for key in done.plan.run(0).labels)
+        rows.append((each["run"], keys, each["seed"], each["outcome"], number(each[PEAK]), command))
     titles = ("run", "keys", "seed", "outcome", "peak, %", "again")
     told = "<p>Those that did not pass first, then by their peak error; every run that a map names.</p>"
     return f"<h2>Worst runs</h2>{told}" + html_table(titles, rows, [f"run{each['run']}" for each in worst])
@@ -160,7 +161,6 @@ def _percent(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.2f} %"
 
 
-def _number(value: Any) -> str:
-    if value is None:
-        return "-"
-    return value if isinstance(value, str) else f"{value:.4g}"
+def _value(of: Any) -> str:
+    """Return the value of a key: words as they are."""
+    return of if isinstance(of, str) else number(of)

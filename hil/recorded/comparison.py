@@ -23,6 +23,7 @@ from servobench.hil.recorded.recorded_run import RecordedRun, RunSignals
 from servobench.hil.reviewing.envelope import Largest, largest
 from servobench.hil.rows.records import DIGESTED, FATE_SAMPLE, NAMES, ROW_DTYPE, Rows
 from servobench.hil.rows.seal import doubt
+from servobench.hil.verdict.summary_text import number
 
 _SIGNALS: Final = ("velocity_rad_s", "torque_nm", "command_torque_nm", "reference_rad_s", "load_torque_nm")
 _COMPARED: Final = [
@@ -279,13 +280,13 @@ def comparison_json(compared: Sequence[Against]) -> dict[str, Any]:
 
 def comparison_lines(compared: Sequence[Against]) -> list[str]:
     """Figures side by side, then each run beside the first."""
-    lines = [f"{number}  {each.run.title()}{doubt(each.run.seal)}" for number, each in enumerate(compared)]
-    lines += ["", f"{'':28}" + "".join(f"{number:>12}" for number in range(len(compared)))]
+    lines = [f"{place}  {each.run.title()}{doubt(each.run.seal)}" for place, each in enumerate(compared)]
+    lines += ["", f"{'':28}" + "".join(f"{place:>12}" for place in range(len(compared)))]
     for name in compared[0].figures:
         values = [each.figures[name] for each in compared]
-        lines.append(f"{name:28}" + "".join(f"{_number(value):>12}" for value in values))
-    for number, each in enumerate(compared[1:], start=1):
-        lines += ["", f"{number} beside 0: {each.cycles_of_both} cycles of both"]
+        lines.append(f"{name:28}" + "".join(f"{number(value):>12}" for value in values))
+    for place, each in enumerate(compared[1:], start=1):
+        lines += ["", f"{place} beside 0: {each.cycles_of_both} cycles of both"]
         lines += _apart(each)
         lines += [_judged(one) for one in each.regressions]
     return lines
@@ -303,17 +304,13 @@ def _apart(each: Against) -> Iterator[str]:
     for axis, signals in each.differences.items():
         for signal, one in signals.items():
             if one.largest.value and one.largest.at is not None:
-                sizes = f"rms {_number(one.rms):>10}  largest {_number(one.largest.value):>10}"
+                sizes = f"rms {number(one.rms):>10}  largest {number(one.largest.value):>10}"
                 yield f"  {axis} {signal:20} {sizes} at {one.largest.at / NS_PER_S:.3f} s"
 
 
 def _judged(one: Regression) -> str:
     result = {True: "within", False: "EXCEEDED", None: "not measured in both"}[one.kept]
     return (
-        f"  {one.name:28} {_number(one.value):>10}, baseline {_number(one.baseline):>10} "
+        f"  {one.name:28} {number(one.value):>10}, baseline {number(one.baseline):>10} "
         f"+ {one.tolerance:g}: {result}"
     )
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"

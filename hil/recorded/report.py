@@ -15,9 +15,7 @@ from servobench.hil.recorded.judgement import Judged
 from servobench.hil.reviewing.html_page import html_page, html_table
 from servobench.hil.rows.event_lines import read_events
 from servobench.hil.rows.run_files import EVENTS_FILE
-from servobench.hil.verdict.figures import Percentiles
-from servobench.hil.verdict.limits import metric_title
-from servobench.hil.verdict.summary_text import certificate_rows, loss_text, timing_lines
+from servobench.hil.verdict.summary_text import certificate_rows, limit_rows, summary_lines
 from servobench.hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
 
 SUFFIXES: Final = (".html", ".md")
@@ -37,7 +35,7 @@ def write_report(judged: Judged, path: Path) -> None:
 
 def _tables(judged: Judged) -> Iterator[Table]:
     summary = judged.summary
-    yield "Requirements", ("requirement", "value", "at most", "", "worst"), list(limit_rows(judged))
+    yield "Requirements", ("requirement", "value", "at most", "", "worst"), list(limit_rows(summary.verdict))
     if summary.verdict.findings:
         findings = [(finding.outcome.value, finding.text) for finding in summary.verdict.findings]
         yield "Findings", ("", ""), findings
@@ -48,33 +46,10 @@ def _tables(judged: Judged) -> Iterator[Table]:
     yield "Warnings and errors", ("s", "", ""), list(_events(judged.run.folder / EVENTS_FILE))
 
 
-def limit_rows(judged: Judged) -> Iterator[tuple[str, str, str, str, str]]:
-    """Each requirement in words: what, value, limit, result, and where the worst value was."""
-    for check in judged.summary.verdict.limits:
-        value = "-" if check.value is None else f"{check.value:.4g}"
-        at = "" if check.at_ns is None else f"at {check.at_ns / NS_PER_S:.3f} s"
-        where = " ".join(filter(None, (check.axis, at)))
-        yield metric_title(check.metric), value, f"{check.limit:g}", check.result.value, where
-
-
 def _figures(judged: Judged) -> Iterator[tuple[str, str]]:
-    summary = judged.summary
-    lost, steps = summary.dropouts, summary.step_response
-    yield "cycles", f"{summary.cycles} of {judged.run.cycles_planned} planned, {len(judged.run.axes)} axes"
-    yield "delay of readings p50 / p99 / max", _times(summary.reading_delay_us)
-    yield "delay to actuation p50 / p99 / max", _times(summary.action_delay_us)
-    yield "lateness p50 / p99 / max", _times(summary.lateness_us)
-    yield "dropouts", f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed"
-    yield "lost in a row", loss_text(summary)
-    yield (
-        "settling, overshoot",
-        f"{_number(steps.settling_time_ms, 'ms')}, {_number(steps.overshoot_percent, '%')}",
-    )
-    yield "recovery after a load step", _number(steps.recovery_time_ms, "ms")
-    yield "speed error rms", _number(summary.speed_error.rms_rad_s, "rad/s")
-    yield "torque about its mean, rms", _number(summary.torque_rms_nm, "N m")
-    yield from timing_lines(summary.timing).items()
-    yield "digest", summary.digest
+    summary, axes = judged.summary, len(judged.run.axes)
+    yield "Cycles", f"{summary.cycles} of {judged.run.cycles_planned} planned, {axes} axes"
+    yield from summary_lines(summary, axes).items()
 
 
 def _origin(judged: Judged) -> Iterator[tuple[str, str]]:
@@ -134,12 +109,3 @@ def _markdown(judged: Judged) -> str:
                 data = base64.b64encode(svg.encode()).decode()
                 parts.append(f"![{words}](data:image/svg+xml;base64,{data})")
     return "\n\n".join(parts) + "\n"
-
-
-def _number(value: float | None, unit: str) -> str:
-    return "not measured" if value is None else f"{value:.4g} {unit}"
-
-
-def _times(times: Percentiles) -> str:
-    values = (times.p50, times.p99, times.max)
-    return " / ".join("-" if value is None else f"{value:.0f}" for value in values) + " us"

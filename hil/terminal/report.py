@@ -2,9 +2,7 @@
 
 import shutil
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console, Group
 from rich.panel import Panel
@@ -16,10 +14,8 @@ from servobench.hil.machine.extras import is_installed
 from servobench.hil.machine.parent_process import results
 from servobench.hil.terminal.output import columns, titled
 from servobench.hil.terminal.why import brief_lines
-from servobench.hil.verdict.figures import Percentiles
-from servobench.hil.verdict.limits import metric_title
 from servobench.hil.verdict.summary import Summary
-from servobench.hil.verdict.summary_text import certificate_lines, computing_note, loss_text, timing_lines
+from servobench.hil.verdict.summary_text import certificate_lines, computing_note, limit_rows, summary_lines
 from servobench.hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
 
 WIDTH_MAX = 100
@@ -58,53 +54,20 @@ def print_run(
 
 
 def _figures(config: BenchConfig, summary: Summary, bus_spec: str | None) -> Table:
-    error, dropouts, axes = summary.speed_error, summary.dropouts, len(config.axes)
-    rows = summary.cycles * axes
-    share = f" ({100.0 * dropouts.total / rows:.2f} %)" if rows else ""
-    lines = {
-        "Run": f"{summary.cycles} cycles at {1e6 / config.loop.period_us:g} Hz, "
-        f"{axes} {'axis' if axes == 1 else 'axes'}, bus {bus_spec or config.bus.spec}, seed {summary.seed}",
-        "Tracking error": f"peak {_number(error.peak_rad_s)} rad/s ({_number(error.peak_percent)} %), "
-        f"rms {_number(error.rms_rad_s)} rad/s",
-        "After load step": f"{_number(error.after_load_percent)} % at most"
-        if error.after_load_percent is not None
-        else "not measured",
-        "Torque": f"{_number(summary.torque_rms_nm)} N m rms about its mean while reference and load stay"
-        if summary.torque_rms_nm is not None
-        else "never steady for long enough to be judged",
-        "Reading delay": _percentiles(summary.reading_delay_us),
-        "Action delay": _percentiles(summary.action_delay_us),
-        "Lateness": _percentiles(summary.lateness_us),
-        "Computing": _percentiles(summary.compute_us),
-        "Dropouts": f"{dropouts.total}{share}: "
-        f"{dropouts.lost} lost, {dropouts.late} late, {dropouts.stale} stale, {dropouts.missed} missed",
-        "Lost in a row": loss_text(summary),
-        **timing_lines(summary.timing),
-        **certificate_lines(summary.certificates),
-        **({"Load machine": _load_machine(summary.load_machine)} if summary.load_machine else {}),
-        "Bus load": f"{_number(summary.bus_load_percent)} %",
-        "Pace": f"{_number(summary.realtime_factor)} times real time",
-        "Digest": summary.digest,
-    }
-    return titled(lines)
-
-
-def _load_machine(machine: Mapping[str, Any]) -> str:
-    steps = [
-        f"{step['asked_nm']:g} N m asked, {_number(step['measured_nm'])} measured"
-        for step in machine["steps"]
-    ]
-    counts = f"{machine['readings']} readings, {machine['late']} late, {machine['spoilt']} spoilt"
-    return "; ".join([*steps, counts])
+    axes = len(config.axes)
+    begun = (
+        f"{summary.cycles} cycles at {1e6 / config.loop.period_us:g} Hz, "
+        f"{axes} {'axis' if axes == 1 else 'axes'}, bus {bus_spec or config.bus.spec}, seed {summary.seed}"
+    )
+    return titled({"Run": begun, **summary_lines(summary, axes), **certificate_lines(summary.certificates)})
 
 
 def _verdict_table(summary: Summary) -> Table | Text:
     if not summary.verdict.limits:
         return Text("The bench file sets no limits in [verdict].", style="yellow")
     table = columns("Verdict", "value", "limit", "", right=("value", "limit"))
-    for check in summary.verdict.limits:
-        title, mark = Text(metric_title(check.metric)), Text(*_MARKS[check.result])
-        table.add_row(title, _number(check.value), f"{check.limit:g}", mark)
+    for title, value, limit, result, _ in limit_rows(summary.verdict):
+        table.add_row(Text(title), value, limit, Text(*_MARKS[LimitResult(result)]))
     return table
 
 
@@ -118,17 +81,6 @@ def _notes(config: BenchConfig, summary: Summary) -> list[Text]:
     notes.extend(Text(note, style="bold yellow") for note in told)
     notes.extend(Text(f"The recording lacks: {fault}", style="yellow") for fault in summary.recording_faults)
     return notes
-
-
-def _percentiles(of: Percentiles) -> str:
-    return f"p50 {_number(of.p50)} us, p99 {_number(of.p99)} us, max {_number(of.max)} us"
-
-
-def _number(value: float | None) -> str:
-    """Format three significant digits, whole numbers in full; a dash for an unmeasured value."""
-    if value is None:
-        return "-"
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def recording_lines(folder: str) -> list[str]:

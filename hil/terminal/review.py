@@ -69,14 +69,14 @@ def _print(judged: "Judged") -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from servobench.hil.recorded.report import limit_rows
+    from servobench.hil.verdict.summary_text import limit_rows
     from servobench.hil.verdict.verdict import verdict_title
 
     console = Console(highlight=False)
     title = f"{judged.run.title()}, by {judged.against}; {judged.run.seal}"
     console.print(title, soft_wrap=True, markup=False)
     table = columns("requirement", "value", "at most", "", "worst", right=("value", "at most"))
-    for row in limit_rows(judged):
+    for row in limit_rows(judged.summary.verdict):
         table.add_row(*map(Text, row))
     console.print(table)
     for finding in judged.summary.verdict.findings:

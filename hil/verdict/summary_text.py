@@ -1,10 +1,14 @@
-"""A run's timing with its basis, and its certificates with the observations: lines for a reader."""
+"""A run in words, for the terminal, the page beside its plots and its report: figures, limits, timing and
+certificates."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from servobench.hil.verdict.figures import Figures
+from servobench.drivers.timebase import NS_PER_S
+from servobench.hil.verdict.figures import Figures, Percentiles
+from servobench.hil.verdict.limits import metric_title
 from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.verdict import RunVerdict
 
 _SYNC_TEXTS = {
     "none": "no echo: the instant is that of its hand-over",
@@ -29,7 +33,102 @@ _CERTIFIED: Final = {
 }
 
 
-def loss_text(run: Figures | Summary) -> str:
+def number(value: float | None, none: str = "-") -> str:
+    """Format four significant digits, whole numbers in full; ``none`` for an unmeasured value."""
+    if value is None:
+        return none
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+def figure_lines(run: Figures | Summary, axes: int) -> dict[str, str]:
+    """Return by title a line for each figure from the rows of ``axes`` axes.
+
+    Position error, step response and recovery have one where they were measured.
+    """
+    return {
+        **dict(_error_lines(run)),
+        "Torque": "never steady for long enough to be judged"
+        if run.torque_rms_nm is None
+        else f"{number(run.torque_rms_nm)} N m rms about its mean in steady state",
+        "Reading delay": _percentiles(run.reading_delay_us),
+        "Action delay": _percentiles(run.action_delay_us),
+        "Lateness": _percentiles(run.lateness_us),
+        "Computing": _percentiles(run.compute_us),
+        "Dropouts": _dropout_text(run, axes),
+        "Lost in a row": _loss_text(run),
+    }
+
+
+def summary_lines(run: Summary, axes: int) -> dict[str, str]:
+    """Return :func:`figure_lines`, then what is known of a run that has ended."""
+    return {
+        **figure_lines(run, axes),
+        **timing_lines(run.timing),
+        **({"Load machine": _load_machine_text(run.load_machine)} if run.load_machine else {}),
+        "Bus load": _measured(run.bus_load_percent, "%"),
+        "Pace": _measured(run.realtime_factor, "times real time"),
+        "Digest": run.digest,
+    }
+
+
+def limit_rows(verdict: RunVerdict) -> Iterator[tuple[str, str, str, str, str]]:
+    """Yield each requirement in words: title, value, limit, result, and the place of the worst value."""
+    for check in verdict.limits:
+        at = "" if check.at_ns is None else f"at {check.at_ns / NS_PER_S:.3f} s"
+        where = " ".join(filter(None, (check.axis, at)))
+        yield metric_title(check.metric), number(check.value), f"{check.limit:g}", check.result.value, where
+
+
+def _error_lines(run: Figures | Summary) -> Iterator[tuple[str, str]]:
+    speed, position, steps = run.speed_error, run.position_error, run.step_response
+    yield (
+        "Tracking error",
+        f"peak {number(speed.peak_rad_s)} rad/s ({number(speed.peak_percent)} %), "
+        f"rms {number(speed.rms_rad_s)} rad/s",
+    )
+    yield "After load step", _measured(speed.after_load_percent, "% at most")
+    if position.peak_rad is not None:
+        yield (
+            "Position error",
+            f"peak {number(position.peak_rad)} rad, rms {number(position.rms_rad)} rad, "
+            f"following {number(position.following_peak_rad)} rad",
+        )
+    if steps.overshoot_percent is not None:
+        settled = (
+            "not settled"
+            if steps.settling_time_ms is None
+            else f"settled after {number(steps.settling_time_ms)} ms"
+        )
+        yield "Step response", f"{settled}, overshoot {number(steps.overshoot_percent)} %"
+    if steps.recovery_time_ms is not None:
+        yield "Recovery", f"{number(steps.recovery_time_ms)} ms after a load step"
+
+
+def _measured(value: float | None, unit: str) -> str:
+    return "not measured" if value is None else f"{number(value)} {unit}"
+
+
+def _percentiles(of: Percentiles) -> str:
+    return f"p50 {number(of.p50)} us, p99 {number(of.p99)} us, max {number(of.max)} us"
+
+
+def _dropout_text(run: Figures | Summary, axes: int) -> str:
+    lost, rows = run.dropouts, run.cycles * axes
+    share = f" ({100.0 * lost.total / rows:.2f} %)" if rows else ""
+    return (
+        f"{lost.total}{share}: {lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed"
+    )
+
+
+def _load_machine_text(machine: Mapping[str, Any]) -> str:
+    steps = [
+        f"{step['asked_nm']:g} N m asked, {number(step['measured_nm'])} measured" for step in machine["steps"]
+    ]
+    counts = f"{machine['readings']} readings, {machine['late']} late, {machine['spoilt']} spoilt"
+    return f"{machine['identity']}: {'; '.join([*steps, counts])}"
+
+
+def _loss_text(run: Figures | Summary) -> str:
     """Format consecutive losses of readings and of commands separately."""
     least, most = run.command_losses_in_a_row_least, run.command_losses_in_a_row
     if most is None:
@@ -125,8 +224,10 @@ def _certified(figures: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield the certified item, its certified value, and the observed one."""
     for name, words in _CERTIFIED.items():
         seen, most = figures[name]["seen"], figures[name].get("seen_at_most")
-        text = _number(seen) if most in (seen, None) else f"{_number(seen)} to {_number(most)}"
-        yield words, _number(figures[name]["certified"]), text
+        text = number(seen, "not known")
+        if most not in (seen, None):
+            text += f" to {number(most)}"
+        yield words, number(figures[name]["certified"], "not known"), text
 
 
 def _current_loop(figures: Mapping[str, Any]) -> tuple[str, str, str] | None:
@@ -134,9 +235,9 @@ def _current_loop(figures: Mapping[str, Any]) -> tuple[str, str, str] | None:
     loop = figures["current_bandwidth_hz"]
     if loop["certified"] is None:
         return None
-    least, most = map(_number, loop["certified"])
-    return "current loop [Hz]", least if least == most else f"{least} to {most}", _number(loop["drive"])
-
-
-def _number(value: float | None) -> str:
-    return "not known" if value is None else f"{value:.4g}"
+    least, most = map(number, loop["certified"])
+    return (
+        "current loop [Hz]",
+        least if least == most else f"{least} to {most}",
+        number(loop["drive"], "not known"),
+    )

@@ -20,6 +20,7 @@ from servobench.hil.campaign.campaign import Campaign
 from servobench.hil.campaign.figures import PEAK, CellMap, cell_maps
 from servobench.hil.campaign.plan import GridAxis
 from servobench.hil.campaign.worker import FIGURES
+from servobench.hil.verdict.summary_text import number
 from tests.page_text import page_text
 
 LOAD = GridAxis("load.nm", (), ("0.1", "0.2", "0.4"), (0.1, 0.2, 0.4))
@@ -195,12 +196,7 @@ def test_adaptive_draws_tell_their_failure_probability(tmp_path: Path) -> None:
 
 def test_words_for_what_is_not_known() -> None:
     assert [report._percent(value) for value in (None, 0.5, 1.0)] == ["-", "50.00 %", "100.00 %"]
-    assert [report._number(value) for value in (None, "pi", 0.123456, 12345.6)] == [
-        "-",
-        "pi",
-        "0.1235",
-        "1.235e+04",
-    ]
+    assert [number(value) for value in (None, 0.123456, 999.96, 12345.6)] == ["-", "0.1235", "1000", "12346"]
 
 
 @pytest.fixture

@@ -12,11 +12,12 @@ from servobench.drivers.errors import BadInput
 from servobench.hil.recorded import paper
 from servobench.hil.recorded.judgement import Judged, _certified, judge_run, load_requirements
 from servobench.hil.recorded.recorded_run import signals_of
-from servobench.hil.recorded.report import limit_rows, write_report
+from servobench.hil.recorded.report import write_report
 from servobench.hil.rows.records import Rows
 from servobench.hil.verdict.figures import Percentiles
 from servobench.hil.verdict.limits import VerdictLimits
 from servobench.hil.verdict.summary import Summary
+from servobench.hil.verdict.summary_text import limit_rows
 from servobench.hil.verdict.verdict import (
     Check,
     Demand,
@@ -210,12 +211,12 @@ def report(path: Path, its: Judged) -> str:
 
 
 def test_requirements_are_rows_of_words() -> None:
-    assert list(limit_rows(judged())) == [
+    assert list(limit_rows(judged().summary.verdict)) == [
         ("delay of readings, p99 [us]", "400", "500", "kept", "axis1"),
         ("readings lost in a row", "2", "1", "broken", "axis1 at 0.301 s"),
     ]
     cut = replace(summary(), verdict=summary(completed=False).verdict)
-    assert [row[1:] for row in limit_rows(judged(cut))] == [
+    assert [row[1:] for row in limit_rows(judged(cut).summary.verdict)] == [
         ("4.25", "10", "not measured", ""),
         ("3", "5", "not measured", ""),
         ("999", "2000", "not measured", ""),
@@ -270,20 +271,21 @@ def test_the_figures_of_a_report_are_those_of_the_summary(tmp_path: Path) -> Non
     text = report(tmp_path / "r.md", judged(whole))
     table = text.split("## Figures\n\n")[1].split("\n\n")[0].splitlines()[2:]
     assert table[:10] == [
-        "| cycles | 2000 of 2000 planned, 1 axes |",
-        "| delay of readings p50 / p99 / max | 612 / 988 / 1044 us |",
-        "| delay to actuation p50 / p99 / max | - / - / - us |",
-        "| lateness p50 / p99 / max | 0 / 0 / 0 us |",
-        "| dropouts | 90 lost, 5 late, 1 stale, 0 missed |",
-        "| lost in a row | 6 readings, commands not measured |",
-        "| settling, overshoot | not measured, not measured |",
-        "| recovery after a load step | not measured |",
-        "| speed error rms | 0.7 rad/s |",
-        "| torque about its mean, rms | 0.1235 N m |",
+        "| Cycles | 2000 of 2000 planned, 1 axes |",
+        "| Tracking error | peak 6.68 rad/s (4.25 %), rms 0.7 rad/s |",
+        "| After load step | not measured |",
+        "| Torque | 0.1235 N m rms about its mean in steady state |",
+        "| Reading delay | p50 612 us, p99 987.5 us, max 1044 us |",
+        "| Action delay | p50 - us, p99 - us, max - us |",
+        "| Lateness | p50 0 us, p99 0 us, max 0 us |",
+        "| Computing | p50 12 us, p99 20 us, max 88 us |",
+        "| Dropouts | 96 (4.80 %): 90 lost, 5 late, 1 stale, 0 missed |",
+        "| Lost in a row | 6 readings, commands not measured |",
     ]
-    assert [line.split(" | ")[0] for line in table[10:]] == ["| SYNC", "| Timing", "| digest"]
+    titles = [line.split(" | ")[0] for line in table[10:]]
+    assert titles == ["| SYNC", "| Timing", "| Bus load", "| Pace", "| Digest"]
     none = replace(summary(), reading_delay_us=Percentiles(None, None, None))
-    assert "| delay of readings p50 / p99 / max | - / - / - us |" in report(tmp_path / "n.md", judged(none))
+    assert "| Reading delay | p50 - us, p99 - us, max - us |" in report(tmp_path / "n.md", judged(none))
 
 
 @pytest.mark.usefixtures("plain_pictures")

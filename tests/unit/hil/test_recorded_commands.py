@@ -24,6 +24,7 @@ from servobench.hil.recorded import (
 )
 from servobench.hil.recording import page_keepers
 from servobench.hil.terminal import view as view_command
+from servobench.hil.verdict import summary_text
 
 
 def hil(*arguments: str | Path) -> Result:
@@ -130,7 +131,7 @@ def test_a_review_is_printed_written_and_ends_as_its_verdict(
     rows = [("overshoot", "12", "10", "broken", "axis1 at 1 s"), ("delay [us]", "-", "5", "not known", "")]
     monkeypatch.setattr(recorded_run, "open_run", lambda run, **_: f"opened {run}")
     monkeypatch.setattr(judgement, "judge_run", judge)
-    monkeypatch.setattr(report, "limit_rows", lambda _judged: iter(rows))
+    monkeypatch.setattr(summary_text, "limit_rows", lambda _verdict: iter(rows))
     monkeypatch.setattr(report, "write_report", lambda _judged, path: path.write_text("a report"))
     told = hil("review", "one")
     assert (told.exit_code, told.stderr) == (1, "")

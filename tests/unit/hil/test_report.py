@@ -69,7 +69,7 @@ def test_summary_holds_every_figure() -> None:
         "bus simulated, seed 2012",
         "peak 6.68 rad/s (4.25 %), rms 0.7 rad/s",
         "After load step  not measured",
-        "p50 612 us, p99 988 us, max 1044 us",
+        "p50 612 us, p99 987.5 us, max 1044 us",
         "96 (4.80 %): 90 lost, 5 late, 1 stale",
         "51.4 %",
         "38.2 times real time",
@@ -137,10 +137,10 @@ def test_a_run_of_which_nothing_was_asked_does_not_say_passed() -> None:
 
 def test_a_load_machine_is_told_by_its_steps_and_readings() -> None:
     steps = [{"asked_nm": 0.6, "measured_nm": 0.59876}, {"asked_nm": 123.0, "measured_nm": None}]
-    machine = {"steps": steps, "readings": 400, "late": 3, "spoilt": 2}
+    machine = {"identity": "ACME 1", "steps": steps, "readings": 400, "late": 3, "spoilt": 2}
     words = " ".join(printed(replace(summary(), load_machine=machine)).replace("│", "").split())
     assert words.partition("Load machine ")[2].partition(" Bus load")[0] == (
-        "0.6 N m asked, 0.599 measured; 123 N m asked, - measured; 400 readings, 3 late, 2 spoilt"
+        "ACME 1: 0.6 N m asked, 0.5988 measured; 123 N m asked, - measured; 400 readings, 3 late, 2 spoilt"
     )
     assert "Load machine" not in printed(summary())
 

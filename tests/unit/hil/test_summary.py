@@ -189,11 +189,11 @@ def test_the_page_tells_result_limits_and_notes(plan: RecordingPlan) -> None:
     assert "- not passed: **delay_p99_us_max = 800, found 900**" in page
     assert "| delay of readings, p99 [us] | 900 | 800 | **BROKEN** |" in page
     assert "| dropouts [%] | 4 | 10 | kept |" in page
-    assert "| dropouts | 8 of 400 (2.0 %) |\n| | 3 lost, 2 late, 1 stale, 2 missed |" in page
+    assert "| Dropouts | 8 (2.00 %): 3 lost, 2 late, 1 stale, 2 missed |" in page
     assert "controller `pid`" in page
     assert "| Timing | sampled +-9.25 us" in verdict_markdown(plan, summary_with(timing=timing()))
     dead = summarise(FIGURES, RunOutcome(completed=False, reason="killed"), plan.review.limits, "", 7)
-    assert "| bus load | not measured |" in verdict_markdown(plan, dead)
+    assert "| Bus load | not measured |" in verdict_markdown(plan, dead)
     long = replace(
         dead, recording_faults=("frames.log is incomplete: " + "no space left on the device; " * 4,)
     )

@@ -57,19 +57,22 @@ def test_the_figures_so_far() -> None:
         step_response=StepResponse(120.0, 8.26, 40.0),
     )
     page = running_markdown(PLAN, figures, {})
-    lateness = next(line for line in page.splitlines() if line.startswith("| lateness"))
     assert page == (
         f"# synthetic · running\n\n{ORIGIN}\n\n"
         "| figure so far | value |\n|:--|:--|\n"
-        "| cycles | 200 |\n"
-        "| delay of readings p50 / p99 / max | 400 / 900 / 1500 us |\n"
-        "| delay to actuation p50 / p99 / max | none / none / none us |\n"
-        f"{lateness}\n"
-        "| dropouts | 3 lost, 2 late, 1 stale, 4 missed |\n"
-        "| lost in a row | 3 readings, commands not measured |\n"
-        "| speed error, peak | not measured |\n"
-        "| overshoot | 8.3 % |\n"
-        "| settling | 120.0 ms |\n"
+        "| Cycles | 200 |\n"
+        "| Tracking error | peak 8 rad/s (- %), rms 1.5 rad/s |\n"
+        "| After load step | 4 % at most |\n"
+        "| Position error | peak 0.3 rad, rms 0.2 rad, following 0.4 rad |\n"
+        "| Step response | settled after 120 ms, overshoot 8.26 % |\n"
+        "| Recovery | 40 ms after a load step |\n"
+        "| Torque | 0.5 N m rms about its mean in steady state |\n"
+        "| Reading delay | p50 400 us, p99 900 us, max 1500 us |\n"
+        "| Action delay | p50 - us, p99 - us, max - us |\n"
+        "| Lateness | p50 - us, p99 - us, max - us |\n"
+        "| Computing | p50 20 us, p99 30 us, max 45 us |\n"
+        "| Dropouts | 10 (5.00 %): 3 lost, 2 late, 1 stale, 4 missed |\n"
+        "| Lost in a row | 3 readings, commands not measured |\n"
     )
 
 
@@ -84,13 +87,13 @@ def rows_of_page(**changes: Any) -> list[str]:
 
 def test_dropouts_are_a_share_of_the_readings_of_all_axes() -> None:
     rows = rows_of_page(cycles=200, dropouts=DropoutCounts(3, 2, 1, 4))
-    assert "| dropouts | 10 of 400 (2.5 %) |" in rows
-    assert "| | 3 lost, 2 late, 1 stale, 4 missed |" in rows
-    assert "| dropouts | 0 of 0 (0.0 %) |" in rows_of_page(cycles=0, dropouts=DropoutCounts(0, 0, 0, 0))
+    assert "| Dropouts | 10 (2.50 %): 3 lost, 2 late, 1 stale, 4 missed |" in rows
+    none = rows_of_page(cycles=0, dropouts=DropoutCounts(0, 0, 0, 0))
+    assert "| Dropouts | 0: 0 lost, 0 late, 0 stale, 0 missed |" in none
 
 
 def test_a_torque_that_swings_is_told_where_it_was_measured() -> None:
-    assert "| torque about its mean, rms | 0.123 N m |" in rows_of_page(torque_rms_nm=0.1234)
+    assert "| Torque | 0.1234 N m rms about its mean in steady state |" in rows_of_page(torque_rms_nm=0.1234)
     assert not any("about its mean" in row for row in rows_of_page(torque_rms_nm=None))
 
 
@@ -98,7 +101,7 @@ def test_a_long_text_goes_on_in_the_next_row() -> None:
     fault = "frames.log is incomplete: " + "no space left on the device | " * 3
     rows = [row for row in rows_of_page(recording_faults=(fault, "short", "")) if row not in rows_of_page()]
     cells = [row[2:-2].partition(" | ")[::2] for row in rows]
-    assert [title for title, _ in cells] == ["recording", "", "", "recording", "recording"]
+    assert [title for title, _ in cells] == ["Recording lacks", "", "", "Recording lacks", "Recording lacks"]
     assert " ".join(text for _, text in cells[:3]) == fault.replace("|", "/").strip()
     assert all(len(text) <= 52 for _, text in cells)
     assert [text for _, text in cells[3:]] == ["short", ""]
@@ -169,18 +172,17 @@ def test_of_several_axes_each_certificate_has_its_name(certified: tuple[float, f
 
 def test_a_load_machine_s_steps_are_told_asked_and_measured() -> None:
     steps = [{"asked_nm": 0.5, "measured_nm": 0.49876}, {"asked_nm": -1.0, "measured_nm": None}]
-    machine = {"identity": "ACME 1", "readings": 12, "steps": steps}
+    machine = {"identity": "ACME 1", "readings": 12, "late": 1, "spoilt": 2, "steps": steps}
     rows = [row for row in rows_of_page(load_machine=machine) if row not in rows_of_page()]
     assert rows == [
-        "| load asked, measured | 0.5 N m, 0.499 N m |",
-        "| load asked, measured | -1 N m, none |",
-        "| load machine | ACME 1: 12 readings |",
+        "| Load machine | ACME 1: 0.5 N m asked, 0.4988 measured; -1 N m |",
+        "|  | asked, - measured; 12 readings, 1 late, 2 spoilt |",
     ]
 
 
 def test_times_and_shares_that_nobody_measured_are_told_so() -> None:
     nothing = Percentiles(None, None, None)
     rows = rows_of_page(reading_delay_us=nothing, bus_load_percent=None, realtime_factor=38.25)
-    assert "| delay of readings p50 / p99 / max | none / none / none us |" in rows
-    assert "| bus load | not measured |" in rows
-    assert "| times real time | 38.2 |" in rows
+    assert "| Reading delay | p50 - us, p99 - us, max - us |" in rows
+    assert "| Bus load | not measured |" in rows
+    assert "| Pace | 38.25 times real time |" in rows
