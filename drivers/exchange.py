@@ -15,7 +15,7 @@ class Reading(Record):
 
     Position, torque and statusword travel in other frames, some of them more seldom. The last known values
     are used; ``..._told_at`` is the bus stamp of the frame that carried them, so ``received_at -
-    ..._told_at`` is their age.
+    ..._told_at`` is their age. A position that is 0 old came in the frame of the speed: :attr:`counted_rad`.
     """
 
     __match_args__ = (
@@ -58,6 +58,12 @@ class Reading(Record):
         self.statusword: Final = statusword
         """0x6041, raw."""
         self.status_told_at: Final = status_told_at
+
+    @property
+    def counted_rad(self) -> float:
+        """The position 6064h of the same SYNC as the speed, in whole counts of the drive and carried on by
+        nothing; NaN if the frame of the speed has none."""
+        return self.position_rad if self.position_told_at == self.received_at else math.nan
 
 
 class Readback(Record):

@@ -9,6 +9,7 @@ change. The layouts of the TPDOs, the best first:
     6041h not on change, n = 1                  every SYNC     every SYNC, with 6041h in place of 6074h
     6041h not on change, no stamp or n > 1      every SYNC, with 6041h in place of 1013h, the rest as above
     coherent                                    every SYNC, behind 6041h 6077h 6064h with every SYNC
+    counted                                     every SYNC, with 6064h in place of 1013h, the rest as above
 
 With every SYNC 6061h travels beside 6041h if 8 bits are free there. In the coherent layout it has a TPDO of
 its own else, on change, if the drive has one left.
@@ -61,6 +62,8 @@ class Features(NamedTuple):
     """6041h on change; else with every SYNC."""
     mode: bool = True
     """6061h: shows that the drive is still in the mode of its commands."""
+    counted: bool = False
+    """6064h in the frame of the speed, which leaves no room for a stamp."""
 
     def within(self, other: "Features") -> bool:
         """Return True if ``other`` has all features used here."""
@@ -68,7 +71,11 @@ class Features(NamedTuple):
 
 
 ALL: Final = Features()
+_COUNTED: Final = Features(stamp=False, counted=True)
 _PREFERENCE: Final = (
+    _COUNTED,
+    _COUNTED._replace(demand=False),
+    _COUNTED._replace(demand=False, status_on_change=False),
     ALL,
     Features(demand=False),
     Features(demand=False, status_on_change=False),
@@ -77,8 +84,8 @@ _PREFERENCE: Final = (
     Features(stamp=False, status_on_change=False),
     Features(stamp=False, demand=False, status_on_change=False),
 )
-"""Order of preference. The stamp is worth most: it attributes readings whatever the bus does to them. The
-mode is worth least, because it can be read by SDO."""
+"""Order of preference. The count is offered where it is asked for. Else the stamp is worth most: it
+attributes readings whatever the bus does to them. The mode is worth least, because it can be read by SDO."""
 
 
 class Group(NamedTuple):
@@ -100,7 +107,7 @@ def choices(able: Features, position_every_cycles: int) -> list[Features]:
         for each in _PREFERENCE
         for mode in ((True, False) if able.mode else (False,))
         if each._replace(mode=mode).within(able)
-        and (each.status_on_change or not each.stamp or position_every_cycles == 1)
+        and (each.status_on_change or not (each.stamp or each.counted) or position_every_cycles == 1)
     ]
 
 
@@ -117,25 +124,28 @@ def layout(
     if not 1 <= position_every_cycles <= SYNCHRONOUS_MAX:
         raise ValueError(f"position_every_cycles {position_every_cycles} is not in 1..{SYNCHRONOUS_MAX}")
     speed = (VELOCITY, wish.stamp) if features.stamp else (VELOCITY,)
-    actual = (POSITION,) if torque is None else (torque, POSITION)
+    actual = () if torque is None else (torque,)
     mode = (MODE,) if features.mode else ()
-    room = mode if torque is None else ()  # beside 6041h and 6064h
+    room = mode  # beside 6041h and one of 6077h and 6064h
+    if features.counted:
+        speed = (VELOCITY, POSITION)
+    else:
+        actual = (*actual, POSITION)
+        room = mode if torque is None else ()
     if coherent:
         groups = Group((STATUS, *actual, *room), EVERY_SYNC), Group(speed, EVERY_SYNC)
         if room or not (mode and wish.mode_apart and features.status_on_change):
             return groups
         return (*groups, Group(mode, EVENT_DRIVEN, STATUS_INHIBIT_100US, timer_ms))
-    if not features.status_on_change and features.stamp:
+    if not features.status_on_change and (features.stamp or features.counted):
         return Group(speed, EVERY_SYNC), Group((*actual, STATUS, *room), EVERY_SYNC)
     if features.demand:
         actual = (*actual, DEMAND)
     if not features.status_on_change:
         return Group((VELOCITY, STATUS, *mode), EVERY_SYNC), Group(actual, position_every_cycles)
-    return (
-        Group(speed, EVERY_SYNC),
-        Group(actual, position_every_cycles),
-        Group((STATUS, *mode), EVENT_DRIVEN, STATUS_INHIBIT_100US, timer_ms),
-    )
+    status = Group((STATUS, *mode), EVENT_DRIVEN, STATUS_INHIBIT_100US, timer_ms)
+    others = (Group(actual, position_every_cycles),) if actual else ()
+    return (Group(speed, EVERY_SYNC), *others, status)
 
 
 def status_timer_ms(heartbeat_timeout_ms: int) -> int:
@@ -245,4 +255,5 @@ def features_of(plan: PdoPlan, stamp: Key = STAMP) -> Features:
         demand=any(pdo.synchronous and pdo.place_of(*DEMAND) is not None for pdo in plan.tpdos),
         status_on_change=status is not None and not status.synchronous,
         mode=plan.tpdo_with(*MODE) is not None,
+        counted=speed is not None and speed.place_of(*POSITION) is not None,
     )

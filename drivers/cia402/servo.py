@@ -12,7 +12,6 @@ from servobench.drivers.canopen.pdo import PdoPlan
 from servobench.drivers.cia402.drive_setup import (
     DriveSettings,
     Identity,
-    map_pdos,
     read_identity,
     read_scaling,
     write_limits,
@@ -25,6 +24,7 @@ from servobench.drivers.cia402.mode_ramps import write_ramps
 from servobench.drivers.cia402.motion import KEEP_HOMING, KEEP_PROFILE, HomingSetup, Motion, MoveProfile
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.observed import map_observed
+from servobench.drivers.cia402.pdo_mapping import map_pdos
 from servobench.drivers.cia402.profile import DriveCommand, Mode, State, state_of
 from servobench.drivers.cia402.readings import LastStatusword, ReadingAssembler
 from servobench.drivers.cia402.rest import REST_POLL, calms, resting_since

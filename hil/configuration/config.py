@@ -345,6 +345,11 @@ class BenchConfig(Section):
         commanded or controlled, if it comes with every SYNC."""
         return self.drive[axis].mode != "cst" and self.loop.position_every_cycles == 1
 
+    def counted(self, axis: str) -> bool:
+        """Return True if position and speed of one SYNC are to travel in one TPDO."""
+        drive = self.drive[axis]
+        return drive.controller.needs_count if drive.count_with_speed is None else drive.count_with_speed
+
     def bitrate_of(self, axis: str) -> int:
         """Return the bit rate of the segment of the drive of ``axis``, bit/s."""
         return self.bitrate_on(self.drive[axis].segment)

@@ -288,6 +288,9 @@ class DriveConfig(Section):
     """They come with every n-th SYNC."""
     stamp_resolution_us: float | None = Field(default=None, ge=0.01, le=1000)
     """Step of the drive's stamp (1013h), as found by ``hil measure``; default: by its make, else 1 us."""
+    count_with_speed: bool | None = None
+    """Position 6064h in the frame of the speed 606Ch, so that both are of one SYNC; the stamp 1013h then has
+    no room. Default: if the controller needs it."""
     simulation: Simulation = Simulation()
     current_control: CurrentControl = CurrentControl()
     limits: Limits = Field(description="a table with speed_max_rpm and torque_max_nm")

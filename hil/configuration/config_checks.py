@@ -8,7 +8,7 @@ from servobench.drivers.canopen.pdo import PdoPlan
 from servobench.drivers.canopen.pdo_budget import budget_of
 from servobench.drivers.cia402.observed import NUMBERS, with_observed
 from servobench.drivers.cia402.pdo_planner import mode_plan
-from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.cia402.pdo_plans import Features, PlanWish
 from servobench.drivers.cia402.profile import BENCH_MODES
 from servobench.drivers.errors import MISSING, BadInput
 from servobench.drivers.key_advice import nearest
@@ -149,6 +149,7 @@ def standard_plan(config: BenchConfig, axis: str) -> PdoPlan:
     wish = PlanWish(
         BENCH_MODES[drive.mode],
         position_every_cycles=config.loop.position_every_cycles,
+        features=Features(counted=config.counted(axis)),
         coherent=config.coherent(axis),
         mode_apart=not drive.observed.entries,
     )

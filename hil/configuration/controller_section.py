@@ -12,6 +12,9 @@ class AxisController(Section):
     gives: ClassVar[tuple[Quantity, ...]] = (Quantity.TORQUE,)
     """Set-points that it can give; a drive takes those of its mode."""
 
+    needs_count: ClassVar[bool] = False
+    """Position and speed of one SYNC are to travel in one TPDO."""
+
     def follows(self, given: Quantity) -> Quantity | None:  # noqa: ARG002
         """Return the reference that it takes if the drive is given ``given``; None: any."""
         return Quantity.SPEED

@@ -46,6 +46,10 @@ def mode_faults(config: BenchConfig) -> Iterator[Fault]:
         if drive.mode != "cst" and config.loop.command_readback == "event":
             expected = f'"sync": {axis} is in {drive.mode}, and 6074h is the demand of a torque mode'
             yield "loop.command_readback", config.loop.command_readback, expected, ""
+        if config.counted(axis) and config.loop.command_readback == "event":
+            expected = f'"sync": events are told by the stamp 1013h, and 6064h takes its room on {axis}'
+            remedy = f"or set drive.{axis}.count_with_speed = false"
+            yield "loop.command_readback", config.loop.command_readback, expected, remedy
     yield from _verdict_of_modes(config)
 
 

@@ -53,6 +53,7 @@ def drive_settings(
         sync_period_ns=timing.period,
         mode=BENCH_MODES[drive.mode],
         coherent=config.coherent(axis),
+        counted=config.counted(axis),
         synchronous_command=timing.actuation is Actuation.ON_SYNC,
         position_every_cycles=config.loop.position_every_cycles,
         demand_changes=config.loop.command_readback == "event",

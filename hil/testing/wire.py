@@ -17,7 +17,7 @@ from servobench.drivers.canopen.pdo import PdoDirection, PdoPlan
 from servobench.drivers.cia402.objects402 import Object
 from servobench.drivers.cia402.observed import with_observed
 from servobench.drivers.cia402.pdo_planner import plan_pdos
-from servobench.drivers.cia402.pdo_plans import PlanWish
+from servobench.drivers.cia402.pdo_plans import Features, PlanWish
 from servobench.drivers.cia402.profile import BENCH_MODES
 from servobench.drivers.sheets.capability import capability_of
 from servobench.drivers.sheets.dictionary import LoadedDictionary
@@ -271,6 +271,7 @@ def _plan_by_sheet(config: BenchConfig, axis: str, sheet: LoadedDictionary) -> P
         BENCH_MODES[drive.mode],
         loop.actuation == "on_sync",
         loop.position_every_cycles,
+        features=Features(counted=config.counted(axis)),
         coherent=config.coherent(axis),
         stamp=told_by_sheet(sheet).stamp,
         mode_apart=not drive.observed.entries,

@@ -90,6 +90,18 @@ def test_what_a_drive_cannot_tell_makes_another_plan() -> None:
     assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041, 0x6061]], "no torque is commanded"
 
 
+def test_a_counted_plan_has_position_and_speed_of_one_sync_in_one_frame() -> None:
+    counted = Features(counted=True)
+    plan = mode_plan(1, PlanWish(features=counted))
+    assert indices(plan) == [[0x606C, 0x6064], [0x6077, 0x6074], [0x6041, 0x6061]]
+    plan = mode_plan(1, PlanWish(position_every_cycles=10, features=counted))
+    assert [pdo.transmission_type for pdo in plan.tpdos] == [1, 10, 255], "the count with every SYNC"
+    plan = mode_plan(1, PlanWish(features=counted._replace(status_on_change=False)))
+    assert indices(plan) == [[0x606C, 0x6064], [0x6077, 0x6041, 0x6061]]
+    plan = mode_plan(1, PlanWish(features=counted, coherent=True))
+    assert indices(plan) == [[0x6041, 0x6077, 0x6061], [0x606C, 0x6064]]
+
+
 def test_a_coherent_plan_has_the_speed_behind_everything_else() -> None:
     plan = mode_plan(1, PlanWish(coherent=True))
     assert indices(plan) == [[0x6041, 0x6077, 0x6064], [0x606C, 0x1013], [0x6061]]

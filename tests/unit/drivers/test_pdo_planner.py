@@ -1,5 +1,7 @@
 """PDO plans for drives of every kind of limitation."""
 
+from dataclasses import replace
+
 import pytest
 
 from servobench.drivers.canopen.pdo import PdoMap
@@ -150,6 +152,18 @@ def test_a_file_that_defines_too_few_entries_is_helped_by_its_limit() -> None:
     result = plan_pdos(capability_of(parse_dictionary(allowed, "x", NODE)), NODE, PlanWish())
     assert shown(result)[0] == "TPDO1 185h 1: 6041h:00/16 606Ch:00/16 6064h:00/16 6061h:00/8"
     assert any("sub-index 0 allows" in note for note in result.notes)
+
+
+def test_the_count_shares_the_frame_of_the_speed_where_a_drive_can() -> None:
+    wish = PlanWish(features=Features(counted=True))
+    told = plan(four_pdos(), wish, also=CLOCK + DEMAND)
+    assert shown(told)[:2] == [
+        "TPDO1 185h 1: 606Ch:00/32 6064h:00/32",
+        "TPDO2 285h 1: 6077h:00/16 6074h:00/16",
+    ]
+    assert features_of(told.plan) == Features(stamp=False, counted=True)
+    single = plan([replace(pdo, entries=1) for pdo in four_pdos()], wish, also=CLOCK + DEMAND)
+    assert not features_of(single.plan).counted
 
 
 def test_fixed_mappings_are_taken_as_they_are() -> None:

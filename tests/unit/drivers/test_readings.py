@@ -56,8 +56,10 @@ class Rig:
         return self.assembler.take()
 
 
-def rig_of(*, stamp: bool = True, coherent: bool = False, demand_changes: bool = False) -> Rig:
-    wish = PlanWish(features=Features(stamp=stamp), coherent=coherent)
+def rig_of(
+    *, stamp: bool = True, coherent: bool = False, demand_changes: bool = False, count: bool = False
+) -> Rig:
+    wish = PlanWish(features=Features(stamp=stamp, counted=count), coherent=coherent)
     return Rig(mode_plan(1, wish, demand_changes=demand_changes))
 
 
@@ -89,6 +91,26 @@ def test_a_reading_is_complete_with_the_frame_of_the_speed() -> None:
     assert (second.torque_nm, second.torque_told_at) == (250.0, 260 * NS_PER_US)
     assert (second.statusword, second.status_told_at) == (0x0218, 10**6)
     assert second.position_told_at == 260 * NS_PER_US
+    rig.bus.shutdown()
+
+
+def test_a_count_in_the_frame_of_the_speed_is_of_the_same_sync() -> None:
+    rig = rig_of(count=True)
+    (first,) = rig.cycle((3, 5000), (250, 200))
+    assert (first.counted_rad, first.position_told_at) == (5.0, first.received_at)
+    rig.cycle(None)
+    (second,) = rig.cycle((4, 5007), (250, 200))
+    assert second.counted_rad == second.position_rad == pytest.approx(5.007), "carried on by no speed"
+    rig.bus.shutdown()
+
+
+@pytest.mark.parametrize("stamp", [True, False])
+def test_a_position_of_another_frame_is_no_count(stamp: bool) -> None:
+    rig = rig_of(stamp=stamp)
+    rig.cycle(speed(rig, 3, 1000), (250, 5000, 200))
+    (second,) = rig.cycle(speed(rig, 3, 1001))
+    assert math.isnan(second.counted_rad)
+    assert second.position_rad == pytest.approx(5.003)
     rig.bus.shutdown()
 
 

@@ -227,6 +227,24 @@ def test_a_drive_that_refuses_the_first_word_of_a_mapping_is_served_by_those_tha
     bus.shutdown()
 
 
+@pytest.mark.parametrize("refused", [(), ((0x1A00, 2),)])
+def test_the_count_travels_with_the_speed_or_its_lack_is_told(
+    bench: Bench, refused: tuple[tuple[int, int], ...]
+) -> None:
+    _, servo, network, drive = bench
+    servo.refuse.update(dict.fromkeys(refused, 0x06040041))
+    drive.connect(soon(network))
+    notes = drive.configure(replace(SETTINGS, counted=True))
+    told = [note for note in notes if note.startswith("no 6064h beside 606Ch: no reading has a count")]
+    assert bool(told) == bool(refused)
+    drive.enable(soon(network))
+    servo.values[0x606C, 0], servo.values[0x6064, 0] = 1000, 5000
+    cycle(bench)
+    (reading,) = drive.take_readings()
+    assert math.isnan(reading.counted_rad) == bool(refused)
+    assert reading.velocity_rad_s == pytest.approx(2 * math.pi / 60)
+
+
 @pytest.mark.parametrize("first", [0x1600, 0x1A00])
 def test_a_drive_that_cannot_be_served_holds_the_pdos_that_it_held(first: int) -> None:
     bus, network = make_network()
