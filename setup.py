@@ -220,14 +220,18 @@ class PackBuilt(build_ext):
             shutil.copyfile(path, target)
 
 
-class WithExamples(build_py):
-    """``hil init`` writes examples from a wheel as from a checkout."""
+class WithShipped(build_py):
+    """``hil init`` writes examples, and ``hil docs`` prints pages, from a wheel as from a checkout."""
 
     def run(self) -> None:
         super().run()
+        hil = Path(self.build_lib, PACKAGE, "hil")
         unwanted = shutil.ignore_patterns("__pycache__", ".*")
-        target = Path(self.build_lib, PACKAGE, "hil", "examples")
-        shutil.copytree(ROOT / "examples", target, ignore=unwanted, dirs_exist_ok=True)
+        shutil.copytree(ROOT / "examples", hil / "examples", ignore=unwanted, dirs_exist_ok=True)
+        for page in (ROOT / "docs").rglob("*.md"):
+            target = hil / page.relative_to(ROOT)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(page, target)
 
 
 class WithCore(Distribution):
@@ -237,7 +241,7 @@ class WithCore(Distribution):
         return True
 
 
-class NoteLack(WithExamples):
+class NoteLack(WithShipped):
     """A wheel that is not compiled tells why."""
 
     lack = ""
@@ -268,11 +272,11 @@ def build_wheel() -> None:
     for left in (ROOT / "build").glob("lib*"):  # modules that are no more would be packed too
         shutil.rmtree(left)
     if is_compiled():
-        setup(cmdclass={"build_ext": PackBuilt, "build_py": WithExamples}, distclass=WithCore)
+        setup(cmdclass={"build_ext": PackBuilt, "build_py": WithShipped}, distclass=WithCore)
         return
     lack = f"{PURE} was set" if os.environ.get(PURE) else compiler_lack()
     if lack is None:
-        setup(ext_modules=extensions(), cmdclass={"build_ext": BuildGroups, "build_py": WithExamples})
+        setup(ext_modules=extensions(), cmdclass={"build_ext": BuildGroups, "build_py": WithShipped})
         return
     if REQUIRED:
         sys.exit(f"SERVOBENCH_COMPILE is set, but {lack}")

@@ -41,6 +41,7 @@ from servobench.hil.terminal.compare import compare
 from servobench.hil.terminal.design_current import current
 from servobench.hil.terminal.design_hinf import hinf
 from servobench.hil.terminal.design_pid import pid
+from servobench.hil.terminal.docs import docs
 from servobench.hil.terminal.eds import eds
 from servobench.hil.terminal.export import export
 from servobench.hil.terminal.fault import fault
@@ -162,7 +163,7 @@ def run(asked: RunOptions) -> None:
 
     Exit status: 0 passed, or no limits set; 1 not passed; 2 bad input; 3 bus, drive or safety; 4 not
     trustworthy, or disturbed by others; 5 not recorded; 6 cut short or not measured; 130 ended by a signal.
-    docs/exit-status.md
+    In full: hil docs exit-status
 
     Examples:
       hil run bench.toml
@@ -260,7 +261,7 @@ def doctor(as_json: JsonOption = False) -> None:
         print_checks(checks)
 
 
-add_commands(app, init, simulate, doctor, panel="Run")
+add_commands(app, init, simulate, doctor, docs, panel="Run")
 add_commands(app, scan, trace, fault, stop, eds, adapter, panel="Inspect")
 add_commands(app, commission, measure, restore, rehearse, panel="Commission")
 add_commands(app, view, why, review, runs, compare, picture, export, recover, panel="Review")

@@ -120,7 +120,7 @@ class WriteGate:
             "SDO write",
             held if makers is None else f"{held}, which is {product or 'a drive not yet asked who it is'}",
             "an object on its list" if makers is None else f"this object of {makers} alone",
-            "nothing was sent; docs/writes.md has the list of each command",
+            "nothing was sent; hil docs writes has the list of each command",
         )
 
     @contextmanager

@@ -58,7 +58,7 @@ class SetObject(Section):
     @model_validator(mode="after")
     def _check_listed(self) -> Self:
         if (self.index, self.sub) not in RUN:
-            raise ValueError("index: an object on the list of hil run (docs/writes.md), or none")
+            raise ValueError("index: an object on the list of hil run (hil docs writes), or none")
         return self
 
 

@@ -60,7 +60,7 @@ def simulated_drives(config: BenchConfig) -> list[SimulatedServo]:
         except ValueError as error:
             key = f"drive.{axis}.simulation.lacks"
             expected = "objects that the simulated drive has and could do without"
-            raise BadInput(config.source, key, str(error), expected, "see docs/simulated-drive.md") from None
+            raise BadInput(config.source, key, str(error), expected, "see hil docs simulated-drive") from None
     return drives
 
 

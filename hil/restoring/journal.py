@@ -210,7 +210,7 @@ def _change(path: Path, number: int, record: dict[str, Any]) -> ObjectWrite:
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(str(path), f"line {number}", record, "object, old and new", str(error)) from None
     if (key.index, key.sub) not in RESTORE:
-        expected = "an object that hil commission or hil measure writes (docs/writes.md)"
+        expected = "an object that hil commission or hil measure writes (hil docs writes)"
         raise BadInput(str(path), f"line {number}", object_name(key.index, key.sub), expected)
     return write
 

@@ -62,7 +62,7 @@ def run(
 
     Exit status: 0 run to its end, whatever the runs' outcomes; 2 bad input; 130 ended by a signal, --resume
     goes on. With --against certificate: 7 a counter-example ended it; 6 no run was within the premises. 1:
-    your own check (the table own of the sweep) reports a run. docs/campaigns.md
+    your own check (the table own of the sweep) reports a run. In full: hil docs campaigns
 
     Examples:
       hil campaign sweep.toml

@@ -8,9 +8,10 @@ import typer
 
 from servobench.drivers.errors import BadInput
 from servobench.drivers.written_file import writing
-from servobench.hil.machine.examples import examples_folder
+from servobench.hil.machine.extras import is_installed
+from servobench.hil.machine.shipped import examples_folder
 from servobench.hil.terminal.options import flag
-from servobench.hil.terminal.output import say_written
+from servobench.hil.terminal.output import say, say_written
 
 FIRST = "first"
 """The example to write."""
@@ -51,3 +52,5 @@ def init(
         typer.echo("  hil run bench.toml        close the loop in simulated time, record and judge it")
         typer.echo("  pytest                    test the controller with lost readings and a silent drive")
         typer.echo("  hil campaign sweep.toml   run the bench with losses and a tolerance of the inertia")
+        if not is_installed("scipy"):
+            say("hil: note: hil campaign needs an extra: pip install 'servobench[campaign]'")

@@ -37,7 +37,7 @@ def review(
     """Judge a recorded run by its own limits or by others, from the recording alone.
 
     A controller's certificate counts too: a run with --allow-uncertified outside its certificate does not
-    pass here. Exit status: see docs/exit-status.md; 2 for an incomplete recording.
+    pass here. Exit status: see hil docs exit-status; 2 for an incomplete recording.
 
     Examples:
       hil review runs/monday

@@ -45,7 +45,7 @@ def why(
     """Say why a recorded run did not pass: for each broken limit, fault or burst of dropouts the guilty
     cycles, what was injected or seen just before, the frames around, and the command that opens the viewer.
 
-    Exit status: as docs/exit-status.md has it; 2 for what is no whole recording.
+    Exit status: see hil docs exit-status; 2 for an incomplete recording.
 
     Examples:
       hil why runs/monday

@@ -47,7 +47,7 @@ from servobench.drivers.rotation import RAD_S_PER_RPM
 from servobench.drivers.timebase import NS_PER_S
 from servobench.hil.configuration.bench_file import load_bench
 from servobench.hil.execution.bench import run_bench
-from servobench.hil.machine.examples import examples_folder
+from servobench.hil.machine.shipped import examples_folder
 from servobench.hil.machine.stopping import Interrupted
 from servobench.hil.rows.records_file import read_records
 from servobench.hil.rows.run_files import RECORDS_FILE

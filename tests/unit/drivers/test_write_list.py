@@ -86,7 +86,7 @@ def test_an_object_off_the_list_is_refused_and_no_frame_leaves(rig: Rig, way: st
         WAYS[way](network, *SPEED)
     assert str(caught.value) == (
         "a test: SDO write: found '6080h:00 of node 1', expected an object on its list; nothing was sent; "
-        "docs/writes.md has the list of each command"
+        "hil docs writes has the list of each command"
     )
     assert (caught.value.exit_status, bus.sent) == (2, [])
 
@@ -244,7 +244,7 @@ def test_a_journal_that_names_an_object_that_is_never_written_is_refused(tmp_pat
     with pytest.raises(BadInput) as caught:
         read_journal(journal.path)
     assert (caught.value.key, caught.value.value) == ("line 2", "2100h:01")
-    assert caught.value.expected == "an object that hil commission or hil measure writes (docs/writes.md)"
+    assert caught.value.expected == "an object that hil commission or hil measure writes (hil docs writes)"
 
 
 def test_a_drive_file_that_names_an_object_of_the_maker_is_refused(tmp_path: Path) -> None:
@@ -254,6 +254,6 @@ def test_a_drive_file_that_names_an_object_of_the_maker_is_refused(tmp_path: Pat
     with pytest.raises(BadInput) as caught:
         load_drive_file(path)
     assert caught.value.key == "object[0]"
-    assert caught.value.expected == "index: an object on the list of hil run (docs/writes.md), or none"
+    assert caught.value.expected == "index: an object on the list of hil run (hil docs writes), or none"
     path.write_text(text.format("0x60C2"))
     assert load_drive_file(path).object[0].index == 0x60C2

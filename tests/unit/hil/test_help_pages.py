@@ -7,8 +7,12 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from servobench.drivers.compiled import ROOMS
 from servobench.hil.cli import app
+from servobench.hil.machine.shipped import docs_folder
+from tests.told import ROOT
 
+_PAGE = re.compile(r"(?:see |full: |\(|; )hil docs ([a-z-]+)")
 _BRACKETS = re.compile(r"\[[^\[\]]+\]")
 
 
@@ -56,6 +60,23 @@ def test_what_takes_no_value_shows_none(words: tuple[str, ...]) -> None:
     page = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "160"}).stdout
     assert "--help" in page
     assert "<bool>" not in page
+
+
+@pytest.mark.parametrize("words", list(_pages()), ids=" ".join)
+def test_help_sends_nobody_to_a_file_of_the_checkout(words: tuple[str, ...]) -> None:
+    page = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "160"}).stdout
+    assert "docs/" not in page
+
+
+def test_every_page_that_a_text_of_the_product_names_is_there() -> None:
+    named = {
+        page
+        for room in ROOMS
+        for path in (ROOT / room).rglob("*.py")
+        for page in _PAGE.findall(path.read_text(encoding="utf-8"))
+    }
+    assert {"exit-status", "writes", "campaigns"} <= named
+    assert {page for page in named if not (docs_folder() / f"{page}.md").exists()} == set()
 
 
 LEAVES = [words for words in _pages() if not hasattr(_command(words), "commands")]

@@ -169,7 +169,7 @@ def test_a_lack_that_cannot_be_is_told_whole() -> None:
     assert (error.source, error.key, error.value) == ("bench.toml", "drive.axis1.simulation.lacks", "5FFF")
     assert (error.expected, error.remedy) == (
         "objects that the simulated drive has and could do without",
-        "see docs/simulated-drive.md",
+        "see hil docs simulated-drive",
     )
 
 
