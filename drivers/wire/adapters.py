@@ -41,6 +41,8 @@ SLCAN = "slcan"
 SERIAL_INTERFACES = (SLCAN, "serial", "robotell", "seeedstudio")
 """Interfaces whose channel is a serial port, which may have a line speed."""
 
+_NAME_IN_KERNEL = re.compile(r"v?can[0-9]+")
+"""Usual names of SocketCAN's interfaces, which people type alone."""
 _FOREIGN_NETWORK = ("udp_multicast",)
 """Interfaces that send bus traffic beyond this machine, to any listener."""
 _NUMBERED_CHANNELS = ("kvaser", "vector", "ixxat", "neovi", "canalystii", "cantact", "neousys")
@@ -111,6 +113,8 @@ def parse_bus_spec(text: str, source: str = "--bus", key: str = "") -> BusSpec:
     known = known_interfaces()
     if interface not in known:
         near = get_close_matches(interface, known, n=1)
+        if _NAME_IN_KERNEL.fullmatch(text):
+            near = [f"{SOCKETCAN}:{text}"]
         remedy = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
         raise BadInput(source, key, text or MISSING, "INTERFACE[:CHANNEL] of an interface known here", remedy)
     if interface == SIMULATED and channel:

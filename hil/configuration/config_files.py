@@ -144,10 +144,19 @@ def _translate_one(
     return BadInput(source, key, shown(detail["input"]), expected or _expected(detail))
 
 
+def found_and_expected(detail: ErrorDetails) -> str:
+    """Return what is wrong with a value of the command line."""
+    _, _, choices = detail["msg"].partition(" is not one of ")
+    expected = f"one of {choices.removesuffix('.')}" if choices else _expected(detail)
+    return f"found {detail['input']!r}, expected {expected}"
+
+
 def _expected(detail: ErrorDetails) -> str:
     """Return the accepted values in the words of this project."""
     plain = {
         "int_type": "a whole number",
+        "int_parsing": "a whole number",
+        "float_parsing": "a number",
         "int_from_float": "a whole number",
         "float_type": "a number",
         "finite_number": "a finite number",

@@ -13,13 +13,13 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from hashlib import blake2b
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType, FrameType, ModuleType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NoReturn, TypeVar
 
 from servobench.drivers.errors import BadInput, BenchError
 from servobench.drivers.exchange import Command
@@ -81,17 +81,13 @@ def source_of(name: str) -> tuple[Path, str]:
 
 
 Role = TypeVar("Role", Compensator, Controller)
+_REQUIRED: Final[Mapping[type, Sequence[str]]] = {Controller: ["output"], Compensator: ["estimate"]}
+"""Methods that the base class leaves open."""
 
 
 def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Setup) -> Role:
     key = f"drive.{setup.axis}.{role.__name__.lower()}"
-    expected = f"a class derived from servobench.{role.__name__}, as MODULE:NAME or FILE.py:NAME"
-    try:
-        named = object_of(name)
-    except FAILURES as error:
-        raise BadInput(setup.source, f"{key}.object", name, expected, told(error)) from error
-    if not (isinstance(named, type) and issubclass(named, role)):
-        raise BadInput(setup.source, f"{key}.object", name, expected)
+    named = _class_of(role, name, setup.source, f"{key}.object")
     try:
         maker: Any = named
         with held_process():
@@ -102,12 +98,54 @@ def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Set
     return made
 
 
+def _class_of(role: type[Role], name: str, source: str, key: str) -> type[Role]:
+    """Return the class that ``name`` names. Raises BadInput: there is none, or it is none of ``role``."""
+    place, _, last = name.rpartition(":")
+    try:
+        module = _loaded(name)
+    except FAILURES as error:
+        kind = "a file" if place.endswith(".py") else "a module"
+        raise BadInput(source, key, name, f"{kind} that Python can load", _placed(error, place)) from error
+    named = getattr(module, last, None)
+    expected = f"a class derived from servobench.{role.__name__}, as MODULE:NAME or FILE.py:NAME"
+    if not (isinstance(named, type) and issubclass(named, role)):
+        there = [each for each, value in vars(module).items() if _is_own(value, role, module)]
+        remedy = f"there is {', '.join(there)}" if there else f"{place} has none"
+        raise BadInput(source, key, name, expected, remedy)
+    lacks = [
+        method
+        for method in _REQUIRED[role]
+        if not any(method in vars(each) for each in named.__mro__ if each not in role.__mro__)
+    ]
+    if lacks:
+        raise BadInput(source, key, name, f"a class with the method {lacks[0]}, see hil docs own-controller")
+    return named
+
+
+def _is_own(value: object, role: type, module: ModuleType) -> bool:
+    return isinstance(value, type) and issubclass(value, role) and value.__module__ == module.__name__
+
+
+def _placed(error: BaseException, place: str) -> str:
+    """Return an error of loading ``place`` in words, with the line at which it arose."""
+    if isinstance(error, SyntaxError) and error.filename and error.lineno:
+        line = (error.text or "").strip()
+        return f"{Path(error.filename).name}:{error.lineno}: {type(error).__name__}: {error.msg}: {line}"
+    name = Path(place).name
+    lines = [f"{name}:{line}" for file, line, _ in _frames(error) if Path(file).name == name]
+    return ": ".join([*lines[-1:], told(error)])
+
+
 def object_of(name: str) -> Any:
     """Return the object that ``name`` names, see :data:`OBJECT_PATTERN`; runs its module. Raises whatever
     that raises."""
+    return getattr(_loaded(name), name.rpartition(":")[2])
+
+
+def _loaded(name: str) -> ModuleType:
     remember_modules()
     with held_process():
-        return getattr(_module_of(name), name.rpartition(":")[2])
+        return _module_of(name)
 
 
 class _FromSource(SourceFileLoader):
@@ -220,7 +258,7 @@ class _Guard:
             _WATCHDOG.end()
             leave_call()
 
-    def refuse(self, method: str, answer: object, expected: str) -> None:
+    def refuse(self, method: str, answer: object, expected: str) -> NoReturn:
         """Raise OwnCodeFailed: the result of ``method`` is unusable."""
         code = getattr(type(self._inner), method).__code__
         place = f"{Path(code.co_filename).name}:{code.co_firstlineno} in {method}"
@@ -232,8 +270,8 @@ class _Guard:
         """The innermost line of the object's own file, else the innermost of all."""
         frames = list(_frames(error))
         own = [frame for frame in frames if frame[0] == self._file]
-        if not frames:
-            return "in code that is not Python"
+        if not frames:  # arguments that it does not take; or code that is not Python
+            return "in the call itself"
         file, line, function = (own or frames)[-1]
         return f"{Path(file).name}:{line} in {function}"
 
@@ -251,8 +289,11 @@ class _GuardedController(Controller):
         self._inner = inner
         self._guard = _Guard("controller", inner, setup)
         with self._guard.watching():
-            self._channels = tuple(inner.channels())
+            channels = inner.channels()
             observer = inner.observer()
+        if not isinstance(channels, tuple | list):
+            self._guard.refuse("channels", channels, "a tuple of names")
+        self._channels = tuple(channels)
         self._observer = None if observer is None else _GuardedCompensator(observer, setup)
 
     def channels(self) -> Sequence[str]:
@@ -280,7 +321,10 @@ class _GuardedController(Controller):
 
     def telemetry(self) -> Sequence[float]:
         with self._guard.watching():
-            values = [float(value) for value in self._inner.telemetry()]
+            answer = self._inner.telemetry()
+            values = [float(value) for value in answer] if isinstance(answer, Iterable) else None
+        if values is None:
+            self._guard.refuse("telemetry", answer, f"a value for each of {self._channels}")
         if len(values) != len(self._channels):
             self._guard.refuse("telemetry", values, f"a value for each of {self._channels}")
         return values

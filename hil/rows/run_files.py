@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Final
 
-from servobench.drivers.errors import BadInput
+from servobench.drivers.errors import MISSING, BadInput
 
 FORMAT: Final = "4"
 """Version of the run's folder in docs/recording.md; increases when a reader must know. Up to 3 a recording
@@ -53,4 +53,6 @@ RESERVE_FILE = ".reserve"
 
 def not_a_recording(folder: Path, lacks: str) -> BadInput:
     """Return the error for a folder without the file ``lacks`` of a recording."""
+    if not folder.exists():
+        return BadInput(str(folder), "", MISSING, "the folder of a recording", "hil runs DIR lists them")
     return BadInput(str(folder), "", f"no {lacks}", "the folder of a recording", "hil runs DIR lists them")

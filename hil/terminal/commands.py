@@ -91,8 +91,26 @@ def _without_values(options: list[Any]) -> list[Any]:
     return options
 
 
+def _in_our_words(misuse: BadParameter) -> BadParameter:
+    """Tell a value that typer's model refuses as a value in a file is told."""
+    from pydantic import ValidationError
+
+    from servobench.hil.configuration.config_files import found_and_expected
+
+    if isinstance(misuse.__cause__, ValidationError):
+        misuse.message = found_and_expected(misuse.__cause__.errors()[0])
+    return misuse
+
+
 class PlainCommand(TyperCommand):
-    """Shows no value beside ``--help``."""
+    """Shows no value beside ``--help``, and tells a value that it refuses."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words. Raises BadParameter."""
+        try:
+            return super().parse_args(ctx, args)
+        except BadParameter as misuse:
+            raise _in_our_words(misuse) from None
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return arguments and options."""

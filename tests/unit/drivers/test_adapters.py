@@ -43,6 +43,8 @@ def test_specifications_are_parsed_and_named_alike(text: str, spec: BusSpec) -> 
     ("text", "telling"),
     [
         ("sockecan:vcan0", "did you mean 'socketcan'"),
+        ("vcan0", "did you mean 'socketcan:vcan0'"),
+        ("can12", "did you mean 'socketcan:can12'"),
         ("nonsense", "known are"),
         ("", "INTERFACE"),
         ("hub", "hub:bench"),

@@ -200,7 +200,7 @@ def test_a_call_that_does_not_come_back_is_interrupted(mine: Path, method: str) 
     ("name", "expected"),
     [
         ("none.py:Mine", "FileNotFoundError"),
-        ("mine.py:Absent", "AttributeError"),
+        ("mine.py:Absent", "there is Mine, Observed"),
         ("mine.py:Own", "a class derived from servobench.Controller"),
         ("mine.py:math", "a class derived from servobench.Controller"),
     ],
@@ -229,7 +229,7 @@ def test_an_error_out_of_a_library_without_python_has_no_line(
         "    output = math.sqrt\n\n    def __init__(self, setup):\n        pass\n"
     )
     made = guarded_controller(f"{path}:Root", {}, SETUP)
-    with pytest.raises(OwnCodeFailed, match="Root failed: in code that is not Python: TypeError"):
+    with pytest.raises(OwnCodeFailed, match="Root failed: in the call itself: TypeError"):
         made.output(in_cycle(AT_REST))
     monkeypatch.chdir(tmp_path)
     assert source_of("mine.py:Root")[1] == source_of(f"{path}:Root")[1]

@@ -102,15 +102,56 @@ def said(call: Callable[[], object]) -> tuple[str, str, Any, str, str]:
 def test_a_class_that_cannot_be_had(mine: Path, role: str, make: Callable[..., object]) -> None:
     expected = f"a class derived from servobench.{role}, as MODULE:NAME or FILE.py:NAME"
     key = f"drive.axis1.{role.lower()}.object"
-    name = f"{mine}:Absent"
-    remedy = f"AttributeError: module 'controller file {mine}' has no attribute 'Absent'"
-    assert said(lambda: make(name, {}, SETUP)) == ("bench.toml", key, name, expected, remedy)
-    for other in ("math", "StateEstimate"):
+    remedy = "there is Mine, Observed" if role == "Controller" else "there is Own"
+    for other in ("Absent", "math", "StateEstimate"):
         name = f"{mine}:{other}"
-        assert said(lambda name=name: make(name, {}, SETUP)) == ("bench.toml", key, name, expected, "")  # type: ignore[misc]
+        assert said(lambda name=name: make(name, {}, SETUP)) == ("bench.toml", key, name, expected, remedy)  # type: ignore[misc]
+    name = "math:Mine"
+    assert said(lambda: make(name, {}, SETUP)) == ("bench.toml", key, name, expected, "math has none")
     name = "no_such_module:Mine"
     remedy = "ModuleNotFoundError: No module named 'no_such_module'"
-    assert said(lambda: make(name, {}, SETUP)) == ("bench.toml", key, name, expected, remedy)
+    told = ("bench.toml", key, name, "a module that Python can load", remedy)
+    assert said(lambda: make(name, {}, SETUP)) == told
+
+
+@pytest.mark.parametrize(
+    ("added", "told"),
+    [
+        ("retrun 3", "mine.py:{line}: SyntaxError: invalid syntax: retrun 3"),
+        ("import no_such", "mine.py:{line}: ModuleNotFoundError: No module named 'no_such'"),
+        ("1 / 0", "mine.py:{line}: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_file_that_python_does_not_load(mine: Path, added: str, told: str) -> None:
+    mine.write_text(f"{CODE}\n{added}\n")
+    line = len(CODE.splitlines()) + 2
+    _, _, _, expected, remedy = said(lambda: guarded_controller(f"{mine}:Mine", {}, SETUP))
+    assert (expected, remedy) == ("a file that Python can load", told.format(line=line))
+
+
+def test_a_class_without_the_method_that_it_needs(tmp_path: Path) -> None:
+    path = tmp_path / "empty.py"
+    path.write_text(
+        "from servobench import Compensator, Controller\n"
+        "class Idle(Controller):\n    def outputs(self, context):\n        pass\n"
+        "class Blind(Compensator):\n    pass\n"
+    )
+    expected = "a class with the method {}, see hil docs own-controller"
+    assert said(lambda: guarded_controller(f"{path}:Idle", {}, SETUP))[3] == expected.format("output")
+    assert said(lambda: guarded_compensator(f"{path}:Blind", {}, SETUP))[3] == expected.format("estimate")
+
+
+@pytest.mark.parametrize("method", ["channels", "telemetry"])
+def test_names_and_values_that_are_none(tmp_path: Path, method: str) -> None:
+    path = tmp_path / "c.py"
+    path.write_text(
+        "from servobench import Controller\n"
+        "class C(Controller):\n    def output(self, context):\n        pass\n"
+        f"    def {method}(self):\n        pass\n"
+    )
+    told = failure_of(lambda: guarded_controller(f"{path}:C", {}, SETUP).telemetry())
+    expected = {"channels": "a tuple of names", "telemetry": "a value for each of ()"}[method]
+    assert told == f"axis1: the controller C failed: c.py:5 in {method} returned None, expected {expected}"
 
 
 def test_parameters_that_a_class_does_not_take(mine: Path) -> None:

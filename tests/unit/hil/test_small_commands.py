@@ -17,7 +17,7 @@ from servobench.hil.execution import recovered_run, world
 from servobench.hil.inspecting import live_trace, stopping
 from servobench.hil.inspecting.stopping import NodeStopped
 from servobench.hil.machine import realtime
-from servobench.hil.machine.examples import examples_folder
+from servobench.hil.machine.shipped import examples_folder
 from servobench.hil.reviewing.trace.log_frame import LogFrame
 from servobench.hil.terminal import init as init_command
 from servobench.hil.terminal import report
@@ -169,6 +169,9 @@ def test_what_is_no_run_is_not_recovered(tmp_path: Path) -> None:
     told = hil("recover", tmp_path)
     assert (told.exit_code, told.stderr) == (2, told_of.format(tmp_path, "records.arrow"))
     assert [path.name for path in tmp_path.iterdir()] == ["bench.toml"]
+    absent = tmp_path / "absent"
+    expected = "missing, expected the folder of a recording; hil runs DIR lists them"
+    assert hil("recover", absent).stderr == f"hil: error: {absent}: {expected}\n"
 
 
 # ---- init ---------------------------------------------------------------------------------------------
@@ -217,6 +220,42 @@ def test_examples_are_written_with_their_folders_and_without_what_runs_left(
     target = tmp_path / "there" / "examples"
     assert (told.exit_code, told.stdout, told.stderr) == (0, "", f"written {target}\n")
     assert {str(path.relative_to(target)) for path in target.rglob("*.*")} == {"a.toml", "deep/down/b.toml"}
+
+
+# ---- values that an option does not take ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--seed", "-1"), "'--seed': found '-1', expected a value >= 0"),
+        (("--seed", "one"), "'--seed': found 'one', expected a whole number"),
+        (("--time", "fast"), "'--time': found 'fast', expected one of 'simulated', 'real'"),
+    ],
+)
+def test_a_value_is_told_as_in_a_file(words: tuple[str, ...], told: str) -> None:
+    said = CliRunner().invoke(app, ["run", str(BENCH), *words], env={"COLUMNS": "120"})
+    assert said.exit_code == 2
+    assert told in said.stderr
+
+
+# ---- docs ---------------------------------------------------------------------------------------------
+
+
+def test_the_documentation_is_listed_and_a_page_printed_without_what_only_tests_read() -> None:
+    listed = hil("docs")
+    assert "exit-status                   Exit status\n" in listed.stdout
+    assert f"All of them lie in {ROOT / 'docs'}\n" in listed.stdout
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+    assert "<!-- runs -->\n" in page
+    for name in ("install", "install.md", "docs/install.md"):
+        assert hil("docs", name).stdout == page.replace("<!-- runs -->\n", "")
+
+
+def test_a_page_that_is_none_is_refused() -> None:
+    told = hil("docs", "instal")
+    expected = "hil: error: PAGE: found 'instal', expected a page that hil docs lists; is install meant?\n"
+    assert (told.exit_code, told.stderr) == (2, expected)
 
 
 # ---- trace --live -------------------------------------------------------------------------------------
