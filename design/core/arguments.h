@@ -15,7 +15,8 @@ static inline bool takes(Py_ssize_t given, Py_ssize_t expected, const char *name
 
 static inline bool integer(PyObject *object, int64_t *value)
 {
-    *value = PyLong_AsLongLong(object);
+    /* Of numbers above 30 bits, as instants are, PyLong_AsLong takes a third of the time. */
+    *value = sizeof(long) == sizeof *value ? PyLong_AsLong(object) : PyLong_AsLongLong(object);
     return *value != -1 || !PyErr_Occurred();
 }
 

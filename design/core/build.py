@@ -22,7 +22,7 @@ ROOMS: Final = ("design", "virtual_bus", "hil")
 LIBRARY: Final = "native.abi3.so"
 FLAGS: Final = (
     "-std=c17",
-    "-O2",
+    "-O3",
     "-DNDEBUG",
     # A fused multiply-add, where the processor has it, would change the last bit of a result.
     "-ffp-contract=off",

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "answers.h"
-#include "objects.h"
+#include "attributes.h"
 #include "types.h"
 
 #define INSTANT_MAX (INT64_MAX / 2)
@@ -118,11 +118,9 @@ static PyObject *pairs_of(const Surplus *found)
 /* ---- SYNCs and frames ---- */
 
 /* An attribute of a SyncMark; `is_none`: it is None. */
-static bool read_mark(PyObject *mark, const char *spelt, PyObject **name, int64_t *value, bool *is_none)
+static bool read_mark(PyObject *mark, Attribute *which, int64_t *value, bool *is_none)
 {
-    if (*name == NULL && (*name = PyUnicode_InternFromString(spelt)) == NULL)
-        return false;
-    PyObject *read = PyObject_GetAttr(mark, *name);
+    PyObject *read = attribute(which, mark);
     if (read == NULL)
         return false;
     *is_none = read == Py_None;
@@ -133,11 +131,12 @@ static bool read_mark(PyObject *mark, const char *spelt, PyObject **name, int64_
 
 static bool read_start(PyObject *mark, Start *start)
 {
-    static PyObject *place, *on_bus_at, *handed_at;
+    static Attribute place = {.spelt = "place"}, on_bus_at = {.spelt = "on_bus_at"},
+                     handed_at = {.spelt = "handed_at"};
     bool is_none, is_unknown;
-    return read_mark(mark, "place", &place, &start->place, &is_none) && !is_none
-           && read_mark(mark, "on_bus_at", &on_bus_at, &start->at, &is_unknown)
-           && (!is_unknown || (read_mark(mark, "handed_at", &handed_at, &start->at, &is_none) && !is_none));
+    return read_mark(mark, &place, &start->place, &is_none) && !is_none
+           && read_mark(mark, &on_bus_at, &start->at, &is_unknown)
+           && (!is_unknown || (read_mark(mark, &handed_at, &start->at, &is_none) && !is_none));
 }
 
 /* The SYNCs before `until`, and the last that a frame answered: into the end of `told`. How many, or -1. */

@@ -1,7 +1,7 @@
 /* Python's PdoCodec (native.pyi). */
 #include <assert.h>
 
-#include "objects.h"
+#include "attributes.h"
 #include "pdo_image.h"
 #include "types.h"
 
@@ -87,22 +87,15 @@ static void discard(PyObject *self)
     end_object(self);
 }
 
-static PyObject *attribute(PyObject *object, const char *spelt, PyObject **name)
-{
-    if (*name == NULL && (*name = PyUnicode_InternFromString(spelt)) == NULL)
-        return NULL;
-    return PyObject_GetAttr(object, *name);
-}
-
 static PyObject *value_of(const CodecObject *self, PyObject *variable)
 {
-    static PyObject *value, *provider;
+    static Attribute value = {.spelt = "value"}, provider = {.spelt = "provider"};
     if (!self->provided)
-        return attribute(variable, "value", &value);
-    PyObject *asked = attribute(variable, "provider", &provider);
+        return attribute(&value, variable);
+    PyObject *asked = attribute(&provider, variable);
     if (asked == NULL || asked == Py_None) {
         forget(&asked);
-        return PyErr_Occurred() ? NULL : attribute(variable, "value", &value);
+        return PyErr_Occurred() ? NULL : attribute(&value, variable);
     }
     PyObject *given = PyObject_Vectorcall(asked, NULL, 0, NULL);
     Py_DecRef(asked);

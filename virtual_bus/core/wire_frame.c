@@ -1,7 +1,7 @@
 /* A frame of Python's as it is on the wire. */
 #include <string.h>
 
-#include "objects.h"
+#include "attributes.h"
 #include "segment.h"
 
 /* The arbitration field as a number: the smaller one wins, as a dominant bit is a 0.
@@ -16,29 +16,18 @@ static uint64_t arbitration_field(uint64_t can_id, bool extended, bool remote)
     return can_id << 21 | (uint64_t)remote << 20;
 }
 
-enum { WIRE_ID, DATA, REMOTE_LENGTH, ATTRIBUTES };
-
-static PyObject *attribute(PyObject *object, int which)
+static bool read_integer(PyObject *object, Attribute *which, int64_t *value)
 {
-    static const char *const spelt[ATTRIBUTES] = {"wire_id", "data", "remote_length"};
-    static PyObject *names[ATTRIBUTES];
-    if (names[which] == NULL && (names[which] = PyUnicode_InternFromString(spelt[which])) == NULL)
-        return NULL;
-    return PyObject_GetAttr(object, names[which]);
-}
-
-static bool read_integer(PyObject *object, int which, int64_t *value)
-{
-    PyObject *read = attribute(object, which);
+    PyObject *read = attribute(which, object);
     bool well = read != NULL && integer(read, value);
-    if (read != NULL)
-        Py_DecRef(read);
+    forget(&read);
     return well;
 }
 
 static bool read_data(PyObject *object, WireFrame *frame)
 {
-    PyObject *data = attribute(object, DATA);
+    static Attribute name = {.spelt = "data"};
+    PyObject *data = attribute(&name, object);
     char *octets;
     Py_ssize_t length;
     if (data == NULL)
@@ -59,16 +48,17 @@ static bool read_data(PyObject *object, WireFrame *frame)
 /* `frame` borrows the reference to `object`. */
 bool read_frame(PyObject *object, WireFrame *frame)
 {
+    static Attribute wire_id_name = {.spelt = "wire_id"}, length_name = {.spelt = "remote_length"};
     int64_t wire_id, dlc;
     frame->object = object;
-    if (!read_integer(object, WIRE_ID, &wire_id) || !read_data(object, frame))
+    if (!read_integer(object, &wire_id_name, &wire_id) || !read_data(object, frame))
         return false;
     int64_t can_id = wire_id < 0 ? -1 : wire_id >> 2;
     frame->remote = wire_id & 2;
     frame->extended = wire_id & 1;
     if (!frame->remote)
         dlc = frame->length;
-    else if (!read_integer(object, REMOTE_LENGTH, &dlc))
+    else if (!read_integer(object, &length_name, &dlc))
         return false;
     if (can_id < 0 || can_id >= 1 << 29 || dlc < 0 || dlc > 15) {
         PyErr_Format(PyExc_ValueError, "identifier %lld, DLC %lld: 29 and 4 bits expected", (long long)can_id,
