@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from servobench.drivers.timebase import Instant
-from servobench.drivers.wire.frame_port import WireFrame
+from servobench.drivers.wire.frame_port import WireFrame as Frame
 
-Frame = WireFrame
-"""One class on both sides of the wire."""
+__all__ = ["Device", "Frame"]
+"""The frame is one class on both sides of the wire, and no alias of it: compiled, an alias is called as any
+object is, a class directly."""
 
 
 class Device(Protocol):

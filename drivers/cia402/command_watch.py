@@ -105,7 +105,9 @@ class CommandWatch:
 
     def _among(self, raw: int, limited: bool) -> bool:
         """Return True if it is one of the last commands; not beyond it if the drive clips."""
-        for command in reversed(self._recent):
+        recent = self._recent
+        for back in range(1, len(recent) + 1):
+            command = recent[-back]
             margin = self._margin if self._share == 0 else self._margin + abs(command) // self._share
             if -margin <= raw - command <= margin:
                 return True

@@ -371,9 +371,9 @@ class ServoDrive(Drive):
         return self.motion
 
     def _configured(self) -> SetPointFrames:
-        if self.control.set_point is None:
+        if (frames := self.control.set_point) is None:
             raise RuntimeError(f"{self.name} was not configured")
-        return self.control.set_point
+        return frames
 
     def _bring_to_rest(self, deadline: Instant) -> Instant:
         """Repeat the quick stop until it succeeds or the deadline comes; return the begin of the rest."""

@@ -282,7 +282,7 @@ class Axis:
                 sending = self.commands.outcome(decision.tick.sequence, now)
                 if sending is None:
                     return
-            del settled[0]
+            settled.pop(0)
             self._finish(decision, sending)
 
     def settle_all(self, now: int) -> None:

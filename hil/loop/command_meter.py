@@ -99,7 +99,7 @@ class CommandMeter:
                 self._before_raw = None  # no telling has shown yet whether it is followed
             self._past += 1
         while self._past and (self._asked or len(followed) > FOLLOWED_MAX):
-            del followed[0]
+            followed.pop(0)
             self._past -= 1
             self._steady_from -= 1
             self._steady_to -= 1

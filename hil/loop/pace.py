@@ -61,7 +61,8 @@ class Pace:
 
     def __init__(self, network: Master, clock: Clock, period: Duration, stall: Stall | None) -> None:
         self._network = network
-        self._clock = clock
+        self._now = clock.now
+        self._sleep_until = clock.sleep_until
         self._period = period
         self._stall = stall
 
@@ -88,12 +89,12 @@ class Pace:
 
     def _wake(self) -> Instant:
         """The host's instant, after what keeps it."""
-        now = self._clock.now()
+        now = self._now()
         if self._stall is not None:
             stalled = self._stall(now)
             if stalled > 0:
-                self._clock.sleep_until(Instant(now + stalled))
-                now = self._clock.now()
+                self._sleep_until(Instant(now + stalled))
+                now = self._now()
         return now
 
 
@@ -129,7 +130,7 @@ class OwnSync(Pace):
         equal distances do not show by what steps they advance."""
         answered = [False] * len(axes)
         draw = Random(CALIBRATION_SEED)
-        begins_at = self._clock.now()
+        begins_at = self._now()
         for number in range(1, CALIBRATION_SYNCS_MAX + 1):
             self._network.pump(Instant(begins_at + round(draw.random() * self._period / CALIBRATION_LATE)))
             self._network.send_sync()
@@ -151,7 +152,7 @@ class OwnSync(Pace):
         return answered
 
     def begin(self, axes: Sequence[Axis]) -> Instant:  # noqa: ARG002
-        self._woke_at = self._clock.now()
+        self._woke_at = self._now()
         self._due = Instant(self._woke_at + self._period)
         return self._due
 
@@ -172,7 +173,7 @@ class OwnSync(Pace):
         late = self._period // 4 if probe else 0
         if self._watermark:
             late += round(self._draw.random() * self._watermark)
-        if late and self._clock.now() < due + late:
+        if late and self._now() < due + late:
             self._network.pump(Instant(due + late))
         at = self._network.send_sync()
         # the process may have been stopped just before
@@ -189,7 +190,7 @@ class OwnSync(Pace):
     def _may_hand_over(self, due: Instant) -> bool:
         """Whether the last SYNC is out, and half a period ago; waits for that, up to half a period."""
         half = self._period // 2
-        now = self._clock.now()
+        now = self._now()
         earliest = now
         for syncs in self._syncs:
             if not syncs.may_hand_over(now):
@@ -273,7 +274,7 @@ class HeardSync(Pace):
 
     def begin(self, axes: Sequence[Axis]) -> Instant:
         """The tick after the last SYNC heard."""
-        now = self._clock.now()
+        now = self._now()
         self._network.pump(now)
         for axis in axes:
             axis.discard()
@@ -324,7 +325,7 @@ class HeardSync(Pace):
         """Until the next SYNC; ``axes`` learn from what came before it, where ``answered`` is kept."""
         before = len(self._heard)
         last = self._syncs.marks[-1] if self._syncs.marks else None
-        limit = Instant(self._clock.now() + SILENCE_MAX + 2 * self._period)
+        limit = Instant(self._now() + SILENCE_MAX + 2 * self._period)
         while True:
             came = self._network.pump_one(limit)
             if len(self._heard) > before:

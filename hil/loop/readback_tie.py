@@ -133,15 +133,13 @@ class ReadbackTie:
                 self.unordered += self.doubtful
                 self._tied = behind.mark.number
                 tellings.append(Telling(first, behind.since, behind.until, behind.mark))
-                del pending[0]
+                pending.pop(0)
                 continue
             if count == self.readings and not (at_end or self.doubtful or self._silent_since(first)):
                 break
-            size = 1
-            while size < len(pending) and pending[size].readings == count:
-                size += 1
-            slot = pending[:size]
-            del pending[:size]
+            slot = [pending.pop(0)]
+            while pending and pending[0].readings == count:
+                slot.append(pending.pop(0))
             self._place(slot, behind, tellings)
         if at_end:
             pending.clear()
@@ -192,17 +190,17 @@ class ReadbackTie:
         if self._last and self._spacing:
             # One that is missing may have been overtaken by its reading alone.
             first = max(1, min(number, self._last + self._spacing), number - READINGS_REMEMBERED)
-        places = []
-        for left, readback in enumerate(reversed(slot)):
+        places: list[int] = []
+        for place, readback in enumerate(slot):
             last = self._newest_before(readback)
             if after is not None:
                 soon = readback.received_at - before.received_at <= self._period // 2
                 limit = after.mark.number - 1 if self._behind and soon else after.mark.number
-                last = min(last, limit - left)
+                last = min(last, limit - (len(slot) - 1 - place))
             places.append(last)
         found: list[tuple[int, int]] = []
         step = 1 if first == number else 0  # one that was overtaken may be any of them
-        for last in reversed(places):
+        for last in places:
             first = self._on_bus_from(first, last)
             if last < first or last < number:
                 return None

@@ -178,7 +178,7 @@ class ReferenceProfile:
         if number == 0:
             return self._origin
         segment = self._segments[number - 1]
-        return self._origin + segment.value(time_s - segment.at_s, self._start_levels[number - 1])
+        return self._origin + segment.value(time_s - self._from_s, self._start_levels[number - 1])
 
     def rate(self, time_s: float) -> float:
         """Its change per second at that time; of a position the speed. A jump has none."""
@@ -186,7 +186,7 @@ class ReferenceProfile:
         if number == 0:
             return 0.0
         segment = self._segments[number - 1]
-        return segment.rate(time_s - segment.at_s, self._start_levels[number - 1])
+        return segment.rate(time_s - self._from_s, self._start_levels[number - 1])
 
     def _begun_at(self, time_s: float) -> int:
         if not self._from_s <= time_s < self._until_s:

@@ -359,7 +359,7 @@ class SyncLog:
         marks = self.marks
         marks.append(mark)
         if len(marks) > REMEMBERED:
-            del marks[0]
+            marks.pop(0)
         return mark
 
     def _put_on_bus(self, mark: SyncMark, at: Instant) -> None:

@@ -16,13 +16,13 @@ class RowWriter(FrameTap):
         number."""
         self._received = 2 * segment
         self._sent = 2 * segment + 1
-        self._rows = rows
+        self._push = rows.push
         self._push_frame = frames.push_frame
         self._keep_frames = keep_frames
 
     def record(self, record: CycleRecord) -> None:
         """Store one cycle."""
-        self._rows.push(row_of(record))
+        self._push(row_of(record))
 
     def frame(
         self, direction: str, can_id: int, data: bytes, extended: bool, remote: bool, at: Instant

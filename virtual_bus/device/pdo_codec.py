@@ -62,7 +62,7 @@ def compile_packer(fields: Sequence[Field]) -> Callable[[], bytes]:
     return _codec(fields).pack
 
 
-def compile_unpacker(fields: Sequence[Field]) -> Callable[[bytes], Sequence[Any]]:
+def compile_unpacker(fields: Sequence[Field]) -> Callable[[bytes], tuple[Any, ...]]:
     """A function that takes an RPDO's bytes (at least its length) into one value for each variable."""
     return _codec(fields).unpack
 

@@ -20,6 +20,7 @@ class ActualValues:
 
     def __init__(self, firmware: Firmware, objects: ServoObjects, units: UserUnits) -> None:
         self._inner = firmware.inner
+        self._tell = self._inner.actual_values
         self._units = units
         self._objects = objects
         self._statusword = objects.statusword
@@ -39,7 +40,7 @@ class ActualValues:
 
     def refresh(self, status: int) -> None:
         """``status``: the statusword but for what the inner loops add."""
-        told: tuple[Any, ...] = self._inner.actual_values()
+        told: tuple[Any, ...] = self._tell()
         self._position.value = told[0]
         self._velocity.value = told[1]
         self._torque.value = told[2]

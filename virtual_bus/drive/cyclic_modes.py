@@ -45,7 +45,9 @@ class CyclicSynchronousTorque(_CyclicMode):
         self._firmware.control(InnerControl.TORQUE)
 
     def take_torque(self) -> None:
-        self._firmware.demand_torque((self._target.value + self._offset.value) * self.axis.torque_unit_nm)
+        target: int = self._target.value
+        offset: int = self._offset.value
+        self._firmware.demand_torque((target + offset) * self.axis.torque_unit_nm)
 
     def run(self) -> None:
         self.axis.make_torque((self._target.value + self._offset.value) * self.axis.torque_unit_nm)

@@ -136,6 +136,9 @@ class Firmware:
         self.motor = motor
         self.parameters = parameters
         self.inner = InnerLoops()
+        self.advance_to = self.inner.advance_to
+        """Run every tick up to and including an instant; False if there was none."""
+        self._demand_torque = self.inner.demand_torque
         self.motion_ticks = max(1, parameters.inner_rate_hz // _MOTION_RATE_HZ)
         """Inner ticks of a motion period; the grid of these starts at power-on too."""
         self.tick_s = 1.0 / parameters.inner_rate_hz
@@ -188,10 +191,6 @@ class Firmware:
         assert self.ticks == 0, "the firmware has started already"
         self.inner.power_on_ns = now
 
-    def advance_to(self, now: Instant) -> bool:
-        """Run every tick up to and including ``now``; False if there was none."""
-        return self.inner.advance_to(now)
-
     @property
     def ticks(self) -> int:
         """Since power-on."""
@@ -213,7 +212,7 @@ class Firmware:
 
     def demand_torque(self, torque_nm: float) -> None:
         """Torque set-point for ``InnerControl.TORQUE``."""
-        self.inner.demand_torque(torque_nm)
+        self._demand_torque(torque_nm)
 
     def limit(self, torque_nm: float, current_a: float, speed_rad_s: float) -> None:
         """The limits of whatever is demanded."""

@@ -104,7 +104,8 @@ class PowerStateMachine:
     @property
     def stopping(self) -> bool:
         """The motor is being brought to rest; :meth:`rested` is awaited."""
-        return self.motion not in (MotorAction.OFF, MotorAction.FOLLOW) and not self.at_rest
+        motion = self.motion
+        return motion is not MotorAction.OFF and motion is not MotorAction.FOLLOW and not self.at_rest
 
     def receive(self, controlword: int) -> None:
         """A controlword was written, a new one or the same again."""

@@ -141,7 +141,7 @@ class ServoApplication(Application):
     def advance(self, now: Instant) -> None:
         if self._task is not None and self._run_mode(now):
             return
-        if not self.firmware.inner.advance_to(now):
+        if not self.firmware.advance_to(now):
             due = self.wake_at
             if due is not None and due <= now:
                 self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
