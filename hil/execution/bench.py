@@ -188,7 +188,7 @@ class _Run:
         """
         for request in refused:
             self._say(f"not granted by the kernel: {request}", "WARN")
-        with self.conclusion.explaining(lambda: self._close(concluded)):
+        with self.conclusion.explaining(lambda: self._close(concluded)), self.world.settings_told():
             self._run_and_release()
             self.conclusion.came_to_its_end()
         return self._close(concluded)

@@ -58,28 +58,42 @@ class World:
     trouble: Callable[[], str] = str
     """The adapter's counts of lost frames and the like, in words; empty if there are none."""
 
-    notes: tuple[str, ...] = ()
-    """Unsuitable settings of the adapter, each with the command that fixes it."""
+    settings: Callable[[], Sequence[str]] = tuple
+    """Looks at the adapter: unsuitable settings, each with the command that fixes it. Runs a program."""
 
     def tell_troubles(self, tell: Callable[[Instant, str, str], None]) -> None:
         """Report adapter events to ``tell`` from now on: instant, level and text; unsuitable settings at
         once."""
-        for note in self.notes:
+        for note in self.settings():
             tell(self.clock.now(), "WARN", note)
         for link in self._links():
             link.on_trouble = lambda text, at: tell(at, "WARN", text)
 
     def explained(self, error: BenchError, cure: str = "") -> BenchError:
-        """Return ``error``; for a bus or drive fault with ``cure``, and the cure for the adapter: its present
-        state, and, if nothing is heard, unsuitable settings."""
+        """Return ``error``; for a bus or drive fault with ``cure``, and the cure for the adapter's present
+        state."""
         if isinstance(error, PeerFault):
-            settings = self.notes if isinstance(error, BusDown | NoAnswer) else ()
-            cures = [error.remedy, cure, *settings, *(link.cure for link in self._links())]
-            error.remedy = "; ".join(dict.fromkeys(filter(None, cures)))
+            _add_to_remedy(error, [cure, *(link.cure for link in self._links())])
         return error
+
+    @contextmanager
+    def settings_told(self) -> Iterator[None]:
+        """Add the adapter's unsuitable settings to a bus or drive fault in the context: those that became so
+        meanwhile and, if nothing was heard, all. It is to end after the drives have been released."""
+        before = self.settings()
+        try:
+            yield
+        except PeerFault as error:
+            silent = isinstance(error, BusDown | NoAnswer)
+            _add_to_remedy(error, [each for each in self.settings() if silent or each not in before])
+            raise
 
     def _links(self) -> list[BusLink]:
         return [self.link, *[segment.link for segment in self.further]]
+
+
+def _add_to_remedy(error: PeerFault, cures: Sequence[str]) -> None:
+    error.remedy = "; ".join(dict.fromkeys(filter(None, [error.remedy, *cures])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,7 +335,7 @@ def _real_world(plan: WorldPlan) -> World:
         lambda: link.error_frames,
         lambda _tap: None,
         trouble=getattr(opened.bus, "trouble", str),
-        notes=tuple(advice_on(plan.spec, plan.bitrate_bit_s)),
+        settings=lambda: advice_on(plan.spec, plan.bitrate_bit_s),
     )
 
 

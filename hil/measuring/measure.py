@@ -116,13 +116,14 @@ class Measurement:
         Raises BadInput for a request beyond the drives, PeerFault if bus or drives failed or could not be
         restored, Interrupted for an end before the first cycle.
         """
-        try:
-            outcome, syncs = self._run()
-        except BaseException as error:
-            if isinstance(error, BenchError):
-                self._world.explained(error)
-            self._leave()
-            raise
+        with self._world.settings_told():
+            try:
+                outcome, syncs = self._run()
+            except BaseException as error:
+                if isinstance(error, BenchError):
+                    self._world.explained(error)
+                self._leave()
+                raise
         failures = self._leave()
         if failures:
             raise PeerFault("not everything is as it was", "; ".join(failures))

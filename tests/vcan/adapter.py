@@ -21,6 +21,7 @@ from tests.scenario.processes import simulated_drive
 
 ADAPTER: Final = "can7"
 BUS_OFF, UNACKNOWLEDGED, RESTARTED = (0x040, 0), (0x020, 0), (0x100, 0)
+WARNING, PASSIVE, ACTIVE = (0x004, 0x08), (0x004, 0x20), (0x004, 0x40)
 """Class, and detail of the controller (linux/can/error.h)."""
 CHECK: Final = "check the cable, its terminations, the bit rates, and that another node is on"
 _SIOCSIFFLAGS: Final = 0x8914
@@ -37,16 +38,16 @@ def run_tool(*command: str) -> None:
 
 
 @contextmanager
-def adapter_beside(channel: str) -> Iterator[None]:
+def adapter_beside(channel: str, name: str = ADAPTER) -> Iterator[None]:
     """The adapter is there, up, and hears what is on ``channel``."""
-    run_tool("ip", "link", "add", "dev", ADAPTER, "type", "vcan")
+    run_tool("ip", "link", "add", "dev", name, "type", "vcan")
     try:
-        set_up(True)
-        for source, other in ((channel, ADAPTER), (ADAPTER, channel)):
+        run_tool("ip", "link", "set", name, "up")
+        for source, other in ((channel, name), (name, channel)):
             run_tool("cangw", "-A", "-s", source, "-d", other, "-e")
         yield
     finally:
-        subprocess.run(["ip", "link", "del", ADAPTER], check=False, capture_output=True, timeout=60)
+        subprocess.run(["ip", "link", "del", name], check=False, capture_output=True, timeout=60)
 
 
 @contextmanager

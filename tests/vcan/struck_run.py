@@ -1,7 +1,7 @@
 """A run on the adapter of :mod:`tests.vcan.adapter` that is struck once its drive turns."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +14,9 @@ from tests.truth.rows import MISSED, USED
 from tests.vcan.adapter import ADAPTER
 from tests.warm.start import hil
 
-REST_LIMIT_S, END_LIMIT_S = 30.0, 200.0
+START_LIMIT_S, REST_LIMIT_S, END_LIMIT_S = 120.0, 30.0, 200.0
+Strike = Callable[[Observer, int], None]
+"""With the command's process."""
 TURNING_RAD_S: Final = 20.0
 SLOW: Final = Path(__file__).parents[1] / "can" / "slow.toml"
 
@@ -43,17 +45,24 @@ class Ended:
 
 
 def struck(
-    far: str, folder: Path, strike: Callable[[Observer], None], *, passes: bool, adapter: str = ADAPTER
+    far: str,
+    folder: Path,
+    strike: Strike,
+    *,
+    passes: bool,
+    adapter: str = ADAPTER,
+    by: Sequence[str] | None = None,
+    quick: bool = True,
 ) -> Ended:
-    """A run of 6 s at 50 Hz on ``adapter`` that is struck; ``passes``: the drive is to turn on, else to come
-    to rest."""
-    bench, record, rest_s = _bench(folder), folder / "run", None
+    """A run of 6 s on ``adapter`` that is struck; ``passes``: the drive is to turn on, else to come to rest.
+    ``by``: another command than the forked ``hil``. ``quick``: at 50 Hz, else at 10 Hz."""
+    bench, record, rest_s = _bench(folder, quick), folder / "run", None
     command = ["run", str(bench), "--bus", f"socketcan:{adapter}", "--record", str(record)]
-    process = in_background([*hil(), *command])
+    process = in_background([*(hil() if by is None else by), *command])
     with observer(far) as watching:
-        watching.until_turning(TURNING_RAD_S)
+        watching.until_turning(TURNING_RAD_S, START_LIMIT_S)
         struck_at = watching.now()
-        strike(watching)
+        strike(watching, process.pid)
         if not passes:
             rest_s = watching.time_to_rest(struck_at, REST_LIMIT_S) / NS_PER_S
         _, said = process.communicate(timeout=END_LIMIT_S)
@@ -65,13 +74,16 @@ def struck(
     return Ended(process.returncode, said, texts, summary, rows, rest_s)
 
 
-def _bench(folder: Path) -> Path:
-    """The bench of a machine that is late, five times as fast. It and its drive mind a silence of 2 s."""
+def _bench(folder: Path, quick: bool) -> Path:
+    """The bench of a machine that is late, ``quick`` five times as fast. It and its drive mind a silence of
+    2 s."""
     text = SLOW.read_text(encoding="utf-8").replace("../../examples", str(EXAMPLES))
-    times = ("100_000", "60_000", "90_000"), ("20_000", "12_000", "18_000")
-    for slow, quick in (*zip(*times, strict=True), ("duration_s = 3.0", "duration_s = 6.0")):
+    times = {"duration_s = 3.0": "duration_s = 6.0"}
+    if quick:
+        times |= {"100_000": "20_000", "60_000": "12_000", "90_000": "18_000"}
+    for slow, changed in times.items():
         assert text.count(slow) == 1
-        text = text.replace(slow, quick)
+        text = text.replace(slow, changed)
     path = folder / "bench.toml"
     path.write_text(text, encoding="utf-8")
     return path

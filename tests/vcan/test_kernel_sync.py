@@ -7,11 +7,11 @@ from servobench.drivers.errors import LimitExceeded
 from servobench.hil.testing.bench_runs import BenchRunner
 from servobench.hil.testing.run import Run
 from tests.scenario.processes import BENCH
-from tests.vcan.late_machine import NO_MATTER_HOW_LATE
+from tests.vcan.late_machine import AT_LEISURE, PERIOD_US
 
 pytestmark = pytest.mark.servo_bus("vcan")
 
-PERIOD_S = 0.01
+PERIOD_S = PERIOD_US / 1e6
 SILENT_S = 20 * PERIOD_S
 
 
@@ -33,7 +33,7 @@ def is_silent(channel: str) -> bool:
 
 
 def test_the_kernels_syncs_drive_a_run_and_end_with_it(servo_bench: BenchRunner, channel: str) -> None:
-    run = servo_bench(BENCH, {"loop.sync": "kernel"} | NO_MATTER_HOW_LATE)
+    run = servo_bench(BENCH, {"loop.sync": "kernel"} | AT_LEISURE)
     run.assert_passed()
     assert_cycles_are_syncs(run)
     assert is_silent(channel)
@@ -56,7 +56,7 @@ def test_another_nodes_syncs_drive_a_run(servo_bench: BenchRunner, channel: str)
     message = can.Message(arbitration_id=0x080, is_extended_id=False)
     with can.Bus(interface="socketcan", channel=channel) as other:
         task = other.send_periodic(message, PERIOD_S)
-        run = servo_bench(BENCH, {"loop.sync": "foreign"} | NO_MATTER_HOW_LATE)
+        run = servo_bench(BENCH, {"loop.sync": "foreign"} | AT_LEISURE)
         task.stop()
     run.assert_passed()
     assert_cycles_are_syncs(run)

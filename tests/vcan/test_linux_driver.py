@@ -132,7 +132,7 @@ def test_bus_off_for_good_ends_a_run_and_what_it_says_brings_the_adapter_back(
     """The driver has no restart: the kernel refuses ``restart-ms`` and ``type can restart``."""
     far = f"socketcan:{channel}"
 
-    def strike(_watching: Observer) -> None:
+    def strike(_watching: Observer, _command: int) -> None:
         adapter.terminal.write(STATES[-1][0])
 
     with driver_of(adapter.port) as name:
@@ -228,6 +228,24 @@ def test_another_bit_rate_than_the_wire_has_is_named_before_anything_moves(
     assert f"ip link set {name} up type can bitrate 1000000" in ran.stderr
     assert "enabling" not in ran.stderr
     assert 0x601 not in _ids(peer), "a request at another rate reached the wire"
+
+
+def test_a_bit_rate_that_is_changed_in_a_run_ends_it_and_is_named(
+    channel: str, adapter: RunningAdapter, tmp_path: Path
+) -> None:
+    far, batch = f"socketcan:{channel}", tmp_path / "commands"
+    with driver_of(adapter.port) as name, simulated_drive(far):
+        anew = f"link set {name} up type can bitrate {RATE // 2}"
+        batch.write_text(f"link set {name} down\n{anew}\n", encoding="utf-8")
+
+        def strike(_watching: Observer, _command: int) -> None:
+            run_tool("ip", "-batch", str(batch))
+
+        ended = struck(far, tmp_path, strike, passes=False, adapter=name)
+    assert ended.status == 3, ended
+    assert f"{name} is set to 500000 bit/s, the bench to 1000000 (bus.bitrate_bit_s)" in ended.said
+    assert f"ip link set {name} up type can bitrate 1000000" in ended.said
+    print(f"at rest after {ended.rest_s:.2f} s; {ended.missed} missed, {ended.lost} lost or late")
 
 
 def _ids(peer: can.BusABC) -> set[int]:

@@ -1,7 +1,7 @@
 """What befalls an adapter and passes within the drive's watchdog: the run goes on, and says what was."""
 
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -9,8 +9,11 @@ import pytest
 from servobench.hil.verdict.verdict import ExitStatus
 from tests.scenario.processes import Observer
 from tests.vcan.adapter import (
+    ACTIVE,
     BUS_OFF,
+    PASSIVE,
     RESTARTED,
+    WARNING,
     drive_beside,
     echoes_like_a_driver,
     error,
@@ -19,7 +22,7 @@ from tests.vcan.adapter import (
     release,
     set_up,
 )
-from tests.vcan.struck_run import struck
+from tests.vcan.struck_run import Strike, struck
 
 CYCLES = 300
 DOWN_S, OFF_S = 0.05, 0.1
@@ -34,13 +37,13 @@ def far_end(channel: str) -> Iterator[str]:
         yield far
 
 
-def down_for_a_moment(watching: Observer) -> None:
+def down_for_a_moment(watching: Observer, _command: int) -> None:
     set_up(False)
     watching.wait(DOWN_S)
     set_up(True)
 
 
-def bus_off_and_restarted(watching: Observer) -> None:
+def bus_off_and_restarted(watching: Observer, _command: int) -> None:
     if not echoes_like_a_driver():
         pytest.skip("a lost frame must have no echo: modprobe vcan echo=1")
     error(BUS_OFF)
@@ -50,15 +53,21 @@ def bus_off_and_restarted(watching: Observer) -> None:
     error(RESTARTED)
 
 
-def flooded(_watching: Observer) -> None:
+def flooded(_watching: Observer, _command: int) -> None:
     flood(FLOOD)
 
 
-def wall_clock_set(watching: Observer) -> None:
+def wall_clock_set(watching: Observer, _command: int) -> None:
     """Kernels stamp frames by it. It is set back afterwards."""
     for step in ("+1 hour", "-1 hour"):
         subprocess.run(["date", "--set", step], check=True, stdout=subprocess.DEVNULL, timeout=60)
         watching.wait(0.5)
+
+
+def errors_that_pass(watching: Observer, _command: int) -> None:
+    for state in (WARNING, PASSIVE, ACTIVE):
+        error(state)
+        watching.wait(OFF_S)
 
 
 @pytest.mark.parametrize(
@@ -66,12 +75,17 @@ def wall_clock_set(watching: Observer) -> None:
     [
         pytest.param(down_for_a_moment, ["is down: nothing is sent or heard", "is up again"], id="down"),
         pytest.param(bus_off_and_restarted, ["is bus-off", "was restarted after bus-off"], id="bus-off"),
+        pytest.param(
+            errors_that_pass,
+            ["transmit warning", "transmit error passive", "error active"],
+            id="error warning, error passive",
+        ),
         pytest.param(flooded, ["takes no frames", "takes frames again"], id="another process floods"),
         pytest.param(wall_clock_set, [], id="wall clock"),
     ],
 )
 def test_a_run_goes_on_and_tells_what_was(
-    far: str, tmp_path: Path, strike: Callable[[Observer], None], events: list[str]
+    far: str, tmp_path: Path, strike: Strike, events: list[str]
 ) -> None:
     ended = struck(far, tmp_path, strike, passes=True)
     assert ended.status in (ExitStatus.PASSED, ExitStatus.NOT_TRUSTWORTHY), ended.said

@@ -2,16 +2,18 @@
 
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from tests.scenario.processes import changed_bench
+from tests.scenario.processes import Observer, changed_bench
 from tests.vcan.adapter import (
     ADAPTER,
     BUS_OFF,
     CHECK,
     UNACKNOWLEDGED,
+    adapter_beside,
     drive_beside,
     echoes_like_a_driver,
     error,
@@ -22,6 +24,8 @@ from tests.vcan.adapter import (
 )
 from tests.vcan.struck_run import END_LIMIT_S, struck
 from tests.warm.start import hil
+
+OTHER_NAME = "can8"
 
 
 @pytest.fixture(name="far")
@@ -72,7 +76,7 @@ def bus_off() -> None:
 def test_what_stays_so_ends_the_run_with_the_drive_at_rest_and_says_what_mends_it(
     far: str, tmp_path: Path, strike: Callable[[], None], cure: str, events: list[str]
 ) -> None:
-    ended = struck(far, tmp_path, lambda _watching: strike(), passes=False)
+    ended = struck(far, tmp_path, lambda _watching, _command: strike(), passes=False)
     assert ended.status == 3, ended
     assert ended.rest_s is not None
     assert cure in ended.said
@@ -92,16 +96,21 @@ def test_an_adapter_that_takes_nothing_ends_a_command_before_anything_moves(tmp_
         assert "enabling" not in ran.stderr
 
 
-@pytest.mark.usefixtures("far")
-def test_an_adapter_that_is_back_under_another_name_is_named(tmp_path: Path) -> None:
-    run_tool("ip", "link", "set", ADAPTER, "down")
-    run_tool("ip", "link", "set", ADAPTER, "name", "can8")
-    try:
-        run_tool("ip", "link", "set", "can8", "up")
+def test_an_adapter_that_is_back_under_another_name_is_named_by_the_next_run(
+    far: str, tmp_path: Path
+) -> None:
+    with ExitStack() as back:
+
+        def strike(_watching: Observer, _command: int) -> None:
+            run_tool("ip", "link", "del", ADAPTER)
+            back.enter_context(adapter_beside(far.partition(":")[2], OTHER_NAME))
+
+        ended = struck(far, tmp_path, strike, passes=False)
         command = [*hil(), "run", str(changed_bench(tmp_path)), "--bus", f"socketcan:{ADAPTER}"]
-        ran = subprocess.run(command, capture_output=True, text=True, timeout=END_LIMIT_S, check=False)
-    finally:
-        run_tool("ip", "link", "set", "can8", "down")
-        run_tool("ip", "link", "set", "can8", "name", ADAPTER)
-    assert ran.returncode == 3, ran.stderr
-    assert "plug it in; there is socketcan:can8" in ran.stderr
+        again = subprocess.run(command, capture_output=True, text=True, timeout=END_LIMIT_S, check=False)
+    assert (ended.status, again.returncode) == (3, 3), (ended, again)
+    assert "the adapter was unplugged" in ended.said
+    assert "plug it in again; hil scan tells the name that it has then" in ended.said
+    assert "plug it in; there is " in again.stderr
+    assert f"socketcan:{OTHER_NAME}" in again.stderr
+    print(f"at rest after {ended.rest_s:.2f} s; {ended.missed} missed, {ended.lost} lost or late")

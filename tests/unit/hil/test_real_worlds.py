@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from typing import Final
 
@@ -138,22 +139,26 @@ def test_segments_bear_their_names_and_rates() -> None:
 
 
 def test_an_error_says_what_mends_the_adapter_and_of_silence_which_setting_may_be_its_cause() -> None:
-    setting, cure = "can0 only listens: ip link set can0 down", "ip link set can0 up"
+    setting, anew, cure = "can0 has a queue of 1 frames", "can0 only listens", "ip link set can0 up"
     with open_world(SIMULATED, []) as made:
-        world = replace(made, notes=(setting,))
-        vars(world.link.bus)["frame_port"].cure = cure
-        said = [
-            str(world.explained(error))
-            for error in (
-                NoAnswer("node 1 is silent", "", "look at it"),
-                LimitExceeded("too fast"),
-                BusDown("cannot send", "", cure),
-            )
-        ]
+        vars(made.link.bus)["frame_port"].cure = cure
+        said = []
+        for error, changed in (
+            (NoAnswer("node 1 is silent", "", "look at it"), False),
+            (LimitExceeded("too fast"), False),
+            (BusDown("cannot send", "", cure), False),
+            (LimitExceeded("no usable reading"), True),
+        ):
+            looks = iter([[setting], [setting, *[anew] * changed]])  # as the run begins, and after its end
+            world = replace(made, settings=partial(next, looks))
+            with pytest.raises(type(error)), world.settings_told():
+                raise world.explained(error)
+            said.append(str(error))
     assert said == [
-        f"node 1 is silent; look at it; {setting}; {cure}",
+        f"node 1 is silent; look at it; {cure}; {setting}",
         f"too fast; {cure}",
         f"cannot send; {cure}; {setting}",
+        f"no usable reading; {cure}; {anew}",
     ]
 
 
