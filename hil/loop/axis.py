@@ -325,7 +325,7 @@ class Axis:
             newest = self.meter.newest
             if not was_open:
                 self.meter.keep_doubts()
-            self.meter.doubt(newest if question.since is None else question.since, newest)
+            self.meter.doubt(newest if question.since is None else question.since, max(newest, self._begun))
         if sample is None or not self.meter.arrived(sample):
             return
         self._check(self.parts.guard.check_speed(reading.velocity_rad_s))

@@ -9,12 +9,13 @@ The readings of a clock that runs on lie on one line, a SYNC each. Shifted by wh
 Each way has the cost of what must have happened for it.
 """
 
+from statistics import median_low
 from typing import Final, NamedTuple
 
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.drive_stamps import DriveStamps
 from servobench.hil.loop.residuals import NEARER, DelayExtremes
-from servobench.hil.loop.syncs import SURPLUS, SyncLog, SyncMark
+from servobench.hil.loop.syncs import STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 
 STEP_COST: Final = 3
 """That a clock was set,"""
@@ -100,6 +101,7 @@ class ClockQuestion:
         self._transit = transit
         self._half = period // 2
         self._at_arrival = at_arrival
+        self._echoes_late = syncs.basis in STAMPED_LATE
 
     def unstamped_ns(self, delay: int) -> int:
         """How much later than its stamp a reading of ``delay`` may have been sampled: 0 unless the stamp is
@@ -123,7 +125,7 @@ class ClockQuestion:
         rivals: list[SyncMark] = []
         for other in self._syncs.beside(mark):
             on_bus_at = other.on_bus_at
-            if on_bus_at is not None and (self._stamps.fits(at - on_bus_at) or self._is_late(other, mark)):
+            if on_bus_at is not None and (self._stamps.reaches(at - on_bus_at) or self._is_late(other, mark)):
                 rivals.append(other)
         return rivals
 
@@ -180,7 +182,7 @@ class ClockQuestion:
         received_at = last[0].received_at
         match_ns, residuals = self._stamps.unmapped_ns, self._stamps.residuals
         if residuals.variance_ns2(match_ns):
-            match_ns = max(match_ns, min(match_ns + residuals.reach, self._half // 2))
+            match_ns = max(match_ns, min(match_ns + residuals.reach, round(2 * self._half * NEARER)))
         placements = []
         for mark in self._syncs.marks:
             on_bus_at = mark.on_bus_at
@@ -195,44 +197,51 @@ class ClockQuestion:
 
     def _line(self, last: list[Suspect], first: SyncMark, match_ns: int) -> Line | None:
         """How they are placed if the first answers ``first``; None if they cannot be. ``match_ns``: how far a
-        stamp may be off the SYNC that it answers, and its neighbour.
+        stamp may be off the SYNC that it answers: more than its own error only where stamps scatter. Then the
+        line is the one in their middle, as neighbours may lie twice as far from one another.
 
         Readings that seemed to come twice just before may have been the first after a step by whole periods.
         """
         origin_at = first.on_bus_at
         assert origin_at is not None
         clock = self._stamps.clock
-        origin_ns, rate = last[0].device_ns, 1.0 + clock.rate
+        unmoved_at = clock.place(last[0].device_ns)
+        placed = [Instant(clock.place(suspect.device_ns) - unmoved_at + origin_at) for suspect in last]
+        scatters = match_ns > self._stamps.unmapped_ns
+        middle = median_low(self._miss(at) for at in placed) if scatters else 0
+        steps = abs(unmoved_at - origin_at - middle) > match_ns + clock.error_ns
         marks: list[SyncMark] = []
+        misses: list[int] = []
         used: set[int] = set()
-        smallest = -1
-        drifted = 0
-        off = off_squared = 0.0
-        for suspect in last:
-            at = Instant(origin_at + drifted + round((suspect.device_ns - origin_ns) * rate))
-            mark = self._syncs.nearest(at)
+        for suspect, at in zip(last, placed, strict=True):
+            mark = self._syncs.nearest(Instant(at + middle))
             if mark is None or mark.on_bus_at is None or mark.number in used or mark.sequence == SURPLUS:
                 return None
             miss = mark.on_bus_at - at
             delay = suspect.received_at - mark.on_bus_at
-            if abs(miss) > match_ns + DRIFT_WITHIN * self._half or delay < self._transit - match_ns:
+            if abs(miss - middle) > match_ns + DRIFT_WITHIN * self._half or delay < self._transit - match_ns:
                 return None
             if self.stamps.get(mark.number, suspect.device_ns) != suspect.device_ns:
                 return None
-            drifted += miss
-            off += drifted
-            off_squared += float(drifted) * drifted
+            if not scatters:  # it may run at another rate
+                middle = miss
+            misses.append(miss)
             used.add(mark.number)
             marks.append(mark)
-            smallest = delay if smallest < 0 else min(smallest, delay)
-        unmoved_at = clock.place(origin_ns)
-        steps = abs(unmoved_at - origin_at) > match_ns + clock.error_ns
+        smallest = min(suspect.received_at - at for suspect, at in zip(last, placed, strict=True))
+        smallest -= middle if self._echoes_late else max(misses)
+        mean = sum(misses) / len(misses)
+        misfit = sum((miss - mean) ** 2 for miss in misses) / (2.0 * self._stamps.variance_ns2)
         if steps and self.revoked:
             unmoved = self._syncs.nearest(unmoved_at)
             if unmoved is not None and not self._agrees(used, first.number - unmoved.number):
                 return None
-        misfit = (off_squared - off * off / len(last)) / (2.0 * self._stamps.variance_ns2)
         return self._costed(marks, smallest, steps, misfit)
+
+    def _miss(self, at: Instant) -> int:
+        """By how much the SYNC nearest to ``at`` is later."""
+        mark = self._syncs.nearest(at)
+        return 0 if mark is None or mark.on_bus_at is None else mark.on_bus_at - at
 
     def _unmoved(self, last: list[Suspect], match_ns: int) -> list[Line]:
         """The clock and the delays as they were, and one SYNC in :data:`RARE` that was late by more than any

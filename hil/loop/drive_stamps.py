@@ -149,10 +149,33 @@ class DriveStamps:
 
     def fits(self, residual: int) -> bool:
         """Whether a stamp lies on its SYNC: as near as others do, and not so far that it may be another's."""
-        residuals, match_ns = self.residuals, self.match_ns
-        least = match_ns + residuals.slack
-        most = max(match_ns, self._farthest)
-        return -min(least + residuals.early, most) <= residual <= min(least + residuals.late, most)
+        most = max(self.match_ns, self._farthest)
+        middle = self.residuals.middle if self.residuals.spread else 0
+        return -most <= residual - middle <= most and self.reaches(residual)
+
+    def reaches(self, residual: int) -> bool:
+        """Whether a stamp lies as near to a SYNC as others do to theirs, be it nearer to another."""
+        residuals = self.residuals
+        least = self.match_ns + residuals.slack
+        return -least - residuals.early <= residual <= least + residuals.late
+
+    def lateness(self, residual: int) -> int:
+        """By how much a stamp with this residual is later than the earliest ones."""
+        residuals = self.residuals
+        return max(0, residual - residuals.least) if residuals.spread else residual
+
+    def sampled_at(self, on_bus_at: Instant, residual: int, latest: Instant) -> Instant:
+        """When a reading with this residual was sampled, whose SYNC ended at ``on_bus_at``; ``latest``: when
+        its frame can have begun at the latest."""
+        residuals, lateness = self.residuals, self.lateness(residual)
+        if self._echoes_late and residuals.spread:
+            # What is early and late cannot be told apart: the clock's map alone knows when it was, to half of
+            # what residuals reach over.
+            return Instant(on_bus_at + residual - residuals.middle)
+        if residuals.early or residuals.late or lateness > self.match_ns:
+            # Late to the drive: the stamp knows better. What lies beyond ``latest`` is the residuals' error.
+            return Instant(min(on_bus_at + lateness, max(on_bus_at, latest)))
+        return on_bus_at
 
     def lie_early(self, pairs: list[tuple[int, Instant]]) -> bool:
         """Whether all of these stamps lie before their SYNCs by more than any has: a clock was set back, by

@@ -148,6 +148,7 @@ class PeriodDoubt:
         """The clock's map has moved: stamps before and after have nothing in common."""
         for way in self.ways:
             way.at = None
+            way.too_soon = 0
         self.heeded.clear()
 
     def end(self) -> None:
@@ -178,7 +179,10 @@ class PeriodDoubt:
         self._device_ns = device_ns
         self._heeded += 1
         self.heeded.append((device_ns, at))
-        if known:
+        if moved and not any(self._is_near(way, at, near_ns) for way in self.ways):
+            for way in self.ways:
+                way.at = None
+        elif known:
             self._compare(passed, before, 2 * near_ns)
         self._exclude()
         if len(self.ways) > 1:
@@ -204,6 +208,10 @@ class PeriodDoubt:
                 if abs(way.delays.low - self._low) > slack:
                     self._set_again(way)
         return True
+
+    def _is_near(self, way: Placing, at: Instant, near_ns: int) -> bool:
+        """Whether the stamp at ``at`` lies on its SYNC by one way."""
+        return way.at is not None and abs(at + way.offset_ns - way.at) <= near_ns
 
     def _set_again(self, way: Placing) -> None:
         """The delays of a way in which the clock was set are others than before, by whole periods: it was set

@@ -163,19 +163,15 @@ class StampAttribution:
         on_bus_at = mark.on_bus_at
         assert on_bus_at is not None
         self._case.answer(mark, device_ns)
-        lateness = max(0, residual - residuals.least) if residuals.spread else residual
+        lateness = self.stamps.lateness(residual)
         # A SYNC that was late by less than can be told moves the map by as much, so the bound is twice that.
-        sampled_at, error_ns = on_bus_at, 2 * match_ns + residuals.slack
+        latest = Instant(reading.received_at - self._transit)
+        sampled_at = self.stamps.sampled_at(on_bus_at, residual, latest)
+        error_ns = 2 * match_ns + residuals.slack
         if self._echoes_late and residuals.spread:
-            # What is early and late cannot be told apart: the clock's map alone knows when it was, to half of
-            # what residuals reach over.
-            sampled_at = Instant(on_bus_at + residual - residuals.middle)
             error_ns = residuals.reach // 2 + match_ns
         elif residuals.early or residuals.late or lateness > match_ns:
-            # Late to the drive: the stamp knows better. Nothing but the SYNC itself excludes that it was not.
-            # No later than its frame can have begun: what lies beyond is the least of the residuals' error.
-            latest = max(on_bus_at, reading.received_at - self._transit)
-            sampled_at = Instant(min(on_bus_at + lateness, latest))
+            # Nothing but the SYNC itself excludes that it was not late to the drive.
             error_ns = max(lateness, residuals.hidden) + match_ns + residuals.slack
         self.stamps.follow(device_ns, on_bus_at, residual)
         if mark.sequence == SURPLUS:
@@ -355,7 +351,10 @@ class StampAttribution:
         for suspect, mark in zip(last, line.marks, strict=True):
             self._case.answer(mark, suspect.device_ns)
             assert mark.on_bus_at is not None
-            self._case.delays.add(suspect.received_at - mark.on_bus_at)
+            residual = self.clock.place(suspect.device_ns) - mark.on_bus_at
+            latest = Instant(suspect.received_at - self._transit)
+            sampled_at = self.stamps.sampled_at(mark.on_bus_at, residual, latest)
+            self._case.delays.add(suspect.received_at - sampled_at)
 
     # ---- whole periods ------------------------------------------------------------------------------------
 

@@ -1,0 +1,41 @@
+"""Drawn plans in which it is asked whether a drive's clock was set, and what SYNCs rest on."""
+
+import pytest
+
+from tests.truth.drawn import drawn_plan
+from tests.truth.drawn_run import Verdict, judged
+
+
+def verdict_of(seed: int, cycles: int) -> Verdict:
+    """What is told of all cycles of a plan must hold."""
+    verdict = judged(drawn_plan(seed), cycles)
+    assert not verdict.wrong, verdict.examples
+    return verdict
+
+
+@pytest.mark.parametrize(("seed", "cycles", "unsure"), [(402271, 320, 180), (410181, 1320, 300)])
+def test_a_sync_that_jitters_by_a_quarter_of_a_period_sets_no_clock(
+    seed: int, cycles: int, unsure: int
+) -> None:
+    """Neighbours lie further apart than a quarter of a period, which left the readings no line without a
+    step; 746 and 23 rows were of other SYNCs, and 223 commands outside."""
+    assert verdict_of(seed, cycles).readings.uncertain <= unsure
+
+
+@pytest.mark.parametrize("cycles", [640, 920])
+def test_what_may_be_placed_far_off_leaves_no_cycle_lost_for_certain(cycles: int) -> None:
+    """A clock that is set on and back again may have been set by what it lacks, or readings may come 40
+    periods late: as many cycles in front of them have none then. And a clock that is set on in two places
+    makes no way of placing its readings impossible."""
+    verdict_of(400279, cycles)
+
+
+def test_a_sync_that_jitters_by_half_a_period_puts_no_question() -> None:
+    """Its stamps lie 0 to 450 us behind it; those beyond a quarter of a period did, 398 rows of 1500."""
+    assert verdict_of(9130, 700).readings.uncertain <= 30
+
+
+def test_syncs_that_wait_rest_on_their_echoes() -> None:
+    """Other traffic holds them up by up to 120 us, and echoes are 7 us late: the hand-over was taken for the
+    better of both, by a hair."""
+    assert verdict_of(402424, 60).readings.uncertain <= 30
