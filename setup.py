@@ -50,7 +50,7 @@ GROUPS = {
         *_below("drivers/wire", "frame_port link message_port"),
     ],
     "loop": [
-        *_below("hil/control", "compensation controllers hinf load_filter motion positions predictor"),
+        *_below("hil/control", "compensation controllers fused hinf load_filter motion positions predictor"),
         *_below(
             "hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context decision"
         ),

@@ -25,6 +25,7 @@ from servobench.hil.studies.speed.dynamic import (
     design_speed_predictor,
     request_of,
 )
+from servobench.hil.studies.speed.fused import design_speed_fused, fused_request
 from tests.shaft_run import ShaftRun, run_watched
 
 PERIOD_S = 1e-3
@@ -125,6 +126,15 @@ def predictor(case: Case) -> PredictorResult:
 def table_of(found: PredictorResult) -> dict[str, Any]:
     """[controller] without ``made_for``: it also runs on another inertia."""
     return found.controller().model_dump(mode="json", exclude={"made_for", "figures"})
+
+
+def fused(case: Case) -> dict[str, Any]:
+    """The predictor on count and speed; its file, too, would refuse other motors."""
+    return (
+        design_speed_fused(fused_request(request(case), case.counts), 0)
+        .controller()
+        .model_dump(mode="json", exclude={"made_for", "figures"})
+    )
 
 
 def hinf(case: Case) -> dict[str, Any]:

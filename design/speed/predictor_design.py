@@ -236,6 +236,23 @@ def _with_walks(request: PredictorRequest, F: Array) -> PredictorDesign | None:
     return PredictorDesign(request, F, Walks(slow, fast or slow))
 
 
+def largest_quiet_walk(request: PredictorRequest, F: Array) -> float:
+    """Return the fastest walk of the load whose constant gains keep the limits; the slowest if none does."""
+    prediction = Prediction(request.plant, request.period_s, request.delay_s, F)
+    loops = [
+        PredictorLoop(prediction, request.plant.changed(inertia), request.delay_s + more_s)
+        for inertia, more_s in request.borne
+    ]
+
+    def quiet(walk: float) -> bool:
+        L = request.kalman.observer(walk)
+        noise_nm = loops[0].torque_noise_nm(L, request.speed_noise_rad_s)
+        return noise_nm <= request.command_noise_nm and all(loop.is_stable(L) for loop in loops)
+
+    rated = request.motor.rated_torque_nm
+    return _largest(quiet, _SLOWEST * rated, _FASTEST * rated) or _SLOWEST * rated
+
+
 def _largest(keeps: Callable[[float], bool], low: float, high: float) -> float | None:
     """Return the largest value between two that ``keeps``, by bisection; None: not even the low one."""
     if not keeps(low):

@@ -10,11 +10,11 @@ from typing import Any
 from flint import arb
 
 from servobench.design.verify.balls import NotProved, number
-from servobench.design.verify.loops import hinf, predictor, state_feedback
+from servobench.design.verify.loops import fused, hinf, predictor, state_feedback
 from servobench.design.verify.proofs import Timed
 from servobench.design.verify.windowed import ROOM, Windowed
 
-_KINDS = {"state_feedback": state_feedback, "hinf": hinf, "predictor": predictor}
+_KINDS = {"state_feedback": state_feedback, "hinf": hinf, "predictor": predictor, "fused": fused}
 _CLAIMS = (
     ("gain_certified", "gain_matrices", "rad/s per N m"),
     ("decay_certified_per_s", "decay_matrices", "1/s"),

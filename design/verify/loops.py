@@ -124,9 +124,10 @@ def shaft(rate: arb, J: arb, B: arb, filter_hz: Any) -> tuple[arb_mat, arb_mat]:
 
 def of_samples(
     file: dict[str, Any], A: arb_mat, B: arb_mat, size: int, command: int, delay: Fraction,
-    sampled: Sequence[Sequence[arb_mat]], lost: arb_mat, end: Sequence[Operation] = (),
+    sampled: Sequence[Sequence[arb_mat]], lost: arb_mat, end: Sequence[Operation] = (), n: int = 3,
 ) -> RebuiltLoop:  # fmt: skip
-    """Return the loop xi = [T, omega, w | u in force | ...], commands from place ``command`` on.
+    """Return the loop xi = [T, omega, w | u in force | ...], commands from place ``command`` on; of ``n`` = 4
+    the fourth state is the angle.
 
     ``delay``: from a sample to its command's instant, us; ``sampled``: the jumps of a sample after 0, 1 ..
     losses, one for each corner of its gain; ``end``: what follows at a period's end.
@@ -134,9 +135,11 @@ def of_samples(
     h = Fraction(file["made_for"]["period_us"])
     behind = int(delay // h)
     offset = delay - behind * h
-    F = arb_mat([[*(A[i, j] for j in range(3)), B[i, 0]] for i in range(3)] + [[0, 0, 0, 0]])
-    E, C = ([[arb(0)], [entry], [arb(0)], [arb(0)]] for entry in (A[1, 3], arb(1)))
-    acting = arb_mat(unit(size, (3, command + behind)))
+    rates = [[*(A[i, j] for j in range(3)), *[arb(0)] * (n - 3), B[i, 0]] for i in range(3)]
+    rates += [[arb(int(j == 1)) for j in range(n + 1)] for _ in range(n - 3)]
+    F = arb_mat([*rates, [arb(0)] * (n + 1)])
+    E, C = ([[arb(0)], [entry], *[[arb(0)]] * (n - 1)] for entry in (A[1, 3], arb(1)))
+    acting = arb_mat(unit(size, (n, command + behind)))
     after: tuple[Operation, ...] = (("flow", offset), ("jump", acting), ("flow", h - offset), *end)
     came: list[tuple[tuple[Operation, ...], ...]] = [
         tuple((("jump", J), *after) for J in corners) for corners in sampled
@@ -184,6 +187,34 @@ def hinf(file: dict[str, Any]) -> RebuiltLoop:
 
 def predictor(file: dict[str, Any]) -> RebuiltLoop:
     """Rebuild the loop of a filter, a prediction and a feedback: xi = [.. | x^ (4) | commands]."""
+    corners = file["certificate"]["filter_gains"]
+    zero = arb(0)
+    return predicting(
+        file, [[[(zero, zero), *((zero, number(g)) for g in gains)] for gains in each] for each in corners], 3
+    )
+
+
+def fused(file: dict[str, Any]) -> RebuiltLoop:
+    """Rebuild the same on count and speed: xi = [T, omega, w, angle beyond the estimated one | ..]."""
+    zero, sampled = arb(0), []
+    for each in file["gains"][: file["certificate"]["losses_in_a_row_max"] + 1]:
+        speed, filtered, angle, load = ([number(gain) for gain in row] for row in each)
+        sampled.append([[(zero, zero), speed, filtered, load, angle]])
+    return predicting(file, sampled, 4)
+
+
+def moved(A: arb_mat, B: arb_mat, length: Fraction) -> arb_mat:
+    """Return how [T, omega, w, T_L, u, angle] go under a command that is held for ``length`` us."""
+    rates: list[list[Any]] = [[*row, entry, 0] for row, (entry,) in zip(A.tolist(), B.tolist(), strict=True)]
+    rates += [[0] * 6, [0, 1, 0, 0, 0, 0]]
+    return (arb_mat(rates) * (number(length) / 10**6)).exp()
+
+
+def predicting(file: dict[str, Any], corners: Sequence[Sequence[Any]], n: int) -> RebuiltLoop:
+    """Rebuild a predictor's loop around a plant of ``n`` states.
+
+    ``corners``: gains of T, omega, w, T_L, and of ``n`` = 4 of the angle, each for count and filtered speed.
+    """
     own = (number(file[key]) for key in ("current_bandwidth_hz", "inertia_kg_m2", "viscous_friction_nm_s"))
     bandwidth_hz, inertia, friction = own
     A, B = shaft(2 * arb.pi() * bandwidth_hz, inertia, friction, file["speed_filter_hz"])
@@ -192,15 +223,13 @@ def predictor(file: dict[str, Any]) -> RebuiltLoop:
     h, delay = Fraction(file["made_for"]["period_us"]), Fraction(file["made_for"]["delay_max_us"])
     delay += Fraction(file["dead_time_us"])
     behind, offset = int(delay // h), delay % h
-    command, count = 8, behind + 2
+    first_state = n + 1
+    command, count = first_state + 4, behind + 2
     size = command + count
 
     def step(length: Fraction) -> tuple[arb_mat, arb_mat]:
-        """Return the model's transition and input under a command that is held for ``length`` us."""
-        rate = arb_mat(
-            [[*row, entry] for row, (entry,) in zip(A.tolist(), B.tolist(), strict=True)] + [[0] * 5]
-        )
-        both = (rate * (number(length) / 10**6)).exp()
+        """Return the model's transition and input."""
+        both = moved(A, B, length)
         return cut(both, 4), arb_mat([[both[i, 4]] for i in range(4)])
 
     ahead, entered = step(offset)
@@ -212,13 +241,19 @@ def predictor(file: dict[str, Any]) -> RebuiltLoop:
         columns[place] = input_
     of_state, of_commands = F * ahead, {key: (F * column)[0, 0] for key, column in columns.items()}
 
-    def jump(gains: Sequence[arb]) -> arb_mat:
+    def jump(gains: Sequence[Sequence[arb]]) -> arb_mat:
         rows = unit(size, *((place, place - 1) for place in range(command + 1, size)))
-        for i, gain in enumerate(gains):
-            rows[4 + i][2] += gain
-            rows[4 + i][6] -= gain
+        for i, (of_count, of_speed) in enumerate(gains):
+            row, sign = (rows[first_state + i], 1) if i < 4 else (rows[3], -1)
+            row[2] += sign * of_speed
+            row[first_state + 2] -= sign * of_speed
+            if n == 4:
+                row[3] += sign * of_count
         rows[command] = [
-            -sum((of_state[0, i] * rows[4 + i][j] for i in range(4)), of_commands.get(j - command, arb(0)))
+            -sum(
+                (of_state[0, i] * rows[first_state + i][j] for i in range(4)),
+                of_commands.get(j - command, arb(0)),
+            )
             for j in range(size)
         ]
         return arb_mat(rows)
@@ -226,12 +261,17 @@ def predictor(file: dict[str, Any]) -> RebuiltLoop:
     (first, held), (second, fresh) = step(offset), step(h - offset)
     follows = unit(size)
     for i in range(4):
-        follows[4 + i][4:8] = [(second * first)[i, j] for j in range(4)]
-        follows[4 + i][command + behind] += fresh[i, 0]
-        follows[4 + i][command + behind + 1] += (second * held)[i, 0]
-    corners = file["certificate"]["filter_gains"]
-    sampled = [[jump([arb(0), *map(number, gains)]) for gains in each] for each in corners]
+        follows[first_state + i][first_state:command] = [(second * first)[i, j] for j in range(4)]
+        follows[first_state + i][command + behind] += fresh[i, 0]
+        follows[first_state + i][command + behind + 1] += (second * held)[i, 0]
+    if n == 4:  # the model's angle: under the command before, then under the new one
+        early, late = moved(A, B, offset), moved(A, B, h - offset)
+        of_first = arb_mat([[late[5, i] for i in range(4)]])
+        for j in range(4):
+            follows[3][first_state + j] -= early[5, j] + (of_first * first)[0, j]
+        follows[3][command + behind] -= late[5, 4]
+        follows[3][command + behind + 1] -= early[5, 4] + (of_first * held)[0, 0]
+    sampled = [[jump(gains) for gains in each] for each in corners]
     plant = shaft(*motor_of(file)[:3], file["speed_filter_hz"])
-    return of_samples(
-        file, *plant, size, command, delay, sampled, jump([arb(0)] * 4), [("jump", arb_mat(follows))]
-    )
+    lost, end = jump([(arb(0), arb(0))] * 4), [("jump", arb_mat(follows))]
+    return of_samples(file, *plant, size, command, delay, sampled, lost, end, n)

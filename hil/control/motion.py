@@ -1,6 +1,6 @@
 """The shaft as a predictor sees it: torque, speed and the drive's filtered speed, in closed form.
 
-    T' = a (u - T)     J omega' = T - B omega - T_L     w' = f (omega - w)
+    T' = a (u - T)     J omega' = T - B omega - T_L     w' = f (omega - w)     angle' = omega
 
 u: the command in force; T_L: the load torque, both constant over a piece; w: what 606Ch tells.
 """
@@ -32,6 +32,7 @@ class ShaftMotion:
         "_length_s",
         "_per_inertia",
         "_resonance",
+        "angle_rad",
         "filtered_rad_s",
         "speed_rad_s",
         "torque_nm",
@@ -41,6 +42,7 @@ class ShaftMotion:
         self.torque_nm = 0.0
         self.speed_rad_s = 0.0
         self.filtered_rad_s = 0.0
+        self.angle_rad = 0.0
         self._per_inertia = 1.0 / plant.inertia_kg_m2
         self._coasting_rate = plant.viscous_friction_nm_s * self._per_inertia
         self._current_rate = plant.current_rate_rad_s
@@ -62,11 +64,13 @@ class ShaftMotion:
         self.torque_nm = other.torque_nm
         self.speed_rad_s = other.speed_rad_s
         self.filtered_rad_s = other.filtered_rad_s
+        self.angle_rad = other.angle_rad
 
     def advance(self, command_nm: float, load_nm: float, length_s: float) -> None:
         """Advance by ``length_s`` under a constant command and load, N m.
 
-        Torque and speed are exact; the filter takes the speed's drift for a straight line within the piece.
+        Torque and speed are exact; filter and angle take the speed's drift for a straight line within the
+        piece.
         """
         if length_s <= 0.0:
             return
@@ -85,6 +89,9 @@ class ShaftMotion:
         behind = (drifted - speed) / (self._filter_rate * length_s)
         turned = lag * self._resonance
         self.torque_nm = command_nm - missing * left
+        self.angle_rad += 0.5 * (speed + drifted) * length_s - lag * (
+            length_s - (1.0 - left) / self._current_rate
+        )
         self.speed_rad_s = drifted - lag * (1.0 - left)
         self.filtered_rad_s = (
             drifted

@@ -26,18 +26,15 @@ EARLY: Final = 4
 """A command that acts more than such a part of a period from now acts with the next cycle's reference."""
 
 
-class Predictor(Compensator):
-    """The state at the instant at which the present command will act.
+class Predicting(Compensator):
+    """The state at the instant at which the present command will act; each filter is a subclass.
 
     ``dead_time``: of the drive, beside its current loop and its speed filter: from a command's instant to its
     voltage.
     """
 
-    def __init__(
-        self, plant: PredictorPlant, noise: FilterNoise, dead_time: Duration, period: Duration
-    ) -> None:
+    def __init__(self, plant: PredictorPlant, dead_time: Duration, period: Duration) -> None:
         self._plant = plant
-        self._noise = noise
         self._dead_time = dead_time
         self._period = period
         self._begin()
@@ -47,7 +44,6 @@ class Predictor(Compensator):
         """The load torque, as estimated from the readings."""
         self.innovation_rad_s = 0.0
         """The last reading's speed beside the one that was expected."""
-        self._filter = LoadFilter(self._plant, self._noise, self._period * PER_NS)
         self._motion = ShaftMotion(self._plant)
         self._ahead = ShaftMotion(self._plant)
         self._last: Sample | None = None
@@ -73,6 +69,7 @@ class Predictor(Compensator):
         last, at, motion = self._last, sample.sampled_at, self._motion
         if last is None:
             motion.speed_rad_s = motion.filtered_rad_s = speed
+            motion.angle_rad = sample.reading.counted_rad
             self._last, self._at = sample, at
             return
         if at <= self._at:
@@ -81,14 +78,12 @@ class Predictor(Compensator):
         self._run(motion, self._at, at)
         self._last, self._at = sample, at
         self._forget()
-        self._filter.predict(max(1, periods))
-        innovation = speed - motion.filtered_rad_s
-        self._filter.correct(innovation)
-        gains = self._filter.quiet
-        motion.speed_rad_s += gains.speed_gain * innovation
-        motion.filtered_rad_s += gains.filtered_gain * innovation
-        self.load_nm += gains.load_gain * innovation
-        self.innovation_rad_s = innovation
+        self.innovation_rad_s = speed - motion.filtered_rad_s
+        self._correct(motion, sample, max(1, periods))
+
+    def _correct(self, motion: ShaftMotion, sample: Sample, periods: int) -> None:
+        """Correct the state by a sample, so many periods after the one before."""
+        raise NotImplementedError
 
     def estimate(self, context: Context) -> StateEstimate:
         last = self._last
@@ -124,11 +119,34 @@ class Predictor(Compensator):
             self._commands_nm.pop(0)
 
 
+class Predictor(Predicting):
+    """By the speed alone; the gains follow the samples that are lost, and steps of the load."""
+
+    def __init__(
+        self, plant: PredictorPlant, noise: FilterNoise, dead_time: Duration, period: Duration
+    ) -> None:
+        self._noise = noise
+        super().__init__(plant, dead_time, period)
+
+    def _begin(self) -> None:
+        super()._begin()
+        self._filter = LoadFilter(self._plant, self._noise, self._period * PER_NS)
+
+    def _correct(self, motion: ShaftMotion, sample: Sample, periods: int) -> None:  # noqa: ARG002
+        self._filter.predict(periods)
+        innovation = self.innovation_rad_s
+        self._filter.correct(innovation)
+        gains = self._filter.quiet
+        motion.speed_rad_s += gains.speed_gain * innovation
+        motion.filtered_rad_s += gains.filtered_gain * innovation
+        self.load_nm += gains.load_gain * innovation
+
+
 class LoadCancelling(Controller):
     """Feeds back its predictor's state, and cancels the estimated load: k_omega, and k_T in N m/N m."""
 
     def __init__(
-        self, predictor: Predictor, plant: PredictorPlant, speed_gain_nm_s_rad: float, torque_gain: float
+        self, predictor: Predicting, plant: PredictorPlant, speed_gain_nm_s_rad: float, torque_gain: float
     ) -> None:
         self._predictor = predictor
         self._speed_gain = speed_gain_nm_s_rad

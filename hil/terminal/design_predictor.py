@@ -64,6 +64,15 @@ class PredictorOptions:
             min=1e-9,
         ),
     ] = None
+    sampling_jitter_us: Annotated[
+        float | None,
+        valued(
+            "--sampling-jitter-us",
+            "J",
+            "Fused: rms by which the instant of a sample is unsure, at rated speed; default: 0.",
+            min=0.0,
+        ),
+    ] = None
     losses_max: Annotated[
         int | None,
         valued(
@@ -100,6 +109,7 @@ def design_dynamic(
         design_speed_predictor,
         request_of,
     )
+    from servobench.hil.studies.speed.fused import design_speed_fused, fused_request
 
     dead_time_us = options.drive_dead_time_us
     period_s, delay_max_s, losses_max = _network(options, delay_ms, network)
@@ -114,10 +124,15 @@ def design_dynamic(
         speed_filter_hz=options.speed_filter_hz or SPEED_FILTER_HZ,
         dead_time_us=DEAD_TIME_US if dead_time_us is None else dead_time_us,
     )
-    design = design_speed_hinf if structure == "hinf" else design_speed_predictor
+    measured = network is not None
     on_terminal("gain and decay over every sequence of lost samples: some s, at long delays minutes")
     try:
-        return design(request, losses_max, network is not None).certified()
+        if structure == "fused":
+            jitter_us = options.sampling_jitter_us or 0.0
+            asked = fused_request(request, options.encoder_counts or ENCODER_COUNTS, jitter_us)
+            return design_speed_fused(asked, losses_max, measured).certified()
+        design = design_speed_hinf if structure == "hinf" else design_speed_predictor
+        return design(request, losses_max, measured).certified()
     except DesignError as error:
         raise BadInput("hil design speed", "", str(error), "a design that exists") from error
 

@@ -82,11 +82,12 @@ class SpeedDesignOptions:
         valued("--target", None, "Optimise the loop with constant delay, or the sampled one on the network."),
     ] = "constant"
     structure: Annotated[
-        Literal["static", "predictor", "hinf"],
+        Literal["static", "predictor", "fused", "hinf"],
         valued(
             "--structure",
             None,
-            "Static gain, predictor (Kalman filter, load cancelled), or H-infinity output feedback.",
+            "Static gain, predictor (Kalman filter, load cancelled), the same fused with the position "
+            "of the speed's own SYNC, or H-infinity output feedback.",
         ),
     ] = "static"
     predictor: PredictorOptions

@@ -1,7 +1,7 @@
 """Speed peaks after a load step over the floor that no controller beats, on whole runs of a simulated drive.
 
-    predictor, H-infinity, PI with a load-torque observer, PID (hil design pid), static gain with integral
-    (hil design speed --integral)
+    predictor, the same fused with the count of the speed's own SYNC, H-infinity, PI with a load-torque
+    observer, PID (hil design pid), static gain with integral (hil design speed --integral)
     h + tau = 2, 4, 20 ms at 1 kHz; a step of 30 % of the rated torque at 8 or 4 instants of a period
 
 Each figure is over its own floor: with its inertia, its losses, and tau up to the torque at the shaft (the
@@ -20,10 +20,10 @@ import numpy as np
 from servobench.design.errors import DesignError
 from servobench.drivers.errors import BenchError
 from servobench.hil.configuration.motor_file import LING2012, load_motor
-from tests.floor_runs import PERIOD_S, Case, hinf, measure, observing, pid, predictor, static, table_of
+from tests.floor_runs import PERIOD_S, Case, fused, hinf, measure, observing, pid, predictor, static, table_of
 from tests.random_motors import designed
 
-_OTHERS: Final = {"hinf": hinf, "observer": observing, "pid": pid, "static": static}
+_OTHERS: Final = {"fused": fused, "hinf": hinf, "observer": observing, "pid": pid, "static": static}
 AZAIZ2007 = Path("examples/motors/azaiz2007.toml")
 
 
@@ -34,19 +34,25 @@ def cases() -> Iterator[tuple[Case, int]]:
     randoms = [designed(np.random.default_rng(seed)).motor for seed in (1, 2, 3)]
     for delay_s in (1e-3, 3e-3, 19e-3):
         yield Case("ling2012", ling, delay_s), 8
-    for delay_s in (1e-3, 3e-3, 19e-3):
-        yield Case("ling2012, 4096 counts", ling, delay_s, 4096), 8
+    for counts, of in ((4096, "4096 counts"), (1 << 20, "20 bits")):
+        for delay_s in (1e-3, 3e-3, 19e-3):
+            yield Case(f"ling2012, {of}", ling, delay_s, counts), 8
     for name, motor in (("azaiz2007", azaiz), *((f"random {k + 1}", m) for k, m in enumerate(randoms))):
         for delay_s in (1e-3, 3e-3, 19e-3):
             yield Case(name, motor, delay_s), 4
 
 
+def predictor_table(case: Case) -> dict[str, Any]:
+    """[controller] of the predictor on the speed alone."""
+    return table_of(predictor(case))
+
+
 def main() -> None:
     """A line for each motor, delay and controller."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--only", default="", help="motors whose names begin so")
+    arguments.add_argument("--only", default="", help="one motor, by its whole name")
     arguments.add_argument("--phases", type=int, default=0, help="of a period, in place of 8 and 4")
-    arguments.add_argument("--predictor-only", action="store_true")
+    arguments.add_argument("--controllers", default="", help="names with commas between; default: all")
     chosen = arguments.parse_args()
     columns = ("median", "worst", "J 70 %", "J 130 %", "5 lost", "noise/rated %", "steady rad/s")
     print(
@@ -54,15 +60,11 @@ def main() -> None:
         flush=True,
     )
     for case, phases in cases():
-        if not case.name.startswith(chosen.only):
+        if chosen.only not in ("", case.name):
             continue
-        found = predictor(case)
-        told = found.loop
-        own, less, more, _lost = told.peaks_over_floor.values()
-        ways: dict[str, Callable[[], dict[str, Any]]] = {"predictor": partial(table_of, found)}
-        if not chosen.predictor_only:
-            ways |= {name: partial(way, case) for name, way in _OTHERS.items()}
-        for name, way in ways.items():
+        ways: dict[str, Callable[[Case], dict[str, Any]]] = {"predictor": predictor_table, **_OTHERS}
+        for name in filter(None, chosen.controllers.split(",")) if chosen.controllers else ways:
+            way = partial(ways[name], case)
             try:
                 each = measure(case, way(), chosen.phases or phases)
             except (BenchError, DesignError) as error:  # a loop that is unstable ends its run
@@ -75,12 +77,6 @@ def main() -> None:
                 + " ".join(f"{value:13.3f}" for value in (*figures, each.steady_rad_s)),
                 flush=True,
             )
-        print(
-            f"{'':30}by design: peak {own:.3f}, J {less:.3f} {more:.3f}, "
-            f"delay margin {1e3 * told.delay_margin_s:.2f} ms, "
-            f"noise {told.command_noise_nm:.4f} N m, gain {told.gain:.4g} rad/s per N m",
-            flush=True,
-        )
 
 
 if __name__ == "__main__":

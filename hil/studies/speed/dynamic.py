@@ -10,6 +10,7 @@ import numpy as np
 from servobench.design.delay.lmi import SOLVER
 from servobench.design.motor import PmsmParameters
 from servobench.design.sampled.analysis import SampledAnalysis
+from servobench.design.speed.fused_design import FusedDesign
 from servobench.design.speed.hinf_design import HinfDesign, design_hinf, hinf_robustness, uncertainty_norm
 from servobench.design.speed.loop_robustness import LoopRobustness
 from servobench.design.speed.loss_certificate import (
@@ -44,7 +45,7 @@ SPEED_FILTER_HZ = 500.0
 """Both belong to the simulated drive, the default for unknown drives."""
 DEAD_TIME_US = 100.0
 """Dead time of the simulated drive: one and a half ticks of 62.5 us from a command to its voltage."""
-_INNER_RATE_HZ = 16_000.0
+INNER_RATE_HZ = 16_000.0
 """At which a drive takes the difference of its encoder's counts."""
 _TORQUE_NOISE = 0.005
 """Share of the rated torque: difference between a drive's torque and its demand within a period, ripple and
@@ -65,7 +66,7 @@ def request_of(
     dead_time_us: float = DEAD_TIME_US,
 ) -> PredictorRequest:
     """Return the request of a design, with the noise of the encoder and of the torque worked out."""
-    noise_rad_s = encoder_noise_rad_s(encoder_counts, speed_filter_hz, _INNER_RATE_HZ)
+    noise_rad_s = encoder_noise_rad_s(encoder_counts, speed_filter_hz, INNER_RATE_HZ)
     return PredictorRequest(
         motor,
         current_bandwidth_hz,
@@ -123,8 +124,10 @@ class DynamicResult(ABC):
     structure: ClassVar[str]
     proved: ClassVar[dict[str, str]]
     """Meaning of ``gamma`` and other own figures, in words."""
+    of_peaks: ClassVar = "none: by trial"
+    """What is known of peaks."""
 
-    design: PredictorDesign | HinfDesign
+    design: PredictorDesign | FusedDesign | HinfDesign
     loop: LoopRobustness
     losses_max: int
     """Samples lost in a row."""
@@ -173,7 +176,7 @@ class DynamicResult(ABC):
             "load_nm": request.load_nm,
             "peak_floor_rad_s": request.floor_rad_s(),
             "gamma": finite(self.loop.gain),
-            "certificate": {**self.proved, "losses": loss_figures(self.losses), "peaks": "none: by trial"},
+            "certificate": {**self.proved, "losses": loss_figures(self.losses), "peaks": self.of_peaks},
             "robustness": {
                 **self.loop.peaks_over_floor,
                 **margin_figures(self.loop.margins),

@@ -17,7 +17,7 @@ from tests.benchmarks.attack_peaks import DrawnLoop
 from tests.benchmarks.verify_certificates import certified_loops, false_claims, table_of_loop
 
 CONTROLLERS = Path("examples/controllers")
-PREDICTOR, HINF = (CONTROLLERS / f"ling2012-{kind}.toml" for kind in ("predictor", "hinf"))
+PREDICTOR, HINF, FUSED = (CONTROLLERS / f"ling2012-{kind}.toml" for kind in ("predictor", "hinf", "fused"))
 
 INERTIA = r"(\[controller.made_for.plant\]\n(.*\n){2})inertia_kg_m2 = 0.0008"
 """Of the plant that the proof is about."""
@@ -37,10 +37,10 @@ def changed(path: Path, folder: Path, old: str, new: str) -> Path:
 
 
 def test_the_files_of_the_examples_are_proved() -> None:
-    names = ("ling2012-static", "network-k", "ling2012-hinf", "ling2012-predictor")
+    names = ("ling2012-static", "network-k", "ling2012-hinf", "ling2012-predictor", "ling2012-fused")
     done = verify(*(CONTROLLERS / f"{name}.toml" for name in names))
     assert done.exit_code == 0, done.output
-    assert done.output.count(": proved") == 8
+    assert done.output.count(": proved") == 10
     assert "changed" not in done.output
 
 
@@ -62,6 +62,8 @@ def test_a_changed_digit_is_noticed(tmp_path: Path) -> None:
         (HINF, r"^decay_certified_per_s = .*", "decay_certified_per_s = 112.9", "not proved"),
         (HINF, INERTIA, r"\g<1>inertia_kg_m2 = 0.0004", "not proved"),
         (PREDICTOR, r"^load_noise_nm_sqrt_s = .*", "load_noise_nm_sqrt_s = 1.2", "filter_gains after 0"),
+        (FUSED, r"^gain_certified = .*", "gain_certified = 27.41", "= 27.41 rad/s per N m: not proved"),
+        (FUSED, r"^gains = \[\[\[", "gains = [[[1", "not proved"),
         (HINF, r"^losses_in_a_row_max = 1\nsolver", "losses_in_a_row_max = 2\nsolver", "not proved"),
     ],
 )  # fmt: skip
