@@ -49,12 +49,9 @@ class OrderAttribution:
     def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, tell: Tell) -> None:
         self.health = Health()
         self.question = Question()
-        self._syncs = syncs
-        self._period = period
-        self._transit = transit
-        self._tell = tell
-        self._echo_error = syncs.error_ns
-        self._echoes_late = syncs.basis in STAMPED_LATE
+        self._syncs, self._tell = syncs, tell
+        self._period, self._transit = period, transit
+        self._echo_error, self._echoes_late = syncs.error_ns, syncs.basis in STAMPED_LATE
         self._delays = DelayExtremes()
         """Of readings whose place is certain, outliers too: bounds are made from them."""
         self._usual = UsualDelays(period, transit, syncs.error_ns, self._echoes_late)
@@ -63,8 +60,7 @@ class OrderAttribution:
         """Number of the last SYNC that has its reading."""
         self._known = 0
         """The same of readings whose place was certain."""
-        self._open = Unanswered(syncs)
-        self._copies = Copies()
+        self._open, self._copies = Unanswered(syncs), Copies()
         self._sure = True
         self._beyond = False
         """Whether the question has had no answer so far."""
@@ -147,7 +143,8 @@ class OrderAttribution:
         behind = self._open.is_within(HELD_UP, mark)
         self._in_question.odd += copy and self._in_question.odd < COPIES_MAX
         hidden = copy or self._syncs.may_hide(mark, received_at)
-        if waits := not (self._sure or self._beyond or hidden) and usual.holds(delay):
+        waits = not (self._sure or self._beyond or hidden)
+        if waits := waits and self._in_question.is_in_place(delay, self._lags()):
             self._unsure.add((mark.sequence, received_at, self._error_of(delay)), behind)
         certain = self._sure and not (copy or (behind and self._untidy > 0))
         return self._sample(reading, mark, certain=certain, waits=waits)
@@ -156,7 +153,7 @@ class OrderAttribution:
         """The SYNC before a reading of the delay that is in question."""
         if self._sure:
             self._in_question.phase_known = False
-            self._ask(self._usual.low)
+            self._ask(self._usual.middle if self._usual.spread < self._period else self._usual.low)
         elif self._in_question.phase_known and not self._in_question.is_like(received_at, self._lags()):
             return None
         return self._mark(number) if (number := self._in_question.weigh(received_at)) else None
@@ -204,13 +201,17 @@ class OrderAttribution:
 
     def _settle(self, lag: int) -> None:
         """Readings answer the SYNC before, or one ``lag`` earlier."""
+        by_count = not self._beyond and self._in_question.counts(self._lags())
         if self._in_question.settled(self._answered, lag):
-            self._unsure.clear()
-            delays = self._in_question.evidence.usual_delays(lag)
-            self._usual.begin(delays)
+            delays = self._in_question.evidence.delays(lag)
+            if self._usual.settle(delays, known=by_count):
+                self._tell(f"its readings come {min(delays) / NS_PER_US:.0f} us after their SYNC now")
             self._delays.begin(delays)
+            if by_count:
+                self._unsure.confirm(NEVER, untidy=self._untidy > 0)
+                self.question.cleared = True
+            self._unsure.clear()
             self._untidy = 0  # what seemed to be held up was of the new delay
-            self._tell(f"its readings come {self._delays.low / NS_PER_US:.0f} us after their SYNC now")
         elif not self._beyond:
             self._in_question.odd += self._untidy > 0 and self._unsure.behind
             self._unsure.confirm(NEVER, untidy=self._untidy > 0)
@@ -289,7 +290,7 @@ class OrderAttribution:
             return self._sample(reading, mark, certain=True)
         self._usual.stray(copy=copy)
         if next_one and self._in_question.phase_known and len(self._strays) < STRAYS_MAX:
-            return self._count_in(reading, mark, age)
+            return self._count_in(reading, mark, age, copy and self._untidy > 0)
         if held is None and self._is_held(mark, age, copy):
             return self._hold(reading, mark)
         probing = self._in_question.is_before_probe(reading.received_at, self._answered, self._lags())
@@ -313,13 +314,13 @@ class OrderAttribution:
         self.question.open = not (self._sure or self._beyond)
         return self._guess(reading, mark)
 
-    def _count_in(self, reading: Reading, mark: SyncMark, age: int) -> Sample | None:
-        """It is that of the next SYNC, or of one that was passed over."""
+    def _count_in(self, reading: Reading, mark: SyncMark, age: int, copy: bool) -> Sample | None:
+        """It is that of the next SYNC, of one that was passed over, or a ``copy``, which proves nothing."""
         self._answered = mark.number
         if not self._sure:
             self._in_question.weigh(reading.received_at)
             self._in_question.stray()
-        if not (self._sure or self._beyond):
+        if not (self._sure or self._beyond or copy):
             row = mark.sequence, reading.received_at, self._error_of(age)
             self._unsure.add(row, self._open.is_within(HELD_UP, mark))
         return self._guess(reading, mark)
@@ -357,8 +358,7 @@ class OrderAttribution:
         return self._guess(reading, own)
 
     def _mark(self, number: int) -> SyncMark:
-        marks = self._syncs.marks
-        return marks[max(0, number - marks[0].number)]
+        return self._syncs.marks[max(0, number - self._syncs.marks[0].number)]
 
     def _find_twice(self, reading: Reading, mark: SyncMark, copy: bool) -> Sample | None:
         """A SYNC has a second reading: one is a copy, or was held up, or delays are shorter."""

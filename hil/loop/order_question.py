@@ -13,6 +13,7 @@ from servobench.hil.loop.order_evidence import WATCHED, OrderEvidence
 from servobench.hil.loop.syncs import STAMPED_LATE, SyncLog
 from servobench.hil.loop.usual_delays import (
     ALIKE_MIN,
+    RARE,
     Resemblance,
     UsualDelays,
     lag_to_resemble,
@@ -212,6 +213,8 @@ class OrderQuestion:
         due = self.asked <= PROBE_AFTER or self.asked % (WATCHED // 4 if beyond else 2) == 0
         if not due or len(evidence) < (EVIDENCE_MIN if phase else EVIDENCE_UNUSUAL):
             return None
+        if self.counts(lags) and evidence.delays(0):
+            return 0
         lag = evidence.verdict(-self.sooner(), lags, self._usual.spread // 4 if phase else 0, untidy)
         follows = lag == 0 and phase and self._usual.apart and len(evidence) >= EVIDENCE_UNUSUAL
         if lag is None or not (follows or self._is_narrow(evidence.usual_delays(lag))):
@@ -219,6 +222,18 @@ class OrderQuestion:
         if lag and phase and self._is_usual(evidence.delays(0), 1 if untidy or not self._probes else 0):
             return self._lag_by_looks() if self._misses[-1][1].is_as_wide(self._usual) else None
         return lag
+
+    def counts(self, lags: int) -> bool:
+        """Whether readings of an unknown delay show by their number which SYNCs they answer: each SYNC has
+        had one, in its own period, since the last of which that was certain. Had they grown by a period, one
+        SYNC would be without. Delays that spread over a period do not keep to theirs."""
+        if lags > 1 or self.phase_known or self._usual.spread >= self._period:
+            return False
+        return self.sooner() == 0
+
+    def is_in_place(self, delay: int, lags: int) -> bool:
+        """Whether the answer may confirm that a reading of such a delay answers the SYNC before."""
+        return self._usual.holds(delay) or self.counts(lags)
 
     def _is_usual(self, weighed: list[int], others: int) -> bool:
         """Whether all delays but so many ``others`` are as they were. Nothing excludes then that none
@@ -262,8 +277,7 @@ class OrderQuestion:
         if self.phase_known:
             shorter = self.odd > 0 and self.sooner() > 0
             return 0 if not shorter and self._looks_as_before(miss) else None
-        if self._speaks_against(miss):
+        if self._speaks_against(miss) or RARE * self.odd > self.asked:
             return None
-        delays = self.evidence.usual_delays(0) if self.evidence.delays(0) else []
-        lag = lag_to_resemble(delays, self._usual, self._period, self._alike_least)
+        lag = lag_to_resemble(self.evidence.delays(0), self._usual, self._period, self._alike_least)
         return lag if lag is None or self.evidence.delays(lag) else None

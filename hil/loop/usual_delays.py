@@ -130,6 +130,12 @@ class UsualDelays:
             off - times * self._transit in range(times * self._stuffing) for times in (1, 2)
         )
 
+    def are_within(self, low: int, spread: int, tolerance: int) -> bool:
+        """Whether delays from ``low`` over ``spread`` hold the usual ones, and none that cannot be."""
+        if low + tolerance < min(self.low, self._transit - self._echo_error):
+            return False
+        return low <= self.low + tolerance and low + spread >= self.high - tolerance
+
     @property
     def middle(self) -> int:
         return (self.low + self.high) // 2
@@ -140,6 +146,16 @@ class UsualDelays:
         self._oldest = self._told = 0
         self._unsure = self._unusual = 0.0
         self._look()
+
+    def settle(self, delays: Sequence[int], *, known: bool) -> bool:
+        """Some whose place is now known are usual; whether they are others than before. ``known``: each SYNC
+        had its reading, so those that spread too far to tell are what they were."""
+        if known and not self.apart:
+            for delay in delays:
+                self.add(delay)
+            return False
+        self.begin(delays)
+        return True
 
     def add(self, delay: int) -> None:
         kept = self._kept
@@ -160,18 +176,9 @@ class UsualDelays:
         return self.least <= delay <= self.most
 
     def _look(self) -> None:
-        """The narrowest band that holds all but the rare ones, and what joins it without a gap."""
         self._fresh = 0
         ordered = sorted(self._kept)
-        count = len(ordered)
-        inside = count - count // RARE
-        first = min(range(count - inside + 1), key=lambda place: ordered[place + inside - 1] - ordered[place])
-        last = first + inside - 1
-        gap = max(GAPS * (ordered[last] - ordered[first]) // inside, self._period // USUAL_PARTS)
-        while first > 0 and ordered[first] - ordered[first - 1] <= gap:
-            first -= 1
-        while last < count - 1 and ordered[last + 1] - ordered[last] <= gap:
-            last += 1
+        first, last = _band(ordered, self._period)
         self.low, self.high = ordered[first], ordered[last]
         self._rare = ordered[min(first + SLACKS, last)] - self.low
         self._set_limits()
@@ -186,6 +193,21 @@ class UsualDelays:
         margin = min(margin, free // 3)
         self.apart = margin >= 0
         self.least, self.most = self.low - margin, self.high + margin
+
+
+def _band(ordered: Sequence[int], period: Duration) -> tuple[int, int]:
+    """Places of the first and the last of some delays, the smallest first, in the narrowest band that holds
+    all but the rare ones, and what joins it without a gap."""
+    count = len(ordered)
+    inside = count - count // RARE
+    first = min(range(count - inside + 1), key=lambda place: ordered[place + inside - 1] - ordered[place])
+    last = first + inside - 1
+    gap = max(GAPS * (ordered[last] - ordered[first]) // inside, period // USUAL_PARTS)
+    while first > 0 and ordered[first] - ordered[first - 1] <= gap:
+        first -= 1
+    while last < count - 1 and ordered[last + 1] - ordered[last] <= gap:
+        last += 1
+    return first, last
 
 
 class Resemblance:
@@ -239,19 +261,19 @@ def readings_to_resemble(spread: int, period: Duration, least: int) -> int:
 
 
 def lag_to_resemble(delays: Sequence[int], usual: UsualDelays, period: Duration, least: int) -> int | None:
-    """By how many periods ``delays`` are to be longer for the least of them to be the usual least one; None
-    if they do not say, as they are fewer than ``least`` or spread over a period."""
+    """By how many periods ``delays`` are to be longer to hold the usual ones, rare ones aside; None if they
+    do not say, as they are fewer than ``least``, do not hold them, or spread so far that they may be folded
+    upon themselves by whole periods."""
     if len(delays) < least:
         return None
-    low, spread = min(delays), max(delays) - min(delays)
+    ordered = sorted(delays)
+    first, last = _band(ordered, period)
+    low, spread = ordered[first], ordered[last] - ordered[first]
+    if 2 * spread > period or len(delays) < readings_to_resemble(spread, period, least):
+        return None
     tolerance = usual.tolerance(spread, len(delays))
-    if spread + period // USUAL_PARTS > period or abs(spread - usual.spread) > 2 * tolerance:
-        return None
-    if len(delays) < readings_to_resemble(spread, period, least):
-        return None
-    lag = (usual.low - low + period // 2) // period
-    off = low + lag * period - usual.low
-    return lag if abs(off) <= tolerance else None
+    lag = (usual.low + tolerance - low) // period
+    return lag if usual.are_within(low + lag * period, spread, tolerance) else None
 
 
 def middle_of(ages: Sequence[int], period: Duration) -> int:

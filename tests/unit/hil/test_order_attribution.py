@@ -310,3 +310,55 @@ def test_a_shift_beyond_a_sync_that_was_not_heard_is_counted_with_it() -> None:
     assert delays <= {0.24, 1.24}
     assert 1.24 in delays
     assert rig.told == [f"its readings come {(PERIOD + DELAY) // 1000} us after their SYNC now"]
+
+
+@pytest.mark.parametrize("frame", [TRANSIT, -TRANSIT // 2], ids=["later", "sooner"])
+def test_delays_that_hold_the_usual_ones_are_those_of_before_where_a_reading_was_lost(frame: int) -> None:
+    """Another node's frame comes in front of some of them, or no longer does."""
+    rig = Rig()
+    for number in range(2, 8):
+        rig.answered(number)
+    samples = [rig.answered(number, delay=DELAY + (number % 7 > 2) * frame) for number in range(9, 140)]
+    settled = next(place for place, sample in enumerate(samples) if sample is not None and sample.certain)
+    assert settled < HELD_MAX
+    assert [sample.sequence for sample in samples if sample is not None] == list(range(9, 140))
+    assert all(sample is not None and sample.certain for sample in samples[settled:])
+
+
+def test_where_each_sync_has_a_reading_in_its_own_period_none_was_lost_however_delays_spread() -> None:
+    rig = Rig()
+    rig.answered(2)
+    late = [DELAY + PERIOD * part // 20 for part in (12, 3, 9, 11, 6, 8, 12, 4, 10, 5, 7, 9, 11, 8)]
+    samples = [rig.answered(number, delay=delay) for number, delay in enumerate(late, start=3)]
+    assert [placed(sample) for sample in samples[-3:]] == [(14, True), (15, True), (16, True)]
+    of_question = samples[STRAYS_MAX + 1 : -3]
+    assert rig.amended(*of_question) == [(number, True) for number in range(4 + STRAYS_MAX, 14)]
+
+
+def test_delays_that_spread_and_lack_a_reading_are_a_question_still() -> None:
+    rig = Rig()
+    rig.answered(2)
+    late = [DELAY + PERIOD * part // 20 for part in (12, 3, 9, 11, 6, 8, 12, 4, 10, 5, 7, 9, 11, 8)]
+    samples = [rig.answered(number, delay=delay) for number, delay in enumerate(late, start=4)]
+    assert not any(sample is not None and sample.certain for sample in samples)
+
+
+@pytest.mark.parametrize("copy", [False, True], ids=["its own", "a copy"])
+def test_a_copy_in_the_place_of_a_lost_reading_is_not_confirmed_by_the_answer(copy: bool) -> None:
+    """It comes at an unusual delay while it is open whether another one was lost."""
+    rig = Rig()
+    rig.answered(2)
+    rig.comes(2 * PERIOD + DELAY + 10_000)
+    for number in range(3, 16):
+        rig.answered(number)
+    for number in range(17, 22):
+        rig.answered(number)
+    rig.sync(22)
+    rig.speed -= copy
+    unusual = rig.comes(22 * PERIOD + DELAY + PERIOD // 3)
+    number = 22
+    while not rig.order.settled:
+        number += 1
+        rig.answered(number)
+        assert number < 22 + HELD_MAX
+    assert rig.amended(unusual) == [(22, not copy)]
