@@ -20,7 +20,7 @@ from servobench.hil.configuration.config import BenchConfig
 from servobench.hil.rows.records import FATE_MISSED
 from servobench.hil.rows.run_files import RECORDS_FILE
 from servobench.hil.testing.hosted import DriveProcess
-from servobench.hil.verdict.verdict import VerdictKind
+from servobench.hil.verdict.verdict import ExitStatus, VerdictKind
 from servobench.virtual_bus.child_python import python_command, python_environment
 from tests.exits.cells import (
     BROKER,
@@ -193,8 +193,7 @@ def _run(cell: Cell, host: Host, bus: str, drive: DriveProcess | None) -> Ended:
     if cell.phase != CONNECTING:
         host.go_on()
         struck_at = host.await_phase()
-    if struck_at is not None:
-        _strike(cell, host, bus, drive)
+    held = Duration(0) if struck_at is None else _strike(cell, host, bus, drive)
     out, said = host.process.communicate(timeout=RUN_TIMEOUT_S)
     status: int | None = host.process.returncode
     if status == -signal.SIGKILL:
@@ -205,26 +204,35 @@ def _run(cell: Cell, host: Host, bus: str, drive: DriveProcess | None) -> Ended:
     killed_at = struck_at if mishap is Mishap.HOST_KILLED else None
     told = Told(status, out, said, [WrittenTestimony(1, host.witness)], killed_at)
     around = Circumstances(mishap, 0.0, 0, ())
-    ran = Ran(config(cell.mode), around, host.folder, told, statuses(cell), TELLING_NS)
+    bench = config(cell.mode)
+    may_end_with = statuses(cell)
+    if drive is not None and held >= (bench.host.heartbeat_timeout_ms - bench.host.heartbeat_ms) * NS_PER_MS:
+        may_end_with = (*may_end_with, ExitStatus.PEER_FAULT)
+    ran = Ran(bench, around, host.folder, told, may_end_with, TELLING_NS)
     return Ended(cell, struck_at, rest, ran)
 
 
-def _strike(cell: Cell, host: Host, bus: str, drive: DriveProcess | None) -> None:
+def _strike(cell: Cell, host: Host, bus: str, drive: DriveProcess | None) -> Duration:
+    """Returns for how long the host stood still: a drive that missed its heartbeats has stopped itself, and
+    that is told in the place of what befell another process."""
+    clock = MonotonicClock()
+    since = clock.now()
     if cell.victim == DISK:
         if cell.deed == SLOW:
             host.slow.touch()
         host.go_on(fill=cell.deed == FULL)
-        return
+        return Duration(clock.now() - since)
     victim = _process_id(cell.victim, host, bus, drive)
     os.kill(victim, _SIGNALS[cell.deed])
-    clock = MonotonicClock()
     struck_at = clock.now()
     while cell.deed == KILL and _lives(victim):
         clock.sleep_until(Instant(clock.now() + _POLL_NS))
     host.go_on()
+    held = Duration(clock.now() - since)
     if cell.deed == STOP:
         clock.sleep_until(Instant(struck_at + STOPPED_NS))
         os.kill(victim, signal.SIGCONT)
+    return held
 
 
 def _process_id(victim: str, host: Host, bus: str, drive: DriveProcess | None) -> int:
