@@ -28,17 +28,6 @@ _UPWARDS = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+)(?!#)([^)]+)\)")
 _OF_README = re.compile(r"\]\((?:docs/([^)]+)|([^):#]+))\)")
 
 
-def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Put each decision below the page that lists them."""
-    decisions = sorted(path.name for path in (ROOT / "docs/decisions").glob("0*.md"))
-    for group in config.nav or []:
-        for pages in group.values() if isinstance(group, dict) else []:
-            for page in pages if isinstance(pages, list) else []:
-                if "Decisions" in page:
-                    page["Decisions"] = [page["Decisions"], *(f"decisions/{name}" for name in decisions)]
-    return config
-
-
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made."""
     pages = {
