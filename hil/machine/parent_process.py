@@ -75,6 +75,17 @@ class StreamEnd(io.RawIOBase):
         return size
 
 
+class KeptBuffer(io.BufferedWriter):
+    """A buffer before a :class:`StreamEnd`, which is not closed either.
+
+    Python 3.13 prints that a second close, that of the interpreter's end, failed.
+    """
+
+    def close(self) -> None:
+        """Flush."""
+        self.flush()
+
+
 class _Collected(io.StringIO):
     """The results of a command, until they are handed over."""
 

@@ -21,7 +21,14 @@ from contextlib import suppress
 from typing import Any, Final, NoReturn
 
 from servobench.drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
-from servobench.hil.machine.parent_process import Pipes, StreamEnd, Terminals, live_under, messages
+from servobench.hil.machine.parent_process import (
+    KeptBuffer,
+    Pipes,
+    StreamEnd,
+    Terminals,
+    live_under,
+    messages,
+)
 from servobench.hil.machine.refusals import as_refusal
 from servobench.hil.machine.stopping import heard_signals
 from servobench.hil.terminal.relay import Relay, write_all
@@ -95,7 +102,7 @@ def unsupervised(work: Callable[[], None]) -> NoReturn:
     out, messages = StreamEnd(1, os.isatty(1)), StreamEnd(2, os.isatty(2))
     encoding = sys.stdout.encoding if sys.stdout else "utf-8"
     sys.stdout, sys.stderr = (
-        io.TextIOWrapper(io.BufferedWriter(end), encoding, "backslashreplace", line_buffering=end is messages)
+        io.TextIOWrapper(KeptBuffer(end), encoding, "backslashreplace", line_buffering=end is messages)
         for end in (out, messages)
     )
     status: Any = 0

@@ -194,6 +194,7 @@ def typed(commands: str, folder: Path, seconds: float = TIMEOUT_S) -> str:
             check=False,
         )
     assert done.returncode == 0, f"{commands}\n{done.stdout}"
+    assert "Exception ignored" not in done.stdout, done.stdout
     return done.stdout
 
 
@@ -247,7 +248,8 @@ def examples_of_help(command: Any, panels: tuple[str, ...]) -> list[str]:
 @pytest.mark.xdist_group("real time")
 def test_what_help_shows_typed_works_in_an_empty_folder(panels: tuple[str, ...], tmp_path: Path) -> None:
     app_command: Any = typer.main.get_command(app)
-    lines = ["hil init", *(line for line in examples_of_help(app_command, panels) if line != "hil init")]
+    first = ["hil init", "hil init --examples"]
+    lines = [*first, *(line for line in examples_of_help(app_command, panels) if line not in first)]
     typed(script([Block("\n".join(lines) + "\n", "sh", "runs")]), tmp_path, 380)
 
 
