@@ -11,6 +11,8 @@ from servobench.hil.loop.samples import Sample
 
 STRAYS: Final = 6.0
 """A count so many standard deviations beyond what the speed explains is of another instant."""
+_STEADILY: Final = 0.5
+"""How far a speed that has changed steadily has moved a count, of the change times the time."""
 _REGULAR: Final = 32
 """A SYNC that is off its place by less than such a part of a tick is on it."""
 
@@ -22,7 +24,7 @@ class FusedPredictor(Predicting):
 
     A drive tells the count of its last tick. Where SYNCs come at equal distances, which a period of whole
     ticks keeps, the tick is always as long before. A SYNC that comes later within a period finds the same
-    tick, or the next: that which the count speaks for.
+    tick, or the next: that which count and speed speak for.
 
     A load moves a count from where it was expected by no more than the speed has changed, times the time
     since the last sample. What lies further off, by :data:`STRAYS` times ``spread_rad``, is of another
@@ -56,8 +58,9 @@ class FusedPredictor(Predicting):
 
     def _correct(self, motion: ShaftMotion, sample: Sample, periods: int) -> None:
         innovation, counted_rad = self.innovation_rad_s, sample.reading.counted_rad
-        beyond = self._beyond(motion, counted_rad, sample.sampled_at)
-        explained = (abs(innovation) * (self._period * PER_NS) + self._strays_rad) * periods
+        told_rad = innovation * (self._period * PER_NS) * periods
+        beyond = self._beyond(motion, counted_rad, sample.sampled_at, _STEADILY * told_rad)
+        explained = abs(told_rad) + self._strays_rad * periods
         if abs(beyond) <= explained:
             after = min(periods, len(self._of_count)) - 1
             of_count, of_speed = self._of_count[after], self._of_speed[after]
@@ -72,8 +75,11 @@ class FusedPredictor(Predicting):
         motion.angle_rad, self._ticked_at = counted_rad, sample.sampled_at
         self.load_nm += load * innovation
 
-    def _beyond(self, motion: ShaftMotion, counted_rad: float, at: int) -> float:
-        """Return how far the count of a sample is beyond the expected one; NaN without a count."""
+    def _beyond(self, motion: ShaftMotion, counted_rad: float, at: int, told_rad: float) -> float:
+        """Return how far the count of a sample is beyond the expected one; NaN without a count.
+
+        ``told_rad``: how far by what the speed tells, so that a load's step is not taken for a tick.
+        """
         tick, beyond = self._tick, counted_rad - motion.angle_rad
         if tick == 0:
             return beyond
@@ -84,7 +90,7 @@ class FusedPredictor(Predicting):
             return beyond
         same = beyond + motion.speed_rad_s * (off * PER_NS)
         following = beyond - motion.speed_rad_s * ((tick - off) * PER_NS)
-        if abs(same) <= abs(following):
+        if abs(same - told_rad) <= abs(following - told_rad):
             self._ticked_at = at - off
             return same
         self._ticked_at = at + tick - off

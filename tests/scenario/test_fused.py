@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from servobench.hil.configuration.motor_file import LING2012
+from tests import floor_runs
 from tests.floor_runs import LOAD_AT_S, Case, fused, lost_ratio, peaks
 
 WITHIN_S = 0.15
@@ -32,6 +33,18 @@ def test_peaks_and_noise_are_those_of_the_design(controller: dict[str, object]) 
 def test_it_bears_another_inertia(controller: dict[str, object], inertia: float) -> None:
     runs = peaks(CASE, controller, 2, inertia)
     assert max(run.peak_rad_s(WITHIN_S) for run in runs) < 2.0 * CASE.floor_rad_s(inertia)
+
+
+def test_ticks_that_wander_through_the_period_are_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """1003 us are no whole number of ticks: each count is of another part of one.
+
+    With the count alone to tell one tick from the next, a step of the load passed for a tick: six times the
+    floor.
+    """
+    monkeypatch.setattr(floor_runs, "PERIOD_S", 1.003e-3)
+    case = Case("1003 us", CASE.motor, 1.003e-3, 4096)
+    runs = peaks(case, fused(case), 3, 0.7)
+    assert max(run.peak_rad_s(WITHIN_S) for run in runs) < 2.0 * case.floor_rad_s(0.7)
 
 
 def test_it_bears_five_lost_readings(controller: dict[str, object]) -> None:
