@@ -91,6 +91,7 @@ class ReadingAssembler:
         self._follow = follow
         self._rad_s_per_raw = scaling.velocity_sign * scaling.velocity_rad_s
         self._nm_per_raw = scaling.torque_sign * scaling.torque_nm
+        self._rad_per_count = scaling.position_rad
         self._period_ns = period_ns
         self._period_us = max(1, period_ns // NS_PER_US)
         self._reach_us = _REACH_PERIODS * self._period_us
@@ -158,7 +159,7 @@ class ReadingAssembler:
         counted = self._position
         if raw is not None and self._position_raw is not None:
             counted += ((raw - self._position_raw + _HALF_WORD) % _WORD) - _HALF_WORD
-        return counted * self.scaling.position_rad
+        return counted * self._rad_per_count
 
     # ---- what the frames tell -------------------------------------------------------------------------
 
@@ -214,7 +215,7 @@ class ReadingAssembler:
                 velocity_rad_s,
                 device_time_ns,
                 at,
-                self._position * self.scaling.position_rad + self._carry(us, velocity_rad_s, at),
+                self._position * self._rad_per_count + self._carry(us, velocity_rad_s, at),
                 self.position_told_at,
                 self.torque_nm,
                 self.torque_told_at,

@@ -1,6 +1,5 @@
 """Controlword and set-points of one drive, and the RPDOs that carry them."""
 
-from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, Final
 
@@ -43,11 +42,13 @@ class _Awaited:
     __slots__ = ("_overtaken", "_waiting")
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[bytes, SentCommand]] = deque(maxlen=_AWAITED_MAX)
-        self._overtaken: deque[tuple[bytes, SentCommand]] = deque(maxlen=_OVERTAKEN_MAX)
+        self._waiting: list[tuple[bytes, SentCommand]] = []
+        self._overtaken: list[tuple[bytes, SentCommand]] = []
 
     def sent(self, data: bytes, command: SentCommand) -> None:
         """Note a command that was handed to the bus."""
+        if len(self._waiting) == _AWAITED_MAX:
+            self._waiting.pop(0)
         self._waiting.append((data, command))
 
     def given_up(self, handed_at: Instant) -> None:
@@ -64,20 +65,22 @@ class _Awaited:
         before. It may also belong to others waiting with the same data."""
         waiting, overtaken = self._waiting, self._overtaken
         for place, (awaited, command) in enumerate(waiting):
-            if awaited == data and handed_at in (UNTOLD, command.handed_at):
+            if awaited == data and (handed_at == command.handed_at or handed_at == UNTOLD):
                 command.on_bus_at = at
                 for _ in range(place):
-                    overtaken.append(waiting.popleft())
-                waiting.popleft()
+                    overtaken.append(waiting.pop(0))
+                waiting.pop(0)
+                while len(overtaken) > _OVERTAKEN_MAX:
+                    overtaken.pop(0)
                 if handed_at == UNTOLD:
                     _note_maybe(waiting, data, at)
                     _note_maybe(overtaken, data, at)
                 return
         for place in range(len(overtaken) - 1, -1, -1):
             awaited, command = overtaken[place]
-            if awaited == data and handed_at in (UNTOLD, command.handed_at):
+            if awaited == data and (handed_at == command.handed_at or handed_at == UNTOLD):
                 command.on_bus_at = at
-                del overtaken[place]
+                overtaken.pop(place)
                 if handed_at == UNTOLD:
                     _note_maybe(overtaken, data, at)
                 return

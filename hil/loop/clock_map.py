@@ -18,6 +18,8 @@ from typing import Final
 
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 
+_round: Final = round
+"""A module constant: found without a look-up where compiled."""
 STAMP_RESOLUTION: Final = Duration(NS_PER_US)
 """1013h counts whole microseconds, rounded down (CiA 301 7.5.2.16); makers differ."""
 STEP_SHOWS: Final = 50
@@ -88,7 +90,7 @@ class ClockMap:
     def place(self, device_ns: int) -> Instant:
         """The host's instant of a device stamp. Needs :attr:`ready`."""
         passed = device_ns - self._device_ns
-        return Instant(self._host_ns + passed + round(self._part_ns + self._rate * passed))
+        return Instant(self._host_ns + passed + _round(self._part_ns + self._rate * passed))
 
     def observe(self, device_ns: int, host_ns: Instant, variance_ns2: float) -> None:
         """A stamp whose host instant is known; ``variance_ns2``: of that instant, beside a stamp's rounding.

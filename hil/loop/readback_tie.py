@@ -189,7 +189,7 @@ class ReadbackTie:
         first = number
         if self._last and self._spacing:
             # One that is missing may have been overtaken by its reading alone.
-            first = max(1, min(number, self._last + self._spacing), number - READINGS_REMEMBERED)
+            first = max(min(number, self._last + self._spacing), max(1, number - READINGS_REMEMBERED))
         places: list[int] = []
         for place, readback in enumerate(slot):
             last = self._newest_before(readback)

@@ -16,6 +16,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
+_round: Final = round
+"""A module constant: found without a look-up where compiled."""
 WATCHED: Final = 256
 """Values whose smallest and largest stand for the present."""
 CHANGE_KEPT: Final = 0.97
@@ -257,5 +259,5 @@ class Residuals:
 
     def cut(self, residual: int, unseen_ns: int) -> int:
         """``residual``, no further out than what one of many may well be."""
-        most = round(OUTLYING * self.change_ns) + unseen_ns
+        most = _round(OUTLYING * self.change_ns) + unseen_ns
         return min(max(residual, -most), most)

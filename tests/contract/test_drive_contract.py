@@ -207,7 +207,7 @@ def test_a_seldom_position_agrees_with_one_of_every_cycle(bench: Bench) -> None:
         )
     last = readings[-1]
     # The drive's own position is of the last time that it had to look, up to a period after the last SYNC.
-    at_rad = bench.device.drive.objects.position.value * math.tau / 65536
+    at_rad = bench.device.drive.objects.position.read() * math.tau / 65536
     assert -0.1 < at_rad - last.position_rad < last.velocity_rad_s * PERIOD / NS_PER_S + 0.1
     ages = [reading.received_at - reading.position_told_at for reading in readings[20:]]
     assert 9 * PERIOD < max(ages) < 10 * PERIOD

@@ -148,8 +148,8 @@ def _tell(inner: InnerLoops, draw: random.Random) -> None:
     inner.origin, inner.counts_per_position = odd_number(draw), odd_number(draw)
     inner.velocity_per_rad_s, inner.torque_unit_nm = odd_number(draw), odd_number(draw)
     try:
-        position, velocity, torque, _ = inner.actual_values()
-        demand = inner.torque_told()
+        position, velocity, torque = inner.position_told(), inner.velocity_told(), inner.torque_told()
+        demand = inner.torque_demand_told()
     except ValueError:
         return
     assert max(position, velocity) < 1 << 31

@@ -86,28 +86,39 @@ static PyObject *call_torque_in_force(PyObject *self, PyObject *none)
     return PyFloat_FromDouble(torque_in_force(loops_of(self)));
 }
 
-/* 6064h, 606Ch and 6077h as of the last tick, and whether a set-point was cut then. */
-static PyObject *call_actual_values(PyObject *self, PyObject *none)
+/* 6064h as of the last tick, as are the next two. */
+static PyObject *call_position_told(PyObject *self, PyObject *none)
 {
     (void)none;
-    const LoopState *state = &loops_of(self)->state;
     const UserScale *scale = &loops_of(self)->scale;
-    PyObject *items[] = {whole(user_position(state->count - scale->origin, scale->counts_per_position)),
-                         whole(clipped(state->speed_measured_rad_s * scale->velocity_per_rad_s, 32)),
-                         whole(clipped(state->torque_measured_nm / scale->torque_unit_nm, 16)),
-                         PyBool_FromLong(state->limited != 0.0)};
-    PyObject *told = items[0] != NULL && items[1] != NULL && items[2] != NULL ? PyTuple_New(4) : NULL;
-    for (int place = 0; place < 4; place++) {
-        if (told != NULL)
-            PyTuple_SetItem(told, place, items[place]);
-        else if (items[place] != NULL)
-            Py_DecRef(items[place]);
-    }
-    return told;
+    return whole(user_position(loops_of(self)->state.count - scale->origin, scale->counts_per_position));
+}
+
+/* 606Ch. */
+static PyObject *call_velocity_told(PyObject *self, PyObject *none)
+{
+    (void)none;
+    const InnerLoops *loops = loops_of(self);
+    return whole(clipped(loops->state.speed_measured_rad_s * loops->scale.velocity_per_rad_s, 32));
+}
+
+/* 6077h. */
+static PyObject *call_torque_told(PyObject *self, PyObject *none)
+{
+    (void)none;
+    const InnerLoops *loops = loops_of(self);
+    return whole(clipped(loops->state.torque_measured_nm / loops->scale.torque_unit_nm, 16));
+}
+
+/* Whether a set-point was cut at the last tick. */
+static PyObject *call_is_limited(PyObject *self, PyObject *none)
+{
+    (void)none;
+    return PyBool_FromLong(loops_of(self)->state.limited != 0.0);
 }
 
 /* 6074h: what is in force now. */
-static PyObject *call_torque_told(PyObject *self, PyObject *none)
+static PyObject *call_torque_demand_told(PyObject *self, PyObject *none)
 {
     (void)none;
     InnerLoops *loops = loops_of(self);
@@ -240,8 +251,11 @@ static PyMethodDef methods[] = {
     {"tick_at", call_tick_at, METH_NOARGS, NULL},
     {"tick_after", call_tick_after, METH_O, NULL},
     {"torque_in_force", call_torque_in_force, METH_NOARGS, NULL},
-    {"actual_values", call_actual_values, METH_NOARGS, NULL},
+    {"position_told", call_position_told, METH_NOARGS, NULL},
+    {"velocity_told", call_velocity_told, METH_NOARGS, NULL},
     {"torque_told", call_torque_told, METH_NOARGS, NULL},
+    {"is_limited", call_is_limited, METH_NOARGS, NULL},
+    {"torque_demand_told", call_torque_demand_told, METH_NOARGS, NULL},
     {"demand_torque", call_demand_torque, METH_O, NULL},
     {"ramp_to_speed", (PyCFunction)(void (*)(void))call_ramp_to_speed, METH_FASTCALL, NULL},
     {"bear", (PyCFunction)(void (*)(void))call_bear, METH_FASTCALL, NULL},

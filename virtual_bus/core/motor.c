@@ -32,7 +32,7 @@ double motor_torque(const MotorParameters *p, double i_d, double i_q)
     return p->torque_factor * p->pole_pairs * (p->flux_linkage_wb + saliency * i_d) * i_q;
 }
 
-static Motion slopes(const MotorParameters *p, const Motion *x, const Forcing *f)
+static inline Motion slopes(const MotorParameters *p, const Motion *x, const Forcing *f)
 {
     double electrical = p->pole_pairs * x->speed;
     double net = motor_torque(p, x->i_d, x->i_q) - p->viscous_friction_nm_s * x->speed - f->resisting;
@@ -46,7 +46,7 @@ static Motion slopes(const MotorParameters *p, const Motion *x, const Forcing *f
     };
 }
 
-static Motion ahead(const Motion *x, const Motion *k, double h)
+static inline Motion ahead(const Motion *x, const Motion *k, double h)
 {
     return (Motion){x->i_d + h * k->i_d, x->i_q + h * k->i_q, x->speed + h * k->speed, x->v_d + h * k->v_d,
                     x->v_q + h * k->v_q};

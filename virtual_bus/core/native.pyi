@@ -176,13 +176,21 @@ class InnerLoops:
     def torque_in_force(self) -> float:
         """The torque demand in force now, N m, inside its limits."""
 
-    def actual_values(self) -> Any:
-        """A tuple: 6064h, 606Ch and 6077h as of the last tick, and whether a set-point was cut then. Not said
-        to mypyc, which would take three integers apart and make them anew. Error: ValueError where the state
-        is no finite number."""
+    def position_told(self) -> int:
+        """6064h as of the last tick. Error: ValueError where the state is no finite number, as for the next
+        three."""
+
+    def velocity_told(self) -> int:
+        """606Ch as of the last tick."""
 
     def torque_told(self) -> int:
-        """6074h as it is in force now. Error: as :meth:`actual_values`."""
+        """6077h as of the last tick."""
+
+    def torque_demand_told(self) -> int:
+        """6074h as it is in force now."""
+
+    def is_limited(self) -> bool:
+        """Whether a set-point was cut at the last tick."""
 
     def demand_torque(self, torque_nm: float, /) -> None:
         """Torque set-point; it is followed where ``wanted_control`` is torque."""

@@ -121,7 +121,7 @@ def _variable(title: str, variable: Variable, code: ObjectCode) -> list[str]:
         f"PDOMapping={int(variable.mappable)}",
     ]
     own = (variable.index, variable.subindex) == SERIAL_NUMBER
-    if variable.provider is None and not variable.runs and not own:
+    if variable.provider is None and not own:
         entries.append(f"DefaultValue={_default(variable)}")
     if variable.low is not None:
         entries.append(f"LowLimit={variable.low}")

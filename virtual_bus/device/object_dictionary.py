@@ -95,9 +95,6 @@ class Variable:
         self.power_on: Any = None
         """Stored parameter that replaces the default at power-on and reset; None: the default."""
         self.value: Any = self.default
-        self.runs = False
-        """The application changes ``value`` as time passes, not only when it acts. So it is with a
-        ``provider``."""
 
     def __repr__(self) -> str:
         return f"Variable({self.index:04X}h:{self.subindex} {self.name!r} = {self.value!r})"

@@ -84,7 +84,7 @@ class TransmitPdo(PdoParameters):
         self._mapped = [
             variable for variable in mapped if variable.index != Cia301.HIGH_RESOLUTION_TIME_STAMP
         ]
-        self.runs = any(variable.runs or variable.provider is not None for variable in self._mapped)
+        self.runs = any(variable.provider is not None for variable in self._mapped)
         self._can_id = self.can_id
         self._type = self.parameter(2)
         self._inhibit_ns = self.parameter(3) * NS_PER_100_US

@@ -2,7 +2,7 @@
 are seldom asked for, which are computed when they are.
 """
 
-from typing import Any, Final
+from typing import Final
 
 from servobench.drivers.cia402.profile import Status
 from servobench.virtual_bus.core.native import clipped
@@ -19,16 +19,14 @@ class ActualValues:
     """Where the firmware's state becomes what the TPDOs carry."""
 
     def __init__(self, firmware: Firmware, objects: ServoObjects, units: UserUnits) -> None:
-        self._inner = firmware.inner
-        self._tell = self._inner.actual_values
+        self._inner = inner = firmware.inner
+        self._is_limited = inner.is_limited
         self._units = units
         self._objects = objects
         self._statusword = objects.statusword
-        self._position = objects.position
-        self._velocity = objects.velocity
-        self._torque = objects.torque
-        for measured in (self._position, self._velocity, self._torque):
-            measured.runs = True
+        objects.position.provider = inner.position_told
+        objects.velocity.provider = inner.velocity_told
+        objects.torque.provider = inner.torque_told
 
     def take_units(self) -> None:
         """They have changed."""
@@ -40,11 +38,7 @@ class ActualValues:
 
     def refresh(self, status: int) -> None:
         """``status``: the statusword but for what the inner loops add."""
-        told: tuple[Any, ...] = self._tell()
-        self._position.value = told[0]
-        self._velocity.value = told[1]
-        self._torque.value = told[2]
-        self._statusword.value = status | INTERNAL_LIMIT_ACTIVE if told[3] else status
+        self._statusword.value = status | INTERNAL_LIMIT_ACTIVE if self._is_limited() else status
 
 
 LOAD_NM: Final = 1e-3
@@ -57,7 +51,7 @@ def provide_slow_values(axis: SimulatedAxis) -> None:
     objects, motion, units, firmware = axis.objects, axis.motion, axis.units, axis.firmware
     inner = firmware.inner
     objects.position_internal.provider = lambda: wrapped(int(inner.count - units.origin))
-    objects.torque_demand.provider = inner.torque_told
+    objects.torque_demand.provider = inner.torque_demand_told
     objects.current.provider = lambda: clipped(inner.current_q_measured_a / objects.current_unit_a, 16)
     objects.current_d.provider = lambda: clipped(inner.current_d_measured_a / objects.current_unit_a, 16)
     objects.current_q.provider = lambda: clipped(inner.current_q_measured_a / objects.current_unit_a, 16)

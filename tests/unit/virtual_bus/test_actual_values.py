@@ -43,16 +43,24 @@ def test_actual_values_are_in_the_units_of_the_master() -> None:
     inner.speed_measured_rad_s, inner.velocity_per_rad_s = 10.0, 1e9
     inner.torque_measured_nm, inner.torque_unit_nm = 0.5, 0.2
     inner.limited = 1.0
-    assert inner.actual_values() == (-375, 0x7FFF_FFFF, 2, True)
-    assert inner.torque_told() == 0
+    assert (inner.position_told(), inner.velocity_told(), inner.torque_told()) == (-375, 0x7FFF_FFFF, 2)
+    assert inner.is_limited()
+    assert inner.torque_demand_told() == 0
 
 
-@pytest.mark.parametrize("name", ["count", "speed_measured_rad_s", "torque_measured_nm"])
-def test_a_state_that_is_no_number_is_an_error(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("count", "position_told"),
+        ("speed_measured_rad_s", "velocity_told"),
+        ("torque_measured_nm", "torque_told"),
+    ],
+)
+def test_a_state_that_is_no_number_is_an_error(name: str, told: str) -> None:
     inner = InnerLoops()
     setattr(inner, name, math.nan)
     with pytest.raises(ValueError, match="no number"):
-        inner.actual_values()
+        getattr(inner, told)()
 
 
 def test_bits_are_at_most_those_of_an_object() -> None:
