@@ -10,6 +10,7 @@ from servobench.drivers.record import Record
 from servobench.drivers.timebase import Instant
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class Reading(Record):
     """One drive's values at one SYNC: its speed and, if the drive has a clock, the stamp of that very sample.
 
@@ -66,6 +67,7 @@ class Reading(Record):
         return self.position_rad if self.position_told_at == self.received_at else math.nan
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class Readback(Record):
     """The torque demand 0x6074 reported by a drive: which command it was following at a SYNC."""
 
@@ -85,6 +87,7 @@ class Readback(Record):
         """True if it came in the frame of that reading, and so certainly belongs to its SYNC."""
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class DemandChange(Record):
     """A change of the torque demand 6074h reported by a drive: the moment a command began to act."""
 
@@ -99,6 +102,7 @@ class DemandChange(Record):
         self.received_at: Final = received_at
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class SentCommand:
     """A set-point handed to the bus, and what the bus has reported about it since."""
 
@@ -120,6 +124,7 @@ class SentCommand:
         """The first echo attributed to another command with equal data that may belong to this one."""
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class Command(Record):
     """A torque set-point and the time for which it is meant."""
 

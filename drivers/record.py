@@ -1,7 +1,8 @@
 """Values that stages hand to each other, as plain classes.
 
 Compiled, one is made in a seventh to a quarter of the time of a named tuple, and its numbers need no objects
-of their own.
+of their own. ``acyclic``: the garbage collector need not know of it, as nothing in it leads back to it.
+``free_list_len``: the memory of the last one that was freed serves the next.
 """
 
 from typing import Any, ClassVar, TypeVar
@@ -9,7 +10,7 @@ from typing import Any, ClassVar, TypeVar
 from mypy_extensions import mypyc_attr
 
 
-@mypyc_attr(allow_interpreted_subclasses=True)
+@mypyc_attr(allow_interpreted_subclasses=True, acyclic=True)
 class Record:
     """A value with named fields. Override ``__match_args__`` and the constructor.
 

@@ -23,6 +23,7 @@ UNTOLD: Final = Instant(-1)
 """The instant of a hand-over is unknown."""
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class WireFrame(Record):
     """A classical CAN data or remote frame."""
 

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+from mypy_extensions import mypyc_attr
+
 from servobench.drivers.exchange import Command, SentCommand
 from servobench.drivers.timebase import Instant
 from servobench.hil.loop.delay import Fate
@@ -9,6 +11,7 @@ from servobench.hil.loop.samples import StateEstimate
 from servobench.hil.loop.syncs import SyncMark
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class Tick:
     """What all axes of a cycle share."""
 
@@ -20,6 +23,7 @@ class Tick:
         self.time_s = time_s
 
 
+@mypyc_attr(free_list_len=1)
 class Decision:
     """What was done in one cycle, while the fates of its reading and of its command may still be open."""
 

@@ -10,6 +10,8 @@ fates are handed out in order of sequence. A cycle without SYNC has its fate at 
 
 from typing import Final
 
+from mypy_extensions import mypyc_attr
+
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.samples import Dropout, DropoutCause, Observation, Sample
 
@@ -23,6 +25,7 @@ MEDIAN_STEP: Final = 20.0
 outlier hardly moves it."""
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class Fate:
     """The end of one sequence."""
 
@@ -40,6 +43,7 @@ class Fate:
         self.received_at = received_at
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class _Outstanding:
     """A SYNC whose reading is still awaited, or has come but waits for earlier ones."""
 

@@ -2,6 +2,8 @@
 
 from typing import Final
 
+from mypy_extensions import mypyc_attr
+
 from servobench.drivers.exchange import SentCommand
 from servobench.drivers.timebase import Instant
 from servobench.hil.loop.samples import CommandFate
@@ -12,6 +14,7 @@ MANY: Final = 1 << 30
 """More passes than a command can have."""
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class FollowedCommand:
     """A command and what is known of its effect; :mod:`servobench.hil.loop.command_meter` sets what it
     learns."""

@@ -12,6 +12,8 @@ from collections.abc import Callable, Sequence
 from random import Random
 from typing import Final
 
+from mypy_extensions import mypyc_attr
+
 from servobench.drivers.errors import NoAnswer, PeerFault
 from servobench.drivers.exchange import Master
 from servobench.drivers.timebase import NS_PER_S, NS_PER_US, Clock, Duration, Instant
@@ -43,6 +45,7 @@ Stall = Callable[[Instant], Duration]
 """For how long the host, which is to act at an instant, is kept from it."""
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class Start:
     """What becomes of the next tick."""
 

@@ -16,6 +16,8 @@ next reading has come, as two demands behind one reading show that they are not 
 from collections import deque
 from typing import Final
 
+from mypy_extensions import mypyc_attr
+
 from servobench.drivers.exchange import DemandChange, Readback, Reading
 from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.samples import Sample
@@ -30,6 +32,7 @@ SILENT_PERIODS: Final = 4
 """A demand waits so long for the next reading: longer than a few losses in a row, shorter than a row does."""
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class Telling:
     """The drive followed ``demand_raw`` at an instant from ``since`` to ``until``."""
 
@@ -44,6 +47,7 @@ class Telling:
         self.sync = sync
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class _Placed:
     """A reading whose SYNC is certain."""
 

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from enum import Enum
 from typing import Final
 
+from mypy_extensions import mypyc_attr
+
 from servobench.drivers.exchange import Command, Reading
 from servobench.drivers.record import Record
 from servobench.drivers.timebase import Duration, Instant
@@ -23,6 +25,7 @@ class DropoutCause(Enum):
     no room for it."""
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class Sample(Record):
     """A reading placed on the bench's time axis. What "sampled" means stands in docs/timing.md."""
 
@@ -43,6 +46,7 @@ class Sample(Record):
         """Whether the data decide which SYNC it answers."""
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class Dropout(Record):
     """A cycle without a usable reading."""
 
@@ -68,6 +72,7 @@ def without_sync(observation: Observation) -> Observation:
     return observation
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class StateEstimate(Record):
     """What the controller is given: the state, and the instant for which it holds."""
 
@@ -106,6 +111,7 @@ class CommandFate(Enum):
     """The adapter had no room for it until the next one was to be sent: queue full, or interface down."""
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class Sending(Record):
     """What is known of a command on its way."""
 
@@ -133,6 +139,7 @@ class Sending(Record):
         """The earliest instant known at which it acted."""
 
 
+@mypyc_attr(free_list_len=1)
 class CycleRecord(Record):
     """Everything about one planned cycle of one axis: what came of its SYNC, and what was done in it."""
 

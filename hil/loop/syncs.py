@@ -14,6 +14,8 @@ after both may be that of either: they are then unsure, unless the other echo co
 
 from typing import Final
 
+from mypy_extensions import mypyc_attr
+
 from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 from servobench.drivers.wire.frame_port import UNTOLD, EchoBasis
 from servobench.hil.loop.residuals import Extremes
@@ -43,6 +45,7 @@ SURPLUS: Final = 0
 """The sequence of a SYNC on the bus that this host did not hand over, or not so often."""
 
 
+@mypyc_attr(acyclic=True, free_list_len=1)
 class SyncMark:
     """One SYNC."""
 

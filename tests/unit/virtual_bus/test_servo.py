@@ -217,11 +217,11 @@ def test_reset_node_forgets_set_points_but_not_where_the_shaft_is() -> None:
     bench = ServoBench()
     bench.write(LOAD_MACHINE, "i", 100, 1)
     bench.turn()
-    position = bench.servo.dictionary.variable(Object.POSITION_ACTUAL_VALUE).value
+    position = bench.servo.dictionary.variable(Object.POSITION_ACTUAL_VALUE).read()
     assert position > 10_000
     bench.nmt(129)
     bench.wait_ms(BOOT_MS)
-    assert bench.servo.dictionary.variable(Object.POSITION_ACTUAL_VALUE).value >= position
+    assert bench.servo.dictionary.variable(Object.POSITION_ACTUAL_VALUE).read() >= position
     assert bench.read(Object.TARGET_TORQUE, "h") == 0
     assert bench.read(LOAD_MACHINE, "i", 1) == 100, "the load machine is no part of the drive"
 
