@@ -57,10 +57,11 @@ GROUPS = {
         *_below(
             "hil/loop", "delay loop order_attribution pace position_path safety samples scenario way_back"
         ),
+        *_below("hil/loop", "drive_stamps followed_command kept_order lessons order_evidence order_memory"),
         *_below(
-            "hil/loop", "drive_stamps followed_command lessons order_evidence order_memory order_question"
+            "hil/loop",
+            "order_question period_doubt readback_tie residuals stamp_attribution syncs usual_delays",
         ),
-        *_below("hil/loop", "period_doubt readback_tie residuals stamp_attribution syncs usual_delays"),
         *_below("hil/recording", "row_writer"),
         *_below("hil/rows", "records side_rows"),
     ],

@@ -5,26 +5,17 @@ from typing import Final
 from servobench.drivers.exchange import Reading
 from servobench.drivers.timebase import NEVER, NS_PER_US, Duration, Instant
 from servobench.hil.loop.attribution import HELD_MAX, Health, Question, Tell
-from servobench.hil.loop.order_memory import Copies, Unanswered, Unconfirmed
+from servobench.hil.loop.kept_order import KeptOrder, PlacedInOrder
+from servobench.hil.loop.order_memory import UNTIDY_FOR, Copies, SampleDelays, Unanswered, Unconfirmed
 from servobench.hil.loop.order_question import OrderQuestion
-from servobench.hil.loop.residuals import DelayExtremes
 from servobench.hil.loop.samples import Sample
 from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SURPLUS, SyncLog, SyncMark
 from servobench.hil.loop.usual_delays import FIRST, UsualDelays, middle_of
 
 ASK_AGAIN_AFTER: Final = 100
 """SYNCs from a question that had no answer until it is put again."""
-COPIES_MAX: Final = 2
-"""SYNCs without a reading that copies of others may hide in one question: while a shaft stands still all
-readings look like copies."""
 STRAYS_MAX: Final = 4
 """Readings in a row with an unusual delay: so many are no frames that were held up."""
-UNTIDY_FOR: Final = 1000
-"""Readings for which frames are expected to come twice or be held up once more."""
-OPEN_FOR: Final = 10
-"""SYNCs after which one that was passed over will have no reading any more: networks hold frames for less."""
-HELD_UP: Final = 4
-"""SYNCs after which a frame that was held up comes at the latest, and may be taken for that of another."""
 
 
 class OrderAttribution:
@@ -51,28 +42,21 @@ class OrderAttribution:
         self.question = Question()
         self._syncs, self._tell = syncs, tell
         self._period, self._transit = period, transit
-        self._echo_error, self._echoes_late = syncs.error_ns, syncs.basis in STAMPED_LATE
-        self._delays = DelayExtremes()
-        """Of readings whose place is certain, outliers too: bounds are made from them."""
-        self._usual = UsualDelays(period, transit, syncs.error_ns, self._echoes_late)
+        self._echo_error, self._delays = syncs.error_ns, SampleDelays(syncs, period, transit)
+        self._kept_order = KeptOrder(syncs, period, transit)
+        self._usual = UsualDelays(period, transit, syncs.error_ns, syncs.basis in STAMPED_LATE)
         self._in_question = OrderQuestion(syncs, period, transit, self._usual)
-        self._answered = 0
-        """Number of the last SYNC that has its reading."""
-        self._known = 0
-        """The same of readings whose place was certain."""
+        self._answered = 0  # number of the last SYNC that has its reading
+        self._known = 0  # the same of readings whose place was certain
         self._open, self._copies = Unanswered(syncs), Copies()
         self._sure = True
-        self._beyond = False
-        """Whether the question has had no answer so far."""
+        self._beyond = False  # whether the question has had no answer so far
         self._unsure = Unconfirmed(self.question, self._usual)
-        self._strays: list[int] = []
-        """Of those in a row, how long they came after the SYNC before them."""
-        self._strays_known = 0
-        """So many of them have their certain place."""
+        self._strays: list[int] = []  # of those in a row, how long they came after the SYNC before them
+        self._strays_known = 0  # so many of them have their certain place
         self._held: tuple[int, Instant, int] | None = None
         """Cycle, instant and bound of the last reading, if the next one is to show that it was held up."""
-        self._untidy = 0
-        """Readings for which frames are still expected to come twice or be held up."""
+        self._untidy = 0  # readings for which frames are still expected to come twice or be held up
 
     @property
     def wants_probe(self) -> bool:
@@ -108,17 +92,19 @@ class OrderAttribution:
         delay = 0 if mark is None or mark.on_bus_at is None else received_at - mark.on_bus_at
         copy = self._copies.holds(reading.velocity_rad_s)
         self._untidy -= self._untidy > 0
-        if not (self._sure and usual.apart):
+        usually = self._sure and usual.apart
+        if usually and mark is not None and usual.holds(delay) and self._is_plain(mark):
+            self._answered = self._known = mark.number
+            return self._sample(reading, mark, certain=True)
+        row = self._kept_order.take(reading, self._known, copy)
+        if self._kept_order.leads:
+            return self._in_order(reading, row)
+        if not usually:
             mark = self._followed(received_at)
             if mark is None:
                 return self._stray(reading, copy)
         elif mark is None or not usual.holds(delay) or self._comes_sooner(mark, received_at, copy):
             return self._stray(reading, copy)
-        elif mark.number == self._answered + 1 and not (
-            self._untidy or self._strays or mark.sequence == SURPLUS
-        ):
-            self._answered = self._known = mark.number
-            return self._sample(reading, mark, certain=True)
         self._strays.clear()
         if not self._sure:
             mark = self._weigh(mark, received_at)
@@ -140,14 +126,35 @@ class OrderAttribution:
         assert mark.on_bus_at is not None
         delay = received_at - mark.on_bus_at
         copy = copy and self._untidy > 0
-        behind = self._open.is_within(HELD_UP, mark)
-        self._in_question.odd += copy and self._in_question.odd < COPIES_MAX
-        hidden = copy or self._syncs.may_hide(mark, received_at)
-        waits = not (self._sure or self._beyond or hidden)
-        if waits := waits and self._in_question.is_in_place(delay, self._lags()):
+        behind = self._open.may_be_taken_for(mark)
+        self._in_question.take_copy(copy=copy)
+        final = copy or self._sure or self._beyond or self._syncs.may_hide(mark, received_at)
+        if waits := not final and self._in_question.fits(delay, self._lags()):
             self._unsure.add((mark.sequence, received_at, self._error_of(delay)), behind)
         certain = self._sure and not (copy or (behind and self._untidy > 0))
         return self._sample(reading, mark, certain=certain, waits=waits)
+
+    def _is_plain(self, mark: SyncMark) -> bool:
+        """Whether a usual reading behind ``mark`` follows usual ones."""
+        plain = not (self._untidy or self._strays) and mark.sequence != SURPLUS
+        return plain and mark.number == self._answered + 1
+
+    def _in_order(self, reading: Reading, row: PlacedInOrder | None) -> Sample | None:
+        """Its place is ``row``, if the next ones say so."""
+        if self._sure or self._beyond:
+            self._in_question.phase_known = False
+            self._ask(self._usual.middle)
+            self._beyond = self._in_question.wants_probe = False
+        for one in self._kept_order.proved:
+            self._delays.add(one.delay)
+            if one.heeded:
+                self.question.prove(one.mark.sequence, one.received_at, self._error_of(one.delay))
+        self.question.open = True
+        if row is None or row.mark.sequence == SURPLUS:
+            return self._guess(reading, None)
+        if row.mark.number > self._answered:
+            row.heeded, self._answered = True, row.mark.number
+        return self._sample(reading, row.mark, certain=False, waits=True)
 
     def _followed(self, received_at: Instant) -> SyncMark | None:
         """The SYNC before a reading of the delay that is in question."""
@@ -256,14 +263,7 @@ class OrderAttribution:
         return Sample(mark.sequence, reading, on_bus_at, error_ns, certain)
 
     def _error_of(self, delay: int) -> int:
-        """How far the sample of a reading may lie from its SYNC."""
-        delays = self._delays
-        if self._echoes_late:  # and by how much is in no single delay, as readings are stamped late too
-            off = max(delay, delays.high) - delays.low
-            return self._echo_error + off + delays.unseen(self._transit)
-        if self.health.placed <= FIRST:
-            return self._echo_error + max(delay - delays.low, min(delay - self._transit, self._period // 2))
-        return self._echo_error + delays.late(delay, self._transit)
+        return self._delays.error_of(delay, first=self.health.placed <= FIRST)
 
     # ---- frames that are held up, or come twice -----------------------------------------------------------
 
@@ -322,7 +322,7 @@ class OrderAttribution:
             self._in_question.stray()
         if not (self._sure or self._beyond or copy):
             row = mark.sequence, reading.received_at, self._error_of(age)
-            self._unsure.add(row, self._open.is_within(HELD_UP, mark))
+            self._unsure.add(row, self._open.may_be_taken_for(mark))
         return self._guess(reading, mark)
 
     def _is_only_one(self, mark: SyncMark, copy: bool) -> bool:
@@ -331,7 +331,7 @@ class OrderAttribution:
         if not self._sure or copied or mark.sequence == SURPLUS or not self._usual.apart:
             return False
         known = mark.number == self._answered + 1 == self._known + 1
-        return known and not self._open.is_within(OPEN_FOR, mark)
+        return known and not self._open.may_come(mark)
 
     def _comes_sooner(self, usual: SyncMark, received_at: Instant, copy: bool) -> bool:
         """Whether a reading is that of a SYNC after the ``usual`` one, as this and all before have theirs."""
@@ -345,7 +345,7 @@ class OrderAttribution:
         reading comes as soon after its SYNC as it would after that."""
         if not self._sure or copy or mark.number != self._answered + 2 or age >= self._usual.least:
             return False
-        return not self._open.is_within(OPEN_FOR, mark) and self._mark(mark.number - 1).on_bus_at is not None
+        return not self._open.may_come(mark) and self._mark(mark.number - 1).on_bus_at is not None
 
     def _hold(self, reading: Reading, mark: SyncMark) -> Sample | None:
         """It was held up. If the next one does not come, it may be one before, or that of ``mark``."""

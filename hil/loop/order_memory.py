@@ -3,13 +3,20 @@
 import math
 from typing import Final
 
-from servobench.drivers.timebase import Instant
+from servobench.drivers.timebase import Duration, Instant
 from servobench.hil.loop.attribution import Question
-from servobench.hil.loop.syncs import REMEMBERED, SyncLog, SyncMark
+from servobench.hil.loop.residuals import DelayExtremes
+from servobench.hil.loop.syncs import REMEMBERED, STAMPED_LATE, SyncLog, SyncMark
 from servobench.hil.loop.usual_delays import UsualDelays
 
 COPIES: Final = 8
 """The last readings, of which another may be a copy."""
+UNTIDY_FOR: Final = 1000
+"""Readings for which frames are expected to come twice or be held up once more."""
+OPEN_FOR: Final = 10
+"""SYNCs after which one that was passed over will have no reading any more: networks hold frames for less."""
+HELD_UP: Final = 4
+"""SYNCs after which a frame that was held up comes at the latest, and may be taken for that of another."""
 
 
 class Unanswered:
@@ -43,6 +50,14 @@ class Unanswered:
         """Whether one of the last ``syncs`` before ``mark`` has no reading."""
         return bool(self._numbers) and 0 < mark.number - self._numbers[-1] <= syncs
 
+    def may_come(self, mark: SyncMark) -> bool:
+        """Whether one before ``mark`` may have its reading yet."""
+        return self.is_within(OPEN_FOR, mark)
+
+    def may_be_taken_for(self, mark: SyncMark) -> bool:
+        """Whether a reading may be of one before ``mark`` that was held up."""
+        return self.is_within(HELD_UP, mark)
+
     def take(self, latest: Instant) -> SyncMark | None:
         """The newest that had ended by ``latest``; it is answered then."""
         marks = self._syncs.marks
@@ -53,6 +68,24 @@ class Unanswered:
                 self._numbers.remove(number)
                 return mark
         return None
+
+
+class SampleDelays(DelayExtremes):
+    """Delays of readings whose place is certain, outliers too: bounds are made from them."""
+
+    def __init__(self, syncs: SyncLog, period: Duration, transit: Duration) -> None:
+        super().__init__()
+        self._period, self._transit = period, transit
+        self._echo_error, self._echoes_late = syncs.error_ns, syncs.basis in STAMPED_LATE
+
+    def error_of(self, delay: int, *, first: bool) -> int:
+        """How far the sample of a reading may lie from its SYNC; ``first``: of those of a run."""
+        if self._echoes_late:  # and by how much is in no single delay, as readings are stamped late too
+            return self._echo_error + max(delay, self.high) - self.low + self.unseen(self._transit)
+        if first:
+            late = max(delay - self.low, min(delay - self._transit, self._period // 2))
+            return self._echo_error + late
+        return self._echo_error + self.late(delay, self._transit)
 
 
 class Copies:

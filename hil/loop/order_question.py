@@ -45,6 +45,10 @@ LOOKS_MIN: Final = 3
 WIDE_PARTS: Final = 8
 """Where delays spread over such a part of a period a reading may follow a probe by chance; hardly two do."""
 
+COPIES_MAX: Final = 2
+"""SYNCs without a reading that copies of others may hide in one question: while a shaft stands still all
+readings look like copies."""
+
 
 class LossShare:
     """How many readings are lost, as questions have shown: the more, the fewer readings show another one."""
@@ -90,6 +94,10 @@ class OrderQuestion:
         """Number of the first SYNC that may be a probe."""
         self._missing = 0
         """SYNCs that had not been heard by the last reading."""
+
+    def take_copy(self, *, copy: bool) -> None:
+        """A reading came; if it looks like a ``copy`` one may be lost."""
+        self.odd += copy and self.odd < COPIES_MAX
 
     def put(self) -> None:
         """It begins."""
@@ -231,7 +239,7 @@ class OrderQuestion:
             return False
         return self.sooner() == 0
 
-    def is_in_place(self, delay: int, lags: int) -> bool:
+    def fits(self, delay: int, lags: int) -> bool:
         """Whether the answer may confirm that a reading of such a delay answers the SYNC before."""
         return self._usual.holds(delay) or self.counts(lags)
 

@@ -7,10 +7,10 @@ from servobench.drivers.wire.frame_port import EchoBasis
 from servobench.hil.loop.attribution import HELD_MAX
 from servobench.hil.loop.order_attribution import (
     ASK_AGAIN_AFTER,
-    HELD_UP,
     STRAYS_MAX,
     OrderAttribution,
 )
+from servobench.hil.loop.order_memory import HELD_UP
 from servobench.hil.loop.order_question import PROBE_AFTER
 from servobench.hil.loop.residuals import HIDDEN_PARTS
 from servobench.hil.loop.samples import Sample
